@@ -1,0 +1,54 @@
+"""Rules for every test: none is judged by the clock, and in CI one that skips has failed, unless it may."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+CI = os.environ.get("CI") == "true"
+
+# No deadlines: speed is measured by benchmarks, and a busy machine is no defect. CI tries the same cases
+# each time.
+settings.register_profile(
+    "wavefocus", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=CI
+)
+settings.load_profile("wavefocus")
+
+
+def failed_for_skipping(report: pytest.TestReport | pytest.CollectReport) -> None:
+    """Turn the report of a skip into that of a failure: a missing component must not pass for a test run."""
+    reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+    report.outcome = "failed"
+    report.longrepr = (
+        f"{reason}\nA skip is a failure in CI: install what is missing, "
+        "or mark the test may_skip(reason) where it is about another platform."
+    )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    expected_failure = hasattr(report, "wasxfail")
+    if CI and report.skipped and not expected_failure and item.get_closest_marker("may_skip") is None:
+        failed_for_skipping(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    report = yield
+    if CI and report.skipped:  # a whole module skipped itself; it holds no marker to look at
+        failed_for_skipping(report)
+    return report
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        marker = item.get_closest_marker("may_skip")
+        if marker is not None and not (marker.args and marker.args[0]):
+            raise pytest.UsageError(f"{item.nodeid}: may_skip needs a reason")
