@@ -1,0 +1,1 @@
+"""Instruments: what each role must do, and the drivers that do it."""

@@ -1,0 +1,32 @@
+"""What an instrument says when it fails."""
+
+
+class InstrumentError(Exception):
+    """An instrument did not do what it was asked to do.
+
+    Parameters
+    ----------
+    instrument : str
+        The role and, where known, the device: ``"recorder"``, ``"mirror /dev/ttyUSB0"``.
+    operation : str
+        What it was asked to do: ``"recording position 12, actuator 3"``.
+    cause : str
+        What happened instead.
+    remedy : str
+        What the person at the bench can do about it.
+    """
+
+    def __init__(self, instrument: str, operation: str, cause: str, remedy: str) -> None:
+        super().__init__(f"{instrument}: {operation}: {cause}; {remedy}")
+        self.instrument = instrument
+        self.operation = operation
+        self.cause = cause
+        self.remedy = remedy
+
+
+class TransientInstrumentError(InstrumentError):
+    """A failure that a new attempt can cure: an underflow, a short read, a late answer."""
+
+
+class InstrumentLostError(InstrumentError):
+    """The instrument is gone and stays gone: unplugged, powered off, never answering."""

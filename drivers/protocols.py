@@ -1,0 +1,212 @@
+"""What the three roles of a rig must do; the engine knows these and no device."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Take:
+    """Which measurement a record belongs to, for messages and logs.
+
+    Parameters
+    ----------
+    position : int
+        Row of the bank, from 0.
+    attempt : int
+        1 for the first try at this position.
+    record : int
+        Index of the record within the attempt, from 0.
+    purpose : str
+        ``"capture"``, ``"sentinel"`` or ``"scan"``.
+    """
+
+    position: int
+    attempt: int
+    record: int
+    purpose: str = "capture"
+
+    def __str__(self) -> str:
+        return f"{self.purpose} of position {self.position}, attempt {self.attempt}, record {self.record}"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordRequest:
+    """One finite two-channel record.
+
+    Parameters
+    ----------
+    samples : int
+        Samples per channel, pre-roll and post-roll included, > 0.
+    sample_rate_hz : float
+        Rate of each channel in Hz, > 0.
+    range_v : tuple of float
+        Largest input magnitude in volts on (reference, response), each > 0.
+    take : Take
+        What the record is for.
+    """
+
+    samples: int
+    sample_rate_hz: float
+    range_v: tuple[float, float]
+    take: Take
+
+    @property
+    def duration_s(self) -> float:
+        return self.samples / self.sample_rate_hz
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The samples of one record.
+
+    Parameters
+    ----------
+    volts : float32 array, shape (2, samples)
+        Row 0 the reference, row 1 the response, in volts at the DAQ inputs.
+    volts_per_count : tuple of float
+        Converter step of each channel in volts.
+    over_range : tuple of bool
+        Whether each channel reached the end of its range.
+    """
+
+    volts: Float32Array
+    volts_per_count: tuple[float, float]
+    over_range: tuple[bool, bool]
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """The time that the instruments live in: the wall's, or a virtual one."""
+
+    def now_s(self) -> float:
+        """Seconds since an arbitrary start; never runs backwards."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Let `seconds` pass."""
+        ...
+
+
+@runtime_checkable
+class Mirror(Protocol):
+    """Points the laser. Coordinates are optical angles in milliradians."""
+
+    def identify(self) -> str:
+        """Name, model and serial number of the device. Raises InstrumentError."""
+        ...
+
+    def move_to(self, x_mrad: float, y_mrad: float) -> None:
+        """Start a move and return at once. Raises InstrumentError outside the limits."""
+        ...
+
+    def wait_settled(self, timeout_s: float) -> None:
+        """Return when the beam stands still. Raises InstrumentError after `timeout_s`."""
+        ...
+
+    def park(self) -> None:
+        """Move to the safe direction. Safe to call at any time, from any state."""
+        ...
+
+    def close(self) -> None:
+        """Release the device. Safe to call twice."""
+        ...
+
+
+@runtime_checkable
+class Recorder(Protocol):
+    """Records the reference (loopback of the player) and the response (vibrometer)."""
+
+    def identify(self) -> str:
+        """Name, model and serial number of the device. Raises InstrumentError."""
+        ...
+
+    def start(self, request: RecordRequest) -> None:
+        """Start one finite record and return at once. Raises InstrumentError."""
+        ...
+
+    def read(self, timeout_s: float) -> Recording:
+        """Wait for the record to end and fetch it. Raises InstrumentError after `timeout_s`."""
+        ...
+
+    def abort(self) -> None:
+        """Drop a record under way. Safe to call at any time."""
+        ...
+
+    def close(self) -> None:
+        """Release the device. Safe to call twice."""
+        ...
+
+
+@runtime_checkable
+class Player(Protocol):
+    """Plays one signal per channel of an audio interface."""
+
+    @property
+    def channels(self) -> int:
+        """Number of output channels."""
+        ...
+
+    @property
+    def full_scale_v(self) -> float:
+        """Largest output magnitude in volts."""
+        ...
+
+    def identify(self) -> str:
+        """Name, model and serial number of the device. Raises InstrumentError."""
+        ...
+
+    def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
+        """Start playing and return at once; channels not named stay silent.
+
+        Parameters
+        ----------
+        signals_v : mapping from channel to float64 array, shape (samples,)
+            Output voltages; all of one length; never beyond `full_scale_v`.
+        sample_rate_hz : float
+            Rate of the signals in Hz.
+
+        Raises
+        ------
+        InstrumentError
+            Unknown channel, voltage beyond full scale, device failure.
+        """
+        ...
+
+    def wait(self, timeout_s: float) -> None:
+        """Return when everything has been played.
+
+        Raises
+        ------
+        TransientInstrumentError
+            The device ran dry (underflow): what was recorded meanwhile is void.
+        InstrumentError
+            The device is lost, or `timeout_s` passed.
+        """
+        ...
+
+    def mute(self) -> None:
+        """Silence every channel at once. Safe to call at any time, from any state."""
+        ...
+
+    def close(self) -> None:
+        """Release the device, muted. Safe to call twice."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Instruments:
+    """The three instruments of a rig and the clock they live by."""
+
+    mirror: Mirror
+    recorder: Recorder
+    player: Player
+    clock: Clock
