@@ -1,0 +1,181 @@
+"""What can be wrong with a bank: checksums of every row, and physical sanity of what they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration import hdf5_safety
+from calibration.bank import Bank, open_bank
+from calibration.bank_layout import JOURNAL, LEDGER, has_ledger
+from calibration.bank_ledger import QUALITY_NAMES, VALID, decode_journal, decode_rows
+from calibration.bank_owner import bank_owner
+from calibration.errors import InputError
+
+# A response this far from the median of all valid positions is no neighbour of them: ten times in amplitude.
+_RMS_OUTLIER = 10.0
+# An actuator this far below the median of the others moves nothing: -40 dB.
+_DEAD_ACTUATOR = 0.01
+# The last tenth of the taps against the strongest tenth, in energy: -40 dB.
+_TAIL_ENERGY = 1e-4
+_TENTHS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong with a bank.
+
+    Parameters
+    ----------
+    position : int or None
+        The position it is about; None for the whole bank.
+    actuator : int or None
+        The actuator it is about; None for all of them.
+    message : str
+        What is wrong, as one sentence.
+    severity : str
+        ``"error"`` when the data cannot be trusted, ``"warning"`` when a person should look.
+    """
+
+    position: int | None
+    actuator: int | None
+    message: str
+    severity: Literal["error", "warning"] = "error"
+
+
+def check_bank(path: str | Path) -> list[Finding]:
+    """Check every row of a bank.
+
+    Parameters
+    ----------
+    path : str or Path
+        A bank of this program or of another; while a run is on, what is just being written is not held
+        against it.
+
+    Returns
+    -------
+    list of Finding
+        Empty when all is well.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be opened as a bank at all.
+    """
+    path = Path(path)
+    with open_bank(path) as bank:
+        findings = list(_bookkeeping(path)) if bank_owner(path) is None else []
+        findings += _check_positions(bank)
+        findings += _check_rows(bank)
+    return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
+
+
+def _bookkeeping(path: Path) -> Iterator[Finding]:
+    """Check that what is derived from the ledger agrees with it, and that no crash waits to be repaired."""
+    with hdf5_safety.opened(path) as file:
+        if not has_ledger(file):
+            return
+        journal = file[JOURNAL][...].tobytes()
+        if journal.count(0) != len(journal):
+            yield Finding(
+                None, None, "a replacement was cut off; opening the bank to resume finishes it", "warning"
+            )
+        actuators, taps = file["/green"].shape[1:]
+        rows = bytearray(file[LEDGER][...].tobytes())
+        replacing = decode_journal(journal, actuators, taps)
+        if replacing:  # the journal says what the ledger will say once it is finished
+            start = replacing[0] * len(replacing[2])
+            rows[start : start + len(replacing[2])] = replacing[2]
+        ledger = decode_rows(rows, actuators, taps)
+        for position in np.flatnonzero(ledger.damaged):
+            message = f"the ledger row of position {position} is damaged; it has to be measured again"
+            yield Finding(int(position), None, message)
+        differs = file["/status"][...] != ledger.status
+        for name in QUALITY_NAMES:
+            same = np.equal(file[f"/quality/{name}"][...], ledger.quality[name])
+            same |= np.isnan(file[f"/quality/{name}"][...]) & np.isnan(ledger.quality[name])
+            differs |= ~same.reshape(len(same), -1).all(axis=1)
+        for position in np.flatnonzero(differs & ~ledger.damaged):
+            message = (
+                f"/status or /quality of position {position} differ from the ledger;"
+                " opening the bank to resume rebuilds them"
+            )
+            yield Finding(int(position), None, message, "warning")
+
+
+def _check_positions(bank: Bank) -> Iterator[Finding]:
+    _, first, group = np.unique(bank.position_mm, axis=0, return_index=True, return_inverse=True)
+    for position, original in enumerate(first[group.reshape(-1)]):
+        if position != original:
+            x, y = bank.position_mm[position]
+            message = f"position {position} lies at ({x:g}, {y:g}) mm like position {original}"
+            yield Finding(position, None, message, "warning")
+
+
+def _check_rows(bank: Bank) -> Iterator[Finding]:
+    status = _status_or_none(bank)
+    rms = np.full((bank.positions, bank.actuators), np.nan)
+    for position in range(bank.positions):
+        try:
+            green = bank.green(position)
+        except InputError as error:
+            yield Finding(position, None, str(error).removeprefix(f"{bank.path}: "))
+            continue
+        if status is not None and not status[position] & VALID:
+            continue
+        # energy of each actuator in each tenth of the taps, float64 so that nothing overflows
+        energy = np.square(green, dtype=np.float64)
+        rms[position] = np.sqrt(energy.mean(axis=1))
+        yield from _check_tail(position, energy.sum(axis=0))
+    yield from _check_levels(rms, certain=status is not None)
+
+
+def _status_or_none(bank: Bank) -> NDArray[np.uint8] | None:
+    """Return the status, or None where it can only be guessed from rows that are not readable."""
+    try:
+        return bank.status
+    except InputError:
+        return None
+
+
+def _check_tail(position: int, energy: NDArray[np.float64]) -> Iterator[Finding]:
+    if len(energy) < _TENTHS:
+        return
+    tenths = np.array([part.mean() for part in np.array_split(energy, _TENTHS)])
+    if tenths[-1] > _TAIL_ENERGY * tenths.max() > 0:
+        level = 10 * np.log10(tenths[-1] / tenths.max())
+        message = (
+            f"the response of position {position} is only {-level:.0f} dB down in its last tenth;"
+            " it is noisy or longer than the taps kept"
+        )
+        yield Finding(position, None, message, "warning")
+
+
+def _check_levels(rms: NDArray[np.float64], *, certain: bool) -> Iterator[Finding]:
+    """Check each position against the median of all, each actuator against the median of the others."""
+    rows = np.sqrt(np.square(rms).mean(axis=1))
+    measured = np.flatnonzero(np.isfinite(rows))
+    if not len(measured):
+        return
+    typical = float(np.median(rows[measured]))
+    for position in measured:
+        if rows[position] == 0 and certain:
+            yield Finding(int(position), None, f"position {position} is marked valid and holds only zeros")
+        elif typical > 0 and not 1 / _RMS_OUTLIER <= rows[position] / typical <= _RMS_OUTLIER:
+            level = 20 * np.log10(rows[position] / typical) if rows[position] else -np.inf
+            message = (
+                f"the response of position {position} is {level:+.0f} dB from the median of all positions"
+            )
+            yield Finding(int(position), None, message, "warning")
+    levels = np.median(rms[measured], axis=0)
+    for actuator, level in enumerate(levels):
+        if level < _DEAD_ACTUATOR * np.median(levels):
+            message = (
+                f"actuator {actuator} gives less than a hundredth of the others' response; is it connected?"
+            )
+            yield Finding(None, actuator, message, "warning")

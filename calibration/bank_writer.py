@@ -1,0 +1,332 @@
+"""Measuring into a bank, so that a crash at any instant loses nothing that was acknowledged.
+
+The order of writes is the design: Green's functions, sync, ledger row, sync. A position that is measured
+again goes through the journal first. ``/status`` and ``/quality`` follow from the ledger and are rebuilt
+from it on opening.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration import bank_layout, bank_owner, durable, hdf5_safety
+from calibration.bank_header import BankHeader
+from calibration.bank_layout import BankLayout
+from calibration.bank_ledger import (
+    DISABLED,
+    QUALITY_NAMES,
+    VALID,
+    Ledger,
+    PointRecord,
+    decode_journal,
+    decode_rows,
+    encode_journal,
+    encode_row,
+    journal_bytes,
+    ledger_row_bytes,
+    round_to_page,
+)
+from calibration.durable import PositionedFile
+from calibration.errors import InputError, WavefocusError
+
+Float32Array = NDArray[np.float32]
+
+
+class BankWriter:
+    """The one process that measures into a bank; a context manager.
+
+    Made by :meth:`open`. A failed write closes the way for further commits: opening the bank again repairs
+    it.
+    """
+
+    def __init__(self, path: Path, file: PositionedFile, layout: BankLayout) -> None:
+        self.path = path
+        self.header: BankHeader = layout.header
+        self._file = file
+        self._layout = layout
+        self._failure: str | None = None
+        self._closed = False
+        with self._writing("recovering what a crash left"):
+            self._replay_journal()
+            self._read_ledger()
+            self._clear_torn_rows()
+            self._rebuild_derived()
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        *,
+        plan_sha256: str | None = None,
+        open_file: durable.OpenFile = durable.open_file,
+    ) -> BankWriter:
+        """Own a bank and bring it into order.
+
+        Parameters
+        ----------
+        path : str or Path
+            A bank that ``bank_creation.create_bank`` made.
+        plan_sha256 : str, optional
+            The plan about to be measured; any plan is accepted when None.
+        open_file : durable.OpenFile
+            How the file is opened.
+
+        Raises
+        ------
+        InputError
+            When the file is no such bank, damaged beyond its rows, or belongs to another plan; it is left
+            untouched.
+        BankBusyError
+            When another process owns it.
+        WavefocusError
+            When it cannot be written.
+        """
+        path = Path(path)
+        if path.is_symlink():
+            raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the bank file itself")
+        hdf5_safety.require_regular(path)
+        try:
+            file = open_file(path, write=True)
+        except OSError as error:
+            raise InputError(f"{path} may not be written: {error.strerror}") from error
+        try:
+            bank_owner.take_ownership(path, file)
+            with hdf5_safety.opened(path) as content:
+                layout = bank_layout.read_layout(content, path)
+            _require_plan(path, layout.header, plan_sha256)
+            bank_owner.write_owner(path)
+            try:
+                return cls(path, file, layout)
+            except BaseException:
+                bank_owner.remove_owner(path)
+                raise
+        except BaseException:
+            file.close()
+            raise
+
+    @property
+    def status(self) -> NDArray[np.uint8]:
+        """Status bits (P,), 0 where a position is still to be measured; every row was verified."""
+        return self._status.copy()
+
+    @property
+    def attempts(self) -> NDArray[np.int64]:
+        """How often each position was measured (P,)."""
+        return self._attempts.copy()
+
+    @property
+    def damaged(self) -> tuple[int, ...]:
+        """Positions that were measured once and whose checksum no longer held on opening."""
+        return self._damaged
+
+    def commit(self, position: int, green: Float32Array, record: PointRecord) -> None:
+        """Keep one position for good; when this returns, no crash loses it.
+
+        Parameters
+        ----------
+        position : int
+            Row of the bank, 0 to P - 1.
+        green : float32 array (N, L)
+            Its Green's functions, finite; zeros where nothing could be measured.
+        record : PointRecord
+            Its status and quality.
+
+        Raises
+        ------
+        InputError
+            When position, shape or values are outside what is stated here; nothing is written.
+        WavefocusError
+            When the disk failed; positions committed earlier are intact.
+        """
+        self._require_position(position)
+        shape = (self.header.actuators, self.header.taps)
+        if np.shape(green) != shape:
+            raise InputError(f"green of position {position} has shape {np.shape(green)}; {shape} is needed")
+        values = np.ascontiguousarray(green, "<f4")
+        if not np.isfinite(values).all():
+            raise InputError(
+                f"green of position {position} holds values that are not finite; zeros mark what is missing"
+            )
+        chunk = values.tobytes().ljust(round_to_page(self.header.chunk_bytes), b"\0")
+        row = encode_row(position, record, values)
+        with self._writing(f"writing position {position}"):
+            if self._status[position]:
+                self._replace(position, chunk, row)
+            else:
+                self._write_row(position, chunk, row)
+            self._note(position, record)
+
+    def disable(self, position: int) -> None:
+        """Exclude a position: its status loses the valid bit and gains 16; what was measured stays.
+
+        Raises
+        ------
+        InputError
+            When there is no such position.
+        WavefocusError
+            When the disk failed.
+        """
+        self._require_position(position)
+        if not self._status[position]:
+            unknown = np.full(self.header.actuators, np.nan, np.float32)
+            record = PointRecord(DISABLED, int(self._attempts[position]), unknown, unknown, unknown, unknown)
+            self.commit(position, np.zeros((self.header.actuators, self.header.taps), np.float32), record)
+            return
+        content = self._read(self._row_offset(position), ledger_row_bytes(self.header.actuators))
+        kept = decode_rows(content, self.header.actuators, self.header.taps, position)
+        figures = {name: kept.quality[name][0] for name in QUALITY_NAMES if name != "attempts"}
+        status = (int(kept.status[0]) & ~VALID) | DISABLED
+        self.commit(
+            position, self.green(position), PointRecord(status, int(kept.quality["attempts"][0]), **figures)
+        )
+
+    def green(self, position: int) -> Float32Array:
+        """Read one position's Green's functions, float32 (N, L); zeros where it is not measured."""
+        self._require_position(position)
+        green = np.zeros((self.header.actuators, self.header.taps), "<f4")
+        if self._status[position]:
+            self._file.read_into(int(self._layout.chunk_offset[position]), green.data.cast("B"))
+        return green.astype(np.float32, copy=False)
+
+    def close(self) -> None:
+        """Sync, take the owner's name away and release the bank; closing twice does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            if self._failure is None:
+                with self._writing("closing"):
+                    self._file.sync()
+        finally:
+            bank_owner.remove_owner(self.path)
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @contextmanager
+    def _writing(self, what: str) -> Iterator[None]:
+        if self._failure:
+            raise WavefocusError(
+                f"bank {self.path} takes no more commits after an earlier failure ({self._failure})"
+            )
+        try:
+            yield
+        except OSError as error:
+            # After a failed sync the kernel may drop what it could not write: nothing in flight can be
+            # trusted.
+            self._failure = f"{what}: {error.strerror or error}"
+            raise WavefocusError(
+                f"bank {self.path}: {self._failure}; what was measured before is safe; "
+                "make the disk writable and resume"
+            ) from error
+
+    def _write_row(self, position: int, chunk: bytes, row: bytes) -> None:
+        self._file.write(int(self._layout.chunk_offset[position]), chunk)
+        self._file.sync()
+        self._file.write(self._row_offset(position), row)
+        self._file.sync()
+
+    def _replace(self, position: int, chunk: bytes, row: bytes) -> None:
+        self._file.write(self._layout.journal_offset, encode_journal(position, chunk, row))
+        self._file.sync()
+        self._write_row(position, chunk, row)
+        self._clear_journal()
+
+    def _clear_journal(self) -> None:
+        self._file.write(self._layout.journal_offset, bytes(self._journal_bytes))
+        self._file.sync()
+
+    def _note(self, position: int, record: PointRecord) -> None:
+        """Write the derived figures of one position; no sync, since the ledger can give them back."""
+        figures = [np.asarray(getattr(record, name), "<f4") for name in QUALITY_NAMES]
+        self._file.write(self._layout.status_offset + position, bytes([record.status]))
+        for name, figure in zip(QUALITY_NAMES, figures, strict=True):
+            self._file.write(self._layout.quality_offset[name] + position * figure.nbytes, figure.tobytes())
+        self._status[position] = record.status
+        self._attempts[position] = record.attempts
+
+    def _replay_journal(self) -> None:
+        content = self._read(self._layout.journal_offset, self._journal_bytes)
+        if not np.frombuffer(content, np.uint8).any():
+            return
+        entry = decode_journal(content, self.header.actuators, self.header.taps)
+        if entry and entry[0] < self.header.positions:
+            self._write_row(*entry)
+        self._clear_journal()
+
+    def _read_ledger(self) -> None:
+        rows = self._read(
+            self._layout.ledger_offset, self.header.positions * ledger_row_bytes(self.header.actuators)
+        )
+        self._ledger: Ledger = decode_rows(rows, self.header.actuators, self.header.taps)
+        trusted = self._ledger.holds.copy()
+        chunk = bytearray(round_to_page(self.header.chunk_bytes))
+        self._torn: list[int] = []
+        for position, offset in enumerate(self._layout.chunk_offset.tolist()):
+            self._file.read_into(offset, memoryview(chunk))
+            if trusted[position]:
+                crc = zlib.crc32(memoryview(chunk)[: self.header.chunk_bytes])
+                trusted[position] = crc == self._ledger.green_crc[position]
+            elif self._ledger.empty[position] and np.frombuffer(chunk, np.uint64).any():
+                self._torn.append(position)
+        self._status = np.where(trusted, self._ledger.status, 0).astype(np.uint8)
+        self._attempts = np.where(trusted, self._ledger.quality["attempts"], 0).astype(np.int64)
+        self._damaged = tuple(int(position) for position in np.flatnonzero(~trusted & ~self._ledger.empty))
+
+    def _clear_torn_rows(self) -> None:
+        """Make rows that a crash left half-written read as zeros again, as all rows not yet measured do."""
+        for position in self._torn:
+            zeros = bytes(round_to_page(self.header.chunk_bytes))
+            self._file.write(int(self._layout.chunk_offset[position]), zeros)
+
+    def _rebuild_derived(self) -> None:
+        known = self._status > 0
+        derived = {self._layout.status_offset: self._status.tobytes()}
+        for name in QUALITY_NAMES:
+            figures = self._ledger.quality[name].astype("<f4")
+            figures[~known] = 0 if name == "attempts" else np.nan
+            derived[self._layout.quality_offset[name]] = figures.tobytes()
+        for offset, content in derived.items():
+            if self._read(offset, len(content)) != content:
+                self._file.write(offset, content)
+        del self._ledger, self._torn
+
+    def _read(self, offset: int, size: int) -> bytearray:
+        content = bytearray(size)
+        self._file.read_into(offset, memoryview(content))
+        return content
+
+    def _row_offset(self, position: int) -> int:
+        return self._layout.ledger_offset + position * ledger_row_bytes(self.header.actuators)
+
+    @property
+    def _journal_bytes(self) -> int:
+        return journal_bytes(self.header.actuators, self.header.taps)
+
+    def _require_position(self, position: int) -> None:
+        if not 0 <= position < self.header.positions:
+            raise InputError(
+                f"position {position} is not in bank {self.path}; 0 to {self.header.positions - 1} are"
+            )
+
+
+def _require_plan(path: Path, header: BankHeader, plan_sha256: str | None) -> None:
+    if plan_sha256 is not None and plan_sha256 != header.plan_sha256:
+        raise InputError(
+            f"{path} belongs to another plan ({header.plan_sha256[:12]}, not {plan_sha256[:12]});"
+            " resume it from the bank alone, undo the change, or name a new bank"
+        )

@@ -1,0 +1,65 @@
+"""Samples that a converter or an amplifier has cut off."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+# A converter's last counts belong to clipping: 0.1 % below the end of the range.
+CLIP_SHARE = 0.999
+# A flat top: this many samples within 0.1 % of the recording's own peak, and a quarter of all within 3 %.
+# A sine has 18 % of them there, noise and sweeps over resonances 5 %.
+LEAST_FLAT = 8
+# Where a sweep is cut off, it is cut off many times running: this much on both sides of the peak shows it.
+AROUND_SAMPLES = 4096
+BELOW_SHARE = 0.97
+# Smaller recordings have too few converter steps to tell a flat top from a coarse one.
+LEAST_PEAK_SHARE = 0.05
+
+
+def count_clipped(
+    channel: NDArray[np.float32], peak_v: NDArray[np.float32], range_v: float
+) -> NDArray[np.int32]:
+    """Count the clipped samples of each recording.
+
+    These are samples at 0.999 of the range or beyond, or else those of a flat top below it, since what comes
+    before the converter clips too. A flat top blurred by noise that was added after it is not seen;
+    the fit's residual is what shows it then.
+
+    Parameters
+    ----------
+    channel : float32 array, shape (records, samples)
+        Recordings in volts.
+    peak_v : float32 array, shape (records,)
+        Largest magnitude of each recording in volts.
+    range_v : float
+        End of the converter's range in volts, > 0.
+
+    Returns
+    -------
+    int32 array, shape (records,)
+    """
+    count = np.zeros(channel.shape[0], dtype=np.int32)
+    for record, peak in enumerate(peak_v):
+        if peak < LEAST_PEAK_SHARE * range_v:
+            continue
+        if peak >= CLIP_SHARE * range_v:
+            count[record] = _beyond(channel[record], CLIP_SHARE * range_v)
+            continue
+        around = _around_peak(channel[record])
+        top = _beyond(around, CLIP_SHARE * float(peak))
+        if top >= LEAST_FLAT and 4 * top > _beyond(around, BELOW_SHARE * float(peak)):
+            count[record] = _beyond(channel[record], CLIP_SHARE * float(peak))
+    return count
+
+
+def _around_peak(recording: NDArray[np.float32]) -> NDArray[np.float32]:
+    highest, lowest = int(recording.argmax()), int(recording.argmin())
+    place = highest if recording[highest] >= -recording[lowest] else lowest
+    return recording[max(0, place - AROUND_SAMPLES) : place + AROUND_SAMPLES]
+
+
+def _beyond(recording: NDArray[np.float32], level_v: float) -> int:
+    """Samples of this magnitude or more; two comparisons cost a fifth of one array of magnitudes."""
+    level = np.float32(level_v)
+    return int(np.count_nonzero(recording >= level) + np.count_nonzero(recording <= -level))

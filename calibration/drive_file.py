@@ -1,0 +1,145 @@
+"""The drive file, contract section 5: what each actuator plays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration import hdf5_safety
+from calibration.durable import replacement
+from calibration.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+FORMAT = "wavefocus-drive"
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """What each actuator plays, and which instants it was made for.
+
+    Parameters
+    ----------
+    drive_v : float64 array (N, n)
+        Volts at each actuator, finite.
+    sample_rate_hz : float
+        Rate in Hz, > 0.
+    start_s : float
+        Time of the first sample, negative because of the lead-in.
+    method : str
+        How it was rendered.
+    scale : float
+        Factor by which a limit scaled it down, 0 < scale; 1 if nothing did.
+    omitted_bound : float
+        Bound on the relative L2 error from everything left out, >= 0; 0 when exact.
+    focus_sample, focus_position, focus_source : int64 array (K,)
+        Each focus: its sample n_m after time zero, its row of the bank, its source.
+
+    Raises
+    ------
+    InputError
+        When a value is outside what is stated here.
+    """
+
+    drive_v: Float64Array
+    sample_rate_hz: float
+    start_s: float
+    method: str
+    scale: float
+    omitted_bound: float
+    focus_sample: Int64Array
+    focus_position: Int64Array
+    focus_source: Int64Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "drive_v", np.ascontiguousarray(self.drive_v, np.float64))
+        if self.drive_v.ndim != 2 or not self.drive_v.size:
+            raise InputError(
+                f"/drive has shape {self.drive_v.shape}; (actuator, sample), each 1 or more, is needed"
+            )
+        if not np.isfinite(self.drive_v).all():
+            actuator = int(np.flatnonzero(~np.isfinite(self.drive_v).all(axis=1))[0])
+            raise InputError(
+                f"/drive of actuator {actuator} holds NaN or infinities; finite volts are needed"
+            )
+        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
+            raise InputError(f"sample_rate_hz is {self.sample_rate_hz}; a rate above 0 is needed")
+        if not np.isfinite(self.start_s):
+            raise InputError(f"start_s is {self.start_s}; a finite time is needed")
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise InputError(f"scale is {self.scale}; a factor above 0 is needed")
+        if not self.omitted_bound >= 0:
+            raise InputError(f"omitted_bound is {self.omitted_bound}; 0 or more is needed")
+        for name in ("focus_sample", "focus_position", "focus_source"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.int64))
+        shapes = {self.focus_sample.shape, self.focus_position.shape, self.focus_source.shape}
+        if len(shapes) != 1 or self.focus_sample.ndim != 1:
+            raise InputError(f"/focus datasets have shapes {sorted(shapes)}; one common length is needed")
+
+
+def write_drive(path: str | Path, drive: Drive) -> None:
+    """Write a drive file, replacing an older one only when the new one is whole.
+
+    Raises
+    ------
+    InputError
+        When the folder is missing or cannot be written.
+    """
+    path = Path(path)
+    try:
+        with replacement(path) as temporary, h5py.File(temporary, "w", locking=False) as file:
+            file.attrs["format"] = FORMAT
+            file.attrs["format_version"] = VERSION
+            file.attrs["sample_rate_hz"] = float(drive.sample_rate_hz)
+            file.attrs["start_s"] = float(drive.start_s)
+            file.attrs["method"] = drive.method
+            file.attrs["scale"] = float(drive.scale)
+            file.attrs["omitted_bound"] = float(drive.omitted_bound)
+            file.create_dataset("drive", data=drive.drive_v, dtype="<f8").attrs["units"] = "V"
+            for name in ("sample", "position", "source"):
+                file.create_dataset(f"focus/{name}", data=getattr(drive, f"focus_{name}"), dtype="<i8")
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def read_drive(path: str | Path) -> Drive:
+    """Read a drive file; what only describes it (method, scale, omitted_bound, foci) may be missing.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, damaged, no drive file, of a future version, or holds values out of range.
+    """
+    path = Path(path)
+    with hdf5_safety.opened(path) as file:
+        hdf5_safety.require_format(file, path, FORMAT, VERSION)
+        volts = hdf5_safety.read_floats(file, "/drive", path)
+        focus = {}
+        for name in ("sample", "position", "source"):
+            focus[name] = np.zeros(0, np.int64)
+            if hdf5_safety.has(file, f"/focus/{name}"):
+                focus[name] = hdf5_safety.read_integers(file, f"/focus/{name}", path)
+        rate, start_s = (hdf5_safety.number(file, name, path) for name in ("sample_rate_hz", "start_s"))
+        method = hdf5_safety.text(file, "method", path) or "unknown"
+        scale = hdf5_safety.number(file, "scale", path, default=1.0)
+        omitted_bound = hdf5_safety.number(file, "omitted_bound", path, default=0.0)
+    try:
+        return Drive(
+            drive_v=volts,
+            sample_rate_hz=rate,
+            start_s=start_s,
+            method=method,
+            scale=scale,
+            omitted_bound=omitted_bound,
+            focus_sample=focus["sample"],
+            focus_position=focus["position"],
+            focus_source=focus["source"],
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error

@@ -1,0 +1,13 @@
+"""Errors about files, figures and locks; each is one sentence that a person can act on."""
+
+
+class WavefocusError(Exception):
+    """Base of the errors that are told to people in one line."""
+
+
+class InputError(WavefocusError, ValueError):
+    """The input is wrong: the message names file, key, value and what is allowed."""
+
+
+class BankBusyError(WavefocusError):
+    """Another process owns the bank: the message names host and process id."""

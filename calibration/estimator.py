@@ -1,0 +1,239 @@
+"""From the recordings of a position to its Green's functions, with figures of how far to trust them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.causal_fit import CausalFit
+from calibration.clipping import count_clipped
+from calibration.errors import InputError
+from calibration.repeats import RepeatFinder
+from calibration.sweeps import Excitation
+
+MAX_PPM = 500.0
+# Bounds memory to about 20 MB however many records are given.
+BATCH_RECORDS = 32
+FLOOR = 1e-30
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Green's functions of a batch of sequential records, and their quality.
+
+    All energies are sums over the bins of the sweep's band, of the response weighted as the fit weighs it.
+
+    Parameters
+    ----------
+    green : float32 array, shape (records, taps)
+        Causal FIRs on the playback clock, response unit per volt of drive.
+    snr_db : float32 array, shape (records,)
+        Energy that the fitted FIR explains over the noise's in the same band, after averaging; the noise is
+        the unexplained energy, scaled from the freedom that the FIR leaves to all of the band.
+    residual_db : float32 array, shape (records,)
+        Energy that the fitted FIR leaves unexplained over the response's whole energy; 0 dB for silence.
+        Sees clipping, dropouts, hum, and a response longer than L taps.
+    coherence : float32 array, shape (records,)
+        Share of the response's energy, over all repeats, that one linear relation to the reference explains;
+        NaN for a single sweep.
+    peak_v : float32 array, shape (records,)
+        Largest magnitude of the response in DAQ volts.
+    repeat_db : float32 array, shape (records,)
+        Energy of the differences of the repeats from their common relation over that of the response, scaled
+        to the variance of one repeat; NaN for a single sweep.
+    noise_v : float32 array, shape (records,)
+        Rms in DAQ volts of the white noise on one response recording (0 to half the sample rate) that would
+        leave this residual.
+    clip_count : int32 array, shape (records,)
+        Samples of either channel that are clipped: at 0.999 of its range or beyond, or on a flat top
+        below it, which an amplifier or the vibrometer left (see `calibration.clipping`).
+    offset_samples : float64 array, shape (records,)
+        DAQ sample at which the first sweep starts.
+    clock_ratio : float64 array, shape (records,)
+        DAQ rate over playback rate.
+    """
+
+    green: NDArray[np.float32]
+    snr_db: NDArray[np.float32]
+    residual_db: NDArray[np.float32]
+    coherence: NDArray[np.float32]
+    peak_v: NDArray[np.float32]
+    repeat_db: NDArray[np.float32]
+    noise_v: NDArray[np.float32]
+    clip_count: NDArray[np.int32]
+    offset_samples: NDArray[np.float64]
+    clock_ratio: NDArray[np.float64]
+
+
+class Estimator:
+    """Averaged H1 from the recorded reference, then least squares for a causal FIR of L taps.
+
+    Everything that is computed once depends on the configuration alone, so that the same recordings give the
+    same bytes in whatever order they come. Safe to call from several threads.
+
+    Parameters
+    ----------
+    excitation : Excitation
+        What each record plays.
+    taps : int
+        Length L of the FIRs, 1 to the excitation's silence.
+    reference_gain : float
+        DAQ volts on the reference channel per volt of drive, > 0.
+    response_per_volt : float
+        Response unit per DAQ volt of the response channel, not 0.
+    inter_channel_delay_s : float
+        How much later the response channel is sampled than the reference channel, in seconds.
+    ridge : float
+        Penalty on the FIR's energy relative to the sweep's median power in band, > 0.
+
+    Raises
+    ------
+    InputError
+        A value outside the range above.
+    """
+
+    def __init__(
+        self,
+        excitation: Excitation,
+        taps: int,
+        *,
+        reference_gain: float = 1.0,
+        response_per_volt: float = 1.0,
+        inter_channel_delay_s: float = 0.0,
+        ridge: float = 1e-6,
+    ) -> None:
+        if not 1 <= taps <= excitation.decay_samples:
+            raise InputError(
+                f"taps is {taps}; allowed is 1 to the silence after each sweep, "
+                f"{excitation.decay_samples} samples"
+            )
+        if not (np.isfinite(reference_gain) and reference_gain > 0):
+            raise InputError(f"reference_gain is {reference_gain:g}; allowed is a finite number above 0")
+        if not (np.isfinite(response_per_volt) and response_per_volt != 0):
+            raise InputError(f"response_per_volt is {response_per_volt:g}; allowed is a finite number, not 0")
+        if not (np.isfinite(inter_channel_delay_s) and abs(inter_channel_delay_s) <= excitation.decay_s):
+            raise InputError(
+                f"inter_channel_delay_s is {inter_channel_delay_s:g}; allowed is at most decay_s either way"
+            )
+        if not 0 < ridge < 1:
+            raise InputError(f"ridge is {ridge:g}; allowed is a number between 0 and 1")
+        self.excitation = excitation
+        self.taps = taps
+        self._finder = RepeatFinder(excitation, excitation.decay_samples - taps, MAX_PPM)
+        relative = self._finder.power / self._finder.median_power
+        self._fit = CausalFit(self._finder.omega, relative, self._finder.period, taps, ridge, MAX_PPM)
+        late = inter_channel_delay_s * excitation.sample_rate_hz
+        self._in_time = np.exp(-1j * self._finder.omega * late).astype(np.complex64)
+        self._scale = reference_gain * response_per_volt
+
+    def estimate(
+        self,
+        reference_v: NDArray[np.float32],
+        response_v: NDArray[np.float32],
+        *,
+        range_v: tuple[float, float],
+    ) -> Estimate:
+        """Estimate one Green's function per record.
+
+        Parameters
+        ----------
+        reference_v, response_v : float32 array, shape (records, samples)
+            The two DAQ channels in volts, one sequential record per row.
+        range_v : tuple of float
+            Largest input magnitude in volts on (reference, response), each > 0.
+
+        Returns
+        -------
+        Estimate
+
+        Raises
+        ------
+        InputError
+            Arrays of different or wrong shapes, or values that are not finite.
+        ReferenceMissingError
+            A reference in which the sweeps cannot be found; the message names the record.
+        """
+        reference = np.ascontiguousarray(reference_v, dtype=np.float32)
+        response = np.ascontiguousarray(response_v, dtype=np.float32)
+        if reference.ndim != 2 or reference.shape != response.shape:
+            raise InputError(
+                f"reference and response have shapes {reference.shape} and {response.shape}; "
+                "allowed is (records, samples) for both"
+            )
+        if not all(np.isfinite(end) and end > 0 for end in range_v):
+            raise InputError(f"range_v is {range_v}; allowed are two finite numbers above 0")
+        parts = [
+            self._estimate(
+                reference[low : low + BATCH_RECORDS], response[low : low + BATCH_RECORDS], range_v, low
+            )
+            for low in range(0, reference.shape[0], BATCH_RECORDS)
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        if not parts:
+            raise InputError("there are no records; allowed is at least one")
+        return Estimate(
+            **{name: np.concatenate([getattr(p, name) for p in parts]) for name in Estimate.__slots__}
+        )
+
+    def _estimate(
+        self,
+        reference: NDArray[np.float32],
+        response: NDArray[np.float32],
+        range_v: tuple[float, float],
+        first: int,
+    ) -> Estimate:
+        peaks = [np.maximum(channel.max(axis=1), -channel.min(axis=1)) for channel in (reference, response)]
+        if not all(np.isfinite(peak).all() for peak in peaks):
+            raise InputError("a recording holds values that are not finite; allowed are volts")
+        repeats = self._finder.find(reference, first)
+        x = repeats.spectra
+        y = self._finder.segment_spectra(response, repeats.starts)
+        reference_power = _energy(x).sum(axis=1)
+        transfer = (x.conj() * y).sum(axis=1) / np.maximum(reference_power, np.float32(FLOOR))
+        coherence, repeat_db = self._repeatability(x, y, transfer)
+
+        data = self._fit.whitened(transfer * self._in_time)
+        coefficients = self._fit.coefficients(data)
+        left = np.square(self._fit.unexplained(data, coefficients)).sum(axis=1, dtype=np.float64)
+        whole = np.square(data).sum(axis=1, dtype=np.float64)
+        # The FIR's own freedom swallows its share of the noise.
+        variance = left / max(self._fit.elements - self._fit.rank, 1)
+        noise = variance * self._fit.elements
+        gain = reference_power.sum(axis=1, dtype=np.float64) / self._finder.power.sum()
+        return Estimate(
+            green=self._fit.taps(self._fit.denoised(coefficients, variance), repeats.ratio - 1)
+            * np.float32(self._scale),
+            snr_db=_decibel(np.maximum(whole - noise, 0), noise),
+            residual_db=_decibel(left, whole),
+            coherence=coherence,
+            peak_v=peaks[1],
+            repeat_db=repeat_db,
+            noise_v=np.sqrt(variance * gain * self._finder.median_power).astype(np.float32),
+            clip_count=count_clipped(reference, peaks[0], range_v[0])
+            + count_clipped(response, peaks[1], range_v[1]),
+            offset_samples=repeats.offset_samples,
+            clock_ratio=repeats.ratio,
+        )
+
+    def _repeatability(
+        self, x: NDArray[np.complex64], y: NDArray[np.complex64], transfer: NDArray[np.complex64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        averages = x.shape[1]
+        if averages == 1:
+            unknown = np.full(x.shape[0], np.nan, dtype=np.float32)
+            return unknown, unknown.copy()
+        differing = _energy(y - transfer[:, None] * x).sum(axis=(1, 2), dtype=np.float64)
+        whole = _energy(y).sum(axis=(1, 2), dtype=np.float64)
+        coherence = 1 - (differing + FLOOR) / (whole + FLOOR)
+        return coherence.astype(np.float32), _decibel(differing * averages / (averages - 1), whole)
+
+
+def _energy(spectra: NDArray[np.complex64]) -> NDArray[np.float32]:
+    return np.square(spectra.real) + np.square(spectra.imag)
+
+
+def _decibel(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float32]:
+    return (10 * np.log10((part + FLOOR) / (whole + FLOOR))).astype(np.float32)

@@ -1,0 +1,235 @@
+"""The field file, contract section 5: the response at positions, predicted or scanned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import h5py
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from calibration import hdf5_safety
+from calibration.durable import replacement
+from calibration.errors import InputError
+
+FieldArray = NDArray[np.float32] | NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+FORMAT = "wavefocus-field"
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """The response at positions of a bank over time.
+
+    Parameters
+    ----------
+    field : float32 or float64 array (K, n)
+        Response of each position, finite.
+    position_index : int64 array (K,)
+        Each row's position in the bank, >= 0.
+    sample_rate_hz : float
+        Rate in Hz, > 0.
+    start_s : float
+        Time of the first sample.
+    response_unit : str
+        Unit of the response, ``"m/s"`` for a vibrometer.
+
+    Raises
+    ------
+    InputError
+        When a value is outside what is stated here.
+    """
+
+    field: FieldArray
+    position_index: Int64Array
+    sample_rate_hz: float
+    start_s: float
+    response_unit: str
+
+    def __post_init__(self) -> None:
+        values = np.asarray(self.field)
+        if values.dtype not in (np.float32, np.float64):
+            values = values.astype(np.float64)
+        if values.ndim != 2 or not values.size:
+            raise InputError(
+                f"/field has shape {values.shape}; (position, sample), each 1 or more, is needed"
+            )
+        object.__setattr__(self, "field", values)
+        object.__setattr__(self, "position_index", _indices(self.position_index, len(values)))
+        for row, position in zip(values, self.position_index, strict=True):
+            if not np.isfinite(row).all():
+                raise InputError(
+                    f"/field of position {position} holds NaN or infinities; finite values are needed"
+                )
+        _require_times(self.sample_rate_hz, self.start_s)
+
+
+class FieldWriter:
+    """Writes a field file row by row; a context manager whose file appears only when all rows were written.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; an older one is replaced at the end.
+    position_index : sequence of int (K,)
+        Positions of the rows to come.
+    samples : int
+        Samples per row, >= 1.
+    sample_rate_hz, start_s, response_unit
+        As :class:`Field`.
+    dtype : dtype
+        float32 as the contract has it; float64 keeps more digits.
+
+    Raises
+    ------
+    InputError
+        When a value is outside what is stated here, or the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        position_index: Sequence[int] | Int64Array,
+        samples: int,
+        *,
+        sample_rate_hz: float,
+        start_s: float,
+        response_unit: str,
+        dtype: DTypeLike = np.float32,
+    ) -> None:
+        self.path = Path(path)
+        self._index = _indices(position_index, len(position_index))
+        if not len(self._index) or samples < 1:
+            raise InputError(
+                f"a field of {len(self._index)} positions and {samples} samples; 1 or more is needed"
+            )
+        _require_times(sample_rate_hz, start_s)
+        self._attributes = {"sample_rate_hz": float(sample_rate_hz), "start_s": float(start_s)}
+        self._unit = response_unit
+        self._shape = (len(self._index), samples)
+        self._dtype = np.dtype(dtype).newbyteorder("<")
+        self._written = np.zeros(len(self._index), bool)
+        self._stack = ExitStack()
+
+    def write(self, first: int, rows: FieldArray) -> None:
+        """Write rows ``first``, ``first + 1``, ...; ``rows`` is (k, samples) and finite.
+
+        Raises
+        ------
+        InputError
+            When the rows do not fit or are not finite, or the disk refuses them.
+        """
+        last = first + len(rows)
+        if np.shape(rows)[1:] != self._shape[1:] or first < 0 or last > self._shape[0]:
+            raise InputError(
+                f"rows {first} to {last} of shape {np.shape(rows)} do not fit a field of {self._shape}"
+            )
+        if not np.isfinite(rows).all():
+            raise InputError(f"{self.path}: the field of rows {first} to {last} holds NaN or infinities")
+        try:
+            self._data[first:last] = rows
+        except OSError as error:
+            raise InputError(f"{self.path} cannot be written: {error}") from error
+        self._written[first:last] = True
+
+    def __enter__(self) -> Self:
+        try:
+            temporary = self._stack.enter_context(replacement(self.path))
+            file = self._stack.enter_context(h5py.File(temporary, "w", locking=False))
+        except OSError as error:
+            self._stack.close()
+            raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = VERSION
+        file.attrs["response_unit"] = self._unit
+        for name, value in self._attributes.items():
+            file.attrs[name] = value
+        file.create_dataset("position_index", data=self._index, dtype="<i8")
+        self._data = file.create_dataset("field", self._shape, self._dtype)
+        self._data.attrs["units"] = self._unit
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None and not self._written.all():
+            missing = int(np.flatnonzero(~self._written)[0])
+            error = InputError(
+                f"{self.path}: row {missing} of the field was never written; the file is left out"
+            )
+            self._stack.__exit__(type(error), error, None)
+            raise error
+        try:
+            self._stack.__exit__(kind, error, trace)
+        except OSError as failure:
+            raise InputError(f"{self.path} cannot be written: {failure}") from failure
+
+
+def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32) -> None:
+    """Write a field file, as float32 unless told otherwise.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    with FieldWriter(
+        path,
+        field.position_index,
+        field.field.shape[1],
+        sample_rate_hz=field.sample_rate_hz,
+        start_s=field.start_s,
+        response_unit=field.response_unit,
+        dtype=dtype,
+    ) as writer:
+        writer.write(0, field.field)
+
+
+def read_field(path: str | Path) -> Field:
+    """Read a field file.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, damaged, no field file, of a future version, or holds values out of range.
+    """
+    path = Path(path)
+    with hdf5_safety.opened(path) as file:
+        hdf5_safety.require_format(file, path, FORMAT, VERSION)
+        dataset = hdf5_safety.plain_dataset(file, "/field", path)
+        single = dataset.dtype.kind == "f" and dataset.dtype.itemsize <= 4
+        values: FieldArray = dataset[...].astype(np.float32 if single else np.float64)
+        index = hdf5_safety.read_integers(file, "/position_index", path)
+        rate, start_s = (hdf5_safety.number(file, name, path) for name in ("sample_rate_hz", "start_s"))
+        unit = hdf5_safety.text(file, "response_unit", path)
+    if unit is None:
+        raise InputError(f"{path} has no attribute response_unit")
+    try:
+        return Field(values, index, rate, start_s, unit)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _indices(position_index: Sequence[int] | Int64Array, count: int) -> Int64Array:
+    indices = np.ascontiguousarray(position_index, np.int64)
+    if indices.shape != (count,):
+        raise InputError(
+            f"/position_index has shape {indices.shape}; one position for each of {count} rows is needed"
+        )
+    if (indices < 0).any():
+        raise InputError(f"/position_index holds {indices.min()}; rows of a bank, 0 or more, are needed")
+    return indices
+
+
+def _require_times(sample_rate_hz: float, start_s: float) -> None:
+    if not (np.isfinite(sample_rate_hz) and sample_rate_hz > 0):
+        raise InputError(f"sample_rate_hz is {sample_rate_hz}; a rate above 0 is needed")
+    if not np.isfinite(start_s):
+        raise InputError(f"start_s is {start_s}; a finite time is needed")

@@ -1,0 +1,296 @@
+"""Reading banks: measured by this program, or written by any other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from calibration.bank import open_bank
+from calibration.bank_creation import create_bank
+from calibration.bank_header import BankHeader
+from calibration.bank_ledger import PointRecord, encode_journal, encode_row, round_to_page
+from calibration.bank_writer import BankWriter
+from calibration.errors import InputError
+from calibration.hdf5_safety import heap_is_sound
+
+
+def measured(path: Path, positions: int = 3) -> Path:
+    grid = np.stack([np.arange(positions) * 4.0, np.zeros(positions)], axis=1)
+    corners = np.full((2, 2), np.nan)
+    create_bank(path, BankHeader(10_000.0, 16, (20.0, 500.0), grid, corners, "{}", "{}", "ab" * 32, "test"))
+    with BankWriter.open(path) as writer:
+        for position in range(positions):
+            writer.commit(position, green_of(position), record_of(1))
+    return path
+
+
+def green_of(position: int, attempt: int = 1) -> np.ndarray:
+    return np.random.default_rng([position, attempt]).normal(size=(2, 16)).astype(np.float32)
+
+
+def record_of(attempt: int) -> PointRecord:
+    figures = np.ones(2, np.float32)
+    return PointRecord(1, attempt, figures, figures, figures, figures)
+
+
+def foreign(path: Path, green: np.ndarray, **options: object) -> Path:
+    with h5py.File(path, "w") as file:
+        file.attrs["sample_rate_hz"] = 8000
+        file.create_dataset("green", data=green, **options)
+        file["position_mm"] = np.arange(2.0 * len(green)).reshape(-1, 2)
+    return path
+
+
+def overwrite(path: Path, offset: int, content: bytes) -> None:
+    with path.open("r+b") as file:
+        file.seek(offset)
+        file.write(content)
+
+
+# --- banks of this program ------------------------------------------------------------------------------
+
+
+def test_a_measured_bank_then_tells_its_header(tmp_path: Path) -> None:
+    with open_bank(measured(tmp_path / "bank.h5")) as bank:
+        assert (bank.positions, bank.actuators, bank.taps) == (3, 2, 16)
+        assert bank.sample_rate_hz == 10_000.0
+        assert bank.band_hz == (20.0, 500.0)
+        assert (bank.rig_json, bank.run_json, bank.plan_sha256) == ("{}", "{}", "ab" * 32)
+        assert (bank.response_unit, bank.drive_unit) == ("m/s/V", "V")
+        assert np.isnan(bank.actuator_mm).all()
+        assert bank.green(1).dtype == np.float32
+        assert np.array_equal(bank.green(1), green_of(1))
+
+
+@pytest.mark.parametrize("position", [-1, 3])
+def test_a_position_outside_the_bank_then_is_refused(tmp_path: Path, position: int) -> None:
+    with (
+        open_bank(measured(tmp_path / "bank.h5")) as bank,
+        pytest.raises(InputError, match=rf"position {position} is not in bank .*; 0 to 2 are"),
+    ):
+        bank.green(position)
+
+
+@pytest.mark.parametrize("dataset", ["green", "durability/ledger"])
+def test_a_flipped_byte_then_is_named_and_the_other_positions_still_read(
+    tmp_path: Path, dataset: str
+) -> None:
+    path = measured(tmp_path / "bank.h5")
+    with h5py.File(path, "r") as file:
+        found = file[dataset].id
+        offset = found.get_chunk_info(1).byte_offset if dataset == "green" else found.get_offset() + 4096
+        byte = path.read_bytes()[offset + 40]
+    overwrite(path, offset + 40, bytes([byte ^ 1]))
+    before = path.read_bytes()
+    with open_bank(path) as bank:
+        assert bank.verify() == (1,)
+        with pytest.raises(InputError, match=r"bank\.h5: position 1 is damaged"):
+            bank.green(1)
+        assert np.array_equal(bank.green(2), green_of(2))
+    assert path.read_bytes() == before
+
+
+def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    with h5py.File(path, "r") as file:
+        journal = file["durability/journal"].id.get_offset()
+        chunk = file["green"].id.get_chunk_info(1).byte_offset
+    content = green_of(1, 2).tobytes().ljust(round_to_page(128), b"\0")
+    overwrite(path, journal, encode_journal(1, content, encode_row(1, record_of(2), green_of(1, 2))))
+    overwrite(path, chunk, content[:70])  # half of the replacement
+    with open_bank(path) as bank:
+        assert np.array_equal(bank.green(1), green_of(1, 2))
+        assert bank.quality["attempts"].tolist() == [1, 2, 1]
+        assert bank.verify() == ()
+    with BankWriter.open(path) as writer:
+        assert np.array_equal(writer.green(1), green_of(1, 2))
+        assert writer.attempts.tolist() == [1, 2, 1]
+
+
+def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    heap = path.read_bytes().index(b"GCOL")
+    overwrite(path, heap + 16, bytes(16))  # an object without index and size: HDF5 2.0 never returns from it
+    with pytest.raises(InputError, match="the texts in its header are not readable"):
+        open_bank(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "sound"),
+    [
+        (b"GCOL\1\0\0\0" + (32).to_bytes(8, "little") + bytes(8) + (16).to_bytes(8, "little"), True),
+        (b"GCOL\1\0\0\0" + (32).to_bytes(8, "little") + bytes(16), False),  # free space of no size
+        (
+            b"GCOL\1\0\0\0" + (32).to_bytes(8, "little") + b"\1" + bytes(7) + b"\7" + bytes(7),
+            False,
+        ),  # too long
+        (b"GCOL\1\0\0\0" + (64).to_bytes(8, "little"), False),  # cut off
+        (b"", False),
+    ],
+)
+def test_a_text_heap_then_is_sound_only_when_its_objects_fit(content: bytes, sound: bool) -> None:
+    assert heap_is_sound(content) is sound
+
+
+# --- banks of other programs ----------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    dtype=st.sampled_from(["<f2", "<f4", "<f8", ">f4", ">f8", "<i2", ">i2", "u1"]),
+    options=st.sampled_from(
+        [{}, {"chunks": (2, 1, 3)}, {"compression": "gzip"}, {"shuffle": True, "chunks": True}]
+    ),
+    shape=st.tuples(st.integers(1, 5), st.integers(1, 3), st.integers(1, 9)),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_foreign_bank_of_any_number_type_and_layout_then_reads_its_values(
+    tmp_path: Path, dtype: str, options: dict[str, object], shape: tuple[int, int, int], seed: int
+) -> None:
+    values = (np.random.default_rng(seed).normal(size=shape) * 50).clip(0, 250).astype(dtype)
+    if "chunks" in options and options["chunks"] is not True:
+        options = {"chunks": tuple(map(min, (2, 1, 3), shape))}
+    with open_bank(foreign(tmp_path / "foreign.h5", values, **options)) as bank:
+        wanted = np.float32 if np.dtype(dtype).kind == "f" and np.dtype(dtype).itemsize <= 4 else np.float64
+        for position in range(shape[0]):
+            green = bank.green(position)
+            assert green.dtype == np.dtype(wanted)
+            assert green.dtype.isnative
+            assert np.array_equal(green, values[position].astype(np.float64))
+
+
+def test_a_bank_with_only_what_is_needed_then_gets_the_documented_defaults(tmp_path: Path) -> None:
+    green = np.ones((3, 2, 4))
+    green[1] = 0
+    with open_bank(foreign(tmp_path / "foreign.h5", green)) as bank:
+        assert bank.sample_rate_hz == 8000.0
+        assert bank.status.tolist() == [1, 0, 1]
+        assert np.isnan(bank.actuator_mm).all()
+        assert bank.actuator_mm.shape == (2, 2)
+        assert bank.band_hz is None
+        assert (bank.response_unit, bank.drive_unit) == ("m/s/V", "V")
+        assert (bank.rig_json, bank.run_json, bank.plan_sha256, bank.software) == (None, None, None, None)
+        assert bank.time_s.tolist() == [0, 1 / 8000, 2 / 8000, 3 / 8000]
+        assert bank.quality["attempts"].tolist() == [0, 0, 0]
+        assert np.isnan(bank.quality["snr_db"]).all()
+        assert bank.verify() == ()
+
+
+def test_a_bank_after_contract_section_2_by_another_program_then_is_read_as_it_says(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "foreign.h5", np.ones((2, 3, 4), ">f4"))
+    with h5py.File(path, "r+") as file:
+        file.attrs.update(
+            format="wavefocus-bank", format_version=1, band_hz=[30.0, 400.0], response_unit="m/V"
+        )
+        file.attrs.update(rig="{}", plan_sha256=np.bytes_(b"cd"))
+        file["status"] = np.array([4, 1], np.uint8)
+        file["actuator_mm"] = np.arange(6.0).reshape(3, 2)
+        file["quality/snr_db"] = np.array([10.0, 20.0], np.float32)
+        file["quality/attempts"] = np.array([2, 1], np.float32)
+    with open_bank(path) as bank:
+        assert bank.band_hz == (30.0, 400.0)
+        assert bank.response_unit == "m/V"
+        assert bank.plan_sha256 == "cd"
+        assert bank.status.tolist() == [4, 1]
+        assert bank.actuator_mm[2].tolist() == [4.0, 5.0]
+        assert bank.quality["snr_db"].tolist() == [[10.0] * 3, [20.0] * 3]
+        assert bank.quality["attempts"].tolist() == [2, 1]
+
+
+def put(name: str, value: object) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        if name in file:
+            del file[name]
+        file[name] = value
+
+    return change
+
+
+def attribute(name: str, value: object) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        file.attrs[name] = value
+
+    return change
+
+
+def without(name: str) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        if name in file.attrs:
+            del file.attrs[name]
+        else:
+            del file[name]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (without("green"), "has no dataset /green"),
+        (without("position_mm"), "has no dataset /position_mm"),
+        (without("sample_rate_hz"), "has no attribute sample_rate_hz"),
+        (attribute("sample_rate_hz", -1.0), "sample_rate_hz is -1; a rate above 0"),
+        (attribute("sample_rate_hz", np.nan), "sample_rate_hz is nan; a finite number"),
+        (attribute("sample_rate_hz", "8 kHz"), "sample_rate_hz is '8 kHz'; a finite number"),
+        (attribute("sample_rate_hz", h5py.Empty("f8")), "sample_rate_hz"),
+        (attribute("band_hz", [1.0, 2.0, 3.0]), "2 finite numbers"),
+        (attribute("band_hz", [500.0, 20.0]), "band_hz is 500 to 20"),
+        (attribute("response_unit", 3), "response_unit holds no text"),
+        (attribute("format", "wavefocus-drive"), "'wavefocus-bank' is needed"),
+        (put("green", np.ones((2, 4))), r"/green has shape \(2, 4\)"),
+        (put("green", np.ones((0, 2, 4))), r"/green has shape \(0, 2, 4\)"),
+        (put("green", np.ones((2, 2, 4), complex)), "/green holds no plain numbers"),
+        (put("green", np.array(["a"], h5py.string_dtype())), "/green holds no plain numbers"),
+        (put("green", h5py.SoftLink("/position_mm")), "/green is a link to elsewhere"),
+        (put("green", h5py.ExternalLink("other.h5", "/green")), "/green is a link to elsewhere"),
+        (put("position_mm", np.ones((3, 2))), r"/position_mm has shape \(3, 2\); \(2, 2\) is needed"),
+        (put("position_mm", np.array([[0, 0], [0, np.inf]])), "/position_mm is not finite at position 1"),
+        (put("actuator_mm", np.ones((2, 3))), r"/actuator_mm has shape \(2, 3\)"),
+        (put("status", np.array([1, 77])), "/status holds 1 to 77"),
+        (put("status", np.array([1.0, 0.0])), "/status holds floats; integers are needed"),
+        (put("quality/snr_db", np.ones((3, 3))), r"/quality/snr_db has shape \(3, 3\)"),
+        (put("quality", h5py.ExternalLink("other.h5", "/quality")), "/quality is a link to elsewhere"),
+    ],
+)
+def test_a_foreign_bank_with_something_wrong_then_is_refused_by_name(
+    tmp_path: Path, change: Callable[[h5py.File], None], message: str
+) -> None:
+    path = foreign(tmp_path / "foreign.h5", np.ones((2, 2, 4)))
+    with h5py.File(path, "r+") as file:
+        change(file)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=message) as refusal:
+        open_bank(path)
+    assert "foreign.h5" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_value_that_is_not_finite_then_is_named_by_position_and_actuator(
+    tmp_path: Path, bad: float
+) -> None:
+    green = np.ones((3, 2, 4))
+    green[2, 1, 3] = bad
+    with open_bank(foreign(tmp_path / "foreign.h5", green)) as bank:
+        assert bank.status.tolist() == [1, 1, 0]
+        with pytest.raises(InputError, match="position 2, actuator 1 holds NaN or infinities"):
+            bank.green(2)
+
+
+def test_a_compressed_row_that_is_damaged_then_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "foreign.h5", np.ones((2, 2, 400)), compression="gzip", chunks=(1, 2, 400))
+    with h5py.File(path, "r") as file:
+        offset = file["green"].id.get_chunk_info(1).byte_offset
+    overwrite(path, offset, b"\xff" * 8)
+    with open_bank(path) as bank:
+        assert bank.green(0).all()
+        with pytest.raises(InputError, match="/green at position 1 is damaged") as refusal:
+            bank.green(1)
+    assert "\n" not in str(refusal.value)

@@ -1,0 +1,566 @@
+"""Measuring into a bank: order of writes, replacement, refusal, one owner, power cuts."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from calibration.bank import open_bank
+from calibration.bank_creation import create_bank
+from calibration.bank_header import BankHeader
+from calibration.bank_ledger import PointRecord
+from calibration.bank_owner import bank_owner, owner_path
+from calibration.bank_writer import BankWriter
+from calibration.durable import PortableFile, PosixFile, open_file
+from calibration.errors import BankBusyError, InputError, WavefocusError
+
+
+def header(positions: int = 4, actuators: int = 2, taps: int = 16) -> BankHeader:
+    grid = np.stack([np.arange(positions) * 4.0, np.zeros(positions)], axis=1)
+    return BankHeader(
+        sample_rate_hz=10_000.0,
+        taps=taps,
+        band_hz=(20.0, 500.0),
+        position_mm=grid,
+        actuator_mm=np.full((actuators, 2), np.nan),
+        rig_json='{"rig": "virtual"}',
+        run_json='{"grid": {"spacing_mm": 4}}',
+        plan_sha256="ab" * 32,
+        software="wavefocus test",
+    )
+
+
+def green_of(position: int, attempt: int = 1, actuators: int = 2, taps: int = 16) -> np.ndarray:
+    rng = np.random.default_rng([position, attempt])
+    return rng.normal(size=(actuators, taps)).astype(np.float32)
+
+
+def record_of(position: int, attempt: int = 1, actuators: int = 2, status: int = 1) -> PointRecord:
+    figures = np.arange(actuators, dtype=np.float32) + position + attempt / 10
+    return PointRecord(status, attempt, figures, -figures, figures / 100, figures * 2)
+
+
+def measured(path: Path) -> Path:
+    if not finished_bank:
+        create_bank(path, header())
+        with BankWriter.open(path) as writer:
+            for position in range(4):
+                writer.commit(position, green_of(position), record_of(position))
+        finished_bank.append(path.read_bytes())
+    path.write_bytes(finished_bank[0])
+    return path
+
+
+finished_bank: list[bytes] = []  # measured once: each commit waits for the disk
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# --- what a bank is -------------------------------------------------------------------------------------
+
+
+def test_a_new_bank_then_reads_as_zeros_and_nothing_is_measured(tmp_path: Path) -> None:
+    create_bank(tmp_path / "bank.h5", header())
+    with open_bank(tmp_path / "bank.h5") as bank:
+        assert bank.status.tolist() == [0, 0, 0, 0]
+        assert not bank.green(3).any()
+        assert bank.quality["attempts"].tolist() == [0, 0, 0, 0]
+        assert np.isnan(bank.quality["snr_db"]).all()
+
+
+def test_a_bank_opened_by_plain_h5py_then_holds_contract_section_2(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    with h5py.File(path, "r") as file:
+        assert file.attrs["format"] == "wavefocus-bank"
+        assert file.attrs["format_version"] == 1
+        assert file.attrs["sample_rate_hz"] == 10_000.0
+        assert file.attrs["band_hz"].tolist() == [20.0, 500.0]
+        assert json.loads(file.attrs["run"]) == {"grid": {"spacing_mm": 4}}
+        assert file.attrs["plan_sha256"] == "ab" * 32
+        assert file["green"].dtype == np.float32
+        assert file["green"].chunks == (1, 2, 16)
+        assert file["green"].compression is None
+        assert np.array_equal(file["green"][2], green_of(2))
+        assert file["status"].dtype == np.uint8
+        assert file["status"][...].tolist() == [1, 1, 1, 1]
+        assert np.array_equal(file["position_mm"][...], header().position_mm)
+        assert np.array_equal(file["time_s"][...], np.arange(16) / 10_000)
+        for name in ("snr_db", "residual_db", "coherence", "peak_v"):
+            assert file["quality"][name].dtype == np.float32
+            assert np.array_equal(file["quality"][name][1], getattr(record_of(1), name))
+        assert file["quality/attempts"][...].tolist() == [1, 1, 1, 1]
+
+
+def test_a_bank_opened_by_xarray_then_shows_labelled_dimensions_and_units(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    with xarray.open_dataset(path, engine="h5netcdf") as dataset:
+        assert dataset["green"].dims == ("position", "actuator", "time_s")
+        assert dataset["position_mm"].dims == ("position", "axis")
+        assert dataset["actuator_mm"].dims == ("actuator", "axis")
+        assert dataset["status"].dims == ("position",)
+        assert dataset["axis"].values.tolist() == ["x", "y"]
+        assert dataset["green"].attrs["units"] == "m/s/V"
+        assert dataset["time_s"].attrs["units"] == "s"
+        assert np.array_equal(dataset["green"].sel(position=3).values, green_of(3))
+    with xarray.open_dataset(path, engine="h5netcdf", group="quality") as quality:
+        assert quality["snr_db"].dims == ("position", "actuator")
+        assert quality["snr_db"].attrs["units"] == "dB"
+
+
+def test_a_bank_measured_in_another_order_then_holds_the_same_bytes(tmp_path: Path) -> None:
+    create_bank(tmp_path / "bank.h5", header())
+    with BankWriter.open(tmp_path / "bank.h5") as writer:
+        for position in (3, 1, 2, 0):
+            writer.commit(position, green_of(position), record_of(position))
+    assert digest(tmp_path / "bank.h5") == digest(measured(tmp_path / "other.h5"))
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    positions=st.integers(1, 5),
+    actuators=st.sampled_from([1, 2, 20, 300]),  # 300: a ledger row of two pages
+    taps=st.integers(1, 40),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_rows_committed_in_any_order_then_come_back_bit_for_bit(
+    tmp_path: Path, positions: int, actuators: int, taps: int, seed: int
+) -> None:
+    path = tmp_path / f"{positions}-{actuators}-{taps}-{seed}.h5"
+    path.unlink(missing_ok=True)
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(positions, actuators, taps)).astype(np.float32)
+    create_bank(path, header(positions, actuators, taps))
+    with BankWriter.open(path) as writer:
+        for position in rng.permutation(positions).tolist():
+            writer.commit(position, rows[position], record_of(position, 2, actuators, status=5))
+    with open_bank(path) as bank, h5py.File(path, "r") as file:
+        for position in range(positions):
+            assert np.array_equal(bank.green(position), rows[position])
+        assert bank.verify() == ()
+        assert bank.status.tolist() == [5] * positions
+        assert np.array_equal(file["green"][...], rows)
+        assert np.array_equal(file["quality/snr_db"][...], bank.quality["snr_db"])
+    path.unlink()
+
+
+# --- creation -------------------------------------------------------------------------------------------
+
+
+def test_a_path_that_exists_then_is_refused_and_untouched(tmp_path: Path) -> None:
+    (tmp_path / "bank.h5").write_bytes(b"precious")
+    with pytest.raises(InputError, match=r"bank\.h5 exists already"):
+        create_bank(tmp_path / "bank.h5", header())
+    assert (tmp_path / "bank.h5").read_bytes() == b"precious"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["bank.h5"]
+
+
+def test_a_bank_larger_than_the_disk_then_is_refused_and_leaves_nothing(
+    tmp_path: Path,
+) -> None:
+    free = shutil.disk_usage(tmp_path).free
+    too_many = free // (20 * 200_000 * 4) + 100
+    with pytest.raises(InputError, match=r"bank\.h5 needs \d+ bytes and its disk has \d+ free"):
+        create_bank(tmp_path / "bank.h5", header(too_many, 20, 200_000))
+    assert list(tmp_path.iterdir()) == []
+
+
+class FullDisk(PosixFile):
+    def reserve(self, size: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_disk_that_fills_during_creation_then_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"bank\.h5 cannot be made.*No space left"):
+        create_bank(tmp_path / "bank.h5", header(), open_file=FullDisk)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_folder_then_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"the folder .*nowhere does not exist"):
+        create_bank(tmp_path / "nowhere" / "bank.h5", header())
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="needs posix_fallocate")
+def test_a_new_bank_then_owns_all_its_disk_space(tmp_path: Path) -> None:
+    create_bank(tmp_path / "bank.h5", header(64, 4, 1000))
+    found = (tmp_path / "bank.h5").stat()
+    assert found.st_blocks * 512 >= found.st_size
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sample_rate_hz": 0.0}, "sample_rate_hz is 0"),
+        ({"taps": 0}, "taps is 0"),
+        ({"band_hz": (500.0, 20.0)}, "band_hz is 500 to 20"),
+        ({"band_hz": (20.0, 6000.0)}, "<= 5000"),
+        ({"position_mm": np.zeros((0, 2))}, "position_mm has shape"),
+        ({"position_mm": np.array([[np.nan, 0.0]])}, "position_mm holds values"),
+        ({"rig_json": "a\0b"}, "rig_json holds a zero character"),
+    ],
+)
+def test_a_wrong_header_then_is_refused_by_name(change: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        replace(header(), **change)
+
+
+# --- commits --------------------------------------------------------------------------------------------
+
+
+def test_a_position_measured_again_then_is_replaced_and_the_journal_is_empty(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    with BankWriter.open(path) as writer:
+        writer.commit(1, green_of(1, 2), record_of(1, 2, status=4))
+        assert writer.status.tolist() == [1, 4, 1, 1]
+        assert writer.attempts.tolist() == [1, 2, 1, 1]
+        assert np.array_equal(writer.green(1), green_of(1, 2))
+    with open_bank(path) as bank, h5py.File(path, "r") as file:
+        assert np.array_equal(bank.green(1), green_of(1, 2))
+        assert file["status"][...].tolist() == [1, 4, 1, 1]
+        assert not file["durability/journal"][...].any()
+
+
+def test_a_disabled_position_then_keeps_its_data_and_loses_its_valid_bit(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    with BankWriter.open(path) as writer:
+        writer.disable(2)
+        assert writer.status[2] == 16
+    with open_bank(path) as bank:
+        assert bank.status.tolist() == [1, 1, 16, 1]
+        assert np.array_equal(bank.green(2), green_of(2))
+        assert np.array_equal(bank.quality["snr_db"][2], record_of(2).snr_db)
+
+
+def test_a_position_disabled_before_it_was_measured_then_reads_as_zeros(tmp_path: Path) -> None:
+    create_bank(tmp_path / "bank.h5", header())
+    with BankWriter.open(tmp_path / "bank.h5") as writer:
+        writer.disable(0)
+    with open_bank(tmp_path / "bank.h5") as bank:
+        assert bank.status.tolist() == [16, 0, 0, 0]
+        assert not bank.green(0).any()
+
+
+@pytest.mark.parametrize(
+    ("position", "green", "message"),
+    [
+        (4, green_of(0), "position 4 is not in bank"),
+        (-1, green_of(0), "position -1 is not in bank"),
+        (0, np.zeros((2, 15), np.float32), r"green of position 0 has shape \(2, 15\); \(2, 16\) is needed"),
+        (0, np.full((2, 16), np.nan, np.float32), "green of position 0 holds values that are not finite"),
+    ],
+)
+def test_a_wrong_commit_then_is_refused_and_writes_nothing(
+    tmp_path: Path, position: int, green: np.ndarray, message: str
+) -> None:
+    path = measured(tmp_path / "bank.h5")
+    before = digest(path)
+    with BankWriter.open(path) as writer, pytest.raises(InputError, match=message):
+        writer.commit(position, green, record_of(0))
+    assert digest(path) == before
+
+
+@pytest.mark.parametrize(("status", "attempts"), [(0, 1), (32, 1), (1, -1)])
+def test_a_record_out_of_range_then_is_refused(status: int, attempts: int) -> None:
+    figures = np.zeros(2, np.float32)
+    with pytest.raises(InputError, match="is needed"):
+        PointRecord(status, attempts, figures, figures, figures, figures)
+
+
+class FailingFile(PosixFile):
+    """A file whose disk fails at the n-th write or sync."""
+
+    left = 0
+
+    def write(self, offset: int, data: bytes | memoryview) -> None:
+        self._count()
+        super().write(offset, data)
+
+    def sync(self) -> None:
+        self._count()
+        super().sync()
+
+    def _count(self) -> None:
+        FailingFile.left -= 1
+        if FailingFile.left == 0:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+
+@pytest.mark.parametrize("failing", range(1, 10))
+@pytest.mark.parametrize("position", [1, 3])  # measured before; not measured before
+def test_a_write_that_fails_then_is_told_and_every_earlier_position_is_intact(
+    tmp_path: Path, failing: int, position: int
+) -> None:
+    path = tmp_path / "bank.h5"
+    create_bank(path, header())
+    with BankWriter.open(path) as writer:
+        for earlier in range(3):
+            writer.commit(earlier, green_of(earlier), record_of(earlier))
+    FailingFile.left = 0
+    writer = BankWriter.open(path, open_file=FailingFile)
+    FailingFile.left = failing
+    with pytest.raises(WavefocusError, match=f"writing position {position}: .*measured before is safe"):
+        writer.commit(position, green_of(position, 2), record_of(position, 2))
+    with pytest.raises(WavefocusError, match="takes no more commits"):
+        writer.commit(0, green_of(0), record_of(0))
+    writer.close()
+    with BankWriter.open(path) as writer:
+        for earlier in {0, 1, 2} - {position}:
+            assert np.array_equal(writer.green(earlier), green_of(earlier))
+        choices = [green_of(position, 2), green_of(position, 1) if position == 1 else np.zeros((2, 16))]
+        assert any(np.array_equal(writer.green(position), choice) for choice in choices)
+
+
+# --- refusal --------------------------------------------------------------------------------------------
+
+
+def external_status(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["status"]
+        file["status"] = h5py.ExternalLink("other.h5", "/status")
+
+
+def soft_green(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file.move("green", "elsewhere")
+        file["green"] = h5py.SoftLink("/elsewhere")
+
+
+def external_storage(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["position_mm"]
+        file.create_dataset("position_mm", (4, 2), "<f8", external=[("/etc/passwd", 0, h5py.h5f.UNLIMITED)])
+
+
+def virtual_status(path: Path) -> None:
+    layout = h5py.VirtualLayout((4,), "u1")
+    layout[:] = h5py.VirtualSource("other.h5", "status", (4,))
+    with h5py.File(path, "r+") as file:
+        del file["status"]
+        file.create_virtual_dataset("status", layout)
+
+
+def pickled_green(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["green"]
+        file.create_dataset("green", (4,), h5py.vlen_dtype(np.uint8))
+
+
+def with_attribute(name: str, value: object) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            file.attrs[name] = value
+
+    return change
+
+
+def truncate(path: Path) -> None:
+    os.truncate(path, path.stat().st_size - 8192)
+
+
+def truncate_to_nothing(path: Path) -> None:
+    os.truncate(path, 0)
+
+
+def not_hdf5(path: Path) -> None:
+    path.write_text("position,actuator\n")
+
+
+def flip_in_header(path: Path) -> None:
+    with h5py.File(path, "r") as file:
+        offset = file["position_mm"].id.get_offset()
+    flip(path, offset + 6)
+
+
+def flip_in_superblock(path: Path) -> None:
+    flip(path, 20)
+
+
+def flip(path: Path, offset: int) -> None:
+    with path.open("r+b") as file:
+        file.seek(offset)
+        byte = file.read(1)[0]
+        file.seek(offset)
+        file.write(bytes([byte ^ 0x10]))
+
+
+def other_schema(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["temperature"] = np.zeros(3)
+
+
+def no_ledger(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["durability"]
+
+
+REFUSED = [
+    (external_status, "/status is a link"),
+    (soft_green, "/green is a link"),
+    (external_storage, "/position_mm keeps its data in other files"),
+    (virtual_status, "/status keeps its data in other files"),
+    (pickled_green, "/green holds no plain numbers"),
+    (with_attribute("format", "wavefocus-drive"), "has the format 'wavefocus-drive'"),
+    (with_attribute("format_version", 2), "version 2"),
+    (with_attribute("plan_sha256", "cd" * 32), "header's checksum"),
+    (with_attribute("sample_rate_hz", "fast"), "attribute sample_rate_hz is"),
+    (with_attribute("sample_rate_hz", 5000.0), "damaged"),
+    (truncate, "is truncated"),
+    (truncate_to_nothing, "is not an HDF5 file"),
+    (not_hdf5, "is not an HDF5 file"),
+    (flip_in_header, "header's checksum"),
+    (flip_in_superblock, "is damaged or not readable"),
+    (other_schema, "says no format"),
+    (no_ledger, "made by another program"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), REFUSED, ids=lambda value: getattr(value, "__name__", None))
+def test_a_file_that_is_no_sound_bank_then_is_refused_in_one_line_and_untouched(
+    tmp_path: Path, change: Callable[[Path], None], message: str
+) -> None:
+    path = measured(tmp_path / "bank.h5")
+    change(path)
+    before, changed = path.read_bytes(), path.stat().st_mtime_ns
+    with pytest.raises(InputError, match=message) as refusal:
+        BankWriter.open(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+    assert path.read_bytes() == before
+    assert path.stat().st_mtime_ns == changed
+    assert [entry.name for entry in tmp_path.iterdir()] == ["bank.h5"]
+
+
+def test_a_bank_of_another_plan_then_is_refused_and_untouched(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    before, changed = path.read_bytes(), path.stat().st_mtime_ns
+    with pytest.raises(InputError, match=r"bank\.h5 belongs to another plan \(ababababab.*; resume it"):
+        BankWriter.open(path, plan_sha256="cd" * 32)
+    assert path.read_bytes() == before
+    assert path.stat().st_mtime_ns == changed
+    with BankWriter.open(path, plan_sha256="ab" * 32) as writer:
+        assert writer.header.plan_sha256 == "ab" * 32
+
+
+def test_a_symbolic_link_then_is_refused_for_writing(tmp_path: Path) -> None:
+    measured(tmp_path / "bank.h5")
+    (tmp_path / "link.h5").symlink_to(tmp_path / "bank.h5")
+    with pytest.raises(InputError, match=r"link\.h5 is a symbolic link to .*bank\.h5"):
+        BankWriter.open(tmp_path / "link.h5")
+
+
+@pytest.mark.parametrize("name", ["missing.h5", "."])
+def test_a_path_that_is_no_file_then_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"does not exist|not a regular file"):
+        BankWriter.open(tmp_path / name)
+
+
+@pytest.mark.parametrize("dataset", ["green", "durability/ledger"])
+def test_a_flipped_byte_in_a_row_then_is_to_be_measured_again_and_heals(tmp_path: Path, dataset: str) -> None:
+    path = measured(tmp_path / "bank.h5")
+    sound = digest(path)
+    with h5py.File(path, "r") as file:
+        found = file[dataset].id
+        offset = found.get_chunk_info(2).byte_offset if dataset == "green" else found.get_offset() + 2 * 4096
+    flip(path, offset + 50)
+    with BankWriter.open(path) as writer:
+        assert writer.status.tolist() == [1, 1, 0, 1]
+        assert writer.damaged == (2,)
+        writer.commit(2, green_of(2), record_of(2))
+    assert digest(path) == sound
+
+
+# --- one owner ------------------------------------------------------------------------------------------
+
+HOLD = """
+import sys
+from pathlib import Path
+from calibration import durable
+from calibration.bank_writer import BankWriter
+kind = durable.PortableFile if sys.argv[2] == "portable" else durable.open_file
+with BankWriter.open(Path(sys.argv[1]), open_file=kind):
+    print("open", flush=True)
+    sys.stdin.readline()
+"""
+
+
+@pytest.mark.parametrize("kind", ["best", "portable"])
+def test_a_second_process_then_is_told_who_owns_the_bank(tmp_path: Path, kind: str) -> None:
+    path = measured(tmp_path / "bank.h5")
+    opener = PortableFile if kind == "portable" else open_file
+    command = [sys.executable, "-c", HOLD, str(path), kind]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "open\n"
+        with pytest.raises(BankBusyError, match=f"process {other.pid} on {socket.gethostname()}"):
+            BankWriter.open(path, open_file=opener)
+        owner = bank_owner(path)
+        assert owner is not None
+        assert (owner.host, owner.pid) == (socket.gethostname(), other.pid)
+        other.kill()
+    assert owner_path(path).exists()  # left behind by the kill
+    assert bank_owner(path) is None
+    with BankWriter.open(path, open_file=opener):
+        assert json.loads(owner_path(path).read_text())["pid"] == os.getpid()
+    assert not owner_path(path).exists()
+
+
+def test_two_writers_in_one_process_then_only_the_first_gets_the_bank(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    with BankWriter.open(path), pytest.raises(BankBusyError, match=f"process {os.getpid()} on"):
+        BankWriter.open(path)
+    BankWriter.open(path).close()
+
+
+# A forked child that outlives its parent, as worker processes may.
+FORK = """
+import os, sys
+from calibration.bank_writer import BankWriter
+writer = BankWriter.open(sys.argv[1])
+if os.fork() == 0:
+    print("forked", flush=True)
+    sys.stdin.readline()
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_child_then_does_not_keep_the_bank_of_its_dead_parent(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    command = [sys.executable, "-W", "ignore", "-c", FORK, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == "forked\n"
+        parent.wait()
+        BankWriter.open(path).close()
+
+
+def test_plain_h5py_during_a_run_then_reads_status_and_quality(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    create_bank(path, header())
+    with BankWriter.open(path) as writer:
+        for position in range(4):
+            writer.commit(position, green_of(position), record_of(position))
+            with h5py.File(path, "r", locking=False) as file:
+                assert file["status"][...].tolist() == [1] * (position + 1) + [0] * (3 - position)
+                assert np.array_equal(file["quality/peak_v"][position], record_of(position).peak_v)
+                assert np.array_equal(file["green"][position], green_of(position))
+            with open_bank(path) as bank:
+                assert np.array_equal(bank.green(position), green_of(position))

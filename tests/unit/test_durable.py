@@ -1,0 +1,205 @@
+"""Writing that survives a crash, by the platform's calls and by the portable ones."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from calibration.durable import (
+    PortableFile,
+    PositionedFile,
+    PosixFile,
+    open_file,
+    publish_by_claim,
+    publish_by_link,
+    publish_new,
+    replacement,
+    sync_folder,
+    sync_path,
+)
+from calibration.network_mount import is_network_mount, is_network_mount_in
+
+KINDS = [PortableFile] if os.name == "nt" else [PosixFile, PortableFile]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(writes=st.lists(st.tuples(st.integers(0, 5000), st.binary(min_size=1, max_size=6000)), max_size=6))
+def test_writes_at_offsets_then_are_read_back_where_they_were_put(
+    tmp_path: Path, kind: Callable[..., PositionedFile], writes: list[tuple[int, bytes]]
+) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(bytes(16_000))
+    expected = bytearray(16_000)
+    file = kind(path, write=True)
+    for offset, data in writes:
+        file.write(offset, data)
+        expected[offset : offset + len(data)] = data
+    file.sync()
+    found = bytearray(15_000)
+    file.read_into(500, memoryview(found))
+    file.close()
+    assert found == expected[500:15_500]
+    assert path.read_bytes() == expected
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_read_past_the_end_then_is_an_error(tmp_path: Path, kind: Callable[..., PositionedFile]) -> None:
+    (tmp_path / "file").write_bytes(b"abc")
+    file = kind(tmp_path / "file")
+    with pytest.raises(OSError, match="the file ends"):
+        file.read_into(1, memoryview(bytearray(3)))
+    file.close()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_opened_for_reading_then_cannot_be_written(
+    tmp_path: Path, kind: Callable[..., PositionedFile]
+) -> None:
+    (tmp_path / "file").write_bytes(b"abc")
+    file = kind(tmp_path / "file")
+    with pytest.raises(OSError, match=r"(?i)bad file descriptor|not open for writing"):
+        file.write(0, b"x")
+    file.close()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_missing_file_then_is_not_created(tmp_path: Path, kind: Callable[..., PositionedFile]) -> None:
+    with pytest.raises(FileNotFoundError):
+        kind(tmp_path / "file", write=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_reserved_space_then_belongs_to_the_file_and_keeps_what_it_held(
+    tmp_path: Path, kind: Callable[..., PositionedFile]
+) -> None:
+    path = tmp_path / "file"
+    with path.open("wb") as holes:
+        holes.write(b"front")
+        holes.seek(3_000_000)
+        holes.write(b"back")
+    file = kind(path, write=True)
+    file.reserve(5_000_000)
+    file.sync()
+    assert file.size() == 5_000_000
+    file.close()
+    content = path.read_bytes()
+    assert content[:5] == b"front"
+    assert content[3_000_000:3_000_004] == b"back"
+    assert content.count(0) == 5_000_000 - 9
+    if hasattr(path.stat(), "st_blocks"):
+        assert path.stat().st_blocks * 512 >= 5_000_000
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_locked_file_then_has_one_owner_until_it_is_closed(
+    tmp_path: Path, kind: Callable[..., PositionedFile]
+) -> None:
+    (tmp_path / "file").write_bytes(b"abc")
+    first, second, reader = (kind(tmp_path / "file", write=write) for write in (True, True, False))
+    assert not reader.locked_elsewhere()
+    assert first.try_lock()
+    assert not second.try_lock()
+    assert reader.locked_elsewhere()
+    first.close()
+    assert not reader.locked_elsewhere()
+    assert second.try_lock()
+    second.close()
+    reader.close()
+
+
+@pytest.mark.parametrize("publish", [publish_new, publish_by_link, publish_by_claim])
+def test_a_published_file_then_has_its_name_and_no_other(
+    tmp_path: Path, publish: Callable[[Path, Path], None]
+) -> None:
+    (tmp_path / "temporary").write_bytes(b"new")
+    publish(tmp_path / "temporary", tmp_path / "final")
+    assert (tmp_path / "final").read_bytes() == b"new"
+    assert not (tmp_path / "temporary").exists()
+
+
+@pytest.mark.parametrize("publish", [publish_new, publish_by_link, publish_by_claim])
+def test_a_name_that_is_taken_then_keeps_its_file(
+    tmp_path: Path, publish: Callable[[Path, Path], None]
+) -> None:
+    (tmp_path / "temporary").write_bytes(b"new")
+    (tmp_path / "final").write_bytes(b"old")
+    with pytest.raises(FileExistsError):
+        publish(tmp_path / "temporary", tmp_path / "final")
+    assert (tmp_path / "final").read_bytes() == b"old"
+    assert (tmp_path / "temporary").read_bytes() == b"new"
+
+
+def test_a_replacement_that_ends_well_then_takes_the_name(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"old")
+    with replacement(tmp_path / "file") as temporary:
+        temporary.write_bytes(b"new")
+        assert (tmp_path / "file").read_bytes() == b"old"
+    assert (tmp_path / "file").read_bytes() == b"new"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_replacement_that_fails_then_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"old")
+
+    def write_half() -> None:
+        with replacement(tmp_path / "file") as temporary:
+            temporary.write_bytes(b"ne")
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        write_half()
+    assert (tmp_path / "file").read_bytes() == b"old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such permissions")
+def test_a_replacement_then_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
+    (tmp_path / "ordinary").write_bytes(b"")
+    with replacement(tmp_path / "file") as temporary:
+        temporary.write_bytes(b"new")
+    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("file", "ordinary")]
+    assert modes[0] == modes[1]
+
+
+def test_a_file_opened_by_the_platforms_best_then_can_be_synced_with_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"abc")
+    sync_path(tmp_path / "file")
+    sync_folder(tmp_path)
+    file = open_file(tmp_path / "file")
+    assert file.size() == 3
+    file.close()
+
+
+MOUNTS = """\
+/dev/vda / ext4 rw,relatime 0 0
+server:/home /home nfs4 rw 0 0
+//nas/lab /mnt/the\\040lab cifs rw 0 0
+/dev/sdb /home/fast xfs rw 0 0
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the paths are POSIX paths")
+@pytest.mark.parametrize(
+    ("path", "network"),
+    [
+        ("/data/bank.h5", False),
+        ("/home/me/bank.h5", True),
+        ("/home/fast/bank.h5", False),
+        ("/homely/bank.h5", False),
+        ("/mnt/the lab/bank.h5", True),
+    ],
+)
+def test_a_path_then_counts_as_on_the_network_by_its_nearest_mount(path: str, network: bool) -> None:
+    assert is_network_mount_in(MOUNTS, Path(path)) is network
+
+
+def test_a_local_temporary_folder_then_is_no_network_mount(tmp_path: Path) -> None:
+    assert is_network_mount(tmp_path) is False

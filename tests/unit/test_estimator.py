@@ -1,0 +1,367 @@
+"""Green's functions from records with a known truth."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.fft
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from calibration.errors import InputError
+from calibration.estimator import Estimate, Estimator
+from calibration.sweeps import Excitation
+from calibration.timing import ReferenceMissingError
+
+# A quarter of the default in every length, for quick tests; one below runs the default itself.
+SMALL = Excitation(10_000.0, 40.0, 800.0, 0.3, 0.06, 1.0, 3)
+TAPS = 500
+ESTIMATOR = Estimator(SMALL, TAPS)
+RANGE = (10.0, 200.0)
+Float64Array = NDArray[np.float64]
+
+
+def damped_modes(records: int, taps: int, excitation: Excitation, seed: int = 0) -> Float64Array:
+    draw = np.random.default_rng(seed)
+    time_s = np.arange(taps) / excitation.sample_rate_hz
+    slowest = 6 / time_s[-1]
+    green = np.zeros((records, taps))
+    for record in range(records):
+        for hertz in draw.uniform(*excitation.band_hz, 24):
+            decay = np.exp(-draw.uniform(1, 2.5) * slowest * time_s)
+            green[record] += draw.standard_normal() * decay * np.sin(2 * np.pi * hertz * time_s)
+    return green
+
+
+def random_filters(records: int, taps: int, seed: int = 1) -> Float64Array:
+    return np.random.default_rng(seed).standard_normal((records, taps))
+
+
+def played(signal: Float64Array, samples: int, offset: float, ratio: float) -> Float64Array:
+    """Recordings (records, samples) of playback-clock signals (records, n), silence around them."""
+    length = scipy.fft.next_fast_len(signal.shape[1] + 4000, real=True)
+    fine = 16 * scipy.fft.irfft(scipy.fft.rfft(signal, length), 16 * length)
+    place = 16 * (np.arange(samples) - offset) / ratio
+    whole = np.floor(place).astype(int)
+    share = place - whole
+    out = np.zeros((signal.shape[0], samples))
+    for node in range(-2, 4):
+        weight = np.ones(samples)
+        for other in range(-2, 4):
+            if other != node:
+                weight *= (share - other) / (node - other)
+        out += weight * fine[:, (whole + node) % fine.shape[1]]
+    return out
+
+
+@dataclasses.dataclass
+class Records:
+    """Reference and response of a batch, and the rms of the response's noise."""
+
+    reference: Float64Array
+    response: Float64Array
+    noise_v: Float64Array
+
+    def estimate(self, estimator: Estimator = ESTIMATOR) -> Estimate:
+        return estimator.estimate(
+            self.reference.astype(np.float32), self.response.astype(np.float32), range_v=RANGE
+        )
+
+
+def records_of(
+    green: Float64Array,
+    excitation: Excitation = SMALL,
+    *,
+    snr_db: float | None = 40.0,
+    offset: float = 100.4,
+    ppm: float = 0.0,
+    post_roll: int = 300,
+    seed: int = 5,
+    response_late: float = 0.0,
+) -> Records:
+    """Records of a linear plate: drive convolved on the playback clock, both channels then on the DAQ's."""
+    draw = np.random.default_rng(seed)
+    signal = excitation.signal_v()
+    length = scipy.fft.next_fast_len(signal.size + green.shape[1], real=True)
+    response = scipy.fft.irfft(scipy.fft.rfft(green, length) * scipy.fft.rfft(signal, length), length)
+    samples = int(offset) + signal.size + post_roll
+    ratio = 1 + 1e-6 * ppm
+    x = played(signal[None], samples, offset, ratio)
+    # A channel that is sampled late meets each event at an earlier sample.
+    y = played(response[:, : signal.size + green.shape[1] - 1], samples, offset - response_late, ratio)
+    noise_v = np.zeros(green.shape[0])
+    x = np.repeat(x, green.shape[0], axis=0)
+    if snr_db is not None:
+        noise_v = np.sqrt((y[:, int(offset) : int(offset) + signal.size] ** 2).mean(axis=1)) * 10 ** (
+            -snr_db / 20
+        )
+        x += 1e-3 * np.sqrt((signal**2).mean()) * draw.standard_normal(x.shape)
+        y += noise_v[:, None] * draw.standard_normal(y.shape)
+    return Records(x, y, noise_v)
+
+
+def band_spectrum(green: NDArray[Any], excitation: Excitation) -> NDArray[np.complex128]:
+    period = excitation.period_samples
+    hertz = np.arange(period // 2 + 1) * excitation.sample_rate_hz / period
+    band = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
+    return np.asarray(scipy.fft.rfft(np.asarray(green, dtype=np.float64), period)[:, band])
+
+
+def error_db(found: NDArray[Any], truth: Float64Array, excitation: Excitation = SMALL) -> Float64Array:
+    wrong, right = band_spectrum(found - truth, excitation), band_spectrum(truth, excitation)
+    return np.asarray(10 * np.log10((np.abs(wrong) ** 2).sum(axis=1) / (np.abs(right) ** 2).sum(axis=1)))
+
+
+def limit_db(records: Records, truth: Float64Array, excitation: Excitation = SMALL) -> Float64Array:
+    """In-band error that least squares for a causal FIR must have: its covariance, noise-free reference."""
+    period, taps = excitation.period_samples, truth.shape[1]
+    drive = scipy.fft.rfft(excitation.base_v())[:, None]
+    hertz = np.arange(period // 2 + 1) * excitation.sample_rate_hz / period
+    steering = np.exp(-2j * np.pi * np.outer(np.arange(period // 2 + 1), np.arange(taps)) / period)
+    model = np.sqrt(2) * np.concatenate([(drive * steering).real, (drive * steering).imag])
+    covariance = np.linalg.pinv(model.T @ model, rcond=1e-9, hermitian=True) * period / excitation.averages
+    inside = steering[(hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)]
+    variance = np.einsum("kn,kn->", inside.conj() @ covariance, inside).real
+    energy = (np.abs(band_spectrum(truth, excitation)) ** 2).sum(axis=1)
+    return np.asarray(10 * np.log10(records.noise_v**2 * variance / energy))
+
+
+@pytest.mark.parametrize("ppm", [0.0, 30.0, -100.0, 200.0])
+@pytest.mark.parametrize("kind", ["modes", "random"])
+def test_error_is_within_1_db_of_the_noise_limit_at_any_clock_ratio(kind: str, ppm: float) -> None:
+    truth = damped_modes(12, TAPS, SMALL) if kind == "modes" else random_filters(12, TAPS)
+    records = records_of(truth, ppm=ppm)
+    excess = error_db(records.estimate().green, truth) - limit_db(records, truth)
+    assert np.median(excess) < 1.0
+    assert excess.max() < 3.0
+
+
+def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm() -> None:
+    default = Excitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
+    estimator = Estimator(default, 2000)
+    truth = damped_modes(6, 2000, default)
+    options: dict[str, Any] = {"offset": 200.3, "post_roll": 1000}
+    still = error_db(records_of(truth, default, **options).estimate(estimator).green, truth, default)
+    for ppm in (200.0, -200.0):
+        skewed = error_db(
+            records_of(truth, default, ppm=ppm, **options).estimate(estimator).green, truth, default
+        )
+        assert np.abs(np.median(skewed) - np.median(still)) < 0.3
+
+
+@pytest.mark.parametrize("ppm", [0.0, 100.0])
+def test_filters_come_back_exactly_without_noise(ppm: float) -> None:
+    for truth in (damped_modes(4, TAPS, SMALL), random_filters(4, TAPS)):
+        estimate = records_of(truth, snr_db=None, ppm=ppm).estimate()
+        assert error_db(estimate.green, truth).max() < -80
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0, 250), st.floats(-400, 400), st.integers(0, 99))
+def test_start_and_clock_ratio_are_found(offset: float, ppm: float, seed: int) -> None:
+    estimate = records_of(damped_modes(2, TAPS, SMALL), offset=offset, ppm=ppm, seed=seed).estimate()
+    assert estimate.offset_samples == pytest.approx(np.full(2, offset), abs=0.01)
+    # A record of a third of the default's length tells the ratio a tenth as well.
+    assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx(np.full(2, ppm), abs=1.0)
+
+
+def test_a_repeat_that_starts_late_costs_nothing() -> None:
+    truth = damped_modes(4, TAPS, SMALL)
+    records = records_of(truth, ppm=50.0)
+    even = error_db(records.estimate().green, truth)
+    gap = int(100.4) + 2 * SMALL.period_samples - 5
+    for channel in (records.reference, records.response):
+        channel[:, gap + 7 :] = channel[:, gap:-7].copy()
+        channel[:, gap : gap + 7] = 0
+    assert np.median(error_db(records.estimate().green, truth)) < np.median(even) + 0.5
+
+
+@pytest.mark.parametrize("averages", [1, 3])
+def test_coupling_capacitors_do_not_pass_for_a_clock(averages: int) -> None:
+    played_thus = dataclasses.replace(SMALL, averages=averages)
+    truth = damped_modes(4, TAPS, SMALL)
+    records = records_of(truth, played_thus, snr_db=None, ppm=30.0)
+    for channel in (records.reference, records.response):
+        hertz = scipy.fft.rfftfreq(2 * channel.shape[1], 1 / SMALL.sample_rate_hz)
+        passed = scipy.fft.rfft(channel, 2 * channel.shape[1]) * (1 - 1 / (1 + 1j * hertz / 5.0))
+        channel[:] = scipy.fft.irfft(passed, 2 * channel.shape[1])[:, : channel.shape[1]]
+    estimate = records.estimate(Estimator(played_thus, TAPS))
+    assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx(np.full(4, 30.0), abs=3)
+    assert error_db(estimate.green, truth).max() < -70
+
+
+def test_delay_between_channels_gain_and_response_unit_are_undone() -> None:
+    truth = damped_modes(4, TAPS, SMALL)
+    records = records_of(truth, snr_db=None, response_late=0.4)
+    records.reference *= 0.8
+    records.response /= 0.005
+    estimator = Estimator(
+        SMALL,
+        TAPS,
+        reference_gain=0.8,
+        response_per_volt=0.005,
+        inter_channel_delay_s=0.4 / SMALL.sample_rate_hz,
+    )
+    assert error_db(records.estimate(estimator).green, truth).max() < -80
+
+
+def test_single_sweep_gives_a_response_but_says_nothing_of_repeats() -> None:
+    once = dataclasses.replace(SMALL, averages=1)
+    truth = damped_modes(4, TAPS, once)
+    records = records_of(truth, once, ppm=100.0)
+    estimate = records.estimate(Estimator(once, TAPS))
+    assert np.median(error_db(estimate.green, truth, once) - limit_db(records, truth, once)) < 1.0
+    assert np.isnan(estimate.coherence).all()
+    assert np.isnan(estimate.repeat_db).all()
+
+
+def test_noise_and_ratios_are_told_as_they_are() -> None:
+    truth = damped_modes(12, TAPS, SMALL)
+    records = records_of(truth)
+    estimate = records.estimate()
+    assert np.median(estimate.noise_v / records.noise_v) == pytest.approx(1, abs=0.05)
+    assert estimate.peak_v == pytest.approx(np.abs(records.response).max(axis=1), rel=1e-6)
+    # White noise spread over 5 kHz, of which the band holds 0.76 kHz; three repeats; sweeps 5/6 of the time.
+    assert np.median(estimate.snr_db) == pytest.approx(40 + 10 * np.log10(5 / 0.76 * 3), abs=1.5)
+    assert np.median(estimate.residual_db) == pytest.approx(-np.median(estimate.snr_db), abs=2)
+    assert (estimate.coherence > 0.999).all()
+    assert (estimate.clip_count == 0).all()
+
+
+def test_samples_at_the_end_of_the_range_are_counted_on_both_channels() -> None:
+    records = records_of(damped_modes(2, TAPS, SMALL))
+    records.reference[0, 10] = -RANGE[0]
+    records.response[0, 20:23] = 0.9995 * RANGE[1]
+    assert records.estimate().clip_count.tolist() == [4, 0]
+
+
+def clipped(response: Float64Array, share: float = 0.9) -> Float64Array:
+    peak = share * np.abs(response).max(axis=1, keepdims=True)
+    return np.clip(response, -peak, peak)
+
+
+def test_clipping_at_95_percent_of_the_peak_is_counted_though_the_range_is_far_away() -> None:
+    for green in (damped_modes(6, TAPS, SMALL), random_filters(6, TAPS)):
+        records = records_of(green)
+        assert not records.estimate().clip_count.any()
+        faulty = Records(records.reference, clipped(records.response, 0.95), records.noise_v).estimate()
+        assert (faulty.clip_count > 0).all()
+        assert (faulty.residual_db > records.estimate().residual_db + 1).all()
+
+
+def with_dropout(response: Float64Array) -> Float64Array:
+    out = response.copy()
+    out[:, 2000:2050] = 0
+    return out
+
+
+def with_hum(response: Float64Array) -> Float64Array:
+    level = 0.01 * np.sqrt(2) * np.sqrt((response[:, 100:-300] ** 2).mean(axis=1, keepdims=True))
+    return response + level * np.sin(2 * np.pi * 100 / SMALL.sample_rate_hz * np.arange(response.shape[1]))
+
+
+def with_dropped_sample(response: Float64Array) -> Float64Array:
+    out = response.copy()
+    out[:, 4700:-1] = response[:, 4701:]
+    return out
+
+
+@pytest.mark.parametrize("fault", [clipped, with_dropout, with_hum, with_dropped_sample])
+def test_a_fault_of_the_record_shows_in_residual_or_repeats(fault: Any) -> None:
+    records = records_of(damped_modes(6, TAPS, SMALL))
+    sound = records.estimate()
+    faulty = Records(records.reference, fault(records.response), records.noise_v).estimate()
+    shown = np.maximum(faulty.residual_db - sound.residual_db, faulty.repeat_db - sound.repeat_db)
+    assert np.median(shown) > 6
+    assert shown.min() > 1
+
+
+def test_a_response_longer_than_the_taps_shows_in_the_residual() -> None:
+    green = damped_modes(6, TAPS, SMALL)
+    longer = np.zeros((6, TAPS + 90))
+    longer[:, :TAPS] = green
+    longer[:, 150:] += 0.1 * damped_modes(6, TAPS - 60, SMALL, seed=3)
+    longer[:, 300:] += 0.1 * np.abs(green).max() * np.sin(0.2 * np.arange(TAPS - 210))
+    fits = records_of(longer[:, :TAPS]).estimate()
+    assert np.median(records_of(longer).estimate().residual_db - fits.residual_db) > 6
+
+
+def test_a_silent_response_is_explained_by_nothing() -> None:
+    records = records_of(damped_modes(2, TAPS, SMALL))
+    records.response[:] = 0
+    estimate = records.estimate()
+    assert not estimate.green.any()
+    assert (estimate.residual_db > -1).all()
+
+
+def test_the_same_record_gives_the_same_bytes_whatever_came_before() -> None:
+    records = records_of(damped_modes(3, TAPS, SMALL))
+    first = Estimator(SMALL, TAPS)
+    records_of(random_filters(3, TAPS), ppm=-200.0).estimate(first)
+    assert records.estimate(first).green.tobytes() == records.estimate(Estimator(SMALL, TAPS)).green.tobytes()
+
+
+def test_more_records_than_a_batch_come_out_in_order() -> None:
+    records = records_of(damped_modes(3, TAPS, SMALL))
+    many = Records(
+        *(np.tile(part, (15, 1)) for part in (records.reference, records.response)), records.noise_v
+    )
+    green = many.estimate().green
+    assert green.shape == (45, TAPS)
+    assert np.allclose(green[36:39], records.estimate().green, atol=1e-5 * np.abs(green).max())
+
+
+def test_a_record_without_reference_is_named() -> None:
+    records = records_of(damped_modes(3, TAPS, SMALL))
+    records.reference[1] = np.random.default_rng(0).standard_normal(records.reference.shape[1])
+    with pytest.raises(ReferenceMissingError, match="record 1 "):
+        records.estimate()
+
+
+def test_a_silent_reference_is_missing() -> None:
+    records = records_of(damped_modes(2, TAPS, SMALL))
+    records.reference[0] = 0
+    with pytest.raises(ReferenceMissingError, match="record 0 "):
+        records.estimate()
+
+
+def test_a_record_cut_before_its_end_is_refused() -> None:
+    records = records_of(damped_modes(2, TAPS, SMALL), offset=700.0)
+    cut = Records(records.reference[:, 600:], records.response[:, 600:], records.noise_v)
+    assert cut.estimate().offset_samples == pytest.approx([100.0, 100.0], abs=0.01)
+    for kept in (slice(0, -500), slice(900, None)):
+        with pytest.raises(ReferenceMissingError, match="record 0 "):
+            Records(records.reference[:, kept], records.response[:, kept], records.noise_v).estimate()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"taps": 0},
+        {"taps": 601},
+        {"reference_gain": 0.0},
+        {"response_per_volt": float("nan")},
+        {"inter_channel_delay_s": 1.0},
+        {"ridge": 0.0},
+    ],
+)
+def test_settings_that_cannot_be_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=next(iter(options))):
+        Estimator(SMALL, **{"taps": TAPS, **options})
+
+
+def test_records_that_cannot_be_are_refused() -> None:
+    records = np.zeros((2, 12_000), dtype=np.float32)
+    for reference, response in (
+        (records[0], records[0]),
+        (records, records[:1]),
+        (records[:, :5000], records[:, :5000]),
+        (records[:0], records[:0]),
+        (np.full_like(records, np.nan), records),
+    ):
+        with pytest.raises(InputError):
+            ESTIMATOR.estimate(reference, response, range_v=RANGE)

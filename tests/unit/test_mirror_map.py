@@ -1,0 +1,69 @@
+"""The projective map between surface and mirror angles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calibration.errors import InputError
+from calibration.mirror_map import MirrorMap
+
+OBLIQUE = MirrorMap(((2.1e-3, 1e-4, 0.02), (-5e-5, 1.9e-3, -0.01), (2e-4, -1e-4, 1.0)))
+places = st.floats(-200, 200)
+
+
+def test_straight_beam_meets_the_centre_at_angle_zero() -> None:
+    assert MirrorMap.straight(500.0).angles_mrad(0.0, 0.0) == (0.0, 0.0)
+
+
+def test_straight_beam_obeys_the_tangent() -> None:
+    x_mrad, y_mrad = MirrorMap.straight(500.0).angles_mrad([100.0, 500.0], [-50.0, 0.0])
+    assert x_mrad == pytest.approx([1000 * np.arctan(0.2), 1000 * np.pi / 4])
+    assert y_mrad == pytest.approx([1000 * np.arctan(-0.1), 0.0])
+
+
+@given(places, places)
+def test_a_place_comes_back_from_its_angles(x_mm: float, y_mm: float) -> None:
+    assert OBLIQUE.surface_mm(*OBLIQUE.angles_mrad(x_mm, y_mm)) == pytest.approx((x_mm, y_mm), abs=1e-8)
+
+
+@given(st.floats(0.1, 10), st.booleans(), places, places)
+def test_a_factor_of_the_matrix_changes_nothing(
+    factor: float, turned: bool, x_mm: float, y_mm: float
+) -> None:
+    scale = -factor if turned else factor
+    scaled = MirrorMap(tuple(tuple(scale * value for value in row) for row in OBLIQUE.matrix))  # type: ignore[arg-type]
+    assert scaled.angles_mrad(x_mm, y_mm) == pytest.approx(OBLIQUE.angles_mrad(x_mm, y_mm), abs=1e-9)
+
+
+def test_shape_of_the_input_is_kept() -> None:
+    x_mrad, y_mrad = OBLIQUE.angles_mrad(np.zeros((3, 4)), np.ones(4))
+    assert x_mrad.shape == y_mrad.shape == (3, 4)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        ((0, 0, 0), (0, 1, 0), (0, 0, 1)),
+        ((1e-3, 2e-3, 0), (2e-3, 4e-3, 0), (0, 0, 1)),
+        ((1, 0, 0), (0, float("nan"), 0), (0, 0, 1)),
+        ((1, 0), (0, 1), (0, 0)),
+    ],
+)
+def test_a_matrix_that_cannot_be_turned_round_is_refused(matrix: tuple[tuple[float, ...], ...]) -> None:
+    with pytest.raises(InputError, match="mirror map matrix"):
+        MirrorMap(matrix)  # type: ignore[arg-type]
+
+
+def test_a_place_behind_the_mirror_is_refused() -> None:
+    tilted = MirrorMap(((1e-3, 0, 0), (0, 1e-3, 0), (1e-2, 0, 1)))
+    with pytest.raises(InputError, match="-200"):
+        tilted.angles_mrad(-200.0, 0.0)
+
+
+@pytest.mark.parametrize("distance_mm", [0.0, -1.0, float("nan")])
+def test_a_distance_that_is_none_is_refused(distance_mm: float) -> None:
+    with pytest.raises(InputError, match="distance_mm"):
+        MirrorMap.straight(distance_mm)

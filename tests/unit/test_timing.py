@@ -1,0 +1,120 @@
+"""Finding a known signal in a recording, and bringing recordings to its clock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.fft
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from calibration.errors import InputError, WavefocusError
+from calibration.sweeps import Excitation
+from calibration.timing import ClockFit, ReferenceMissingError, fit_clock, to_playback_clock
+
+SAMPLES = 37_200
+KNOWN = Excitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3).signal_v()
+
+
+def played(signal: NDArray[np.float64], samples: int, offset: float, ratio: float) -> NDArray[np.float64]:
+    """The recording of a signal that is silent at its ends, by 16-fold oversampling and cubic pieces."""
+    length = scipy.fft.next_fast_len(signal.size + 4000)
+    fine = 16 * scipy.fft.irfft(scipy.fft.rfft(signal, length), 16 * length)
+    place = 16 * (np.arange(samples) - offset) / ratio
+    whole = np.floor(place).astype(int)
+    share = place - whole
+    out = np.zeros(samples)
+    for node in range(-2, 4):
+        weight = np.ones(samples)
+        for other in range(-2, 4):
+            if other != node:
+                weight *= (share - other) / (node - other)
+        out += weight * fine[(whole + node) % fine.size]
+    return out
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(0, 1100), st.floats(-450, 450), st.sampled_from([0.3, -1.0]), st.integers(0, 99))
+def test_offset_ratio_and_gain_are_found_at_60_db(offset: float, ppm: float, gain: float, seed: int) -> None:
+    noise = 1e-3 * abs(gain) * np.sqrt((KNOWN**2).mean())
+    recorded = gain * played(KNOWN, SAMPLES, offset, 1 + 1e-6 * ppm)
+    recorded += noise * np.random.default_rng(seed).standard_normal(SAMPLES)
+    fit = fit_clock(recorded, KNOWN)
+    assert fit.offset_samples == pytest.approx(offset, abs=0.01)
+    assert fit.skew_ppm == pytest.approx(ppm, abs=0.1)
+    assert fit.gain == pytest.approx(gain, rel=1e-3)
+    assert fit.residual_db == pytest.approx(-60, abs=1)
+
+
+def test_one_burst_of_noise_is_enough_to_tell_the_time() -> None:
+    spectrum = scipy.fft.rfft(np.hanning(9000) * np.random.default_rng(2).standard_normal(9000))
+    spectrum[450:] = 0
+    burst = scipy.fft.irfft(spectrum)
+    burst *= np.hanning(9000)
+    fit = fit_clock(played(burst, 12_000, 1234.56, 1 - 80e-6), burst)
+    assert fit.offset_samples == pytest.approx(1234.56, abs=0.01)
+    assert fit.skew_ppm == pytest.approx(-80, abs=0.1)
+
+
+def test_noise_alone_is_a_missing_reference() -> None:
+    with pytest.raises(ReferenceMissingError, match="does not carry"):
+        fit_clock(np.random.default_rng(1).standard_normal(SAMPLES), KNOWN)
+
+
+def test_silence_is_a_missing_reference_and_told_in_one_line() -> None:
+    with pytest.raises(WavefocusError, match="silent"):
+        fit_clock(np.zeros(SAMPLES), KNOWN)
+
+
+def test_a_reference_drowned_in_noise_is_refused() -> None:
+    recorded = played(KNOWN, SAMPLES, 300.0, 1.0)
+    recorded += 2 * np.random.default_rng(1).standard_normal(SAMPLES)
+    with pytest.raises(ReferenceMissingError):
+        fit_clock(recorded, KNOWN)
+
+
+@pytest.mark.parametrize("offset", [-400.0, 1500.0])
+def test_a_signal_partly_outside_the_record_is_refused(offset: float) -> None:
+    with pytest.raises(ReferenceMissingError, match="only a part"):
+        fit_clock(played(KNOWN, SAMPLES, offset, 1.0), KNOWN)
+
+
+@pytest.mark.parametrize("known", [np.zeros(100), np.ones((2, 50)), np.full(100, np.nan)])
+def test_a_known_signal_that_is_none_is_refused(known: NDArray[np.float64]) -> None:
+    with pytest.raises(InputError):
+        fit_clock(np.ones(200), known)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.01, 0.8), st.floats(60, 140), st.floats(-500, 500), st.integers(0, 50), st.floats(-1, 1))
+def test_a_tone_is_resampled_to_100_db(
+    share: float, offset: float, ppm: float, first: int, delay: float
+) -> None:
+    fit = ClockFit(offset, 1 + 1e-6 * ppm, 1.0, -100.0)
+    recorded = np.cos(np.pi * share * np.arange(1000) + 0.3)
+    place = offset + (first + np.arange(700)) * fit.ratio + delay
+    expected = np.cos(np.pi * share * place + 0.3)
+    found = to_playback_clock(recorded, fit, 700, first, delay)
+    assert np.abs(found - expected).max() < 1e-5
+
+
+def test_resampling_keeps_leading_axes_and_single_precision() -> None:
+    recorded = np.random.default_rng(0).standard_normal((2, 3, 500)).astype(np.float32)
+    found = to_playback_clock(recorded, ClockFit(10.25, 1.0001, 1.0, -60.0), 300)
+    assert found.shape == (2, 3, 300)
+    assert found.dtype == np.float32
+    alone = to_playback_clock(recorded[1, 2], ClockFit(10.25, 1.0001, 1.0, -60.0), 300)
+    assert np.allclose(found[1, 2], alone, atol=1e-6)
+
+
+def test_whole_samples_come_back_as_they_are_and_beyond_the_record_there_is_silence() -> None:
+    recorded = np.random.default_rng(0).standard_normal(100)
+    found = to_playback_clock(recorded, ClockFit(-50.0, 1.0, 1.0, -60.0), 300)
+    assert np.allclose(found[50:150], recorded, atol=1e-12)
+    assert not found[200:].any()
+
+
+def test_a_negative_length_is_refused() -> None:
+    with pytest.raises(InputError):
+        to_playback_clock(np.ones(10), ClockFit(0.0, 1.0, 1.0, -60.0), -1)
