@@ -1,0 +1,1 @@
+"""Plates and virtual instruments that stand in for a rig."""

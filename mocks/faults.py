@@ -1,0 +1,167 @@
+"""Faults on order: which instrument fails, when, and how."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from dataclasses import dataclass
+
+from drivers.errors import InstrumentLostError, TransientInstrumentError
+from drivers.protocols import Take
+
+OPERATIONS = {
+    "mirror": ("identify", "move_to", "wait_settled", "park"),
+    "recorder": ("identify", "start", "read"),
+    "player": ("identify", "play", "wait", "mute"),
+}
+RAISED = ("timeout", "lost", "underflow", "short_read")
+CORRUPTING = ("missing_reference", "over_range", "dropout", "drift")
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One entry of a fault plan: at the given call, or at the given take.
+
+    Parameters
+    ----------
+    role : str
+        ``"mirror"``, ``"recorder"`` or ``"player"``.
+    operation : str
+        Method that fails, such as ``"read"``.
+    kind : str
+        ``"timeout"`` (any), ``"lost"`` (any; it stays lost), ``"underflow"`` (player wait),
+        ``"short_read"``, ``"missing_reference"``, ``"over_range"``, ``"dropout"`` or ``"drift"``
+        (recorder read).
+    at_call : int, optional
+        The first call of the method that fails, from 1; `count` calls fail in a row.
+    position, record, attempt : int, optional
+        The take that fails, where no call is given: this position (any, if absent), this record of
+        each attempt (every, if absent), from this attempt on (1, if absent) for `count` attempts.
+        A mirror knows no takes.
+    purpose : str, optional
+        Only takes of this purpose; any, if absent.
+    count : int
+        How often, > 0.
+    level_db : float
+        What ``"drift"`` does to the response.
+
+    Raises
+    ------
+    ValueError
+        Something that is not in the lists above.
+    """
+
+    role: str
+    operation: str
+    kind: str
+    at_call: int | None = None
+    position: int | None = None
+    attempt: int | None = None
+    record: int | None = None
+    purpose: str | None = None
+    count: int = 1
+    level_db: float = -3.0
+
+    def __post_init__(self) -> None:
+        if self.role not in OPERATIONS:
+            raise ValueError(f"fault role is {self.role!r}; allowed: {', '.join(OPERATIONS)}")
+        if self.operation not in OPERATIONS[self.role]:
+            allowed = ", ".join(OPERATIONS[self.role])
+            raise ValueError(f"fault operation of the {self.role} is {self.operation!r}; allowed: {allowed}")
+        allowed_kinds = ["timeout", "lost"]
+        if (self.role, self.operation) == ("player", "wait"):
+            allowed_kinds.append("underflow")
+        if (self.role, self.operation) == ("recorder", "read"):
+            allowed_kinds += ["short_read", *CORRUPTING]
+        if self.kind not in allowed_kinds:
+            raise ValueError(
+                f"fault kind of {self.role} {self.operation} is {self.kind!r}; "
+                f"allowed: {', '.join(allowed_kinds)}"
+            )
+        by_take = (self.position, self.attempt, self.record, self.purpose) != (None, None, None, None)
+        if (self.at_call is not None) == by_take:
+            raise ValueError("a fault needs either at_call or some of position, attempt, record and purpose")
+        if by_take and self.role == "mirror":
+            raise ValueError("a fault of the mirror needs at_call, for a mirror knows no takes")
+        if self.count < 1 or (self.at_call is not None and self.at_call < 1):
+            raise ValueError(f"fault at_call is {self.at_call}, count {self.count}; both start at 1")
+
+    def strikes(self, call: int, take: Take | None) -> bool:
+        """Whether this call for this take fails."""
+        if self.at_call is not None:
+            return self.at_call <= call < self.at_call + self.count
+        if take is None:
+            return False
+        first = 1 if self.attempt is None else self.attempt
+        return (
+            self.position in (None, take.position)
+            and self.record in (None, take.record)
+            and self.purpose in (None, take.purpose)
+            and first <= take.attempt < first + self.count
+        )
+
+
+class FaultPlan:
+    """The faults that one instrument has before it.
+
+    Parameters
+    ----------
+    role : str
+        The instrument's role.
+    device : str
+        Its name, for messages.
+    faults : tuple of Fault
+        The plan of the whole rig.
+    """
+
+    def __init__(self, role: str, device: str, faults: tuple[Fault, ...]) -> None:
+        self._device = device
+        self._faults = tuple(fault for fault in faults if fault.role == role)
+        self._calls: Counter[str] = Counter()
+        self._lost = False
+        self._lock = threading.Lock()
+
+    def meet(self, operation: str, doing: str, take: Take | None = None) -> tuple[Fault, ...]:
+        """Count a call, raise the fault that it meets, or return those that corrupt its record.
+
+        Parameters
+        ----------
+        operation : str
+            Name of the method.
+        doing : str
+            What it does, for the message.
+        take : Take, optional
+            What the call is for.
+
+        Raises
+        ------
+        TransientInstrumentError
+            A timeout, an underflow or a short read is due.
+        InstrumentLostError
+            The instrument is lost, now or since an earlier call.
+        """
+        with self._lock:
+            self._calls[operation] += 1
+            due = tuple(
+                fault
+                for fault in self._faults
+                if fault.operation == operation and fault.strikes(self._calls[operation], take)
+            )
+            self._lost = self._lost or any(fault.kind == "lost" for fault in due)
+            lost = self._lost
+        if lost:
+            raise InstrumentLostError(
+                self._device, doing, "the device does not answer any more", "check its cable and its power"
+            )
+        for fault in due:
+            if fault.kind in RAISED:
+                cause, remedy = _EXPLANATIONS[fault.kind]
+                raise TransientInstrumentError(self._device, doing, cause, remedy)
+        return due
+
+
+_EXPLANATIONS = {
+    "timeout": ("no answer in time", "try again; if it stays, check the cable"),
+    "underflow": ("the output ran dry (underflow)", "try again; if it stays, choose a larger buffer"),
+    "short_read": ("only half of the samples arrived", "try again; if it stays, use another USB port"),
+}

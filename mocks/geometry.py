@@ -1,0 +1,143 @@
+"""Where things are: the stadium, its actuators, and the laser in front of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class MirrorGeometry:
+    """How the laser stands before the surface; the default is the straight map at 1000 mm.
+
+    The surface point (x, y) lies, seen from the mirror, at R (x, y, 0) + (offset, distance), with R
+    the rotation by tilt and roll; the mirror's angles are the arc tangents of its two slopes.
+
+    Parameters
+    ----------
+    distance_mm : float
+        From the mirror to the plane of the surface centre in mm, > 0.
+    offset_mm : tuple of float
+        Where the surface centre lies beside the straight beam (x, y), in mm.
+    tilt_deg : tuple of float
+        Rotation of the surface about its x and its y axis in degrees, within +-60.
+    roll_deg : float
+        Rotation of the surface about the beam in degrees.
+    matrix : 3 x 3 tuple of float, optional
+        The projective map itself, from (x, y, 1) in mm to the slopes; then all above is ignored.
+
+    Raises
+    ------
+    ValueError
+        A distance that is not positive or a tilt beyond 60 degrees.
+    """
+
+    distance_mm: float = 1000.0
+    offset_mm: tuple[float, float] = (0.0, 0.0)
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    roll_deg: float = 0.0
+    matrix: tuple[tuple[float, float, float], ...] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.distance_mm > 0:
+            raise ValueError(f"distance_mm is {self.distance_mm}; it must be greater than 0")
+        if max(abs(angle) for angle in self.tilt_deg) > 60:
+            raise ValueError(f"tilt_deg is {self.tilt_deg}; both must be within +-60")
+
+    def angles_mrad(self, x_mm: float, y_mm: float) -> tuple[float, float]:
+        """Optical angles that put the laser on a surface point."""
+        x, y, depth = self._matrix() @ (x_mm, y_mm, 1.0)
+        return 1000 * float(np.arctan2(x, depth)), 1000 * float(np.arctan2(y, depth))
+
+    def spot_mm(self, x_mrad: float, y_mrad: float) -> tuple[float, float]:
+        """Surface point that the laser meets."""
+        slopes = (np.tan(x_mrad / 1000), np.tan(y_mrad / 1000), 1.0)
+        x, y, scale = np.linalg.solve(self._matrix(), slopes)
+        return float(x / scale), float(y / scale)
+
+    def _matrix(self) -> Float64Array:
+        if self.matrix is not None:
+            return np.array(self.matrix, dtype=np.float64)
+        about_x, about_y = np.radians(self.tilt_deg)
+        roll = np.radians(self.roll_deg)
+        turn_x = np.array(
+            [[1, 0, 0], [0, np.cos(about_x), -np.sin(about_x)], [0, np.sin(about_x), np.cos(about_x)]]
+        )
+        turn_y = np.array(
+            [[np.cos(about_y), 0, np.sin(about_y)], [0, 1, 0], [-np.sin(about_y), 0, np.cos(about_y)]]
+        )
+        turn_z = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
+        rotation = turn_x @ turn_y @ turn_z
+        centre = (*self.offset_mm, self.distance_mm)
+        return np.column_stack((rotation[:, 0], rotation[:, 1], centre))
+
+
+def stadium_rim(
+    count: int, length_mm: float, width_mm: float, inset_mm: float = 0.0
+) -> tuple[tuple[float, float], ...]:
+    """Points equally spaced by arc length on the outline of an inset stadium.
+
+    They run anticlockwise from the middle of the right-hand end, half a spacing off the axis.
+
+    Parameters
+    ----------
+    count : int
+        Number of points, > 0.
+    length_mm, width_mm : float
+        Outer size of the stadium in mm, length >= width > 0.
+    inset_mm : float
+        Distance of the points from the edge in mm, less than half the width.
+
+    Returns
+    -------
+    tuple of (x_mm, y_mm)
+
+    Raises
+    ------
+    ValueError
+        A count that is not positive or a stadium that does not exist.
+    """
+    radius = width_mm / 2 - inset_mm
+    straight = length_mm - width_mm
+    if count < 1:
+        raise ValueError(f"count is {count}; it must be at least 1")
+    if not (radius > 0 and straight >= 0):
+        raise ValueError(
+            f"no stadium of {length_mm} mm x {width_mm} mm has an outline inset by {inset_mm} mm: "
+            "the length must be at least the width, and the inset less than half the width"
+        )
+    quarter = np.pi / 2 * radius
+    perimeter = 4 * quarter + 2 * straight
+    points = []
+    for arc in (np.arange(count) + 0.5) * perimeter / count:
+        if arc < quarter or arc >= perimeter - quarter:
+            angle = (arc if arc < quarter else arc - perimeter) / radius
+            points.append((straight / 2 + radius * np.cos(angle), radius * np.sin(angle)))
+        elif arc < quarter + straight:
+            points.append((straight / 2 - (arc - quarter), radius))
+        elif arc < 3 * quarter + straight:
+            angle = (arc - straight) / radius
+            points.append((-straight / 2 + radius * np.cos(angle), radius * np.sin(angle)))
+        else:
+            points.append((arc - 3 * quarter - 1.5 * straight, -radius))
+    return tuple((float(x), float(y)) for x, y in points)
+
+
+def inside_stadium(
+    x_mm: ArrayLike, y_mm: ArrayLike, length_mm: float, width_mm: float, inset_mm: float = 0.0
+) -> NDArray[np.bool_]:
+    """Whether points lie on a stadium, its edge inset by `inset_mm`.
+
+    Parameters
+    ----------
+    x_mm, y_mm : float array
+        The points in mm.
+    length_mm, width_mm, inset_mm : float
+        The stadium in mm.
+    """
+    beyond_mm = np.maximum(np.abs(np.asarray(x_mm, dtype=np.float64)) - (length_mm - width_mm) / 2, 0.0)
+    return np.asarray(np.hypot(beyond_mm, np.asarray(y_mm)) <= width_mm / 2 - inset_mm)

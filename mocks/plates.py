@@ -1,0 +1,259 @@
+"""Plates: how a wave leaves a small source and what arrives at a distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import root
+from scipy.special import hankel2, jv, kv
+
+Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
+
+GROUP_VELOCITY_M_S = 4.8  # the paper, section IV.A: band-limited impulses
+ATTENUATION_DB_PER_CM = 3.8  # the paper, section IV.A: impulses of 50-450 Hz
+IMPULSE_BAND_HZ = (50.0, 450.0)
+MAGNET_RADIUS_MM = 2.5  # the paper, section IV.A: magnets 5 mm across
+
+
+@dataclass(frozen=True, slots=True)
+class DampedWave:
+    """An infinite soft plate: a scalar wave whose loss is proportional to velocity.
+
+    Time runs as exp(+j w t), so an outgoing wave has Im k < 0:
+    k^2 = (w^2 - j w b) / c^2.
+
+    Parameters
+    ----------
+    speed_m_s : float
+        Speed c of the wave's front in m/s, > 0.
+    damping_per_s : float
+        Damping b in 1/s, >= 0.
+
+    Raises
+    ------
+    ValueError
+        The speed is not positive, or the damping would make the wave grow.
+    """
+
+    speed_m_s: float
+    damping_per_s: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.speed_m_s) and self.speed_m_s > 0):
+            raise ValueError(f"speed_m_s is {self.speed_m_s}; it must be finite and greater than 0")
+        if not (np.isfinite(self.damping_per_s) and self.damping_per_s >= 0):
+            raise ValueError(
+                f"damping_per_s is {self.damping_per_s}; it must be finite and at least 0, "
+                "for the wave would grow as it travels"
+            )
+
+    def wavenumber(self, frequency_hz: ArrayLike) -> Complex128Array:
+        """Complex wavenumber in rad/m, Im k <= 0.
+
+        Parameters
+        ----------
+        frequency_hz : float array
+            Frequencies in Hz, >= 0.
+        """
+        angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+        # The principal root of a number in the lower half plane has Im <= 0: the outgoing wave.
+        root_of = np.sqrt(angular * angular - 1j * angular * self.damping_per_s)
+        return np.asarray(root_of / self.speed_m_s, dtype=np.complex128)
+
+    def velocity(
+        self, frequency_hz: ArrayLike, radius_mm: ArrayLike, source_radius_mm: float = MAGNET_RADIUS_MM
+    ) -> Complex128Array:
+        """Surface velocity at a distance from a disc that pushes with unit force.
+
+        j w * (-j/4) * <H0(2)(k r)>, the mean taken over the disc; the scale is arbitrary.
+
+        Parameters
+        ----------
+        frequency_hz : float array
+            Frequencies in Hz, >= 0; broadcast against `radius_mm`. At 0 Hz the velocity is 0.
+        radius_mm : float array
+            Distances from the centre of the disc in mm, >= 0.
+        source_radius_mm : float
+            Radius of the disc in mm, > 0.
+
+        Raises
+        ------
+        ValueError
+            A negative distance or a radius that is not positive.
+        """
+        frequency = np.asarray(frequency_hz, dtype=np.float64)
+        still = frequency == 0
+        wavenumber = self.wavenumber(np.where(still, 1.0, frequency))
+        mean = mean_hankel(wavenumber, np.asarray(radius_mm) / 1e3, source_radius_mm / 1e3)
+        return np.asarray(np.where(still, 0.0, 0.5 * np.pi * frequency * mean), dtype=np.complex128)
+
+
+@dataclass(frozen=True, slots=True)
+class ImpulseTravel:
+    """How a band-limited impulse travels: see `impulse_travel`."""
+
+    group_velocity_m_s: float
+    attenuation_db_per_cm: float
+
+
+def mean_hankel(wavenumber: ArrayLike, radius_m: ArrayLike, source_radius_m: float) -> Complex128Array:
+    """Mean of H0(2)(k |r - s|) over the points s of a disc: finite at r = 0.
+
+    Graf's addition theorem: outside the disc H0(2)(k r) 2 J1(k a) / (k a); inside it
+    (2 / (k a)) J0(k r) H1(2)(k a) - 4j / (pi (k a)^2).
+
+    Parameters
+    ----------
+    wavenumber : complex array
+        k in rad/m, not 0, Im k <= 0; broadcast against `radius_m`.
+    radius_m : float array
+        Distances from the centre of the disc in m, >= 0.
+    source_radius_m : float
+        Radius a of the disc in m, > 0.
+
+    Raises
+    ------
+    ValueError
+        A wave that grows as it travels (Im k > 0), a negative distance, a radius not positive.
+    """
+    k, r = np.broadcast_arrays(
+        np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64)
+    )
+    a = float(source_radius_m)
+    _refuse_growth(k)
+    _refuse_negative_radius(r)
+    if not a > 0:
+        raise ValueError(f"source radius is {a} m; it must be greater than 0")
+    mean = np.empty(k.shape, dtype=np.complex128)
+    outside = r >= a
+    ka = k[outside] * a
+    mean[outside] = hankel2(0, k[outside] * r[outside]) * 2 * jv(1, ka) / ka
+    inside = ~outside
+    ka = k[inside] * a
+    mean[inside] = 2 / ka * jv(0, k[inside] * r[inside]) * hankel2(1, ka) - 4j / (np.pi * ka * ka)
+    return mean
+
+
+def thin_plate_green(wavenumber: ArrayLike, radius_m: ArrayLike) -> Complex128Array:
+    """Green's function of the infinite thin plate, D (biharmonic - k^4) w = q, times D.
+
+    -j / (8 k^2) [H0(2)(k r) - (2j / pi) K0(k r)], with the limit -j / (8 k^2) at r = 0.
+    Love (1888); Timoshenko and Woinowsky-Krieger (1959).
+
+    Parameters
+    ----------
+    wavenumber : complex array
+        k in rad/m, not 0, Im k <= 0; broadcast against `radius_m`.
+    radius_m : float array
+        Distances in m, >= 0.
+
+    Raises
+    ------
+    ValueError
+        A wave that grows as it travels (Im k > 0) or a negative distance.
+    """
+    k, r = np.broadcast_arrays(
+        np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64)
+    )
+    _refuse_growth(k)
+    _refuse_negative_radius(r)
+    shape = np.ones(k.shape, dtype=np.complex128)
+    away = r > 0
+    z = k[away] * r[away]
+    shape[away] = hankel2(0, z) - 2j / np.pi * kv(0, z)
+    return np.asarray(-1j / (8 * k * k) * shape, dtype=np.complex128)
+
+
+def impulse_travel(
+    wave: DampedWave,
+    band_hz: tuple[float, float] = IMPULSE_BAND_HZ,
+    span_mm: tuple[float, float] = (10.0, 50.0),
+) -> ImpulseTravel:
+    """Group velocity and attenuation of a band-limited impulse.
+
+    The impulse has a flat spectrum in the band. Geometric spreading is removed, so what travels is
+    exp(-j k r). The velocity is the distance over the delay between the centroids of energy at the
+    two ends of the span; the attenuation is the loss of energy between them.
+
+    Parameters
+    ----------
+    wave : DampedWave
+        The plate.
+    band_hz : tuple of float
+        Lowest and highest frequency in Hz.
+    span_mm : tuple of float
+        The two distances in mm.
+    """
+    frequency_hz = np.linspace(*band_hz, 401)
+    k = wave.wavenumber(frequency_hz)
+    angular = 2 * np.pi * frequency_hz
+    slowness = ((2 * angular - 1j * wave.damping_per_s) / (2 * k * wave.speed_m_s**2)).real
+    near_m, far_m = span_mm[0] / 1e3, span_mm[1] / 1e3
+    near, far = (np.exp(2 * k.imag * distance_m) for distance_m in (near_m, far_m))
+    delay_s = far_m * np.average(slowness, weights=far) - near_m * np.average(slowness, weights=near)
+    loss_db = 10 * np.log10(near.sum() / far.sum())
+    return ImpulseTravel(float((far_m - near_m) / delay_s), float(loss_db / (100 * (far_m - near_m))))
+
+
+def fit_damped_wave(
+    group_velocity_m_s: float = GROUP_VELOCITY_M_S,
+    attenuation_db_per_cm: float = ATTENUATION_DB_PER_CM,
+    band_hz: tuple[float, float] = IMPULSE_BAND_HZ,
+) -> DampedWave:
+    """Find the damped wave on which a band-limited impulse travels as measured (`impulse_travel`).
+
+    Parameters
+    ----------
+    group_velocity_m_s : float
+        Wanted group velocity in m/s, > 0.
+    attenuation_db_per_cm : float
+        Wanted attenuation in dB/cm, spreading removed, > 0.
+    band_hz : tuple of float
+        Band of the impulse in Hz.
+
+    Raises
+    ------
+    ValueError
+        No damped wave travels like that.
+    """
+
+    def misfit(logarithms: Float64Array) -> list[float]:
+        travel = impulse_travel(DampedWave(*np.exp(logarithms)), band_hz)
+        return [
+            travel.group_velocity_m_s / group_velocity_m_s - 1,
+            travel.attenuation_db_per_cm / attenuation_db_per_cm - 1,
+        ]
+
+    if not (group_velocity_m_s > 0 and attenuation_db_per_cm > 0):
+        raise ValueError(
+            f"group velocity {group_velocity_m_s} m/s and attenuation {attenuation_db_per_cm} dB/cm: "
+            "both must be greater than 0"
+        )
+    nepers_per_m = attenuation_db_per_cm * 100 * np.log(10) / 20
+    guess = np.log([group_velocity_m_s, 2 * group_velocity_m_s * nepers_per_m])
+    solution = root(misfit, guess, tol=1e-12)
+    if not np.all(np.abs(misfit(solution.x)) < 1e-9):
+        raise ValueError(
+            f"no damped wave has a group velocity of {group_velocity_m_s} m/s and an attenuation of "
+            f"{attenuation_db_per_cm} dB/cm in {band_hz} Hz"
+        )
+    return DampedWave(*(float(value) for value in np.exp(solution.x)))
+
+
+SOFT_PLATE = DampedWave(speed_m_s=4.7072696192, damping_per_s=421.33369835)  # fit_damped_wave() gives these
+
+
+def _refuse_growth(wavenumber: Complex128Array) -> None:
+    if np.any(wavenumber.imag > 0):
+        raise ValueError(
+            f"wavenumber has an imaginary part of {wavenumber.imag.max()} rad/m; it must not be positive, "
+            "for the wave would grow as it travels"
+        )
+
+
+def _refuse_negative_radius(radius_m: Float64Array) -> None:
+    if np.any(radius_m < 0):
+        raise ValueError(f"radius is {radius_m.min()} m; it must not be negative")

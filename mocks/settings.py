@@ -1,0 +1,149 @@
+"""What the virtual rig is like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mocks.faults import Fault
+from mocks.geometry import MirrorGeometry, stadium_rim
+
+SURFACE_MM = (250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 cm
+
+
+@dataclass(frozen=True, slots=True)
+class VirtualSettings:
+    """A virtual rig; the same settings give the same rig, byte for byte.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of everything random, >= 0.
+    noise_v : float
+        Noise of the vibrometer at the response input, volts rms, >= 0. The converter's own rounding
+        (0.09 mV rms at a range of 10 V) comes on top.
+    reference_noise_v : float
+        Noise of the reference input, volts rms, >= 0.
+    clock_ppm : float
+        How much faster the recorder's clock is than the player's, in parts per million, within +-1000.
+    inter_channel_delay_s : float
+        How much later the response is sampled than the reference, in s, >= 0.
+    latency_s : tuple of float
+        Shortest and longest time from the call of play to the first sample, in s.
+    actuator_mm : tuple of (float, float)
+        Positions of the actuators in mm.
+    actuator_channels : tuple of int, optional
+        Player channel that each actuator hangs on; by default actuator i on channel i.
+    loopback_channel : int, optional
+        Player channel that is looped back to the reference input; by default the one after the last.
+    surface_mm : tuple of float
+        Length and width of the stadium in mm.
+    mirror : MirrorGeometry
+        Where the laser stands.
+    settle_s, slew_mrad_s, limit_mrad, park_mrad
+        The mirror: settling time, speed of a move, largest angle per axis, safe direction.
+    sensitivity_m_s_per_v : float
+        Surface velocity per volt of the vibrometer, in (m/s)/V, > 0.
+    velocity_scale : float
+        Strength of actuators and amplifier; the default lets the strongest response of the default
+        grid to a sweep of 1 V peak at 6 V.
+    gain_spread_db : float
+        Largest deviation of an actuator's gain in dB, >= 0.
+    dropout_probability : float
+        Probability that an attempt of as many records as there are actuators loses the vibrometer
+        signal for 2-10 ms in one of them (speckle), 0 to 1.
+    lost_signal_v : float
+        Noise of the vibrometer without a signal, volts rms.
+    full_scale_v : float
+        Largest output voltage of the player, > 0.
+    largest_range_v : float
+        Largest range of the recorder in volts, > 0.
+    fault_plan : tuple of Fault
+        Faults on order.
+    realtime : bool
+        Let virtual seconds last a second.
+
+    Raises
+    ------
+    ValueError
+        A value outside what is allowed above.
+    """
+
+    seed: int = 1
+    noise_v: float = 1.5e-4
+    reference_noise_v: float = 1e-4
+    clock_ppm: float = 30.0
+    inter_channel_delay_s: float = 5e-6
+    latency_s: tuple[float, float] = (0.005, 0.030)
+    actuator_mm: tuple[tuple[float, float], ...] = field(
+        default_factory=lambda: stadium_rim(20, *SURFACE_MM, inset_mm=6.0)
+    )
+    actuator_channels: tuple[int, ...] | None = None
+    loopback_channel: int | None = None
+    surface_mm: tuple[float, float] = SURFACE_MM
+    mirror: MirrorGeometry = field(default_factory=MirrorGeometry)
+    settle_s: float = 0.005
+    slew_mrad_s: float = 20_000.0
+    limit_mrad: float = 250.0
+    park_mrad: tuple[float, float] = (-240.0, -240.0)
+    sensitivity_m_s_per_v: float = 0.125
+    velocity_scale: float = 0.0064
+    gain_spread_db: float = 2.0
+    dropout_probability: float = 0.01
+    lost_signal_v: float = 1.0
+    full_scale_v: float = 5.0
+    largest_range_v: float = 10.0
+    fault_plan: tuple[Fault, ...] = ()
+    realtime: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("noise_v", "reference_noise_v", "inter_channel_delay_s", "settle_s", "gain_spread_db",
+                     "lost_signal_v", "seed"):  # fmt: skip
+            _require(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")
+        for name in ("sensitivity_m_s_per_v", "velocity_scale", "full_scale_v", "largest_range_v",
+                     "slew_mrad_s", "limit_mrad"):  # fmt: skip
+            _require(name, getattr(self, name), getattr(self, name) > 0, "greater than 0")
+        _require("clock_ppm", self.clock_ppm, abs(self.clock_ppm) <= 1000, "within +-1000")
+        _require(
+            "dropout_probability", self.dropout_probability, 0 <= self.dropout_probability <= 1, "0 to 1"
+        )
+        low_s, high_s = self.latency_s
+        _require("latency_s", self.latency_s, 0 <= low_s <= high_s <= 1, "0 <= shortest <= longest <= 1")
+        wired = (*self.channel_of_actuator, self.channel_of_loopback)
+        once = len(set(wired)) == len(wired) == self.actuators + 1 and min(wired) >= 0
+        _require("actuator_channels", wired, once, "one channel of its own per actuator and the loopback")
+        shape = np.shape(self.actuator_mm)
+        _require("actuator_mm", f"of shape {shape}", shape == (len(self.actuator_mm), 2), "pairs (x, y)")
+
+    @property
+    def actuators(self) -> int:
+        """Number of actuators."""
+        return len(self.actuator_mm)
+
+    @property
+    def channel_of_actuator(self) -> tuple[int, ...]:
+        """Player channel of each actuator."""
+        return tuple(range(self.actuators)) if self.actuator_channels is None else self.actuator_channels
+
+    @property
+    def channel_of_loopback(self) -> int:
+        """Player channel that is looped back to the reference input."""
+        if self.loopback_channel is not None:
+            return self.loopback_channel
+        return max(self.channel_of_actuator, default=-1) + 1
+
+    @property
+    def player_channels(self) -> int:
+        """How many channels the player has."""
+        return max(*self.channel_of_actuator, self.channel_of_loopback) + 1
+
+    @property
+    def clock_ratio(self) -> float:
+        """Rate of the recorder's clock over that of the player's."""
+        return 1 + self.clock_ppm * 1e-6
+
+
+def _require(name: str, value: object, allowed: bool, what: str) -> None:
+    if not allowed:
+        raise ValueError(f"{name} is {value}; it must be {what}")

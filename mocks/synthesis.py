@@ -1,0 +1,237 @@
+"""The voltages at the recorder's inputs: exact in time and clock, computed in the frequency domain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len
+from scipy.special import jv
+
+from mocks.bounded_cache import BoundedCache
+from mocks.chain import actuator_gains, chain_response
+from mocks.plate_table import PlateTable, phase_ramp
+from mocks.plates import MAGNET_RADIUS_MM, SOFT_PLATE
+from mocks.settings import VirtualSettings
+from mocks.signals import PlayedSignal
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+Complex64Array = NDArray[np.complex64]
+
+TAIL_S = 0.3  # what a response may ring on before a transform may wrap
+LEFT_OUT = 1e-10  # share of a response's energy above the bins that are kept: -100 dB
+CUT_STEP_HZ = 500.0  # the kept bins end at a multiple of this, so that few tables are made
+
+
+@dataclass(slots=True)
+class Play:
+    """A play on its way: what was asked for, and when it reaches the outputs."""
+
+    requested_ns: int
+    sample_rate_hz: float
+    signals: dict[int, PlayedSignal]
+    samples: int
+    latency_s: float | None = None
+
+    @property
+    def duration_s(self) -> float:
+        return self.samples / self.sample_rate_hz
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Where the laser was during some samples of a record; nowhere, if it moved or missed the surface."""
+
+    first: int
+    stop: int
+    place_mm: tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """Frequencies of a transform: spacing in true Hz and the number of kept bins."""
+
+    step_hz: float
+    bins: int
+
+
+class Synthesis:
+    """Plate and signal chain of one virtual rig.
+
+    Parameters
+    ----------
+    settings : VirtualSettings
+        The rig.
+    """
+
+    def __init__(self, settings: VirtualSettings) -> None:
+        self._settings = settings
+        self._actuator_mm = np.asarray(settings.actuator_mm, dtype=np.float64).reshape(-1, 2)
+        gains = actuator_gains(settings.actuators, settings.gain_spread_db, settings.seed)
+        self._velocity_per_volt = settings.velocity_scale * gains
+        self._tables: BoundedCache[PlateTable] = BoundedCache(6)
+        self._transfers: BoundedCache[Complex64Array] = BoundedCache(4)
+        self._shapes: BoundedCache[Float64Array] = BoundedCache(8)
+
+    def voltages(
+        self, samples: int, sample_rate_hz: float, start_ns: int, plays: Sequence[Play], spots: Sequence[Spot]
+    ) -> tuple[Float32Array, Float32Array]:
+        """Noise-free reference and response of one record, in volts.
+
+        A player sample k arrives at recorder sample offset + k * scale, so the response is
+        D(f) exp(-j 2 pi f offset) G(f) on the recorder's frequencies: D the drive's spectrum on the
+        recorder's clock, G the transfer function at true frequencies.
+
+        Parameters
+        ----------
+        samples : int
+            Samples per channel.
+        sample_rate_hz : float
+            Nominal rate of the recorder in Hz.
+        start_ns : int
+            Virtual time of the first sample.
+        plays : sequence of Play
+            What sounds during the record, latencies known.
+        spots : sequence of Spot
+            Where the laser was; samples of no spot are zero.
+
+        Returns
+        -------
+        tuple of float32 array, shape (samples,)
+            Reference and response.
+        """
+        rate_hz = sample_rate_hz * self._settings.clock_ratio
+        length = self._length(samples, rate_hz, start_ns, plays)
+        whole = length // 2 + 1
+        reference = np.zeros(whole, dtype=np.complex64)
+        responses: dict[tuple[float, float], Complex64Array] = {
+            spot.place_mm: np.zeros(whole, dtype=np.complex64) for spot in spots if spot.place_mm is not None
+        }
+        for play in plays:
+            offset = ((play.requested_ns - start_ns) * 1e-9 + (play.latency_s or 0.0)) * rate_hz
+            scale = rate_hz / play.sample_rate_hz
+            delay = _delay(offset, whole, length)
+            loopback = play.signals.get(self._settings.channel_of_loopback)
+            if loopback is not None:
+                spectrum = loopback.spectrum(length, scale, play.samples)
+                reference[: spectrum.size] += spectrum * delay[: spectrum.size]
+            driven = {
+                actuator: play.signals[channel]
+                for actuator, channel in enumerate(self._settings.channel_of_actuator)
+                if channel in play.signals
+            }
+            if not driven:
+                continue
+            bins = max(self._bins(signal, length, scale, rate_hz, play) for signal in driven.values())
+            for place_mm, response in responses.items():
+                transfer = self._transfer(place_mm, _Grid(rate_hz / length, bins))
+                total = np.zeros(bins, dtype=np.complex64)
+                for actuator, signal in driven.items():
+                    spectrum = signal.spectrum(length, scale, play.samples)[:bins]
+                    total[: spectrum.size] += spectrum * transfer[actuator, : spectrum.size]
+                response[:bins] += total * delay[:bins]
+        response_v = np.zeros(samples, dtype=np.float32)
+        heard_v = {place_mm: irfft(spectrum, length) for place_mm, spectrum in responses.items()}
+        for spot in spots:
+            if spot.place_mm is not None:
+                response_v[spot.first : spot.stop] = heard_v[spot.place_mm][spot.first : spot.stop]
+        reference_v = irfft(reference, length)[:samples]
+        return reference_v, response_v
+
+    def green(self, place_mm: tuple[float, float], taps: int, sample_rate_hz: float) -> Float64Array:
+        """FIRs from drive to surface velocity, on the player's clock.
+
+        Parameters
+        ----------
+        place_mm : tuple of float
+            Point on the surface in mm.
+        taps : int
+            Length of the FIRs.
+        sample_rate_hz : float
+            Their rate in Hz.
+
+        Returns
+        -------
+        float64 array, shape (actuators, taps)
+            In (m/s)/V.
+        """
+        # Far pairs ring on by slow diffusion: room for a whole further second, so that nothing wraps.
+        length = next_fast_len(taps + round(sample_rate_hz), real=True)
+        table = self._table(_Grid(sample_rate_hz / length, length // 2 + 1), single=False)
+        spectrum = table.evaluate(self._distances_mm(place_mm)) * self._velocity_per_volt[:, None]
+        return np.asarray(irfft(spectrum, length, axis=1)[:, :taps], dtype=np.float64)
+
+    def _transfer(self, place_mm: tuple[float, float], grid: _Grid) -> Complex64Array:
+        """Response volts per drive volt of every actuator, as the recorder samples them."""
+
+        def make() -> Complex64Array:
+            gains = self._velocity_per_volt / self._settings.sensitivity_m_s_per_v
+            response = self._table(grid, single=True).evaluate(self._distances_mm(place_mm))
+            response *= gains.astype(np.float32)[:, None]
+            # The response is sampled later, so the same wave appears earlier in it.
+            earlier = -self._settings.inter_channel_delay_s * grid.step_hz
+            response *= _delay(earlier, grid.bins, 1)
+            return response.astype(np.complex64, copy=False)
+
+        return self._transfers.get((place_mm, grid), make)
+
+    def _table(self, grid: _Grid, *, single: bool) -> PlateTable:
+        def make() -> PlateTable:
+            chain = chain_response(grid.step_hz * np.arange(grid.bins, dtype=np.float64))
+            furthest_mm = float(np.hypot(*self._settings.surface_mm)) + 10
+            return PlateTable(
+                SOFT_PLATE, grid.step_hz, grid.bins, chain, furthest_mm=furthest_mm, single=single
+            )
+
+        return self._tables.get((grid, single), make)
+
+    def _distances_mm(self, place_mm: tuple[float, float]) -> Float64Array:
+        gap = self._actuator_mm - place_mm
+        return np.asarray(np.hypot(gap[:, 0], gap[:, 1]))
+
+    def _bins(self, signal: PlayedSignal, length: int, scale: float, rate_hz: float, play: Play) -> int:
+        """Bins outside which the response has no energy to speak of."""
+        spectrum = signal.spectrum(length, scale, play.samples)
+
+        def make() -> int:
+            step_hz = rate_hz / length
+            energy = np.abs(spectrum * self._shape(step_hz, spectrum.size)) ** 2
+            above = np.cumsum(energy[::-1])[::-1]
+            needed = int(np.count_nonzero(above > LEFT_OUT * above[0]))
+            return min(spectrum.size, ceil(ceil(needed * step_hz / CUT_STEP_HZ) * CUT_STEP_HZ / step_hz))
+
+        return signal.kept_bins.get((length, scale, rate_hz, play.samples), make)
+
+    def _shape(self, step_hz: float, bins: int) -> Float64Array:
+        """How strongly each frequency responds: chain, magnet and spreading, at no distance in particular."""
+
+        def make() -> Float64Array:
+            frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
+            wavenumber = SOFT_PLATE.wavenumber(np.maximum(frequency_hz, step_hz))
+            argument = wavenumber * MAGNET_RADIUS_MM / 1e3
+            magnet = 2 * jv(1, argument) / argument
+            spread = frequency_hz / np.sqrt(np.abs(wavenumber))
+            return np.asarray(np.abs(chain_response(frequency_hz) * magnet) * spread)
+
+        return self._shapes.get((step_hz, bins), make)
+
+    def _length(self, samples: int, rate_hz: float, start_ns: int, plays: Sequence[Play]) -> int:
+        """A transform long enough that neither end of anything wraps; the same for every latency."""
+        first, last = 0.0, float(samples)
+        for play in plays:
+            requested_s = (play.requested_ns - start_ns) * 1e-9
+            first = min(first, requested_s * rate_hz)
+            ends_s = requested_s + self._settings.latency_s[1] + play.duration_s + TAIL_S
+            last = max(last, ends_s * rate_hz)
+        # Rounded up so that records of nearly one length share their tables.
+        return int(next_fast_len(2000 * ceil((last - first + 100) / 2000), real=True))
+
+
+def _delay(samples: float, bins: int, length: int) -> Complex64Array:
+    """The factor that delays a spectrum of a transform of some length."""
+    step = np.array([-2 * np.pi * samples / length])
+    return np.asarray(phase_ramp(step, bins, np.complex64)[0], dtype=np.complex64)

@@ -1,0 +1,191 @@
+"""A player with a latency and a clock of its own."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.protocols import Take
+from mocks.chance import LATENCY, take_generator
+from mocks.clocks import NANOSECONDS, VirtualClock
+from mocks.faults import FaultPlan
+from mocks.settings import VirtualSettings
+from mocks.signals import SignalStore
+from mocks.synthesis import Play
+
+Float64Array = NDArray[np.float64]
+
+NAME = "virtual player"
+
+
+class VirtualPlayer:
+    """Plays one signal per channel; implements `drivers.protocols.Player`.
+
+    Parameters
+    ----------
+    settings : VirtualSettings
+        The rig.
+    clock : VirtualClock
+        Its time.
+    """
+
+    def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._faults = FaultPlan("player", NAME, settings.fault_plan)
+        self._store = SignalStore(settings.full_scale_v)
+        self._plays: deque[Play] = deque(maxlen=8)
+        self._closed = False
+        self._lock = threading.RLock()
+        self._take_under_way: Callable[[], Take | None] = lambda: None
+
+    @property
+    def channels(self) -> int:
+        """Number of output channels."""
+        return self._settings.player_channels
+
+    @property
+    def full_scale_v(self) -> float:
+        """Largest output magnitude in volts."""
+        return self._settings.full_scale_v
+
+    def identify(self) -> str:
+        """Name of the device."""
+        self._check_open("identifying")
+        self._faults.meet("identify", "identifying")
+        return f"{NAME}, {self.channels} channels, full scale {self.full_scale_v:g} V, 16 bit"
+
+    def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
+        """Start playing; volts by channel, all of one length, none beyond full scale."""
+        doing = f"playing on channels {sorted(signals_v)}" if len(signals_v) < 4 else "playing"
+        self._check_open(doing)
+        for channel, volts in signals_v.items():
+            self._check(doing, channel, volts)
+        lengths = {volts.size for volts in signals_v.values()}
+        if len(lengths) != 1 or 0 in lengths:
+            raise InstrumentError(
+                NAME, doing, f"signals of {sorted(lengths)} samples", "give signals of one length, not empty"
+            )
+        if not sample_rate_hz > 0:
+            raise InstrumentError(NAME, doing, f"rate of {sample_rate_hz} Hz", "choose a rate above 0 Hz")
+        with self._lock:
+            now_ns = self._clock.now_ns()
+            if self._plays and self._end_ns(self._plays[-1]) > now_ns:
+                raise InstrumentError(NAME, doing, "it is still playing", "wait for its end or mute it first")
+            take = self._take_under_way()
+            self._faults.meet("play", doing, take)
+            signals = {channel: self._store.find(volts) for channel, volts in signals_v.items()}
+            play = Play(now_ns, float(sample_rate_hz), signals, lengths.pop())
+            play.latency_s = None if take is None else self._latency_s(take)
+            self._plays.append(play)
+
+    def wait(self, timeout_s: float) -> None:
+        """Return when everything has been played, at the latest after `timeout_s`."""
+        self._check_open("waiting for the end of the signal")
+        with self._lock:
+            now_ns = self._clock.now_ns()
+            end_ns = self._end_ns(self._plays[-1]) if self._plays else now_ns
+        try:
+            self._faults.meet("wait", "playing", self._take_under_way())
+        except TransientInstrumentError:
+            self._cut((now_ns + end_ns) // 2)  # it ran dry half-way
+            raise
+        latest_ns = now_ns + round(timeout_s * NANOSECONDS)
+        self._clock.advance_to_ns(min(max(end_ns, now_ns), latest_ns))
+        if end_ns > latest_ns:
+            raise TransientInstrumentError(
+                NAME, "playing", f"not finished after {timeout_s:g} s", "allow the length of the signal"
+            )
+
+    def mute(self) -> None:
+        """Silence every channel at once, from any state."""
+        self._cut(self._clock.now_ns())
+        self._faults.meet("mute", "muting")
+
+    def close(self) -> None:
+        """Release the device, muted; twice does no harm."""
+        if not self._closed:
+            self._cut(self._clock.now_ns())
+        self._closed = True
+
+    def follow(self, take_under_way: Callable[[], Take | None]) -> None:
+        """Let latencies be drawn for the take that this function names.
+
+        Parameters
+        ----------
+        take_under_way : callable
+            Gives the take of the record under way, None if there is none.
+        """
+        self._take_under_way = take_under_way
+
+    def settle_latency(self, take: Take) -> None:
+        """Draw the latency of a play that began before its record, for that record's take.
+
+        Parameters
+        ----------
+        take : Take
+            The record that starts now.
+        """
+        with self._lock:
+            if self._plays and self._plays[-1].latency_s is None:
+                self._plays[-1].latency_s = self._latency_s(take)
+
+    def plays_between(self, start_ns: int, stop_ns: int) -> list[Play]:
+        """What sounded between two instants.
+
+        What rings on from a play that had ended is left out: a record would depend on the one before,
+        and a resumed campaign would not be the same to the byte.
+
+        Parameters
+        ----------
+        start_ns, stop_ns : int
+            The instants.
+        """
+        with self._lock:
+            return [
+                play
+                for play in self._plays
+                if play.samples > 0 and play.requested_ns < stop_ns and self._end_ns(play) > start_ns
+            ]
+
+    def _latency_s(self, take: Take) -> float:
+        low_s, high_s = self._settings.latency_s
+        return float(take_generator(self._settings.seed, take, LATENCY).uniform(low_s, high_s))
+
+    def _end_ns(self, play: Play) -> int:
+        return play.requested_ns + round((self._longest_latency_s(play) + play.duration_s) * NANOSECONDS)
+
+    def _longest_latency_s(self, play: Play) -> float:
+        return self._settings.latency_s[1] if play.latency_s is None else play.latency_s
+
+    def _cut(self, instant_ns: int) -> None:
+        with self._lock:
+            if self._plays and self._end_ns(self._plays[-1]) > instant_ns:
+                play = self._plays[-1]
+                sounding_s = (instant_ns - play.requested_ns) / NANOSECONDS - self._longest_latency_s(play)
+                play.samples = min(play.samples, max(0, int(sounding_s * play.sample_rate_hz)))
+                if play.samples == 0:
+                    self._plays.pop()
+
+    def _check(self, doing: str, channel: int, volts: Float64Array) -> None:
+        if not 0 <= channel < self.channels:
+            raise InstrumentError(
+                NAME, doing, f"there is no channel {channel}", f"choose 0 to {self.channels - 1}"
+            )
+        largest_v = float(np.abs(volts).max()) if volts.size else 0.0
+        if volts.ndim != 1 or not largest_v <= self.full_scale_v:
+            raise InstrumentError(
+                NAME,
+                doing,
+                f"the signal of channel {channel} has the shape {volts.shape} and reaches {largest_v:g} V",
+                f"give finite voltages within +-{self.full_scale_v:g} V, one row",
+            )
+
+    def _check_open(self, doing: str) -> None:
+        if self._closed:
+            raise InstrumentError(NAME, doing, "it is closed", "open the rig again")

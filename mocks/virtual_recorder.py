@@ -1,0 +1,216 @@
+"""A recorder that hears the player and sees where the mirror points."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.protocols import Recording, RecordRequest, Take
+from mocks.bounded_cache import BoundedCache
+from mocks.chance import DROPOUT, NOISE, normal, take_generator
+from mocks.clocks import NANOSECONDS, VirtualClock
+from mocks.faults import Fault, FaultPlan
+from mocks.settings import VirtualSettings
+from mocks.synthesis import Spot, Synthesis
+from mocks.virtual_mirror import VirtualMirror
+from mocks.virtual_player import VirtualPlayer
+
+Float32Array = NDArray[np.float32]
+
+NAME = "virtual recorder"
+DROPOUT_S = (0.002, 0.010)  # how long speckle hides the surface
+
+
+@dataclass(frozen=True, slots=True)
+class _Speckle:
+    """Which record of an attempt loses the signal, for how long, and how far into the record."""
+
+    record: int | None
+    duration_s: float
+    place: float
+
+
+class VirtualRecorder:
+    """Records reference and response; implements `drivers.protocols.Recorder`.
+
+    Parameters
+    ----------
+    settings : VirtualSettings
+        The rig.
+    clock : VirtualClock
+        Its time.
+    mirror, player : VirtualMirror, VirtualPlayer
+        What it sees and hears.
+    synthesis : Synthesis
+        The plate and the signal chain between them.
+    """
+
+    def __init__(
+        self,
+        settings: VirtualSettings,
+        clock: VirtualClock,
+        mirror: VirtualMirror,
+        player: VirtualPlayer,
+        synthesis: Synthesis,
+    ) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._mirror = mirror
+        self._player = player
+        self._synthesis = synthesis
+        self._faults = FaultPlan("recorder", NAME, settings.fault_plan)
+        self._speckles: BoundedCache[_Speckle] = BoundedCache(4)
+        self._under_way: tuple[RecordRequest, int] | None = None
+        self._closed = False
+        self._lock = threading.Lock()
+
+    def identify(self) -> str:
+        """Name of the device."""
+        self._check_open("identifying")
+        self._faults.meet("identify", "identifying")
+        return f"{NAME}, 2 channels, ranges up to +-{self._settings.largest_range_v:g} V, 16 bit"
+
+    def start(self, request: RecordRequest) -> None:
+        """Start one finite record."""
+        doing = f"starting {request.take}"
+        self._check_open(doing)
+        largest = self._settings.largest_range_v
+        if not all(0 < range_v <= largest for range_v in request.range_v):
+            raise InstrumentError(
+                NAME, doing, f"no range of {request.range_v} V", f"choose above 0 and up to {largest:g} V"
+            )
+        if request.samples < 1 or not request.sample_rate_hz > 0:
+            raise InstrumentError(
+                NAME,
+                doing,
+                f"{request.samples} samples at {request.sample_rate_hz} Hz",
+                "ask for at least one sample at a rate above 0 Hz",
+            )
+        with self._lock:
+            if self._under_way is not None:
+                raise InstrumentError(NAME, doing, "a record is under way", "read or abort it first")
+            self._faults.meet("start", doing, request.take)
+            self._under_way = (request, self._clock.now_ns())
+        self._player.settle_latency(request.take)
+
+    def read(self, timeout_s: float) -> Recording:
+        """Wait for the record to end, at the latest until `timeout_s`, and fetch it."""
+        self._check_open("reading")
+        with self._lock:
+            if self._under_way is None:
+                raise InstrumentError(NAME, "reading", "no record was started", "start one first")
+            request, start_ns = self._under_way
+        doing = f"recording {request.take}"
+        true_rate_hz = request.sample_rate_hz * self._settings.clock_ratio
+        end_ns = start_ns + round(request.samples / true_rate_hz * NANOSECONDS)
+        latest_ns = self._clock.now_ns() + round(timeout_s * NANOSECONDS)
+        self._clock.advance_to_ns(min(end_ns, latest_ns))
+        if end_ns > latest_ns:
+            raise TransientInstrumentError(
+                NAME, doing, f"not finished after {timeout_s:g} s", "allow the length of the record"
+            )
+        try:
+            faults = self._faults.meet("read", doing, request.take)
+            return self._recording(request, start_ns, end_ns, true_rate_hz, faults)
+        finally:
+            with self._lock:
+                self._under_way = None
+
+    def abort(self) -> None:
+        """Drop a record under way, from any state."""
+        with self._lock:
+            self._under_way = None
+
+    def close(self) -> None:
+        """Release the device; twice does no harm."""
+        self.abort()
+        self._closed = True
+
+    def take_under_way(self) -> Take | None:
+        """The take of the record under way, None if there is none."""
+        under_way = self._under_way
+        return None if under_way is None else under_way[0].take
+
+    def _recording(
+        self, request: RecordRequest, start_ns: int, end_ns: int, rate_hz: float, faults: tuple[Fault, ...]
+    ) -> Recording:
+        plays = self._player.plays_between(start_ns, end_ns)
+        spots = self._spots(request.samples, start_ns, end_ns, rate_hz)
+        clean = self._synthesis.voltages(request.samples, request.sample_rate_hz, start_ns, plays, spots)
+        reference_v, response_v = self._corrupted(clean, request.range_v, faults)
+        generator = take_generator(self._settings.seed, request.take, NOISE)
+        noise = [normal(generator, request.samples) for _ in range(2)]
+        noise[0] *= np.float32(self._settings.reference_noise_v)
+        noise[1] *= np.float32(self._settings.noise_v)
+        reference_v += noise[0]
+        response_v += noise[1]
+        blind = [(spot.first, spot.stop) for spot in spots if spot.place_mm is None]
+        always = any(fault.kind == "dropout" for fault in faults)
+        for first, stop in [*blind, *self._dropout(request, always=always)]:
+            response_v[first:stop] = self._settings.lost_signal_v * normal(generator, stop - first)
+        volts = np.empty((2, request.samples), dtype=np.float32)
+        step_v, over_range = [], []
+        for row, volts_in in enumerate((reference_v, response_v)):
+            step_v.append(request.range_v[row] / 32768)
+            over_range.append(_convert(volts_in, step_v[-1], out=volts[row]))
+        return Recording(volts, (step_v[0], step_v[1]), (over_range[0], over_range[1]))
+
+    def _spots(self, samples: int, start_ns: int, end_ns: int, rate_hz: float) -> list[Spot]:
+        places = self._mirror.places_mm(start_ns, end_ns)
+        firsts = [min(samples, round((instant - start_ns) * 1e-9 * rate_hz)) for instant, _ in places]
+        bounds = [*firsts, samples]
+        return [Spot(bounds[i], bounds[i + 1], place) for i, (_, place) in enumerate(places)]
+
+    def _dropout(self, request: RecordRequest, *, always: bool) -> list[tuple[int, int]]:
+        """The samples, if any, that speckle hides in this record."""
+        take = request.take
+        speckle = self._speckles.get(
+            (take.position, take.attempt, take.purpose), lambda: self._draw_speckle(take)
+        )
+        if not always and take.record != speckle.record:
+            return []
+        samples = round(speckle.duration_s * request.sample_rate_hz)
+        first = round(speckle.place * max(0, request.samples - samples))
+        return [(first, min(request.samples, first + samples))]
+
+    def _draw_speckle(self, take: Take) -> _Speckle:
+        chance = take_generator(self._settings.seed, take, DROPOUT, whole_attempt=True)
+        happens = chance.random() < self._settings.dropout_probability
+        record = int(chance.integers(self._settings.actuators))
+        return _Speckle(record if happens else None, chance.uniform(*DROPOUT_S), chance.random())
+
+    def _corrupted(
+        self,
+        clean: tuple[Float32Array, Float32Array],
+        range_v: tuple[float, float],
+        faults: tuple[Fault, ...],
+    ) -> tuple[Float32Array, Float32Array]:
+        reference_v, response_v = clean
+        for fault in faults:
+            if fault.kind == "missing_reference":
+                reference_v = np.zeros_like(reference_v)
+            elif fault.kind == "drift":
+                response_v = response_v * np.float32(10 ** (fault.level_db / 20))
+            elif fault.kind == "over_range":
+                largest_v = max(float(np.abs(response_v).max()), 1e-9)
+                response_v = response_v * np.float32(1.5 * range_v[1] / largest_v)
+        return reference_v, response_v
+
+    def _check_open(self, doing: str) -> None:
+        if self._closed:
+            raise InstrumentError(NAME, doing, "it is closed", "open the rig again")
+
+
+def _convert(volts: Float32Array, step_v: float, *, out: Float32Array) -> bool:
+    """Round to 16-bit counts, clip, write volts to `out`; tells whether an end was reached."""
+    np.multiply(volts, np.float32(1 / step_v), out=out)
+    np.rint(out, out=out)
+    over_range = bool(out.max() >= 32767 or out.min() <= -32768)
+    if over_range:
+        np.clip(out, -32768, 32767, out=out)
+    out *= np.float32(step_v)
+    return over_range

@@ -1,0 +1,71 @@
+"""A rig to practise on: three instruments, one plate and one clock, all virtual."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.protocols import Instruments
+from mocks.clocks import VirtualClock
+from mocks.faults import Fault
+from mocks.geometry import MirrorGeometry, stadium_rim
+from mocks.settings import VirtualSettings
+from mocks.synthesis import Synthesis
+from mocks.virtual_mirror import VirtualMirror
+from mocks.virtual_player import VirtualPlayer
+from mocks.virtual_recorder import VirtualRecorder
+
+__all__ = ["Fault", "MirrorGeometry", "VirtualRig", "VirtualSettings", "stadium_rim"]
+
+
+class VirtualRig:
+    """Mirror, recorder and player before one soft plate; only voltages come out of them.
+
+    A signal sample k of the player appears in the record at sample offset + k * clock_ratio (rates
+    being equal), the offset not known. Everything random depends on the seed and the take alone, so
+    neither the order of takes nor what happened before them changes a byte.
+
+    Parameters
+    ----------
+    settings : VirtualSettings, optional
+        The rig; the default rig, if absent.
+    """
+
+    def __init__(self, settings: VirtualSettings | None = None) -> None:
+        self.settings = settings or VirtualSettings()
+        self._synthesis = Synthesis(self.settings)
+        clock = VirtualClock(realtime=self.settings.realtime)
+        mirror = VirtualMirror(self.settings, clock)
+        player = VirtualPlayer(self.settings, clock)
+        recorder = VirtualRecorder(self.settings, clock, mirror, player, self._synthesis)
+        player.follow(recorder.take_under_way)
+        self._instruments = Instruments(mirror=mirror, recorder=recorder, player=player, clock=clock)
+
+    @property
+    def instruments(self) -> Instruments:
+        """The three instruments and their clock, made once."""
+        return self._instruments
+
+    def truth(
+        self, x_mm: float, y_mm: float, taps: int, sample_rate_hz: float = 10_000.0
+    ) -> NDArray[np.float64]:
+        """The plate's true Green's functions at one point, for tests and the demo's last line.
+
+        From player volts to surface velocity as the vibrometer shows it: amplifier, coil, plate and
+        vibrometer low-pass are in, the delay between the recorder's channels is not.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Point on the surface in mm.
+        taps : int
+            Length of the FIRs, > 0.
+        sample_rate_hz : float
+            Their rate on the player's clock in Hz.
+
+        Returns
+        -------
+        float64 array, shape (actuators, taps)
+            In (m/s)/V.
+        """
+        return self._synthesis.green((float(x_mm), float(y_mm)), taps, float(sample_rate_hz))

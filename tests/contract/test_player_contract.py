@@ -1,0 +1,134 @@
+"""What every player must do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.errors import InstrumentError
+from drivers.protocols import Player, RecordRequest, Take
+
+
+def tone(bench, seconds=0.2, volts=0.5):
+    time_s = np.arange(round(seconds * bench.sample_rate_hz)) / bench.sample_rate_hz
+    return volts * np.sin(2 * np.pi * 200 * time_s)
+
+
+def recorded_reference(bench, signals_v, *, mute_after_s=None):
+    instruments = bench.instruments
+    request = RecordRequest(
+        round(0.5 * bench.sample_rate_hz), bench.sample_rate_hz, bench.range_v, Take(0, 1, 0)
+    )
+    instruments.recorder.start(request)
+    instruments.player.play(signals_v, bench.sample_rate_hz)
+    if mute_after_s is not None:
+        instruments.clock.sleep(mute_after_s)
+        instruments.player.mute()
+    instruments.player.wait(2.0)
+    return instruments.recorder.read(5.0).volts[0].astype(np.float64)
+
+
+def test_given_a_player_then_it_has_the_role_a_name_and_its_limits(bench):
+    player = bench.instruments.player
+    assert isinstance(player, Player)
+    assert player.identify().strip()
+    assert player.channels > bench.loopback_channel
+    assert player.full_scale_v > 0
+
+
+def test_given_a_signal_then_waiting_takes_its_length(bench):
+    clock = bench.instruments.clock
+    before_s = clock.now_s()
+    bench.instruments.player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
+    bench.instruments.player.wait(2.0)
+    assert clock.now_s() - before_s >= 0.2
+
+
+def test_given_nothing_to_play_then_waiting_returns_at_once(bench):
+    before_s = bench.instruments.clock.now_s()
+    bench.instruments.player.wait(1.0)
+    assert bench.instruments.clock.now_s() - before_s < 1.0
+
+
+def test_given_too_little_time_then_waiting_fails(bench):
+    bench.instruments.player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
+    with pytest.raises(InstrumentError):
+        bench.instruments.player.wait(0.01)
+
+
+def test_given_a_signal_then_only_its_channel_sounds(bench):
+    silent = recorded_reference(bench, {bench.actuator_channel: tone(bench)})
+    sounding = recorded_reference(bench, {bench.loopback_channel: tone(bench)})
+    assert np.abs(silent).max() < 0.05
+    assert np.abs(sounding).max() == pytest.approx(0.5, rel=0.02)
+
+
+def test_given_full_scale_then_it_is_played_and_no_more_is(bench):
+    player = bench.instruments.player
+    channel = bench.actuator_channel
+    player.play({channel: np.full(10, player.full_scale_v)}, bench.sample_rate_hz)
+    player.wait(2.0)
+    with pytest.raises(InstrumentError):
+        player.play({channel: np.full(10, 1.01 * player.full_scale_v)}, bench.sample_rate_hz)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_given_a_sample_that_is_no_voltage_then_it_is_refused(bench, wrong):
+    volts = tone(bench)
+    volts[7] = wrong
+    with pytest.raises(InstrumentError):
+        bench.instruments.player.play({bench.actuator_channel: volts}, bench.sample_rate_hz)
+
+
+def test_given_an_unknown_channel_then_it_says_who_what_why_and_what_to_do(bench):
+    player = bench.instruments.player
+    with pytest.raises(InstrumentError) as caught:
+        player.play({player.channels: tone(bench)}, bench.sample_rate_hz)
+    error = caught.value
+    assert "player" in error.instrument
+    assert all(text.strip() for text in (error.operation, error.cause, error.remedy))
+
+
+@pytest.mark.parametrize("lengths", [(100, 101), (0, 0)])
+def test_given_signals_of_unlike_or_no_length_then_they_are_refused(bench, lengths):
+    signals = {
+        channel: np.zeros(length)
+        for channel, length in zip((bench.actuator_channel, bench.loopback_channel), lengths, strict=True)
+    }
+    with pytest.raises(InstrumentError):
+        bench.instruments.player.play(signals, bench.sample_rate_hz)
+
+
+def test_given_a_mute_then_the_rest_is_silent_and_the_wait_short(bench):
+    reference = recorded_reference(bench, {bench.loopback_channel: tone(bench, 0.4)}, mute_after_s=0.15)
+    quiet = reference[round((0.15 + bench.start_tolerance_s) * bench.sample_rate_hz) :]
+    assert np.abs(reference).max() > 0.4
+    assert np.abs(quiet).max() < 0.05
+
+
+def test_given_a_signal_changed_after_the_call_then_what_was_given_is_played(bench):
+    volts = tone(bench)
+    instruments = bench.instruments
+    request = RecordRequest(4000, bench.sample_rate_hz, bench.range_v, Take(0, 1, 0))
+    instruments.recorder.start(request)
+    instruments.player.play({bench.loopback_channel: volts}, bench.sample_rate_hz)
+    volts[:] = 0
+    instruments.player.wait(2.0)
+    assert np.abs(instruments.recorder.read(5.0).volts[0]).max() > 0.4
+
+
+def test_given_any_state_then_muting_is_safe(bench):
+    player = bench.instruments.player
+    player.mute()
+    player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
+    player.mute()
+    player.mute()
+    player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
+
+
+def test_given_a_closed_player_then_closing_is_harmless_and_playing_is_refused(bench):
+    player = bench.instruments.player
+    player.close()
+    player.close()
+    with pytest.raises(InstrumentError):
+        player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)

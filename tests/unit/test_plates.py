@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import hankel2
+
+from mocks.chain import chain_response
+from mocks.geometry import MirrorGeometry, inside_stadium, stadium_rim
+from mocks.plate_table import PlateTable
+from mocks.plates import (
+    SOFT_PLATE,
+    DampedWave,
+    fit_damped_wave,
+    impulse_travel,
+    mean_hankel,
+    thin_plate_green,
+)
+
+STEP_HZ = 5.0
+FREQUENCY_HZ = STEP_HZ * np.arange(1001)
+TABLE = PlateTable(SOFT_PLATE, STEP_HZ, 1001, np.ones(1001, dtype=np.complex128))
+
+
+def test_given_the_paper_s_figures_then_the_soft_plate_is_their_fit():
+    fitted = fit_damped_wave()
+    assert fitted.speed_m_s == pytest.approx(SOFT_PLATE.speed_m_s, rel=1e-8)
+    assert fitted.damping_per_s == pytest.approx(SOFT_PLATE.damping_per_s, rel=1e-8)
+
+
+def test_given_the_soft_plate_then_an_impulse_travels_as_the_paper_measured():
+    travel = impulse_travel(SOFT_PLATE, (50.0, 450.0))
+    assert travel.group_velocity_m_s == pytest.approx(4.8, rel=1e-6)
+    assert travel.attenuation_db_per_cm == pytest.approx(3.8, rel=1e-6)
+
+
+def test_given_a_simulated_impulse_then_its_energy_travels_at_the_group_velocity():
+    # The same definition by a time-domain route: waveforms at two places, centroids of their energy.
+    frequency_hz = np.fft.rfftfreq(20_000, 1e-4)
+    band = (frequency_hz >= 50) & (frequency_hz <= 450)
+    time_s = 1e-4 * np.arange(20_000)
+    centroids, energies = [], []
+    for distance_m in (0.010, 0.050):
+        lag = np.exp(-1j * SOFT_PLATE.wavenumber(frequency_hz) * distance_m - 2j * np.pi * frequency_hz)
+        energy = np.fft.irfft(np.where(band, lag, 0)) ** 2
+        energies.append(energy.sum())
+        centroids.append(np.average(time_s, weights=energy))
+    assert 0.040 / (centroids[1] - centroids[0]) == pytest.approx(4.8, rel=2e-3)
+    assert 10 * np.log10(energies[0] / energies[1]) / 4.0 == pytest.approx(3.8, rel=2e-3)
+
+
+def test_given_single_frequencies_then_the_loss_is_that_of_the_notes():
+    # notes/plates.md: 3.3 / 3.8 / 3.8 dB/cm at 50 / 250 / 450 Hz
+    loss = -SOFT_PLATE.wavenumber([50.0, 250.0, 450.0]).imag * 20 / np.log(10) / 100
+    assert loss == pytest.approx([3.3, 3.8, 3.8], abs=0.1)
+
+
+def test_given_a_point_far_from_the_disc_then_the_wave_goes_outward_and_decays():
+    radius_mm = np.linspace(20, 120, 201)
+    wave = SOFT_PLATE.velocity(250.0, radius_mm)
+    assert np.all(np.diff(np.unwrap(np.angle(wave))) < 0)
+    assert np.all(np.diff(np.abs(wave)) < 0)
+
+
+@pytest.mark.parametrize("radius_mm", [0.0, 1.0, 2.4, 2.6, 8.0])
+def test_given_any_distance_then_the_mean_is_that_of_the_disc(radius_mm):
+    k = SOFT_PLATE.wavenumber(250.0)
+    # Quadrature over the disc in polar coordinates about the observer, where r dr tames the logarithm.
+    angle = (np.arange(20_000) + 0.5) * 2 * np.pi / 20_000
+    a = 2.5
+    root = np.sqrt(np.maximum(a**2 - (radius_mm * np.sin(angle)) ** 2, 0.0))
+    hit = (np.abs(radius_mm * np.sin(angle)) < a) & (radius_mm * np.cos(angle) + root > 0)
+    near = np.maximum(radius_mm * np.cos(angle) - root, 0.0)[hit]
+    far = (radius_mm * np.cos(angle) + root)[hit]
+    integral = (_ring(k, far) - _ring(k, near)).sum() * 2 * np.pi / 20_000
+    expected = integral / (np.pi * (a / 1e3) ** 2)
+    assert mean_hankel(k, radius_mm / 1e3, a / 1e3) == pytest.approx(expected, rel=2e-4)
+
+
+def _ring(k, s_mm):
+    """Integral of H0(2)(k s) s from 0 to s."""
+    z = k * np.maximum(s_mm, 1e-9) / 1e3
+    return (z * hankel2(1, z) - 2j / np.pi) / k**2
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.0, 400.0))
+def test_given_any_distance_then_the_table_is_within_1e_minus_7(radius_mm):
+    direct = SOFT_PLATE.velocity(FREQUENCY_HZ[1:], radius_mm)
+    error = TABLE.evaluate(np.array([radius_mm]))[0, 1:] - direct
+    assert np.max(np.abs(error) / np.abs(direct)) < 1e-8
+
+
+def test_given_single_precision_then_the_table_keeps_100_db():
+    table = PlateTable(SOFT_PLATE, STEP_HZ, 1001, np.ones(1001, dtype=np.complex128), single=True)
+    radius_mm = np.linspace(2.5, 300, 57)
+    direct = SOFT_PLATE.velocity(FREQUENCY_HZ, radius_mm[:, None])
+    error = table.evaluate(radius_mm) - direct
+    assert table.evaluate(radius_mm).dtype == np.complex64
+    assert np.max(np.abs(error)[:, 1:] / np.abs(direct)[:, 1:]) < 1e-5
+
+
+def test_given_no_frequency_then_nothing_moves():
+    assert SOFT_PLATE.velocity(0.0, 10.0) == 0
+    assert chain_response(np.array([0.0])) == pytest.approx(0)
+
+
+@pytest.mark.parametrize(("speed_m_s", "damping_per_s"), [(0.0, 1.0), (-4.8, 1.0), (np.nan, 1.0)])
+def test_given_a_speed_that_is_not_positive_then_it_is_named(speed_m_s, damping_per_s):
+    with pytest.raises(ValueError, match="speed_m_s"):
+        DampedWave(speed_m_s, damping_per_s)
+
+
+def test_given_a_damping_that_feeds_the_wave_then_it_is_refused():
+    with pytest.raises(ValueError, match=r"damping_per_s is -1.*grow"):
+        DampedWave(4.8, -1.0)
+
+
+@pytest.mark.parametrize("function", [lambda k, r: mean_hankel(k, r, 0.0025), thin_plate_green])
+def test_given_a_growing_wave_or_a_negative_radius_then_it_is_refused(function):
+    with pytest.raises(ValueError, match=r"imaginary part of 1.*grow"):
+        function(100 + 1j, 0.01)
+    with pytest.raises(ValueError, match=r"radius is -0\.01 m"):
+        function(100 - 1j, -0.01)
+
+
+def test_given_a_source_without_size_then_it_is_refused():
+    with pytest.raises(ValueError, match="source radius is 0"):
+        mean_hankel(100 - 1j, 0.01, 0.0)
+
+
+def test_given_an_impossible_plate_then_the_fit_says_so():
+    with pytest.raises(ValueError, match="must be greater than 0"):
+        fit_damped_wave(group_velocity_m_s=-1.0)
+
+
+def test_given_the_driving_point_then_the_thin_plate_has_its_limit():
+    k = 80.0 - 2.0j
+    assert thin_plate_green(k, 0.0) == pytest.approx(-1j / (8 * k * k))
+    assert thin_plate_green(k, 1e-7) == pytest.approx(-1j / (8 * k * k), rel=1e-6)
+
+
+def test_given_a_thin_plate_then_its_green_function_solves_the_biharmonic_equation():
+    k, h = 60.0 - 1.0j, 2e-4
+    x = 0.03 + h * np.arange(-2, 3)
+    y = h * np.arange(-2, 3)
+    w = thin_plate_green(k, np.hypot(*np.meshgrid(x, y)))
+    laplacian = (w[1:-1, 2:] + w[1:-1, :-2] + w[2:, 1:-1] + w[:-2, 1:-1] - 4 * w[1:-1, 1:-1]) / h**2
+    biharmonic = (
+        laplacian[1, 2] + laplacian[1, 0] + laplacian[2, 1] + laplacian[0, 1] - 4 * laplacian[1, 1]
+    ) / h**2
+    assert biharmonic == pytest.approx(k**4 * w[2, 2], rel=1e-3)
+
+
+def test_given_the_rim_then_neighbours_are_equally_far_along_it():
+    rim = np.array(stadium_rim(400, 250.0, 150.0, 6.0))
+    gaps = np.hypot(*(np.roll(rim, -1, axis=0) - rim).T)
+    assert gaps.sum() == pytest.approx(2 * np.pi * 69 + 200, rel=1e-4)
+    assert gaps.max() - gaps.min() < 1e-4
+    assert np.all(inside_stadium(rim[:, 0], rim[:, 1], 250.0, 150.0, 5.999))
+    assert not np.any(inside_stadium(rim[:, 0], rim[:, 1], 250.0, 150.0, 6.001))
+
+
+@pytest.mark.parametrize("wrong", [(0, 250.0, 150.0, 6.0), (20, 100.0, 150.0, 6.0), (20, 250.0, 150.0, 75.0)])
+def test_given_no_such_stadium_then_the_rim_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"count is 0|no stadium"):
+        stadium_rim(*wrong)
+
+
+def test_given_the_default_grid_then_it_has_1500_positions():
+    x_mm, y_mm = np.meshgrid((np.arange(-40, 40) + 0.5) * 4, np.arange(-25, 26) * 4)
+    assert np.count_nonzero(inside_stadium(x_mm, y_mm, 250.0, 150.0, 14.3)) == 1500
+
+
+def test_given_the_straight_mirror_then_a_slope_is_a_thousandth_of_the_place():
+    assert MirrorGeometry().spot_mm(100.0, -50.0) == pytest.approx((1000 * np.tan(0.1), 1000 * np.tan(-0.05)))
+
+
+@given(st.floats(-120, 120), st.floats(-70, 70), st.floats(-30, 30), st.floats(-30, 30), st.floats(-180, 180))
+def test_given_any_mirror_then_its_angles_lead_back_to_the_spot(x_mm, y_mm, about_x, about_y, roll):
+    mirror = MirrorGeometry(900.0, (12.0, -7.0), (about_x, about_y), roll)
+    assert mirror.spot_mm(*mirror.angles_mrad(x_mm, y_mm)) == pytest.approx((x_mm, y_mm), abs=1e-9)
+
+
+def test_given_a_mirror_behind_the_surface_then_it_is_refused():
+    with pytest.raises(ValueError, match="distance_mm is 0"):
+        MirrorGeometry(distance_mm=0.0)

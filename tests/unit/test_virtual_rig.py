@@ -1,0 +1,361 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.protocols import Recording, RecordRequest, Take
+from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+
+RATE_HZ = 10_000.0
+PRE_ROLL_S = 0.02
+PLACE_MM = (60.0, 40.0)
+ACTUATOR = 2
+TAKE = Take(0, 1, 0)
+
+QUIET = VirtualSettings(
+    noise_v=0.0,
+    reference_noise_v=0.0,
+    clock_ppm=0.0,
+    inter_channel_delay_s=0.0,
+    latency_s=(0.01, 0.01),
+    dropout_probability=0.0,
+)
+
+
+def changed(settings: VirtualSettings = QUIET, **changes: object) -> VirtualSettings:
+    return dataclasses.replace(settings, **changes)
+
+
+def point(rig: VirtualRig, place_mm=PLACE_MM) -> None:
+    rig.instruments.mirror.move_to(*rig.settings.mirror.angles_mrad(*place_mm))
+    rig.instruments.mirror.wait_settled(1.0)
+
+
+def record(
+    rig: VirtualRig,
+    drive_v,
+    take: Take = TAKE,
+    *,
+    channels=(ACTUATOR,),
+    place_mm=PLACE_MM,
+    samples: int = 4000,
+    range_v=(2.0, 1.0),
+) -> Recording:
+    point(rig, place_mm)
+    instruments = rig.instruments
+    instruments.recorder.start(RecordRequest(samples, RATE_HZ, range_v, take))
+    instruments.clock.sleep(PRE_ROLL_S)
+    signals = dict.fromkeys((*channels, rig.settings.channel_of_loopback), drive_v)
+    instruments.player.play(signals, RATE_HZ)
+    instruments.player.wait(10.0)
+    return instruments.recorder.read(10.0)
+
+
+def drive(samples: int = 800, seed: int = 3) -> np.ndarray:
+    """An arbitrary signal, its values on the steps of the player's converter."""
+    return on_steps(np.random.default_rng(seed).uniform(-1, 1, samples))
+
+
+def on_steps(volts: np.ndarray) -> np.ndarray:
+    step_v = QUIET.full_scale_v / 32768
+    return np.rint(volts / step_v) * step_v
+
+
+def response_volts(rig: VirtualRig, drive_v, taps: int = 6000, place_mm=PLACE_MM, actuator=ACTUATOR):
+    green = rig.truth(*place_mm, taps)[actuator] / rig.settings.sensitivity_m_s_per_v
+    return np.convolve(drive_v, green)
+
+
+def at_instants(signal, instants):
+    """Band-limited value of a sampled signal at fractional sample instants, by its definition."""
+    return np.sinc(np.asarray(instants)[:, None] - np.arange(len(signal))) @ signal
+
+
+def test_given_one_clock_and_no_noise_then_the_response_is_the_convolution_with_the_truth():
+    rig, drive_v = VirtualRig(QUIET), drive()
+    heard = record(rig, drive_v)
+    expected = np.zeros(4000)
+    expected[300:] = response_volts(rig, drive_v)[:3700]
+    assert np.abs(expected).max() > 0.02
+    assert np.abs(heard.volts[1] - expected).max() < 0.6 * heard.volts_per_count[1]
+
+
+def test_given_one_clock_then_the_reference_is_the_drive():
+    rig, drive_v = VirtualRig(QUIET), drive()
+    heard = record(rig, drive_v)
+    expected = np.zeros(4000)
+    expected[300:1100] = drive_v
+    assert np.abs(heard.volts[0] - expected).max() < 0.6 * heard.volts_per_count[0]
+
+
+def test_given_two_clocks_then_sample_k_arrives_at_offset_plus_k_times_ratio():
+    settings = changed(clock_ppm=400.0, latency_s=(0.0123456, 0.0123456), inter_channel_delay_s=2e-5)
+    # A smooth signal: white noise cut off sharply would ring on for ever, and a transform repeats that.
+    rig, drive_v = VirtualRig(settings), on_steps(np.convolve(drive(), np.hanning(30) / 15))
+    heard = record(rig, drive_v)
+    ratio = 1 + 400e-6
+    offset = (PRE_ROLL_S + 0.0123456) * RATE_HZ * ratio
+    instants = np.arange(0, 4000, 7)
+    reference = at_instants(drive_v, (instants - offset) / ratio)
+    response = at_instants(response_volts(rig, drive_v), (instants + 0.2 * ratio - offset) / ratio)
+    assert np.abs(heard.volts[0, instants] - reference).max() < 0.7 * heard.volts_per_count[0]
+    assert np.abs(heard.volts[1, instants] - response).max() < 0.6 * heard.volts_per_count[1]
+
+
+def test_given_many_channels_then_their_responses_add():
+    rig, drive_v = VirtualRig(QUIET), drive()
+    together = record(rig, drive_v, channels=(0, 5, 11)).volts[1]
+    expected = sum(response_volts(rig, drive_v, actuator=actuator)[:3000] for actuator in (0, 5, 11))
+    assert np.abs(together[300:3300] - expected).max() < 0.6 / 32768
+
+
+def test_given_another_wiring_then_each_channel_drives_its_actuator():
+    channels = tuple(range(20, 0, -1))
+    rig = VirtualRig(changed(actuator_channels=channels, loopback_channel=0))
+    drive_v = drive()
+    heard = record(rig, drive_v, channels=(channels[ACTUATOR],)).volts[1]
+    assert rig.instruments.player.channels == 21
+    assert np.abs(heard[300:3300] - response_volts(rig, drive_v)[:3000]).max() < 0.6 / 32768
+
+
+def test_given_two_actuators_on_one_channel_then_the_wiring_is_refused():
+    with pytest.raises(ValueError, match="actuator_channels"):
+        changed(actuator_channels=(0,) * 20)
+
+
+def test_given_a_player_at_48_khz_then_the_response_is_that_of_the_same_waveform():
+    rig = VirtualRig(changed(clock_ppm=0.0))
+    time_s = np.arange(4800) / 48_000
+    tone = np.sin(2 * np.pi * 200 * time_s) * np.hanning(4800)
+    slow = np.sin(2 * np.pi * 200 * np.arange(1000) / 10_000) * np.hanning(1001)[:-1]
+    point(rig)
+    heard = []
+    for volts, rate_hz in ((tone, 48_000.0), (slow, RATE_HZ)):
+        rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), Take(0, 1, 0)))
+        rig.instruments.player.play({ACTUATOR: volts}, rate_hz)
+        rig.instruments.player.wait(1.0)
+        heard.append(rig.instruments.recorder.read(1.0).volts[1])
+    assert np.abs(heard[0]).max() > 0.01
+    assert np.abs(heard[0] - heard[1]).max() < 2e-3 * np.abs(heard[0]).max()
+
+
+def test_given_the_truth_then_it_is_causal_and_short_where_the_plate_is_loud():
+    rig = VirtualRig(QUIET)
+    green = rig.truth(*PLACE_MM, 8000)[ACTUATOR]
+    energy = np.sum(green**2)
+    assert 10 * np.log10(np.sum(green[2000:] ** 2) / energy) < -70
+    travel_samples = int(np.hypot(*np.subtract(PLACE_MM, rig.settings.actuator_mm[ACTUATOR])) / 4.7 * 10)
+    assert 10 * np.log10(np.sum(green[: travel_samples - 10] ** 2) / energy) < -80
+
+
+def test_given_the_default_rig_then_a_sweep_peaks_between_5_and_7_volts():
+    rig = VirtualRig(changed())
+    time_s = np.arange(10_000) / RATE_HZ
+    sweep = np.sin(2 * np.pi * (20 + 240 * time_s) * time_s)
+    x_mm, y_mm = np.meshgrid((np.arange(-30, 30) + 0.5) * 4, np.arange(-15, 16) * 4)
+    peaks = []
+    for actuator, place in enumerate(rig.settings.actuator_mm):
+        distance = np.hypot(x_mm - place[0], y_mm - place[1])
+        distance[np.hypot(np.maximum(np.abs(x_mm) - 50, 0), y_mm) > 60.7] = np.inf
+        nearest = np.unravel_index(distance.argmin(), distance.shape)
+        at_mm = (float(x_mm[nearest]), float(y_mm[nearest]))
+        peaks.append(np.abs(response_volts(rig, sweep, 2000, at_mm, actuator)).max())
+    assert 5.0 < max(peaks) < 7.0
+
+
+def test_given_the_same_take_then_the_bytes_are_the_same_whatever_came_before():
+    first, second = VirtualRig(), VirtualRig()
+    takes = [Take(7, 1, 3), Take(7, 2, 3), Take(8, 1, 0)]
+    forward = {take: record(first, drive(), take).volts.tobytes() for take in takes}
+    second.instruments.clock.sleep(12_345.678)
+    backward = {take: record(second, drive(), take).volts.tobytes() for take in reversed(takes)}
+    assert forward == backward
+    assert len(set(forward.values())) == 3
+
+
+@pytest.mark.parametrize(
+    "other", [Take(1, 1, 0), Take(0, 2, 0), Take(0, 1, 1), Take(0, 1, 0, "sentinel")], ids=str
+)
+def test_given_another_take_then_noise_and_latency_are_others(other):
+    rig = VirtualRig(changed(VirtualSettings(), dropout_probability=0.0))
+    one, two = record(rig, drive()), record(rig, drive(), other)
+    assert np.abs(one.volts[1] - two.volts[1]).max() > 1e-4
+    edges = [int(np.argmax(np.abs(heard.volts[0]) > 0.05)) for heard in (one, two)]
+    assert edges[0] != edges[1]
+
+
+def test_given_another_seed_then_gains_and_noise_are_others():
+    one, two = VirtualRig(VirtualSettings(seed=1)), VirtualRig(VirtualSettings(seed=2))
+    gain_db = 20 * np.log10(np.abs(one.truth(*PLACE_MM, 500) / two.truth(*PLACE_MM, 500)).max(axis=1))
+    assert np.ptp(gain_db) > 0.5
+    assert np.abs(gain_db).max() <= 4.0 + 1e-9
+
+
+def test_given_nothing_played_then_the_record_is_noise_of_the_stated_strength():
+    rig = VirtualRig(changed(noise_v=2e-3, reference_noise_v=1e-3))
+    point(rig)
+    rig.instruments.recorder.start(RecordRequest(40_000, RATE_HZ, (1.0, 1.0), Take(0, 1, 0)))
+    volts = rig.instruments.recorder.read(10.0).volts.astype(np.float64)
+    assert volts.std(axis=1) == pytest.approx([1e-3, 2e-3], rel=0.03)
+    assert abs(np.mean(volts[1] ** 4) / np.mean(volts[1] ** 2) ** 2 - 3) < 0.15
+    assert abs(np.corrcoef(volts)[0, 1]) < 0.03
+    assert abs(np.corrcoef(volts[1, 1:], volts[1, :-1])[0, 1]) < 0.03
+
+
+def test_given_a_play_that_began_before_then_its_rest_is_recorded():
+    rig, drive_v = VirtualRig(QUIET), drive(3000)
+    point(rig)
+    rig.instruments.player.play({ACTUATOR: drive_v, 20: drive_v}, RATE_HZ)
+    rig.instruments.clock.sleep(0.11)
+    rig.instruments.recorder.start(RecordRequest(1500, RATE_HZ, (2.0, 1.0), Take(0, 1, 0)))
+    heard = rig.instruments.recorder.read(1.0)
+    assert np.abs(heard.volts[0] - drive_v[1000:2500]).max() < 0.6 * heard.volts_per_count[0]
+    expected = response_volts(rig, drive_v)[1000:2500]
+    assert np.abs(heard.volts[1] - expected).max() < 0.6 * heard.volts_per_count[1]
+
+
+def test_given_a_mute_half_way_then_the_rest_is_silent():
+    rig, drive_v = VirtualRig(QUIET), drive(3000)
+    point(rig)
+    rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), Take(0, 1, 0)))
+    rig.instruments.player.play({20: drive_v}, RATE_HZ)
+    rig.instruments.clock.sleep(0.11)
+    rig.instruments.player.mute()
+    reference = rig.instruments.recorder.read(1.0).volts[0]
+    assert np.abs(reference[100:1100] - drive_v[:1000]).max() < 1e-4
+    assert np.abs(reference[1101:]).max() < 1e-4
+
+
+def test_given_a_mirror_that_moves_during_the_record_then_the_signal_is_lost_meanwhile():
+    rig = VirtualRig(QUIET)
+    point(rig)
+    rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (1.0, 10.0), Take(0, 1, 0)))
+    rig.instruments.clock.sleep(0.1)
+    rig.instruments.mirror.move_to(0.0, 0.0)
+    response = rig.instruments.recorder.read(1.0).volts[1]
+    assert np.all(response[:1000] == 0)
+    assert response[1000:1050].std() > 0.3
+    assert np.all(response[2000:] == 0)
+
+
+def test_given_a_parked_mirror_then_there_is_no_signal_but_noise():
+    rig = VirtualRig(QUIET)
+    rig.instruments.mirror.park()
+    rig.instruments.mirror.wait_settled(1.0)
+    rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (1.0, 10.0), Take(0, 1, 0)))
+    assert rig.instruments.recorder.read(1.0).volts[1].std() > 0.5
+
+
+def test_given_a_response_beyond_the_range_then_it_is_clipped_and_flagged():
+    rig = VirtualRig(QUIET)
+    fitting = record(rig, drive(), range_v=(2.0, 1.0))
+    clipped = record(rig, drive(), range_v=(2.0, 0.01))
+    assert fitting.over_range == (False, False)
+    assert clipped.over_range == (False, True)
+    assert clipped.volts[1].max() == pytest.approx(0.01 * 32767 / 32768)
+    assert clipped.volts[1].min() == pytest.approx(-0.01)
+
+
+def test_given_certain_dropouts_then_one_record_of_the_attempt_has_one():
+    rig = VirtualRig(changed(dropout_probability=1.0))
+    lost = []
+    for index in range(rig.settings.actuators):
+        volts = record(rig, 0 * drive(), Take(4, 1, index), range_v=(2.0, 10.0)).volts[1]
+        lost.append(np.count_nonzero(volts))
+    assert sorted(lost)[:-1] == [0] * 19
+    assert 18 <= max(lost) <= 100
+
+
+@pytest.mark.parametrize("changes", [{"noise_v": -1.0}, {"clock_ppm": 2000.0}, {"full_scale_v": 0.0},
+                                     {"dropout_probability": 1.5}, {"latency_s": (0.03, 0.01)},
+                                     {"actuator_mm": ((1.0,),)}])  # fmt: skip
+def test_given_an_impossible_setting_then_it_is_named(changes):
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        changed(**changes)
+
+
+def test_given_a_planned_underflow_then_the_player_says_so_and_the_record_breaks_off():
+    rig = VirtualRig(changed(fault_plan=(Fault("player", "wait", "underflow", position=5),)))
+    point(rig)
+    drive_v = drive(2000)
+    for take, complete in ((Take(5, 1, 0), False), (Take(5, 2, 0), True)):
+        rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), take))
+        rig.instruments.player.play({20: drive_v}, RATE_HZ)
+        if complete:
+            rig.instruments.player.wait(1.0)
+        else:
+            with pytest.raises(TransientInstrumentError, match="underflow"):
+                rig.instruments.player.wait(1.0)
+        tail = rig.instruments.recorder.read(1.0).volts[0, 1500:2000]
+        assert bool(np.abs(tail).max() > 0.1) is complete
+
+
+def test_given_a_short_read_then_the_next_attempt_succeeds():
+    rig = VirtualRig(changed(fault_plan=(Fault("recorder", "read", "short_read", at_call=2),)))
+    record(rig, drive())
+    with pytest.raises(TransientInstrumentError, match=r"recorder: recording capture of position 0.*half"):
+        record(rig, drive())
+    assert record(rig, drive()).volts.shape == (2, 4000)
+
+
+def test_given_a_lost_mirror_then_it_stays_lost_but_parking_and_closing_are_tried():
+    rig = VirtualRig(changed(fault_plan=(Fault("mirror", "move_to", "lost", at_call=2),)))
+    point(rig)
+    for _ in range(2):
+        with pytest.raises(InstrumentLostError, match="mirror: moving"):
+            rig.instruments.mirror.move_to(0.0, 0.0)
+    with pytest.raises(InstrumentLostError, match="parking"):
+        rig.instruments.mirror.park()
+    rig.instruments.mirror.close()
+
+
+def test_given_a_missing_reference_then_its_channel_is_empty():
+    rig = VirtualRig(changed(fault_plan=(Fault("recorder", "read", "missing_reference", position=0),)))
+    heard = record(rig, drive())
+    assert np.all(heard.volts[0] == 0)
+    assert np.abs(heard.volts[1]).max() > 0.01
+
+
+def test_given_a_planned_over_range_then_the_flag_is_up():
+    rig = VirtualRig(changed(fault_plan=(Fault("recorder", "read", "over_range", position=0, record=1),)))
+    assert record(rig, drive(), Take(0, 1, 0)).over_range == (False, False)
+    assert record(rig, drive(), Take(0, 1, 1)).over_range == (False, True)
+    assert record(rig, drive(), Take(0, 2, 1)).over_range == (False, False)
+
+
+def test_given_a_planned_dropout_then_some_samples_are_lost():
+    rig = VirtualRig(changed(fault_plan=(Fault("recorder", "read", "dropout", position=0),)))
+    lost = record(rig, 0 * drive(), range_v=(2.0, 10.0)).volts[1]
+    assert 18 <= np.count_nonzero(lost) <= 100
+
+
+def test_given_a_drift_then_the_response_is_weaker_by_that_much():
+    drift = Fault("recorder", "read", "drift", at_call=2, count=100, level_db=-6.0)
+    rig = VirtualRig(changed(fault_plan=(drift,)))
+    before, after = record(rig, drive()), record(rig, drive())
+    assert after.volts[1].std() / before.volts[1].std() == pytest.approx(10**-0.3, rel=1e-3)
+    assert np.array_equal(after.volts[0], before.volts[0])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        (("camera", "read", "lost"), "role is 'camera'"),
+        (("mirror", "play", "lost"), "operation of the mirror is 'play'"),
+        (("mirror", "park", "underflow"), "kind of mirror park is 'underflow'"),
+        (("player", "wait", "lost"), "needs either at_call"),
+    ],
+)
+def test_given_a_fault_that_cannot_be_then_it_is_named(wrong, named):
+    with pytest.raises(ValueError, match=named):
+        Fault(*wrong)
+
+
+def test_given_a_second_play_before_the_first_ended_then_it_is_refused():
+    rig = VirtualRig(QUIET)
+    rig.instruments.player.play({0: drive()}, RATE_HZ)
+    with pytest.raises(InstrumentError, match="still playing"):
+        rig.instruments.player.play({0: drive()}, RATE_HZ)
