@@ -1,0 +1,1 @@
+"""The campaign: plan, schedule, engine, events, point quality."""

@@ -1,0 +1,136 @@
+"""One attempt at a position: what was recorded, what it is worth, and what of it goes into the bank."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from acquisition.quality import Judgement, QualityLimits, Status, judge
+from calibration.bank_ledger import PointRecord
+from calibration.bank_writer import BankWriter
+from calibration.estimator import Estimate, Estimator
+from calibration.timing import ReferenceMissingError
+from drivers.protocols import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """A try at a position: `number` counts all tries ever, `of_session` those of this session."""
+
+    position: int
+    number: int
+    of_session: int
+
+    def next(self) -> Attempt:
+        """The try after this one."""
+        return replace(self, number=self.number + 1, of_session=self.of_session + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """The recordings of an attempt, one per actuator; none and a `fault` when an instrument failed."""
+
+    attempt: Attempt
+    recordings: tuple[Recording, ...]
+    fault: str
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptResult:
+    """An attempt estimated and judged.
+
+    `final` says that no further attempt follows, `committed` that the bank holds it.
+    """
+
+    attempt: Attempt
+    estimate: Estimate | None
+    judgement: Judgement
+    final: bool = False
+    committed: bool = False
+
+    @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """Sorts attempts from best to worst: valid ones, then usable ones, then by score."""
+        return (not self.judgement.good, self.estimate is None, self.judgement.score)
+
+    @property
+    def median_snr_db(self) -> float:
+        """Median signal-to-noise ratio over actuators, NaN without an estimate."""
+        return float("nan") if self.estimate is None else float(np.median(self.estimate.snr_db))
+
+    @property
+    def worst_residual_db(self) -> float:
+        """Residual of the best-heard actuator, NaN without an estimate."""
+        if self.estimate is None:
+            return float("nan")
+        return float(self.estimate.residual_db[int(np.argmax(self.estimate.snr_db))])
+
+    @property
+    def clock_ppm(self) -> float:
+        """Median clock ratio between recorder and player, as its distance from 1 in ppm."""
+        if self.estimate is None:
+            return float("nan")
+        return float(np.median(self.estimate.clock_ratio) - 1.0) * 1e6
+
+    @property
+    def start_offset_samples(self) -> float:
+        """Median start offset of the player within the records, in samples."""
+        return float("nan") if self.estimate is None else float(np.median(self.estimate.offset_samples))
+
+
+def evaluate(
+    recorded: Recorded, estimator: Estimator, range_v: tuple[float, float], limits: QualityLimits
+) -> AttemptResult:
+    """Estimate the Green's functions of an attempt and judge them.
+
+    An attempt without recordings, or whose reference cannot be found, is judged
+    ``Status.FAILED``: nothing of it can be used.
+    """
+    if not recorded.recordings:
+        return AttemptResult(recorded.attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
+    volts = np.stack([one.volts for one in recorded.recordings])
+    try:
+        estimate = estimator.estimate(volts[:, 0], volts[:, 1], range_v=range_v)
+    except ReferenceMissingError as missing:
+        return AttemptResult(recorded.attempt, None, Judgement(Status.FAILED, str(missing), np.inf))
+    over_range = any(any(one.over_range) for one in recorded.recordings)
+    return AttemptResult(recorded.attempt, estimate, judge(estimate, over_range, limits))
+
+
+def commit_attempt(bank: BankWriter, result: AttemptResult, attempts: int) -> AttemptResult:
+    """Commit the best attempt at a position, unless the bank already holds a better one.
+
+    Parameters
+    ----------
+    bank : BankWriter
+        Open for writing.
+    result : AttemptResult
+        The best attempt of this session.
+    attempts : int
+        Tries at this position so far, for the bank's ``attempts``.
+
+    Returns
+    -------
+    AttemptResult
+        `result`, final, and saying whether it was committed.
+    """
+    position = result.attempt.position
+    held = Status(int(bank.status[position]))
+    holds_data = bool(held & (Status.VALID | Status.OVER_RANGE | Status.POOR_SIGNAL))
+    if holds_data and not result.judgement.good:
+        return replace(result, final=True, committed=False)
+    actuators, taps = len(bank.header.actuator_mm), bank.header.taps
+    nothing = np.full(actuators, np.nan, np.float32)
+    estimate = result.estimate
+    record = PointRecord(
+        status=int(result.judgement.status),
+        attempts=attempts,
+        snr_db=nothing if estimate is None else estimate.snr_db,
+        residual_db=nothing if estimate is None else estimate.residual_db,
+        coherence=nothing if estimate is None else estimate.coherence,
+        peak_v=nothing if estimate is None else estimate.peak_v,
+    )
+    green = np.zeros((actuators, taps), np.float32) if estimate is None else estimate.green
+    bank.commit(position, green, record)
+    return replace(result, final=True, committed=True)

@@ -1,0 +1,17 @@
+"""Durations for people."""
+
+from __future__ import annotations
+
+import math
+
+
+def hours(seconds: float) -> str:
+    """A duration for people: ``2 h 05 min``, ``4 min 10 s``, ``12 s``."""
+    if not math.isfinite(seconds):
+        return "unknown"
+    whole = max(0, round(seconds))
+    if whole >= 3600:
+        return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    if whole >= 60:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole} s"

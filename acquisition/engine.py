@@ -1,0 +1,353 @@
+"""The engine: walks a plan through the instruments into a bank."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from acquisition.attempt import Attempt, AttemptResult, Recorded, commit_attempt, evaluate
+from acquisition.errors import DriftError
+from acquisition.events import (
+    Drift,
+    Fault,
+    PositionCommitted,
+    PositionKept,
+    PositionRepeated,
+    PositionStarted,
+    Progress,
+    SessionEnded,
+    SessionStarted,
+    State,
+    StateChanged,
+    Subscriber,
+)
+from acquisition.plan import Plan, sentinel_of
+from acquisition.quality import Status, status_counts
+from acquisition.record import take_record
+from acquisition.sentinel import compare_sentinel
+from acquisition.setup import Setup
+from acquisition.stopping import StopRequest
+from calibration.bank_writer import BankWriter
+from calibration.estimator import Estimator
+from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.protocols import Float64Array, Recording, Take
+
+# As many positions in a row without one good record mean a broken instrument, not a bad spot.
+FAILED_IN_A_ROW = 3
+
+
+class Campaign:
+    """One session of a campaign, from the first position to do to the last or to a stop.
+
+    While a position is recorded, the estimate, the judgement and the commit of the
+    one before run in a second thread; the mirror moves on as soon as the last sample of
+    a position is in.
+
+    Parameters
+    ----------
+    plan : Plan
+        What to measure.
+    setup : Setup
+        With what.
+    bank : BankWriter
+        Open for writing; its status says what is committed.
+    publish : callable
+        Receives every event, in order, in the thread that calls :meth:`run`.
+    stop : StopRequest
+        Where a person asks for a stop.
+    """
+
+    def __init__(self, plan: Plan, setup: Setup, bank: BankWriter, publish: Subscriber, stop: StopRequest) -> None:
+        self._plan = plan
+        self._setup = setup
+        self._bank = bank
+        self._publish = publish
+        self._stop = stop
+        self._clock = setup.instruments.clock
+        self._signal_v = plan.excitation.signal_v()
+        self._estimator = Estimator(
+            plan.excitation,
+            plan.taps,
+            reference_gain=setup.reference_gain,
+            response_per_volt=setup.response_per_volt,
+            inter_channel_delay_s=setup.inter_channel_delay_s,
+        )
+        self._queue: deque[Attempt] = deque()
+        self._pending: Future[AttemptResult] | None = None
+        self._best: dict[int, AttemptResult] = {}
+        self._failed_in_a_row = 0
+        self._last_fault: InstrumentError | None = None
+        self._started_s = 0.0
+        self._started_wall_s = 0.0
+        self._committed = 0
+
+    def run(self, positions: Sequence[int] | None = None, *, accept_drift: bool = False) -> SessionEnded:
+        """Measure what is to do, or the given positions once more.
+
+        Parameters
+        ----------
+        positions : sequence of int, optional
+            Bank rows to measure again; by default those not measured yet.
+        accept_drift : bool
+            Go on although the sentinel position has changed.
+
+        Returns
+        -------
+        SessionEnded
+            Also published, as the last event.
+
+        Raises
+        ------
+        DriftError
+            The sentinel position is not what the bank holds; nothing was added.
+        InstrumentError
+            An instrument failed for good; all that was committed is safe.
+        """
+        rows = self._plan.to_do(self._bank.status) if positions is None else positions
+        self._started_s, self._started_wall_s = self._clock.now_s(), time.monotonic()
+        self._queue = deque(Attempt(int(row), int(self._bank.attempts[row]) + 1, 1) for row in rows)
+        self._publish_start(len(rows))
+        state, reason = State.FINISHED, "every position is committed"
+        try:
+            # One BLAS thread: the matrices are small, idle BLAS threads would steal the core that records,
+            # and the order of sums, so every byte of the bank, would depend on how many there are.
+            with threadpool_limits(limits=1, user_api="blas"):
+                if len(rows):
+                    self._check_sentinel(accept_drift)
+                    self._measure_queue()
+            if self._stop.requested and self._queue:
+                state, reason = State.STOPPED, "stopped by the user after the position"
+        except KeyboardInterrupt:
+            state, reason = State.STOPPED, "stopped by the user at once"
+        except BaseException as failure:
+            self._publish_end(State.FAILED, str(failure))
+            raise
+        return self._publish_end(state, reason)
+
+    # -- measuring ---------------------------------------------------------------------------
+
+    def _measure_queue(self) -> None:
+        """Record every queued attempt while the one before is estimated, judged and committed."""
+        with ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate") as worker:
+            try:
+                while self._goes_on():
+                    recorded = self._record_attempt(self._queue.popleft())
+                    self._collect()
+                    self._pending = worker.submit(self._evaluate_and_commit, recorded)
+            finally:
+                self._collect()
+
+    def _goes_on(self) -> bool:
+        """Whether there is an attempt to record; a stop still lets a position's repeats finish."""
+        if self._stop.requested or not self._queue:
+            self._collect()
+        return bool(self._queue) and (not self._stop.requested or self._queue[0].of_session > 1)
+
+    def _record_attempt(self, attempt: Attempt) -> Recorded:
+        """Record all actuators at one position; an instrument's passing fault costs the attempt."""
+        x_mm, y_mm = (float(value) for value in self._plan.position_mm[attempt.position])
+        self._publish(PositionStarted(self._time_s(), attempt.position, attempt.number, x_mm, y_mm))
+        recordings: list[Recording] = []
+        try:
+            self._point_at(attempt.position)
+            for actuator, channel in enumerate(self._setup.actuator_channels):
+                recordings.append(self._record(channel, Take(attempt.position, attempt.number, actuator)))
+                if self._pending is not None and self._pending.done():
+                    self._collect()
+        except TransientInstrumentError as fault:
+            self._last_fault = fault
+            retried = attempt.of_session < self._plan.quality.max_attempts
+            self._publish_fault(fault, attempt, retried)
+            return Recorded(attempt, (), str(fault))
+        except InstrumentError as fault:
+            self._publish_fault(fault, attempt, retried=False)
+            raise
+        if self._queue:
+            self._start_move(self._queue[0].position)
+        return Recorded(attempt, tuple(recordings), "")
+
+    def _record(self, channel: int, take: Take) -> Recording:
+        signals_v: dict[int, Float64Array] = {
+            channel: self._signal_v,
+            self._setup.loopback_channel: self._signal_v,
+        }
+        return take_record(self._setup, signals_v, self._plan.excitation.sample_rate_hz, take)
+
+    def _start_move(self, position: int) -> None:
+        x_mm, y_mm = self._plan.position_mm[position]
+        x_mrad, y_mrad = self._setup.mirror_map.angles_mrad(x_mm, y_mm)
+        self._setup.instruments.mirror.move_to(float(x_mrad), float(y_mrad))
+
+    def _point_at(self, position: int) -> None:
+        """Point at a position; where the move is under way already, this only waits for it."""
+        self._start_move(position)
+        self._setup.instruments.mirror.wait_settled(self._setup.settle_timeout_s)
+
+    # -- judging and committing ----------------------------------------------------------------
+
+    def _evaluate_and_commit(self, recorded: Recorded) -> AttemptResult:
+        """In the worker: estimate, judge and, when nothing better can be hoped for, commit.
+
+        Signals reach the main thread only, so that a Ctrl-C never lands inside a commit.
+        """
+        result = evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality)
+        final = result.judgement.good or recorded.attempt.of_session >= self._plan.quality.max_attempts
+        if not final:
+            return result
+        best = min((result, self._best.get(recorded.attempt.position, result)), key=lambda one: one.rank)
+        return commit_attempt(self._bank, best, recorded.attempt.number)
+
+    def _collect(self) -> None:
+        """Wait for the evaluation under way, if any, and publish or queue what follows from it."""
+        if self._pending is None:
+            return
+        result = self._pending.result()
+        self._pending = None
+        attempt = result.attempt
+        if not result.final:
+            kept = self._best.get(attempt.position, result)
+            self._best[attempt.position] = min((result, kept), key=lambda one: one.rank)
+            self._publish(PositionRepeated(self._time_s(), attempt.position, attempt.number, result.judgement.reason))
+            self._queue.appendleft(attempt.next())
+            return
+        self._best.pop(attempt.position, None)
+        if not result.committed:
+            self._publish(PositionKept(self._time_s(), attempt.position, attempt.number, result.judgement.reason))
+        else:
+            self._publish(
+                PositionCommitted(
+                    self._time_s(),
+                    attempt.position,
+                    int(result.judgement.status),
+                    int(self._bank.attempts[attempt.position]),
+                    result.median_snr_db,
+                    result.worst_residual_db,
+                    result.clock_ppm,
+                    result.start_offset_samples,
+                )
+            )
+        self._committed += 1
+        self._publish_progress()
+        self._count_failures(result)
+
+    def _count_failures(self, result: AttemptResult) -> None:
+        """Stop when position after position yields nothing: that is an instrument, not the plate."""
+        if not result.judgement.status & Status.FAILED:
+            self._failed_in_a_row = 0
+            return
+        self._failed_in_a_row += 1
+        if self._failed_in_a_row >= FAILED_IN_A_ROW:
+            cause = f"{FAILED_IN_A_ROW} positions in a row gave no usable record ({result.judgement.reason})"
+            fault = self._last_fault
+            raise InstrumentError(
+                fault.instrument if fault else "recorder",
+                fault.operation if fault else "recording the reference",
+                cause,
+                fault.remedy if fault else "check the loopback cable from the player to the reference input",
+            )
+
+    # -- drift ---------------------------------------------------------------------------------
+
+    def _check_sentinel(self, accept_drift: bool) -> None:
+        """On a resume, measure the sentinel again and refuse to mix two plates in one bank."""
+        position = sentinel_of(self._plan, self._bank.status)
+        if position is None:
+            return
+        self._point_at(position)
+        recordings = [
+            self._record(channel, Take(position, 1, actuator, "sentinel"))
+            for actuator, channel in enumerate(self._setup.actuator_channels)
+        ]
+        recorded = Recorded(Attempt(position, 1, 1), tuple(recordings), "")
+        result = evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality)
+        if result.estimate is None:
+            raise DriftError(
+                f"sentinel position {position} could not be measured: {result.judgement.reason}; "
+                "check cables and laser, then resume"
+            )
+        figures = compare_sentinel(self._bank.green(position), result.estimate.green)
+        self._publish(
+            Drift(
+                self._time_s(),
+                position,
+                figures.level_db,
+                figures.delay_samples,
+                figures.correlation,
+                figures.verdict,
+            )
+        )
+        if figures.verdict == "stop" and not accept_drift:
+            raise DriftError(
+                f"sentinel position {position} is not what the bank holds: level {figures.level_db:+.2f} dB, "
+                f"delay {figures.delay_samples:+.2f} samples, correlation {figures.correlation:.3f}; the plate, "
+                "the mirror or a level has changed, and nothing was added; put it right and resume, start a new "
+                "bank, or go on with --accept-drift"
+            )
+
+    # -- telling -------------------------------------------------------------------------------
+
+    def _time_s(self) -> float:
+        return self._clock.now_s() - self._started_s
+
+    def _done(self) -> int:
+        return int(np.count_nonzero(self._bank.status))
+
+    def _publish_start(self, to_do: int) -> None:
+        roles = self._setup.instruments
+        self._publish(
+            SessionStarted(
+                self._time_s(),
+                str(self._bank.path),
+                self._plan.positions,
+                self._plan.actuators,
+                self._done(),
+                to_do,
+                to_do * self._plan.position_s(self._setup),
+                (roles.mirror.identify(), roles.recorder.identify(), roles.player.identify()),
+            )
+        )
+        self._publish(StateChanged(self._time_s(), State.RUNNING, f"{to_do} positions to do"))
+
+    def _publish_progress(self) -> None:
+        elapsed_s = self._time_s()
+        left = len(self._queue)
+        per_position_s = elapsed_s / max(self._committed, 1)
+        wall_s = (time.monotonic() - self._started_wall_s) / max(self._committed, 1)
+        self._publish(
+            Progress(
+                elapsed_s,
+                self._done(),
+                self._plan.positions,
+                elapsed_s,
+                left * per_position_s,
+                left * wall_s,
+                3600.0 / per_position_s if per_position_s > 0 else 0.0,
+            )
+        )
+
+    def _publish_fault(self, fault: InstrumentError, attempt: Attempt, retried: bool) -> None:
+        self._publish(
+            Fault(
+                self._time_s(),
+                fault.instrument,
+                fault.operation,
+                fault.cause,
+                fault.remedy,
+                attempt.position,
+                attempt.number,
+                retried,
+            )
+        )
+
+    def _publish_end(self, state: State, reason: str) -> SessionEnded:
+        self._publish(StateChanged(self._time_s(), state, reason))
+        ended = SessionEnded(
+            self._time_s(), state, self._done(), self._plan.positions, status_counts(self._bank.status)
+        )
+        self._publish(ended)
+        return ended

@@ -1,0 +1,7 @@
+"""Errors of a campaign."""
+
+from calibration.errors import WavefocusError
+
+
+class DriftError(WavefocusError):
+    """The plate measured now is not the plate that is in the bank."""

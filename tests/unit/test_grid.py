@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acquisition.grid import inside_stadium, read_positions_file, stadium_grid, stadium_rim
+from calibration.errors import InputError
+
+
+def test_default_grid_has_the_papers_1500_positions() -> None:
+    assert stadium_grid(250, 150, 14.3, 4).shape == (1500, 2)
+
+
+def test_default_grid_moves_by_one_spacing_within_rows_and_alternates_direction() -> None:
+    grid = stadium_grid(250, 150, 14.3, 4)
+    step_mm = np.diff(grid, axis=0)
+    same_row = step_mm[:, 1] == 0
+    assert np.all(np.abs(step_mm[same_row, 0]) == 4)
+    assert np.all(step_mm[~same_row, 1] == 4)
+    rows = [grid[grid[:, 1] == y_mm, 0] for y_mm in np.unique(grid[:, 1])]
+    directions = [np.sign(row[1] - row[0]) for row in rows]
+    assert directions == [1 if index % 2 == 0 else -1 for index in range(len(rows))]
+
+
+def test_grid_columns_lie_at_half_spacings_and_rows_at_whole_ones() -> None:
+    grid = stadium_grid(250, 150, 14.3, 4) / 4
+    assert np.all(grid[:, 0] - np.floor(grid[:, 0]) == 0.5)
+    assert np.all(grid[:, 1] == np.round(grid[:, 1]))
+
+
+@given(
+    width_mm=st.floats(10, 200),
+    extra_mm=st.floats(0, 200),
+    margin=st.floats(0, 0.45),
+    spacing_mm=st.floats(1, 8),
+)
+def test_any_grid_fills_the_inset_stadium_and_stays_in_it(
+    width_mm: float, extra_mm: float, margin: float, spacing_mm: float
+) -> None:
+    length_mm, margin_mm = width_mm + extra_mm, margin * width_mm
+    try:
+        grid = stadium_grid(length_mm, width_mm, margin_mm, spacing_mm)
+    except InputError:  # no position left: then the middle pair of columns is outside
+        assert not inside_stadium([spacing_mm / 2, 0], length_mm, width_mm, margin_mm)
+        return
+    half_mm, radius_mm = (length_mm - width_mm) / 2, width_mm / 2 - margin_mm
+    beyond_mm = np.maximum(np.abs(grid[:, 0]) - half_mm, 0)
+    assert np.all(np.hypot(beyond_mm, grid[:, 1]) <= radius_mm + 2e-6)
+    # The same lattice, far larger than the surface, holds no further point inside.
+    reach = math.ceil(length_mm / spacing_mm) + 2
+    index = np.arange(-reach, reach + 1)
+    lattice = np.stack(np.meshgrid((index + 0.5) * spacing_mm, index * spacing_mm), axis=-1)
+    assert len(grid) == np.count_nonzero(inside_stadium(lattice, length_mm, width_mm, margin_mm))
+    assert len(np.unique(grid, axis=0)) == len(grid)
+
+
+@pytest.mark.parametrize(
+    ("margin_mm", "spacing_mm", "key"),
+    [(75, 4, "margin_mm = 75"), (14.3, 1e-9, "spacing_mm = 1e-09"), (14.3, 300, "spacing_mm = 300")],
+)
+def test_grid_without_a_possible_position_names_key_and_value(
+    margin_mm: float, spacing_mm: float, key: str
+) -> None:
+    with pytest.raises(InputError, match=key):
+        stadium_grid(250, 150, margin_mm, spacing_mm)
+
+
+def test_points_on_the_outline_are_inside_and_beyond_it_are_not() -> None:
+    points = [[125, 0], [125.001, 0], [0, 75], [0, 75.001], [50 + 53, 53], [50 + 54, 54], [math.nan, 0]]
+    assert inside_stadium(points, 250, 150).tolist() == [True, False, True, False, True, False, False]
+
+
+def test_rim_of_20_starts_at_the_right_end_and_runs_anticlockwise_symmetrically() -> None:
+    rim = stadium_rim(250, 150, 6, 20)
+    np.testing.assert_allclose(rim[0], [119, 0])
+    assert rim[1, 1] > 0
+    np.testing.assert_allclose(rim[[5, 10, 15]], [[0, 69], [-119, 0], [0, -69]], atol=1e-9)
+    np.testing.assert_allclose(rim[1:10], rim[19:10:-1] * [1, -1], atol=1e-9)
+
+
+@given(
+    width_mm=st.floats(50, 200),
+    extra_mm=st.floats(0, 200),
+    inset_mm=st.floats(0, 20),
+    count=st.integers(1, 60),
+)
+def test_any_rim_lies_on_the_inset_outline_with_equal_arcs(
+    width_mm: float, extra_mm: float, inset_mm: float, count: int
+) -> None:
+    half_mm, radius_mm = extra_mm / 2, width_mm / 2 - inset_mm
+    rim = stadium_rim(width_mm + extra_mm, width_mm, inset_mm, count)
+    beyond_mm = np.maximum(np.abs(rim[:, 0]) - half_mm, 0)
+    np.testing.assert_allclose(np.hypot(beyond_mm, rim[:, 1]), radius_mm, rtol=1e-9)
+    fine = stadium_rim(width_mm + extra_mm, width_mm, inset_mm, count * 2000)
+    chord_mm = np.linalg.norm(np.diff(fine, axis=0, append=fine[:1]), axis=1)
+    perimeter_mm = 4 * half_mm + 2 * math.pi * radius_mm
+    np.testing.assert_allclose(chord_mm.reshape(count, 2000).sum(axis=1), perimeter_mm / count, rtol=1e-4)
+
+
+def test_positions_file_is_read_in_its_own_order(tmp_path: Path) -> None:
+    file = tmp_path / "grid.csv"
+    file.write_bytes(b"\xef\xbb\xbf# from the bench\r\nx_mm, y_mm\r\n\r\n3.5, -2\r\n-1e1,0\r\n")
+    assert read_positions_file(file, 250, 150).tolist() == [[3.5, -2], [-10, 0]]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "line 1: must be the header x_mm,y_mm"),
+        ("1,2\n", "line 1: must be the header x_mm,y_mm"),
+        ("x_m,y_m\n1,2\n", "line 1: must be the header x_mm,y_mm"),
+        ("x_mm,y_mm\n", "holds no position"),
+        ("x_mm,y_mm\n1,2\n3\n", "line 3: '3': must be two finite numbers"),
+        ("x_mm,y_mm\n1;2\n", "line 2: '1;2': must be two finite numbers"),
+        ("x_mm,y_mm\n1,2,3\n", "line 2: '1,2,3': must be two finite numbers"),
+        ("x_mm,y_mm\nnan,2\n", "line 2: 'nan,2': must be two finite numbers"),
+        ("x_mm,y_mm\n1e999,2\n", "line 2: '1e999,2': must be two finite numbers"),
+        ("x_mm,y_mm\n1,2\n\n1.0,2\n", "line 4: (1, 2) mm repeats line 2"),
+        ("x_mm,y_mm\n0,0\n0,76\n", "line 3: (0, 76) mm lies outside the surface; must be on the stadium"),
+    ],
+)
+def test_mistake_in_a_positions_file_names_file_and_line(tmp_path: Path, text: str, complaint: str) -> None:
+    file = tmp_path / "grid.csv"
+    file.write_text(text)
+    with pytest.raises(InputError) as told:
+        read_positions_file(file, 250, 150)
+    assert str(told.value).startswith(f"{file}: {complaint}")
+    assert "\n" not in str(told.value)
+
+
+def test_positions_file_that_is_no_text_is_told_with_the_line(tmp_path: Path) -> None:
+    file = tmp_path / "grid.csv"
+    file.write_bytes(b"x_mm,y_mm\n1,\xff\n")
+    with pytest.raises(InputError, match="line 2: not UTF-8"):
+        read_positions_file(file, 250, 150)

@@ -1,0 +1,79 @@
+"""From the estimator's figures to status bits."""
+
+import numpy as np
+import pytest
+
+from acquisition.quality import QualityLimits, Status, judge, status_counts
+from calibration.estimator import Estimate
+
+LIMITS = QualityLimits()
+
+
+def _estimate(records: int = 4, **changed: np.ndarray) -> Estimate:
+    figures = {
+        "green": np.zeros((records, 8), np.float32),
+        "snr_db": np.array([60.0, 40.0, 25.0, 5.0], np.float32),
+        "residual_db": np.array([-70.0, -45.0, -27.0, -4.0], np.float32),
+        "coherence": np.ones(records, np.float32),
+        "peak_v": np.ones(records, np.float32),
+        "repeat_db": np.full(records, -40.0, np.float32),
+        "noise_v": np.full(records, 1e-4, np.float32),
+        "clip_count": np.zeros(records, np.int32),
+        "offset_samples": np.zeros(records),
+        "clock_ratio": np.ones(records),
+    }
+    return Estimate(**{**figures, **changed})
+
+
+def test_given_far_actuators_that_are_mostly_noise_then_the_position_is_valid() -> None:
+    assert judge(_estimate(), False, LIMITS).good
+
+
+def test_given_a_near_actuator_loud_in_volts_but_well_explained_then_valid() -> None:
+    assert judge(_estimate(noise_v=np.array([3e-3, 1e-4, 1e-4, 1e-4], np.float32)), False, LIMITS).good
+
+
+def test_given_one_record_far_noisier_and_unexplained_then_poor_and_the_actuator_is_named() -> None:
+    judgement = judge(_estimate(noise_v=np.array([1e-4, 1e-4, 5e-3, 1e-4], np.float32)), False, LIMITS)
+    assert judgement.status == Status.POOR_SIGNAL
+    assert "actuator 2" in judgement.reason
+
+
+def test_given_most_records_spoilt_then_poor() -> None:
+    spoilt = _estimate(
+        noise_v=np.array([0.1, 0.07, 0.09, 1e-4], np.float32),
+        residual_db=np.array([-1.2, -5.0, -2.0, -47.0], np.float32),
+    )
+    assert judge(spoilt, False, LIMITS).status == Status.POOR_SIGNAL
+
+
+def test_given_every_record_equally_spoilt_then_poor() -> None:
+    spoilt = _estimate(
+        residual_db=np.full(4, -3.0, np.float32),
+        snr_db=np.full(4, 1.7, np.float32),
+        noise_v=np.full(4, 0.1, np.float32),
+    )
+    assert judge(spoilt, False, LIMITS).status == Status.POOR_SIGNAL
+
+
+def test_given_no_signal_at_all_then_poor() -> None:
+    judgement = judge(_estimate(snr_db=np.full(4, 3.0, np.float32)), False, LIMITS)
+    assert judgement.status & Status.POOR_SIGNAL
+    assert "signal-to-noise" in judgement.reason
+
+
+@pytest.mark.parametrize("flag", [True, False])
+def test_given_over_range_by_flag_or_by_count_then_not_valid(flag: bool) -> None:
+    clipped = np.array([0, 0 if flag else 3, 0, 0], np.int32)
+    judgement = judge(_estimate(clip_count=clipped), flag, LIMITS)
+    assert judgement.status == Status.OVER_RANGE
+
+
+def test_given_two_faults_then_both_bits_stand() -> None:
+    both = _estimate(noise_v=np.array([1e-4, 1e-4, 5e-3, 1e-4], np.float32))
+    assert judge(both, True, LIMITS).status == Status.OVER_RANGE | Status.POOR_SIGNAL
+
+
+def test_given_status_bytes_then_they_are_counted_by_word() -> None:
+    counts = status_counts(np.array([0, 0, 1, 2, 4, 6, 8, 16], np.uint8))
+    assert counts == {"not-measured": 2, "valid": 1, "over-range": 2, "poor": 2, "failed": 1, "disabled": 1}

@@ -1,0 +1,49 @@
+"""Drift figures of the sentinel position."""
+
+import numpy as np
+import pytest
+
+from acquisition.sentinel import compare_sentinel
+
+
+def _responses(seed: int = 1) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    envelope = np.exp(-np.arange(400) / 60.0) * (np.arange(400) > 20)
+    noise = random.standard_normal((4, 400))
+    smooth = np.apply_along_axis(lambda row: np.convolve(row, np.hanning(15), "same"), 1, noise)
+    return (smooth * envelope).astype(np.float32)
+
+
+def test_given_the_same_plate_then_steady() -> None:
+    then = _responses()
+    noise = np.random.default_rng(2).standard_normal(then.shape).astype(np.float32)
+    figures = compare_sentinel(then, then + 1e-3 * np.abs(then).max() * noise)
+    assert figures.verdict == "steady"
+    assert abs(figures.level_db) < 0.05
+    assert abs(figures.delay_samples) < 0.05
+    assert figures.correlation > 0.999
+
+
+def test_given_a_louder_plate_then_the_level_is_told() -> None:
+    figures = compare_sentinel(_responses(), _responses() * np.float32(1.1))
+    assert figures.level_db == pytest.approx(20 * np.log10(1.1), abs=1e-4)
+    assert figures.verdict == "warn"
+
+
+def test_given_a_delayed_response_then_the_delay_is_told_with_its_sign() -> None:
+    then = _responses()
+    assert compare_sentinel(then, np.roll(then, 3, axis=1)).delay_samples == pytest.approx(3.0, abs=0.2)
+    assert compare_sentinel(np.roll(then, 3, axis=1), then).delay_samples == pytest.approx(-3.0, abs=0.2)
+
+
+def test_given_another_plate_then_stop() -> None:
+    figures = compare_sentinel(_responses(1), _responses(5))
+    assert figures.verdict == "stop"
+
+
+@pytest.mark.parametrize("silent", ["then", "now"])
+def test_given_silence_then_stop_and_no_division_by_zero(silent: str) -> None:
+    loud, nothing = _responses(), np.zeros((4, 400), np.float32)
+    figures = compare_sentinel(nothing, loud) if silent == "then" else compare_sentinel(loud, nothing)
+    assert figures.verdict == "stop"
+    assert figures.correlation == 0.0

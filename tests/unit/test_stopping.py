@@ -1,0 +1,66 @@
+"""How signals become a stop."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from acquisition.stopping import StopRequest, stop_on_signals
+
+
+def test_given_one_interrupt_then_the_position_is_finished_first() -> None:
+    stop = StopRequest()
+    with stop_on_signals(stop):
+        signal.raise_signal(signal.SIGINT)
+        assert stop.requested
+
+
+def test_given_two_interrupts_then_it_stops_at_once() -> None:
+    stop = StopRequest()
+    with stop_on_signals(stop):
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_given_a_third_interrupt_then_the_way_out_is_not_disturbed() -> None:
+    with stop_on_signals(StopRequest()):
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_given_sigterm_then_it_stops_at_once() -> None:
+    stop = StopRequest()
+    with stop_on_signals(stop), pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
+    assert stop.requested
+
+
+def test_after_leaving_the_former_dispositions_hold() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with stop_on_signals(StopRequest()):
+        assert signal.getsignal(signal.SIGINT) is not before
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_given_a_process_that_waits_then_sigterm_ends_it_through_its_cleanup() -> None:
+    program = (
+        "import time\n"
+        "from acquisition.stopping import StopRequest, stop_on_signals\n"
+        "with stop_on_signals(StopRequest()):\n"
+        "    try:\n"
+        "        print('ready', flush=True)\n"
+        "        time.sleep(30)\n"
+        "    finally:\n"
+        "        print('muted', flush=True)\n"
+    )
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert child.stdout is not None
+    with child.stdout as lines:
+        assert lines.readline().strip() == b"ready"
+        child.terminate()
+        assert lines.readline().strip() == b"muted"
+    assert child.wait(timeout=10) != 0
