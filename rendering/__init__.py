@@ -1,0 +1,1 @@
+"""Scenes into drives, drives into fields, fields against scans."""

@@ -1,0 +1,280 @@
+"""One pass over a predicted and a measured field: errors, correlations, snapshots, waveforms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from acquisition.quality import Status
+from calibration.errors import InputError
+from rendering.focus_figures import FocusInstant, emission_windows, focus_instants
+from rendering.metrics import RealArray, band_weights, level_db
+from rendering.scan import Scan
+
+if TYPE_CHECKING:
+    from calibration.drive_file import Drive
+    from calibration.field_file import Field
+    from rendering.green_source import GreenSource
+
+# Positions per step of the pass: a few MB for seconds of signal.
+CHUNK_POSITIONS = 64
+MOST_WAVEFORMS = 6
+# A delay between prediction and scan is looked for within this time.
+MOST_DELAY_S = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class FieldComparison:
+    """A predicted and a measured field side by side.
+
+    Everything but `error_all_frequencies` is of the fields within `band_hz`.
+
+    Parameters
+    ----------
+    band_hz : tuple of float or None
+        The bank's band, to which both fields were limited; None: not limited.
+    sample_rate_hz, start_s, response_unit
+        Of both fields.
+    error : float
+        ``||scan - prediction|| / ||scan||`` over all compared positions and samples.
+    error_all_frequencies : float
+        The same without limiting the band.
+    correlation : float
+        Zero-lag correlation over all compared positions and samples.
+    level_db : float
+        Gain that fits the prediction best to the scan, ``<scan, prediction> / ||prediction||**2``.
+    delay_samples : float
+        How much later the scan is: the peak, within 20 ms, of the cross-correlation summed
+        over positions.
+    position_index : int64 array, shape (P,)
+        Compared bank rows, ascending.
+    position_error, position_correlation : float64 array, shape (P,)
+        Error and correlation at each position; NaN where the scan is silent.
+    position_scanned, position_noise : float64 array, shape (P,)
+        Norm over samples of the scan and of its noise; NaN noise where unknown.
+    excluded : tuple of (int, str)
+        Scanned bank rows that were not compared, and why.
+    instant : tuple of FocusInstant, length K
+        The focus instants.
+    predicted_snapshot, scanned_snapshot : float32 array, shape (K, P)
+        The fields at those instants.
+    waveform_index : int64 array, shape (W,)
+        Bank rows of path points whose waveforms are kept.
+    predicted_waveform, scanned_waveform : float32 array, shape (W, samples)
+        The fields there.
+    """
+
+    band_hz: tuple[float, float] | None
+    sample_rate_hz: float
+    start_s: float
+    response_unit: str
+    error: float
+    error_all_frequencies: float
+    correlation: float
+    level_db: float
+    delay_samples: float
+    position_index: NDArray[np.int64]
+    position_error: NDArray[np.float64]
+    position_correlation: NDArray[np.float64]
+    position_scanned: NDArray[np.float64]
+    position_noise: NDArray[np.float64]
+    excluded: tuple[tuple[int, str], ...]
+    instant: tuple[FocusInstant, ...]
+    predicted_snapshot: NDArray[np.float32]
+    scanned_snapshot: NDArray[np.float32]
+    waveform_index: NDArray[np.int64]
+    predicted_waveform: NDArray[np.float32]
+    scanned_waveform: NDArray[np.float32]
+
+    @property
+    def correlation_median(self) -> float:
+        """Median over positions of the correlation at each."""
+        return float(np.nanmedian(self.position_correlation))
+
+    @property
+    def position_snr_db(self) -> NDArray[np.float64]:
+        """Scan over its noise at each position in dB, noise power taken off the scan's; NaN where unknown."""
+        noise = self.position_noise**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.maximum(self.position_scanned**2 - noise, 1e-3 * noise) / noise
+            return np.asarray(10.0 * np.log10(ratio))
+
+
+class _Band:
+    """Limits chunks of signals to the bank's band; without one, leaves them as they are."""
+
+    def __init__(self, samples: int, sample_rate_hz: float, band_hz: tuple[float, float] | None) -> None:
+        silence_s = MOST_DELAY_S if band_hz is None else 2.0 / band_hz[0]
+        self._samples = samples
+        self._padded = fft.next_fast_len(samples + round(silence_s * sample_rate_hz), real=True)
+        self.bins = self._padded // 2 + 1
+        self._weights = np.ones(self.bins, np.float32)
+        if band_hz is not None:
+            self._weights = band_weights(self._padded, sample_rate_hz, band_hz)
+
+    @property
+    def white_share(self) -> float:
+        """Part of a white noise's power that is kept."""
+        return float(np.mean(self._weights**2))
+
+    def spectrum(self, signals: RealArray) -> NDArray[np.complex64]:
+        limited: NDArray[np.complex64] = fft.rfft(
+            signals.astype(np.float32, copy=False), self._padded
+        ).astype(np.complex64, copy=False)
+        limited *= self._weights
+        return limited
+
+    def signals(self, spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
+        limited: NDArray[np.float32] = fft.irfft(spectrum, self._padded)[..., : self._samples]
+        return limited
+
+    def delay_samples(self, cross_spectrum: NDArray[np.complex128], most: int) -> float:
+        lags = fft.irfft(cross_spectrum, self._padded)
+        near = np.concatenate([lags[-most:], lags[: most + 1]])
+        peak = int(np.argmax(near))
+        if peak in (0, near.size - 1):
+            return float(peak - most)
+        before, at, after = near[peak - 1 : peak + 2]
+        curvature = before - 2.0 * at + after
+        return float(peak - most + (0.5 * (before - after) / curvature if curvature < 0.0 else 0.0))
+
+
+def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: GreenSource) -> FieldComparison:
+    """Compare fields where both have positions, the record is sound and the bank's row is valid.
+
+    Raises
+    ------
+    InputError
+        The fields do not belong together, or no position can be compared.
+    """
+    _check_grids(prediction, scan)
+    rows, in_prediction, in_scan, excluded = _compared_rows(prediction, scan, bank)
+    rate_hz, samples = scan.sample_rate_hz, scan.field.shape[1]
+    first_sample = round(scan.start_s * rate_hz)
+    band = _Band(samples, rate_hz, bank.band_hz)
+
+    windows = [one for one in emission_windows(drive) if one.start_sample - first_sample < samples]
+    compared = np.isin([one.row for one in windows], rows)
+    at_foci = np.full((len(windows), samples), np.nan, np.float32)
+    if compared.any():
+        focus_rows = np.array([one.row for one in windows])[compared]
+        at_foci[compared] = band.signals(
+            band.spectrum(prediction.field[in_prediction[np.searchsorted(rows, focus_rows)]])
+        )
+    instants = focus_instants(tuple(windows), at_foci, first_sample)
+    columns = np.array([one.sample - first_sample for one in instants], np.int64)
+    waveform_index = _evenly(np.unique([one.row for one in instants if one.row in rows]).astype(np.int64))
+
+    scanned_energy, predicted_energy, product, error_energy = np.zeros((4, rows.size))
+    raw_error = raw_scanned = 0.0
+    snapshots = np.zeros((2, len(instants), rows.size), np.float32)
+    waveforms = np.zeros((2, waveform_index.size, samples), np.float32)
+    cross = np.zeros(band.bins, np.complex128)
+    for first in range(0, rows.size, CHUNK_POSITIONS):
+        part = slice(first, first + CHUNK_POSITIONS)
+        predicted = prediction.field[in_prediction[part]]
+        scanned = scan.field[in_scan[part]]
+        raw_error += float(np.sum(_energy(scanned - predicted)))
+        raw_scanned += float(np.sum(_energy(scanned)))
+        spectra = band.spectrum(predicted), band.spectrum(scanned)
+        cross += np.sum(spectra[0].conj() * spectra[1], axis=0)
+        predicted, scanned = band.signals(spectra[0]), band.signals(spectra[1])
+        scanned_energy[part], predicted_energy[part] = _energy(scanned), _energy(predicted)
+        product[part] = np.einsum("ps,ps->p", scanned, predicted, dtype=np.float64)
+        error_energy[part] = _energy(scanned - predicted)
+        snapshots[:, :, part] = predicted[:, columns].T, scanned[:, columns].T
+        here = np.flatnonzero(np.isin(waveform_index, rows[part]))
+        of_chunk = np.searchsorted(rows[part], waveform_index[here])
+        waveforms[:, here] = predicted[of_chunk], scanned[of_chunk]
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        position_error = np.sqrt(error_energy / scanned_energy)
+        position_correlation = product / np.sqrt(scanned_energy * predicted_energy)
+    noise_rms = scan.noise_rms[in_scan] if isinstance(scan, Scan) else np.full(rows.size, np.nan)
+    return FieldComparison(
+        band_hz=bank.band_hz,
+        sample_rate_hz=rate_hz,
+        start_s=scan.start_s,
+        response_unit=scan.response_unit,
+        error=_root_ratio(error_energy.sum(), scanned_energy.sum()),
+        error_all_frequencies=_root_ratio(raw_error, raw_scanned),
+        correlation=_ratio(product.sum(), math.sqrt(scanned_energy.sum() * predicted_energy.sum())),
+        level_db=level_db(max(_ratio(product.sum(), predicted_energy.sum()), 0.0)),
+        delay_samples=band.delay_samples(cross, round(MOST_DELAY_S * rate_hz)),
+        position_index=rows,
+        position_error=position_error,
+        position_correlation=position_correlation,
+        position_scanned=np.sqrt(scanned_energy),
+        position_noise=noise_rms * math.sqrt(samples * band.white_share),
+        excluded=excluded,
+        instant=instants,
+        predicted_snapshot=snapshots[0],
+        scanned_snapshot=snapshots[1],
+        waveform_index=waveform_index,
+        predicted_waveform=waveforms[0],
+        scanned_waveform=waveforms[1],
+    )
+
+
+def _check_grids(prediction: Field, scan: Field | Scan) -> None:
+    for name, predicted, scanned in (
+        ("sample_rate_hz", prediction.sample_rate_hz, scan.sample_rate_hz),
+        ("start_s", prediction.start_s, scan.start_s),
+        ("samples", prediction.field.shape[1], scan.field.shape[1]),
+    ):
+        if predicted != scanned:
+            raise InputError(
+                f"{name} of the prediction is {predicted} and of the scan {scanned}; "
+                "they must be equal: predict and scan the same drive with the same bank"
+            )
+
+
+def _compared_rows(
+    prediction: Field, scan: Field | Scan, bank: GreenSource
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], tuple[tuple[int, str], ...]]:
+    """Compared bank rows, their places in prediction and scan, and the rows left out with the reason."""
+    reasons: dict[int, str] = {}
+    scan_status = scan.status if isinstance(scan, Scan) else np.full(len(scan.position_index), Status.VALID)
+    for row, status in zip(scan.position_index, scan_status, strict=True):
+        if status & Status.FAILED:
+            reasons[int(row)] = "the scan failed"
+        elif status & Status.OVER_RANGE:
+            reasons[int(row)] = "the scan reached the end of the input range"
+        elif status & Status.POOR_SIGNAL:
+            reasons[int(row)] = "the vibrometer lost the signal in the scan"
+        elif bank.status[row] != Status.VALID:
+            reasons[int(row)] = "the bank's row is not valid"
+    rows, in_prediction, in_scan = np.intersect1d(
+        prediction.position_index, scan.position_index, assume_unique=True, return_indices=True
+    )
+    sound = np.array([int(row) not in reasons for row in rows], bool)
+    if not sound.any():
+        raise InputError(
+            f"prediction ({len(prediction.position_index)} positions) and scan ({len(scan.position_index)} "
+            "positions) have no position in common that is valid in both; at least one is needed"
+        )
+    return rows[sound].astype(np.int64), in_prediction[sound], in_scan[sound], tuple(sorted(reasons.items()))
+
+
+def _energy(signals: RealArray) -> NDArray[np.float64]:
+    return np.asarray(np.einsum("ps,ps->p", signals, signals, dtype=np.float64))
+
+
+def _evenly(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    chosen = np.unique(np.linspace(0, rows.size - 1, min(rows.size, MOST_WAVEFORMS)).round().astype(int))
+    return rows[chosen] if rows.size else rows
+
+
+def _ratio(numerator: float, denominator: float) -> float:
+    return float(numerator / denominator) if denominator > 0.0 else math.nan
+
+
+def _root_ratio(numerator: float, denominator: float) -> float:
+    if denominator > 0.0:
+        return math.sqrt(numerator / denominator)
+    return 0.0 if numerator == 0.0 else math.inf

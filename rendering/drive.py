@@ -1,0 +1,179 @@
+"""Scenes into drives: eqs. (9) and (16) over a measured bank."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.drive_file import Drive
+from calibration.errors import InputError
+from rendering.accumulate import Accumulated, accumulate
+from rendering.green_source import GreenSource
+from rendering.interpolation import interpolation
+from rendering.limits import scale_to_limit
+from rendering.omission import relative_bound
+from rendering.regularisation import BankRows
+from rendering.render_report import RenderReport, RenderWarning, report_render
+from rendering.sampling import Method, SampledSource, sample_source
+from rendering.scene import Scene
+from rendering.snapping import PositionGrid
+
+Float64Array = NDArray[np.float64]
+OnProgress = Callable[[int, int], None]
+
+STRICTER = (1.0, 0.3, 0.08, 0.0)
+"""Shares of the tolerance tried one after another until the proved bound holds; 0 computes everything."""
+
+
+def render(
+    scene: Scene,
+    bank: GreenSource,
+    *,
+    method: Method | None = None,
+    tolerance_db: float | None = None,
+    on_progress: OnProgress | None = None,
+) -> Drive:
+    """Render a scene; warnings are issued as `RenderWarning`. See `render_with_report`."""
+    drive, report = render_with_report(scene, bank, method=method, tolerance_db=tolerance_db, on_progress=on_progress)
+    for text in report.warnings:
+        warnings.warn(text, RenderWarning, stacklevel=2)
+    return drive
+
+
+def render_with_report(
+    scene: Scene,
+    bank: GreenSource,
+    *,
+    method: Method | None = None,
+    tolerance_db: float | None = None,
+    on_progress: OnProgress | None = None,
+) -> tuple[Drive, RenderReport]:
+    """Render a scene into the drives of all actuators.
+
+    The drive starts at -(L - 1) samples of scene time, L the taps of the bank, even if all sources start
+    later, and ends with the last emitted sample. A continuous emission lasts until n_M, silence included.
+
+    Parameters
+    ----------
+    scene : Scene
+        Sources, regularisation, interpolation and limit.
+    bank : GreenSource
+        Measured Green's functions.
+    method : {"sampled", "exact"}, optional
+        Eq. (16) or eq. (9). By default exact, but sampled where every source emits per point, for which the
+        two are the same.
+    tolerance_db : float, optional
+        Allows leaving out frequency bins as long as the proved bound on the relative L2 error of the drives
+        stays below it, < 0. Without it all is computed, to 1e-12 of direct evaluation.
+    on_progress : callable, optional
+        Told blocks done and blocks in all.
+
+    Returns
+    -------
+    Drive
+        Volts, with the foci source by source.
+    RenderReport
+        Warnings and figures.
+
+    Raises
+    ------
+    InputError
+        The scene does not fit the bank: a path off the grid, an unmeasured row on it, an empty signal, a
+        drive that does not fit into float64.
+    """
+    if method not in (None, "sampled", "exact"):
+        raise InputError(f"method is {method!r}; allowed are 'sampled' and 'exact'")
+    tolerance = _tolerance(tolerance_db)
+    per_point = all(source.emission == "per_point" for source in scene.sources)
+    chosen: Method = method or ("sampled" if per_point else "exact")
+    kind = interpolation(scene.output.interpolation, PositionGrid(bank.position_mm))
+    sources = [
+        sample_source(source, index, kind, sample_rate_hz=bank.sample_rate_hz, taps=bank.taps, method=chosen)
+        for index, source in enumerate(scene.sources)
+    ]
+    rows = BankRows(bank, scene.regularisation)
+    samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
+    try:
+        drive_v, accumulated, bound = _accumulated(sources, rows, samples, tolerance, on_progress)
+    except MemoryError as error:
+        size = samples * bank.actuators * 8 / 2**30
+        raise InputError(f"the drive takes {size:.3g} GiB, which do not fit into memory; shorten the scene") from error
+    scale = scale_to_limit(drive_v, scene.output.limit_v)
+    drive = Drive(
+        drive_v=drive_v,
+        sample_rate_hz=float(bank.sample_rate_hz),
+        start_s=-(bank.taps - 1) / bank.sample_rate_hz,
+        method=chosen,
+        scale=scale,
+        omitted_bound=bound,
+        focus_sample=np.concatenate([source.focus_sample for source in sources]),
+        focus_position=np.concatenate([source.focus_position for source in sources]),
+        focus_source=np.concatenate(
+            [np.full(len(source.focus_sample), source.index, dtype=np.int64) for source in sources]
+        ),
+    )
+    return drive, report_render(scene, rows, sources, accumulated, drive_v, scale=scale, omitted_bound=bound)
+
+
+def _accumulated(
+    sources: Sequence[SampledSource],
+    rows: BankRows,
+    samples: int,
+    tolerance: float,
+    on_progress: OnProgress | None,
+) -> tuple[Float64Array, list[Accumulated], float]:
+    for share in STRICTER if tolerance > 0 else (0.0,):
+        drive_v = np.zeros((rows.bank.actuators, samples))
+        progress = _Progress(sources, on_progress)
+        accumulated = []
+        with np.errstate(over="ignore", invalid="ignore"):
+            for source in sources:
+                rows.needed_by = source.naming
+                accumulated.append(
+                    accumulate(
+                        source.emission,
+                        rows,
+                        drive_v,
+                        tolerance=share * tolerance,
+                        band_hz=rows.bank.band_hz,
+                        on_block=progress.of(source),
+                    )
+                )
+        bound = relative_bound(math.fsum(item.error for item in accumulated), drive_v)
+        if bound <= tolerance:
+            break
+    if rows.drive_exponent:
+        with np.errstate(over="ignore", under="ignore"):
+            np.ldexp(drive_v, rows.drive_exponent, out=drive_v)
+    return drive_v, accumulated, bound
+
+
+class _Progress:
+    """Joins the sources' blocks into one count."""
+
+    def __init__(self, sources: Sequence[SampledSource], on_progress: OnProgress | None) -> None:
+        self._sources = sources
+        self._on_progress = on_progress
+
+    def of(self, source: SampledSource) -> OnProgress | None:
+        on_progress = self._on_progress
+        if on_progress is None:
+            return None
+        parts = 100
+
+        def told(done: int, total: int) -> None:
+            on_progress(source.index * parts + parts * done // total, len(self._sources) * parts)
+
+        return told
+
+
+def _tolerance(tolerance_db: float | None) -> float:
+    if tolerance_db is None:
+        return 0.0
+    if not (math.isfinite(tolerance_db) and tolerance_db < 0):
+        raise InputError(f"tolerance_db is {tolerance_db}; it must be a finite number below 0")
+    return float(10.0 ** (tolerance_db / 20.0))

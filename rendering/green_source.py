@@ -1,0 +1,237 @@
+"""What the renderer asks of a bank, and how it reads one row without under- or overflow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calibration.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+USABLE_BITS = 1 | 2 | 4
+"""Status bits of a row that holds a measurement: valid, over-range, poor signal."""
+DOUBTFUL_BITS = 2 | 4
+REFUSED_BITS = 8 | 16
+
+
+class GreenSource(Protocol):
+    """The read interface of a bank: `calibration.bank.Bank`, or an array in memory."""
+
+    @property
+    def position_mm(self) -> Float64Array:
+        """Grid, float64 (positions, 2), millimetres."""
+        ...
+
+    @property
+    def actuator_mm(self) -> Float64Array:
+        """Actuator positions, float64 (actuators, 2), millimetres, NaN where unknown."""
+        ...
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Rate of the Green's functions in Hz."""
+        ...
+
+    @property
+    def taps(self) -> int:
+        """Length L of a Green's function in samples."""
+        ...
+
+    @property
+    def actuators(self) -> int:
+        """Number N of actuators."""
+        ...
+
+    @property
+    def positions(self) -> int:
+        """Number P of positions."""
+        ...
+
+    @property
+    def band_hz(self) -> tuple[float, float] | None:
+        """Measured band in Hz, None where unknown."""
+        ...
+
+    @property
+    def status(self) -> NDArray[np.uint8]:
+        """Status bits of each position, uint8 (positions,)."""
+        ...
+
+    @property
+    def response_unit(self) -> str:
+        """Unit of the response, by default m/s/V per volt of drive."""
+        ...
+
+    def green(self, position: int) -> NDArray[Any]:
+        """Green's functions of one row, (actuators, taps)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class GreenArray:
+    """A bank held in memory.
+
+    Parameters
+    ----------
+    values : array, shape (positions, actuators, taps)
+        Green's functions, any real number type, response unit per volt.
+    position_mm : float64 array, shape (positions, 2)
+        Grid in millimetres.
+    sample_rate_hz : float
+        Rate in Hz, > 0.
+    status : uint8 array, shape (positions,), optional
+        Status bits; all rows valid where not given.
+    actuator_mm : float64 array, shape (actuators, 2), optional
+        Actuator positions in millimetres; NaN where not given.
+    band_hz : tuple of float, optional
+        Measured band in Hz.
+    response_unit : str
+        Unit of the Green's functions.
+    """
+
+    values: NDArray[Any]
+    position_mm: Float64Array
+    sample_rate_hz: float
+    status: NDArray[np.uint8] = field(default=None)  # type: ignore[arg-type]
+    actuator_mm: Float64Array = field(default=None)  # type: ignore[arg-type]
+    band_hz: tuple[float, float] | None = None
+    response_unit: str = "m/s/V"
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 3 or 0 in self.values.shape:
+            raise InputError(f"green has shape {self.values.shape}; allowed is (positions, actuators, taps), none 0")
+        positions, actuators, _ = self.values.shape
+        object.__setattr__(self, "position_mm", _table(self.position_mm, positions, "position_mm"))
+        if self.status is None:
+            object.__setattr__(self, "status", np.ones(positions, np.uint8))
+        if self.actuator_mm is None:
+            object.__setattr__(self, "actuator_mm", np.full((actuators, 2), np.nan))
+        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
+            raise InputError(f"sample_rate_hz is {self.sample_rate_hz}; it must be a finite number above 0")
+
+    @property
+    def positions(self) -> int:
+        return int(self.values.shape[0])
+
+    @property
+    def actuators(self) -> int:
+        return int(self.values.shape[1])
+
+    @property
+    def taps(self) -> int:
+        return int(self.values.shape[2])
+
+    def green(self, position: int) -> NDArray[Any]:
+        return np.asarray(self.values[position])
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledRow:
+    """One row of a bank as `values * 2**exponent`, with the largest value in [0.5, 1).
+
+    Powers of two scale without rounding, so that a bank in any unit renders to the same bits and squares
+    neither vanish nor overflow. A row of zeros has exponent 0.
+    """
+
+    values: Float64Array
+    exponent: int
+
+    @property
+    def silent(self) -> bool:
+        return not np.any(self.values)
+
+
+def read_row(bank: GreenSource, position: int) -> ScaledRow:
+    """Read one row as float64, scaled by a power of two.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank, of any real number type, byte order or layout.
+    position : int
+        Row, from 0.
+
+    Raises
+    ------
+    InputError
+        The row is not real, has the wrong shape, or holds NaN or infinity.
+    """
+    raw = np.asarray(bank.green(position))
+    if raw.shape != (bank.actuators, bank.taps):
+        raise InputError(f"row {position} of the bank has shape {raw.shape}; expected {(bank.actuators, bank.taps)}")
+    if raw.dtype.kind not in "fiu":
+        raise InputError(f"row {position} of the bank is of type {raw.dtype}; allowed are real numbers")
+    values, shift = _without_denormals(raw)
+    peak = max(float(values.max()), -float(values.min()))
+    if not np.isfinite(peak):
+        actuator = int(np.argmin(np.isfinite(values).all(axis=1)))
+        raise InputError(
+            f"position {position}, actuator {actuator} of the bank holds NaN or infinity; remeasure or"
+            " disable"
+            " the position"
+        )
+    if peak == 0.0:
+        return ScaledRow(values, 0)
+    exponent = int(np.frexp(peak)[1])
+    if exponent:
+        values *= np.ldexp(1.0, -exponent)
+    if raw.dtype.itemsize >= np.dtype(np.float64).itemsize:
+        # What stands 290 decades below the peak adds nothing but denormal arithmetic, 100 times slower.
+        values[np.abs(values) < 1e-290] = 0.0
+    return ScaledRow(values, exponent + shift)
+
+
+def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:
+    """Copy to float64 as `values * 2**shift`, without ever computing with a denormal number.
+
+    A denormal is its integer mantissa times a fixed power of two, so that integers can carry it over.
+    """
+    integers = {np.dtype(np.float32): (np.uint32, 23, -149), np.dtype(np.float64): (np.uint64, 52, -1074)}
+    if raw.dtype not in integers:
+        return np.array(raw, dtype=np.float64, order="C"), 0
+    unsigned, mantissa_bits, unit = integers[raw.dtype]
+    raw = np.ascontiguousarray(raw)
+    magnitude = raw.view(unsigned) & unsigned(2 ** (8 * raw.dtype.itemsize - 1) - 1)
+    # Zero wraps round to the largest integer, so that one comparison finds the denormals alone.
+    denormal = magnitude - unsigned(1) < unsigned(2**mantissa_bits - 1)
+    if not denormal.any():
+        return raw.astype(np.float64), 0
+    values = np.where(denormal, raw.dtype.type(0), raw).astype(np.float64)
+    lift = 0
+    if raw.dtype == np.float64:
+        if np.abs(values).max() >= 2.0**-60:
+            return values, 0  # they stand 290 decades below the rest
+        lift = 54
+        values *= 2.0**lift
+    values[denormal] = np.copysign(magnitude[denormal] * 2.0 ** (unit + lift), raw[denormal])
+    return values, -lift
+
+
+def usable(bank: GreenSource) -> NDArray[np.bool_]:
+    """Which rows hold a measurement that may be used, bool (positions,)."""
+    status = np.asarray(bank.status)
+    allowed: NDArray[np.bool_] = ((status & USABLE_BITS) != 0) & ((status & REFUSED_BITS) == 0)
+    return allowed
+
+
+def refusal(status: int) -> str | None:
+    """Why a row of this status may not be used, or None."""
+    if status & 16:
+        return "disabled"
+    if status & 8:
+        return "marked as failed"
+    if not status & USABLE_BITS:
+        return "not measured"
+    return None
+
+
+def _table(values: ArrayLike, rows: int, name: str) -> Float64Array:
+    table = np.asarray(values, dtype=np.float64)
+    if table.shape != (rows, 2):
+        raise InputError(f"{name} has shape {table.shape}; expected {(rows, 2)}")
+    return table

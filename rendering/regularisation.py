@@ -1,0 +1,259 @@
+"""Saturation (eq. 14) and gain normalisation (eq. 15) of each focus position."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.errors import InputError
+from rendering.green_source import GreenSource, ScaledRow, read_row, refusal, usable
+from rendering.scene import Regularisation
+
+Float64Array = NDArray[np.float64]
+
+PLAIN_EXPONENT = 300
+"""Drives within 2**300 of 1 are accumulated as they are."""
+
+
+def rms_map(bank: GreenSource) -> Float64Array:
+    """rms_i(x) of eq. (14) for every position and actuator.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        Read once, row by row.
+
+    Returns
+    -------
+    float64 array, shape (positions, actuators)
+        In the unit of the Green's functions; NaN in rows that are unmeasured, refused or all zeros.
+
+    Raises
+    ------
+    InputError
+        A row in use holds NaN or infinity.
+    """
+    rms = np.full((bank.positions, bank.actuators), np.nan)
+    for position in np.flatnonzero(usable(bank)):
+        row = read_row(bank, int(position))
+        if not row.silent:
+            rms[position] = np.ldexp(_rms(row), row.exponent)
+    return rms
+
+
+def saturation_threshold(regularisation: Regularisation, bank: GreenSource) -> float:
+    """Resolve C of eq. (14).
+
+    Parameters
+    ----------
+    regularisation : Regularisation
+        Saturation as a fraction of the median rms over all measured positions and all actuators, or absolute.
+    bank : GreenSource
+        Read in full only where saturation is a fraction.
+
+    Returns
+    -------
+    float
+        In the unit of the Green's functions; infinity where saturation is off.
+
+    Raises
+    ------
+    InputError
+        The median is 0, so that a fraction of it means nothing.
+    """
+    if regularisation.saturation_absolute:
+        return float(regularisation.saturation_absolute)
+    if not regularisation.saturation:
+        return float("inf")
+    rms = rms_map(bank)
+    measured = rms[~np.isnan(rms)]
+    median = float(np.median(measured)) if measured.size else 0.0
+    if median == 0.0:
+        raise InputError(
+            f"saturation is {regularisation.saturation} of the bank's median rms, but that median is 0;"
+            " use saturation_absolute"
+        )
+    with np.errstate(over="ignore"):
+        return float(np.float64(regularisation.saturation) * median)
+
+
+@dataclass(frozen=True, slots=True)
+class RowWeights:
+    """Regularisation of one focus position.
+
+    Parameters
+    ----------
+    sigma : float64 array, shape (actuators,), or None
+        Saturation factors; None where all are 1.
+    gain : float
+    gain_exponent : int
+        n(x) = gain * 2**gain_exponent; 1 * 2**0 where normalisation is off.
+    """
+
+    sigma: Float64Array | None
+    gain: float
+    gain_exponent: int
+
+
+def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeights:
+    """Evaluate eqs. (14) and (15) at one position.
+
+    Parameters
+    ----------
+    row : ScaledRow
+        Its Green's functions, not all zero.
+    threshold : float
+        C, > 0, infinity for off.
+    normalise : bool
+        Whether to form n(x).
+    """
+    sigma = None
+    if np.isfinite(threshold):
+        rms = np.ldexp(_rms(row), row.exponent)
+        saturated = rms >= threshold
+        if saturated.any():
+            sigma = np.ones(len(rms))
+            sigma[saturated] = threshold / rms[saturated]
+    if not normalise:
+        return RowWeights(sigma, 1.0, 0)
+    autocorrelation = np.einsum("ij,ij->i", row.values, row.values)
+    total = float(autocorrelation.sum() if sigma is None else sigma @ autocorrelation)
+    return RowWeights(sigma, 1.0 / total, -2 * row.exponent)
+
+
+def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float64Array:
+    """n(x) of eq. (15) over the surface, the paper's figure 3C.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    saturation : float, optional
+        C as a fraction of the bank's median rms; None or 0: off.
+
+    Returns
+    -------
+    float64 array, shape (positions,)
+        NaN where nothing was measured.
+
+    Raises
+    ------
+    InputError
+        The saturation is not allowed, or n(x) does not fit into float64.
+    """
+    threshold = saturation_threshold(Regularisation(saturation=saturation), bank)
+    gain = np.full(bank.positions, np.nan)
+    for position in np.flatnonzero(usable(bank)):
+        row = read_row(bank, int(position))
+        if row.silent:
+            continue
+        weights = row_weights(row, threshold, normalise=True)
+        with np.errstate(over="ignore", under="ignore"):
+            gain[position] = np.ldexp(weights.gain, weights.gain_exponent)
+        if not (np.isfinite(gain[position]) and gain[position] > 0):
+            raise InputError(
+                f"n(x) at position {position} does not fit into float64: the bank's largest value there is"
+                " about"
+                f" 2**{row.exponent}; give the bank another unit"
+            )
+    return gain
+
+
+class BankRows:
+    """The rows that a scene visits, read, judged and regularised.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        Where they come from.
+    regularisation : Regularisation
+        Saturation and normalisation.
+    """
+
+    needed_by: Callable[[int, Float64Array], str]
+    """Tells, for a message, which source and path point needs a row at a place."""
+
+    def __init__(self, bank: GreenSource, regularisation: Regularisation) -> None:
+        self.bank = bank
+        self.needed_by = lambda row, at_mm: "the scene"
+        self.status = np.asarray(bank.status)
+        self._position_mm = np.asarray(bank.position_mm, dtype=np.float64)
+        self.threshold = saturation_threshold(regularisation, bank)
+        self._normalise = regularisation.normalise
+        self._weights: dict[int, RowWeights] = {}
+        self._exponent: dict[int, int] = {}
+        self._drive_exponent: int | None = None
+        # A row's weights are asked for just before its spectrum: one reading serves both.
+        self._latest: tuple[int, ScaledRow] | None = None
+        self._loud = np.zeros(bank.actuators, dtype=bool)
+
+    @property
+    def used(self) -> list[int]:
+        """Rows read so far, in ascending order."""
+        return sorted(self._weights)
+
+    @property
+    def silent_actuators(self) -> list[int]:
+        """Actuators whose Green's functions are zero in every row read so far."""
+        return [int(actuator) for actuator in np.flatnonzero(~self._loud)] if self._weights else []
+
+    def read(self, row: int) -> ScaledRow:
+        """Read a row. Raises InputError where it may not be used, saying which path point needs it."""
+        if self._latest is not None and self._latest[0] == row:
+            return self._latest[1]
+        reason = refusal(int(self.status[row]))
+        scaled = None if reason else read_row(self.bank, row)
+        if scaled is None or scaled.silent:
+            x, y = self._position_mm[row]
+            raise InputError(
+                f"position {row} at ({x:.6g}, {y:.6g}) mm is {reason or 'all zeros, so not measured'}, but"
+                f" {self.needed_by(row, self._position_mm[row])} needs it; remeasure the position or move"
+                " the path"
+            )
+        if row not in self._weights:
+            self._weights[row] = row_weights(scaled, self.threshold, normalise=self._normalise)
+            self._exponent[row] = scaled.exponent
+            self._loud |= scaled.values.any(axis=1)
+        self._latest = (row, scaled)
+        return scaled
+
+    def sigma(self, regularised_by: int) -> Float64Array | None:
+        """Saturation factors (actuators,) of a row, None where all are 1."""
+        return self._known(regularised_by).sigma
+
+    def factor(self, row: int, regularised_by: int) -> float:
+        """n(regularised_by) times the scale of `row`, over 2**drive_exponent."""
+        weights = self._known(regularised_by)
+        self._known(row)
+        exponent = weights.gain_exponent + self._exponent[row]
+        if self._drive_exponent is None:
+            self._drive_exponent = exponent if abs(exponent) > PLAIN_EXPONENT else 0
+        with np.errstate(over="ignore", under="ignore"):
+            return float(np.ldexp(weights.gain, exponent - self._drive_exponent))
+
+    @property
+    def drive_exponent(self) -> int:
+        """Power of two that the drives are still to be multiplied with.
+
+        It keeps a bank of tiny numbers from being accumulated in denormals, which are slow and inexact.
+        """
+        return self._drive_exponent or 0
+
+    def _known(self, row: int) -> RowWeights:
+        if row not in self._weights:
+            self.read(row)
+        return self._weights[row]
+
+
+def _rms(row: ScaledRow) -> Float64Array:
+    # One actuator may stand far below the row's peak: its squares must not vanish.
+    peak = np.abs(row.values).max(axis=1)
+    scale = np.where(peak > 0, peak, 1.0)
+    if float(peak.min()) > 1e-140:
+        scale = np.ones_like(peak)
+    part = row.values if scale.max() == scale.min() == 1.0 else row.values / scale[:, None]
+    rms: Float64Array = np.sqrt(np.einsum("ij,ij->i", part, part) / part.shape[1]) * scale
+    return rms

@@ -1,0 +1,186 @@
+"""What a person should know about a render: what was snapped, scaled, left out, or looks doubtful."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from rendering.accumulate import Accumulated
+from rendering.emission import ContinuousEmission
+from rendering.green_source import DOUBTFUL_BITS, GreenSource
+from rendering.omission import scaled_norm
+from rendering.regularisation import BankRows
+from rendering.sampling import SampledSource
+from rendering.scene import Scene
+from rendering.wave_speed import wave_speed_mm_s
+
+Float64Array = NDArray[np.float64]
+
+SPREAD_SHARE = 0.1
+"""Share of the signal's energy that cutting it into segments may move out of the band before it is said."""
+NAMED = 8
+
+
+class RenderWarning(UserWarning):
+    """The drive is right, but something about it is worth knowing."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderReport:
+    """Figures of one render.
+
+    Parameters
+    ----------
+    warnings : tuple of str
+        One sentence each.
+    points : int
+        Path points of all sources.
+    snapped_points : int
+        Those that do not lie on a position.
+    largest_snap_mm : float
+        Largest distance of a path point from its nearest position.
+    rows : tuple of int
+        Bank rows that were used.
+    scale : float
+        What `limit_v` did to the drive, 1 if nothing.
+    relative_rms_drive : float64 array, shape (actuators,)
+        RMS of each actuator's drive relative to the largest (the paper's figure 3B, right).
+    out_of_band : tuple of float or None
+        Per source, the share of the emitted windows' energy outside the bank's band; None where it is
+        unknown.
+    omitted_bound : float
+        Proved bound on the relative error of the drives.
+    bins : int
+        Frequency bins of all sources' blocks, and how many of them were computed.
+    kept_bins : int
+        See `bins`.
+    pairs : int
+        (Block, row) pairs that were multiplied: what the render cost.
+    """
+
+    warnings: tuple[str, ...]
+    points: int
+    snapped_points: int
+    largest_snap_mm: float
+    rows: tuple[int, ...]
+    scale: float
+    relative_rms_drive: Float64Array
+    out_of_band: tuple[float | None, ...]
+    omitted_bound: float
+    bins: int
+    kept_bins: int
+    pairs: int
+
+
+def report_render(
+    scene: Scene,
+    rows: BankRows,
+    sources: Sequence[SampledSource],
+    accumulated: Sequence[Accumulated],
+    drive_v: Float64Array,
+    *,
+    scale: float,
+    omitted_bound: float,
+) -> RenderReport:
+    """Collect the figures and warnings of a render.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was rendered.
+    rows : BankRows
+        Rows that were used.
+    sources : sequence of SampledSource
+        The sources, sampled.
+    accumulated : sequence of Accumulated
+        What each of them cost and left out.
+    drive_v : float64 array, shape (actuators, samples)
+        The drives.
+    scale : float
+        What the limit did.
+    omitted_bound : float
+        Proved bound on the relative error.
+    """
+    # Row by row: drives may be long, and a copy of them all is not needed for a figure.
+    norms = np.array([scaled_norm(row) for row in drive_v])
+    peak = float(norms.max())
+    snaps = np.concatenate([source.snap_mm for source in sources])
+    outside = tuple(1.0 - item.band_energy / item.energy if item.energy > 0 else None for item in accumulated)
+    warnings = [
+        *_silent(rows),
+        *_doubtful(rows),
+        *_too_fast(scene, rows),
+        *(text for source, share in zip(sources, outside, strict=True) for text in _spread(source, share, rows.bank)),
+    ]
+    if peak == 0:
+        warnings.append("the drive is silent: every amplitude is 0")
+    return RenderReport(
+        warnings=tuple(warnings),
+        points=len(snaps),
+        snapped_points=int(np.count_nonzero(snaps > 1e-9)),
+        largest_snap_mm=float(snaps.max()),
+        rows=tuple(rows.used),
+        scale=scale,
+        relative_rms_drive=norms / peak if peak > 0 else norms,
+        out_of_band=outside,
+        omitted_bound=omitted_bound,
+        bins=sum(item.bins for item in accumulated),
+        kept_bins=sum(item.kept_bins for item in accumulated),
+        pairs=sum(item.pairs for item in accumulated),
+    )
+
+
+def _silent(rows: BankRows) -> list[str]:
+    silent = rows.silent_actuators
+    if not silent:
+        return []
+    return [f"actuator {_listed(silent)}: all Green's functions on the path are zero, so the drive is zero there"]
+
+
+def _doubtful(rows: BankRows) -> list[str]:
+    doubtful = [row for row in rows.used if int(rows.status[row]) & DOUBTFUL_BITS]
+    if not doubtful:
+        return []
+    return [f"position {_listed(doubtful)} on the path: measured over range or with poor signal; remeasure to be sure"]
+
+
+def _too_fast(scene: Scene, rows: BankRows) -> list[str]:
+    speeds = [source.speed_mm_s if source.path.length_mm > 0 else 0.0 for source in scene.sources]
+    # No plate or soft solid that is focused on carries waves slower than this.
+    if max(speeds) < 500.0:
+        return []
+    wave = wave_speed_mm_s(rows.bank, rows.used)
+    return [
+        f"source {index} moves at {speed / 1000:.3g} m/s, faster than the waves (about {wave / 1000:.2g}"
+        " m/s by"
+        " their arrival times); the focus is rendered, but waves pile up along the path"
+        for index, speed in enumerate(speeds)
+        if wave is not None and speed > wave
+    ]
+
+
+def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> list[str]:
+    if share is None or bank.band_hz is None or not isinstance(source.emission, ContinuousEmission):
+        return []
+    power = np.square(np.abs(scipy_fft.rfft(source.signal)))
+    frequency = scipy_fft.rfftfreq(len(source.signal), 1.0 / bank.sample_rate_hz)
+    outside = (frequency < bank.band_hz[0]) | (frequency > bank.band_hz[1])
+    own = float(power[outside].sum() / power.sum()) if power.any() else 0.0
+    if share - own <= SPREAD_SHARE:
+        return []
+    return [
+        f"source {source.index}: moving from row to row cuts its signal so short that {100 * share:.0f} %"
+        " of its energy"
+        f" lies outside the bank's band ({100 * own:.0f} % of the signal's own does); lower the speed or"
+        " use a finer"
+        " interpolation"
+    ]
+
+
+def _listed(items: Sequence[int]) -> str:
+    shown = ", ".join(str(item) for item in items[:NAMED])
+    return shown if len(items) <= NAMED else f"{shown} and {len(items) - NAMED} more"

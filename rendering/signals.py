@@ -1,0 +1,179 @@
+"""Signals that a source emits, at the bank's rate and with peak 1."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+from scipy import signal as scipy_signal
+
+from calibration.errors import InputError
+
+Float64Array = NDArray[np.float64]
+
+MOST_SAMPLES = 2**31
+
+
+class Signal(Protocol):
+    """Anything that gives its samples at a rate."""
+
+    def samples(self, sample_rate_hz: float) -> Float64Array:
+        """Samples at `sample_rate_hz`, float64 (n,). Raises InputError where that cannot be."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Impulse:
+    """One sample of 1."""
+
+    def samples(self, sample_rate_hz: float) -> Float64Array:
+        return np.ones(1)
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """A sine of amplitude 1 and phase 0, without a fade.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Above 0 and below half the bank's rate.
+    duration_s : float
+        Rounded to whole samples (half to even), at least two.
+    """
+
+    frequency_hz: float
+    duration_s: float
+
+    def samples(self, sample_rate_hz: float) -> Float64Array:
+        """Samples at `sample_rate_hz`.
+
+        Raises
+        ------
+        InputError
+            The frequency is not between 0 and Nyquist, or nothing is left to emit.
+        """
+        if not 0 < self.frequency_hz < sample_rate_hz / 2:
+            raise InputError(
+                f"frequency_hz is {self.frequency_hz}; it must be above 0 and below {sample_rate_hz / 2:g},"
+                " half the bank's rate"
+            )
+        time = np.arange(_sample_count(self.duration_s, sample_rate_hz)) / sample_rate_hz
+        return _audible(np.sin(2.0 * np.pi * self.frequency_hz * time), f"a sine of {self.duration_s} s")
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Gaussian noise with nothing outside its band, peak 1.
+
+    Drawn from PCG64 as standard normals, which NumPy keeps stable, and cut to the band (edges included) in
+    the domain of its own discrete Fourier transform, so that the same seed gives the same noise everywhere.
+
+    Parameters
+    ----------
+    band_hz : tuple of float
+        Lower and upper edge, 0 <= lower < upper <= half the bank's rate.
+    duration_s : float
+        Rounded to whole samples (half to even), at least one.
+    seed : int
+        >= 0.
+    """
+
+    band_hz: tuple[float, float]
+    duration_s: float
+    seed: int = 0
+
+    def samples(self, sample_rate_hz: float) -> Float64Array:
+        """Samples at `sample_rate_hz`.
+
+        Raises
+        ------
+        InputError
+            The band or the seed is not allowed, or the band holds no bin of so short a noise.
+        """
+        lower, upper = self.band_hz
+        if not 0 <= lower < upper <= sample_rate_hz / 2:
+            raise InputError(
+                f"band_hz is [{lower}, {upper}]; it must rise and lie within 0 and {sample_rate_hz / 2:g},"
+                " half the bank's rate"
+            )
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed}; it must be 0 or above")
+        count = _sample_count(self.duration_s, sample_rate_hz)
+        white = np.random.Generator(np.random.PCG64(self.seed)).standard_normal(count)
+        spectrum = scipy_fft.rfft(white)
+        frequency = scipy_fft.rfftfreq(count, 1.0 / sample_rate_hz)
+        spectrum[(frequency < lower) | (frequency > upper)] = 0.0
+        banded: Float64Array = scipy_fft.irfft(spectrum, count)
+        return _audible(banded, f"noise of {self.duration_s} s between {lower} and {upper} Hz", silent_below=1e-12)
+
+
+@dataclass(frozen=True, slots=True)
+class SoundFile:
+    """The first channel of a WAV file, resampled to the bank's rate, peak 1.
+
+    Parameters
+    ----------
+    path : Path
+        The file. Its rate is brought to the bank's by a polyphase low-pass (Kaiser window, 64 zero crossings
+        each side), so that nothing above either Nyquist frequency folds back.
+    """
+
+    path: Path
+
+    def samples(self, sample_rate_hz: float) -> Float64Array:
+        """Samples at `sample_rate_hz`.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read, is silent, or holds NaN or infinity.
+        """
+        import soundfile
+
+        try:
+            frames, rate_hz = soundfile.read(self.path, dtype="float64", always_2d=True)
+        except (soundfile.LibsndfileError, OSError) as error:
+            raise InputError(f"{self.path} cannot be read as a sound file: {error}") from error
+        channel = np.ascontiguousarray(frames[:, 0])
+        if not np.isfinite(channel).all():
+            raise InputError(f"{self.path} holds NaN or infinity; finite samples are needed")
+        if channel.size and rate_hz != sample_rate_hz:
+            channel = _resample(channel, Fraction(sample_rate_hz) / rate_hz)
+        return _audible(channel, str(self.path))
+
+
+def _resample(values: Float64Array, ratio: Fraction) -> Float64Array:
+    # 10,000 keeps the filter small; the rate is then met to 1e-8.
+    ratio = ratio.limit_denominator(10_000)
+    up, down = ratio.numerator, ratio.denominator
+    if up == 0:
+        raise InputError("the sound file's rate is more than 10,000 times the bank's")
+    widest = max(up, down)
+    low_pass: Any = scipy_signal.firwin(2 * 64 * widest + 1, 1.0 / widest, window=("kaiser", 12.0))
+    resampled: Float64Array = scipy_signal.resample_poly(values, up, down, window=low_pass)
+    return resampled
+
+
+def _sample_count(duration_s: float, sample_rate_hz: float) -> int:
+    if not (math.isfinite(duration_s) and duration_s > 0):
+        raise InputError(f"duration_s is {duration_s}; it must be a finite number above 0")
+    count = round(duration_s * sample_rate_hz)
+    if count < 1:
+        raise InputError(f"duration_s is {duration_s}; at {sample_rate_hz:g} Hz that leaves no sample to emit")
+    if count > MOST_SAMPLES:
+        raise InputError(f"duration_s is {duration_s}; that is more than {MOST_SAMPLES} samples")
+    return count
+
+
+def _audible(values: Float64Array, what: str, *, silent_below: float = 0.0) -> Float64Array:
+    peak = float(np.abs(values).max(initial=0.0))
+    if peak <= silent_below:
+        raise InputError(f"{what} is empty or silent; a source needs something to emit")
+    return values if what.startswith("a sine") else values / peak

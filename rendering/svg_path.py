@@ -1,0 +1,164 @@
+"""A path out of an SVG file: the `d` of one `path` element, flattened, seen upright."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calibration.errors import InputError
+from rendering.paths import PointMm, Strokes
+from rendering.svg_commands import flatten
+
+Float64Array = NDArray[np.float64]
+
+MOST_BYTES = 16 * 2**20
+FLATNESS_MM = 0.005
+"""Largest distance of the flattened path from the curve: a thousandth of the default grid spacing."""
+
+
+@dataclass(frozen=True, slots=True)
+class SvgPath:
+    """A path drawn in an SVG file.
+
+    The file's y axis points down; it is turned so that the drawing is seen upright. A drawing point (a, b),
+    after all `transform` attributes, lies at `origin_mm + scale * (a, -b)`. Each `M` starts a new stroke.
+
+    Parameters
+    ----------
+    file : Path
+        The SVG file. Document types and entities are refused.
+    path_id : str
+        The `id` of the `path` element; empty: the first one.
+    scale : float
+        Millimetres per drawing unit, > 0.
+    origin_mm : tuple of float
+        Where the drawing's (0, 0) lies on the surface, in millimetres.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has no such path, or its path data is malformed.
+    """
+
+    file: Path
+    path_id: str = ""
+    scale: float = 1.0
+    origin_mm: PointMm = (0.0, 0.0)
+    _strokes: Strokes = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.scale) and self.scale > 0):
+            raise InputError(f"scale is {self.scale}; it must be a finite number above 0")
+        if len(self.origin_mm) != 2 or not all(map(math.isfinite, self.origin_mm)):
+            raise InputError(f"origin_mm is {self.origin_mm}; two finite numbers are expected")
+        found = _find_path(self.file, self.path_id)
+        stretch = float(np.linalg.norm(found.transform[:, :2], 2))
+        try:
+            drawn = flatten(found.data, FLATNESS_MM / (self.scale * max(stretch, 1e-12)))
+        except InputError as error:
+            raise InputError(f"{self.file}, path {found.path_id!r}: {error}") from error
+        strokes = []
+        for stroke in drawn:
+            moved = stroke @ found.transform[:, :2].T + found.transform[:, 2]
+            strokes.append(np.array(self.origin_mm) + self.scale * moved * (1.0, -1.0))
+        object.__setattr__(self, "_strokes", Strokes(strokes))
+
+    @property
+    def length_mm(self) -> float:
+        return self._strokes.length_mm
+
+    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
+        return self._strokes.point_at(arc_length_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    path_id: str
+    data: str
+    transform: Float64Array
+
+
+def _find_path(file: Path, path_id: str) -> _Found:
+    try:
+        content = Path(file).read_bytes()
+    except OSError as error:
+        raise InputError(f"{file} cannot be read: {error.strerror or error}") from error
+    if len(content) > MOST_BYTES:
+        raise InputError(f"{file} has {len(content)} bytes; at most {MOST_BYTES} are read")
+    found: list[_Found] = []
+    known: list[str] = []
+    transforms: list[Float64Array] = [np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])]
+
+    def refuse(*_: object) -> NoReturn:
+        raise InputError(f"{file} declares a document type or an entity; remove the DOCTYPE, it is not needed")
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        own = _transform(attributes.get("transform", ""), file)
+        outer = transforms[-1]
+        joined = outer[:, :2] @ own
+        joined[:, 2] += outer[:, 2]
+        transforms.append(joined)
+        if name.rpartition(":")[2] != "path":
+            return
+        known.append(attributes.get("id", ""))
+        if not found and (not path_id or attributes.get("id") == path_id):
+            found.append(_Found(attributes.get("id", ""), attributes.get("d", ""), joined))
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.EntityDeclHandler = refuse
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda name: transforms.pop()
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise InputError(f"{file} is not well-formed XML: {error}") from error
+    if not found:
+        names = ", ".join(repr(name) for name in known[:10] if name) or "none with an id"
+        raise InputError(f"{file} has no path {path_id!r}; its paths are: {names}")
+    return found[0]
+
+
+def _transform(text: str, file: Path) -> Float64Array:
+    total = np.eye(3)
+    rest = text.strip()
+    while rest:
+        match = re.match(r"(\w+)\s*\(([^)]*)\)[\s,]*", rest)
+        if match is None:
+            raise InputError(f"{file} has the transform {text!r}; it cannot be read")
+        try:
+            values = [float(part) for part in re.split(r"[\s,]+", match[2].strip())]
+            total = total @ _TRANSFORMS[match[1]](*values)
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{file} has the transform {match[0]!r}; it cannot be read") from error
+        rest = rest[match.end() :]
+    if not np.isfinite(total).all():
+        raise InputError(f"{file} has the transform {text!r}; it is not finite")
+    return total[:2]
+
+
+def _matrix(a: float, b: float, c: float, d: float, e: float, f: float) -> Float64Array:
+    return np.array([[a, c, e], [b, d, f], [0.0, 0.0, 1.0]])
+
+
+def _rotate(degrees: float, x: float = 0.0, y: float = 0.0) -> Float64Array:
+    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return _matrix(cos, sin, -sin, cos, x - cos * x + sin * y, y - sin * x - cos * y)
+
+
+_TRANSFORMS: dict[str, Callable[..., Float64Array]] = {
+    "matrix": _matrix,
+    "translate": lambda x, y=0.0: _matrix(1.0, 0.0, 0.0, 1.0, x, y),
+    "scale": lambda x, y=None: _matrix(x, 0.0, 0.0, x if y is None else y, 0.0, 0.0),
+    "rotate": _rotate,
+    "skewX": lambda degrees: _matrix(1.0, 0.0, math.tan(math.radians(degrees)), 1.0, 0.0, 0.0),
+    "skewY": lambda degrees: _matrix(1.0, math.tan(math.radians(degrees)), 0.0, 1.0, 0.0, 0.0),
+}

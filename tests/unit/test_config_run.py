@@ -1,0 +1,261 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.quality import QualityLimits
+from calibration.errors import InputError
+from wavefocus.config.loading import check_together, configuration_from_json, load_run, plan_sha256
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.config.run import Quality, RunConfig, default_run
+
+POSITIONS = np.array([[0.0, 0.0], [4.0, 0.0]])
+
+
+def write(folder: Path, text: str, name: str = "run.toml") -> Path:
+    file = folder / name
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def complaint_about(file: Path) -> str:
+    with pytest.raises(InputError) as told:
+        load_run(file)
+    message = str(told.value)
+    assert message.isprintable()  # one line
+    return message
+
+
+def test_empty_run_file_is_the_default_campaign(tmp_path: Path) -> None:
+    configuration = load_run(write(tmp_path, ""))
+    assert configuration.run == default_run()
+    assert configuration.rig == default_rig()
+    assert configuration.position_mm.shape == (1500, 2)
+    capture = configuration.run.capture
+    assert (capture.averages, capture.taps, capture.decay_s, capture.stagger_s) == (3, 2000, 0.2, 0.25)
+
+
+def test_default_quality_is_what_the_engine_judges_by() -> None:
+    assert QualityLimits(**Quality().model_dump()) == QualityLimits()
+
+
+MISTAKES = [
+    ("[grid]\nspacing_m = 4", "grid.spacing_m = 4: unknown key; did you mean spacing_mm?"),
+    ("[grid]\nspacing = 4", "grid.spacing = 4: unknown key; did you mean spacing_mm?"),
+    ("[grid]\ntaps = 4", "grid.taps = 4: unknown key; it belongs to [capture]"),
+    ("[grid]\ncolour = 4", "grid.colour = 4: unknown key; allowed: spacing_mm, margin_mm, positions_file"),
+    ("taps = 4", "taps = 4: unknown key; it belongs to [capture]"),
+    ("[gird]\nspacing_mm = 4", "gird = { spacing_mm }: unknown key; did you mean grid?"),
+    ("grid = 4", "grid = 4: must be a table"),
+    ("[grid]\nspacing_mm = -4", "grid.spacing_mm = -4: must be above 0"),
+    ("[grid]\nspacing_mm = 0", "grid.spacing_mm = 0: must be above 0"),
+    ("[grid]\nspacing_mm = nan", "grid.spacing_mm = nan: must be a finite number"),
+    ("[grid]\nspacing_mm = '4'", 'grid.spacing_mm = "4": must be a number'),
+    ("[grid]\nspacing_mm = true", "grid.spacing_mm = true: must be a number"),
+    ("[grid]\nspacing_mm = [4]", "grid.spacing_mm = [4]: must be a number"),
+    ("[grid]\nspacing_mm = 2026-01-01", "grid.spacing_mm = 2026-01-01: must be a number"),
+    ("[grid]\nspacing_mm = 1e-6", "grid.spacing_mm = 1e-06: gives more than 1,000,000 positions"),
+    ("[grid]\nspacing_mm = 1e6", "grid.spacing_mm = 1e+06: leaves no position"),
+    ("[grid]\nmargin_mm = 75", "grid.margin_mm = 75: leaves no position"),
+    ("[grid]\nmargin_mm = -1", "grid.margin_mm = -1: must be at least 0"),
+    ("[grid]\npositions_file = 'x.csv'", 'grid.positions_file = "x.csv": must be a file'),
+    ("[sweep]\nstart_hz = 0", "sweep.start_hz = 0: must be above 0"),
+    (
+        "[sweep]\nstop_hz = 5000",
+        "sweep.stop_hz = 5000.0: must be below 5000 (half of capture.sample_rate_hz)",
+    ),
+    ("[sweep]\nstop_hz = 20", "sweep.stop_hz = 20.0: must be above start_hz = 20"),
+    ("[sweep]\nstop_hz = inf", "sweep.stop_hz = inf: must be a finite number"),
+    ("[sweep]\nduration_s = 0", "sweep.duration_s = 0: must be at least 0.05"),
+    ("[sweep]\namplitude_v = 5.1", "sweep.amplitude_v = 5.1: must be at most player.limit_v = 5 of the rig"),
+    ("[capture]\naverages = 0", "capture.averages = 0: must be at least 1"),
+    ("[capture]\naverages = 2.5", "capture.averages = 2.5: must be a whole number"),
+    ("[capture]\ntaps = 2001", "capture.taps = 2001: must be at most 2000 (decay_s * sample_rate_hz)"),
+    ("[capture]\ndecay_s = 0.1", "capture.taps = 2000: must be at most 1000 (decay_s * sample_rate_hz)"),
+    ("[capture]\nsample_rate_hz = 0", "capture.sample_rate_hz = 0: must be above 0"),
+    (
+        "[capture]\nstagger_s = 0.239",
+        "capture.stagger_s = 0.239: must be at least 0.24 (1.2 times the response",
+    ),
+    ("[capture]\nexcitation = 'staggered'", 'capture.excitation = "staggered": must be "sequential"'),
+    ("[capture]\nexcitation = 'all'", 'capture.excitation = "all": must be "sequential" or "staggered"'),
+    ("[capture]\nkeep_raw = true", "capture.keep_raw = true: must be false"),
+    ("[capture]\nkeep_raw = 1", "capture.keep_raw = 1: must be true or false"),
+    ("[quality]\nmax_attempts = 0", "quality.max_attempts = 0: must be at least 1"),
+    ("[tolerance]\ncorrelation = 1.1", "tolerance.correlation = 1.1: must be at most 1"),
+    ("[virtual]\nseed = -1", "virtual.seed = -1: must be at least 0"),
+    ("[virtual]\nnoise_v = -1", "virtual.noise_v = -1: must be at least 0"),
+    ("[virtual]\nfault_plan = 'f.toml'", 'virtual.fault_plan = "f.toml": must be a file'),
+    ("[[virtual.fault_plan]]\nrole = 'player'", "virtual.fault_plan[0].operation: is missing"),
+    (
+        "[[virtual.fault_plan]]\nrole = 'laser'\noperation = 'read'\nkind = 'lost'\nposition = 1",
+        "virtual.fault_plan[0] = { role, operation, kind, position }: fault role is 'laser'; allowed: mirror",
+    ),
+    ("rig = 'lab.toml'", 'rig = "lab.toml": must be a file'),
+    ("rig = ''", 'rig = "": must not be empty'),
+    ("rig = 3", "rig = 3: must be text in quotes"),
+    ("rig = \n", "not TOML: Invalid value (at line 1, column 7)"),
+    ("a = " + "[" * 50_000, "not TOML"),
+    ("a = " + "9" * 50_000, "not TOML"),
+]
+
+
+@pytest.mark.parametrize(("text", "complaint"), MISTAKES, ids=[complaint[:40] for _, complaint in MISTAKES])
+def test_mistake_in_a_run_file_is_one_line_with_file_key_value_and_what_is_allowed(
+    tmp_path: Path, text: str, complaint: str
+) -> None:
+    file = write(tmp_path, text)
+    assert complaint_about(file).startswith(f"{file}: {complaint}")
+
+
+def test_several_mistakes_are_told_in_one_line_and_counted(tmp_path: Path) -> None:
+    file = write(
+        tmp_path, "[grid]\nspacing_mm=0\nmargin_mm=-1\n[sweep]\nstart_hz=0\nstop_hz=0\nduration_s=0\n"
+    )
+    assert complaint_about(file) == (
+        f"{file}: grid.spacing_mm = 0: must be above 0; grid.margin_mm = -1: must be at least 0; "
+        "sweep.start_hz = 0: must be above 0; and 2 more"
+    )
+
+
+def test_control_characters_in_names_and_values_stay_in_one_line(tmp_path: Path) -> None:
+    file = write(tmp_path, 'rig = "a\\nb.toml"\n', name="run\n1.toml")
+    assert complaint_about(file).startswith(f'{tmp_path}/run\\n1.toml: rig = "a\\nb.toml"')
+
+
+@pytest.mark.parametrize("name", ["missing.toml", "", "x" * 300])
+def test_run_file_that_is_no_file_is_told_by_name(tmp_path: Path, name: str) -> None:
+    assert complaint_about(tmp_path / name).startswith(f"{tmp_path / name}: ")
+
+
+def test_run_file_that_is_not_utf8_is_told_with_the_line(tmp_path: Path) -> None:
+    file = tmp_path / "run.toml"
+    file.write_bytes("# für\nrig = 'ü'\n".encode("latin-1"))
+    assert complaint_about(file) == f"{file}: line 1: not UTF-8 text; save the file as UTF-8"
+
+
+def test_position_outside_the_surface_names_the_line_of_its_file(tmp_path: Path) -> None:
+    positions = write(tmp_path, "x_mm,y_mm\n0,0\n130,0\n", name="grid.csv")
+    file = write(tmp_path, "[grid]\npositions_file = 'grid.csv'")
+    assert complaint_about(file).startswith(f"{positions}: line 3: (130, 0) mm lies outside the surface")
+
+
+def test_positions_file_takes_the_place_of_the_grid(tmp_path: Path) -> None:
+    write(tmp_path, "x_mm,y_mm\n0,0\n4,0\n", name="grid.csv")
+    configuration = load_run(write(tmp_path, "[grid]\npositions_file = 'grid.csv'\nspacing_mm = 8"))
+    assert configuration.position_mm.tolist() == [[0, 0], [4, 0]]
+
+
+def test_rig_file_is_found_beside_the_run_file(tmp_path: Path) -> None:
+    write(tmp_path, "[rig]\nname = 'bench'", name="rig.toml")
+    assert load_run(write(tmp_path, "rig = 'rig.toml'")).rig.rig.name == "bench"
+
+
+def test_mistake_in_the_named_rig_names_the_rig_file(tmp_path: Path) -> None:
+    rig = write(tmp_path, "[surface]\nwidth_mm = 0", name="rig.toml")
+    file = write(tmp_path, "rig = 'rig.toml'")
+    assert complaint_about(file) == f"{rig}: surface.width_mm = 0: must be above 0"
+
+
+def test_grid_that_the_mirror_cannot_reach_is_refused_with_the_angle(tmp_path: Path) -> None:
+    write(tmp_path, "[mirror]\nlimit_mrad = 100\npark_mrad = [0, 0]", name="rig.toml")
+    complaint = complaint_about(write(tmp_path, "rig = 'rig.toml'"))
+    assert "grid: position " in complaint
+    assert complaint.endswith("mrad; the rig's mirror.limit_mrad = 100")
+
+
+def test_amplitude_beyond_the_reference_input_is_refused(tmp_path: Path) -> None:
+    write(tmp_path, "[recorder]\nreference_range_v = 1\nreference_gain = 2", name="rig.toml")
+    complaint = complaint_about(write(tmp_path, "rig = 'rig.toml'"))
+    assert "sweep.amplitude_v = 1: must be at most 0.5" in complaint
+
+
+def test_virtual_settings_for_a_rig_with_other_drivers_are_refused() -> None:
+    rig = default_rig()
+    wired = rig.model_copy(update={"mirror": rig.mirror.model_copy(update={"driver": "generic"})})
+    run = RunConfig.model_validate({"virtual": {"seed": 2}})
+    with pytest.raises(InputError, match=r"run\.toml: virtual: is only for a virtual rig"):
+        check_together(run, wired, "run.toml")
+
+
+def test_fault_plan_file_becomes_part_of_the_run(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        "[[fault]]\nrole='recorder'\noperation='read'\nkind='short_read'\nposition=3\n",
+        name="f.toml",
+    )
+    run = load_run(write(tmp_path, "[virtual]\nfault_plan = 'f.toml'")).run
+    assert run.virtual is not None
+    assert [(fault.role, fault.position) for fault in run.virtual.fault_plan] == [("recorder", 3)]
+    assert RunConfig.model_validate_json(run.model_dump_json()) == run
+
+
+@pytest.mark.parametrize("text", ["", "[capture]\ntaps = 3000\ndecay_s = 0.3\n[virtual]\nnoise_v = 1e-3"])
+def test_configuration_survives_the_bank_and_keeps_its_hash(tmp_path: Path, text: str) -> None:
+    there = load_run(write(tmp_path, text))
+    back = configuration_from_json(
+        there.rig.model_dump_json(), there.run.model_dump_json(), there.position_mm, "bank.h5"
+    )
+    assert (back.run, back.rig) == (there.run, there.rig)
+    assert back.plan_sha256 == there.plan_sha256
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"grid": {"spacing_mm": NaN}}', "[" * 50_000])
+def test_bank_with_a_spoilt_configuration_is_told_in_one_line(text: str) -> None:
+    with pytest.raises(InputError, match=re.escape("bank.h5: attribute run: ")):
+        configuration_from_json(default_rig().model_dump_json(), text, POSITIONS, "bank.h5")
+
+
+@pytest.mark.parametrize(
+    ("rig", "run"),
+    [
+        ({"recorder": {"response_range_v": 5}}, {}),
+        ({"recorder": {"inter_channel_delay_s": 0}}, {}),
+        ({"vibrometer": {"sensitivity_m_s_per_v": 1}}, {}),
+        ({"mirror": {"distance_mm": 900}}, {}),
+        ({"player": {"channels": list(range(1, 21)), "loopback_channel": 0}}, {}),
+        ({"actuators": {"position_mm": [[0, 0]]}}, {}),
+        ({}, {"sweep": {"amplitude_v": 0.5}}),
+        ({}, {"capture": {"averages": 2}}),
+        ({}, {"virtual": {"seed": 2}}),
+        ({}, {"virtual": {"noise_v": 1e-3}}),
+    ],
+)
+def test_plan_hash_changes_with_what_a_resume_must_not_change(rig: object, run: object) -> None:
+    changed = plan_sha256(RigConfig.model_validate(rig), RunConfig.model_validate(run), POSITIONS)
+    assert changed != plan_sha256(default_rig(), default_run(), POSITIONS)
+
+
+def test_plan_hash_changes_with_a_position() -> None:
+    moved = POSITIONS + np.array([[0, 0], [0, 1e-9]])
+    assert plan_sha256(default_rig(), default_run(), moved) != plan_sha256(
+        default_rig(), default_run(), POSITIONS
+    )
+
+
+@pytest.mark.parametrize(
+    ("rig", "run"),
+    [
+        ({"rig": {"name": "other"}}, {}),
+        ({"mirror": {"settle_s": 0.02, "limit_mrad": 240, "park_mrad": [0, 0]}}, {}),
+        ({"player": {"limit_v": 2}}, {}),
+        ({}, {"rig": "elsewhere/rig.toml"}),
+        ({}, {"grid": {"positions_file": "grid.csv"}}),
+        ({}, {"tolerance": {"correlation": 0.5}}),
+        ({}, {"capture": {"stagger_s": 0.5}}),
+        (
+            {},
+            {
+                "virtual": {
+                    "fault_plan": [{"role": "player", "operation": "wait", "kind": "lost", "at_call": 2}]
+                }
+            },
+        ),
+    ],
+)
+def test_plan_hash_stays_with_what_may_change(rig: object, run: object) -> None:
+    changed = plan_sha256(RigConfig.model_validate(rig), RunConfig.model_validate(run), POSITIONS)
+    assert changed == plan_sha256(default_rig(), default_run(), POSITIONS)

@@ -1,0 +1,311 @@
+"""Drives against a direct evaluation of contract section 1, one emitted sample after another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.errors import InputError
+from rendering.drive import render, render_with_report
+from rendering.field import predict
+from rendering.green_source import GreenArray
+from rendering.paths import Circle, Line, Point, Polyline
+from rendering.render_report import RenderWarning
+from rendering.scene import Output, Regularisation, Scene, Source
+from rendering.signals import Impulse, Noise, Sine
+
+RATE_HZ = 1000.0
+COLUMNS, ROWS, PITCH_MM = 9, 7, 4.0
+
+
+def make_bank(taps=60, actuators=3, seed=0, **options):
+    position_mm = np.array([(PITCH_MM * x - 16.0, PITCH_MM * y - 12.0) for y in range(ROWS) for x in range(COLUMNS)])
+    values = np.random.default_rng(seed).standard_normal((len(position_mm), actuators, taps))
+    return GreenArray(values, position_mm, RATE_HZ, **options)
+
+
+def green_at(bank, point, kind):
+    """g at a point and the row that regularises it."""
+    nearest = int(np.argmin(((bank.position_mm - point) ** 2).sum(axis=1)))
+    if kind == "nearest":
+        return bank.values[nearest].astype(float), nearest
+    x, y = (point[0] + 16.0) / PITCH_MM, (point[1] + 12.0) / PITCH_MM
+    column, row = min(int(x), COLUMNS - 2), min(int(y), ROWS - 2)
+    a, b = x - column, y - row
+    corner = bank.values[row * COLUMNS + column :]
+    return (
+        (1 - a) * (1 - b) * corner[0]
+        + a * (1 - b) * corner[1]
+        + (1 - a) * b * corner[COLUMNS]
+        + a * b * corner[COLUMNS + 1]
+    ), nearest
+
+
+def emitted(source, method):
+    """Yield (sample, value, point) for everything the source emits, and its last sample plus one."""
+    u = source.amplitude * source.signal.samples(RATE_HZ)
+    length, d, v = source.path.length_mm, source.step_mm, source.speed_mm_s
+    if length == 0 or v == 0:
+        n0 = round(source.start_s * RATE_HZ)
+        point = source.path.point_at([0.0])[0]
+        return [(n0 + s, u[s], point) for s in range(len(u))], n0 + len(u)
+    points = int(np.floor(length / d + 1e-9)) + 1
+    n = [round((source.start_s + m * d / v) * RATE_HZ) for m in range(points + 1)]
+    if source.emission == "per_point":
+        events = [(n[m] + s, u[s], source.path.point_at([m * d])[0]) for m in range(points) for s in range(len(u))]
+        return events, n[points - 1] + len(u)
+    events, m = [], 0
+    for s in range(min(len(u), n[points] - n[0])):
+        while n[m + 1] <= n[0] + s:
+            m += 1
+        along = min(v * s / RATE_HZ, length) if method == "exact" else m * d
+        events.append((n[0] + s, u[s], source.path.point_at([along])[0]))
+    return events, n[points]
+
+
+def direct(scene, bank, method, threshold=np.inf):
+    """Evaluate eqs. (9) and (16) by plain summation in float64."""
+    parts = [emitted(source, method) for source in scene.sources]
+    drive = np.zeros((bank.actuators, max(end for _, end in parts) + bank.taps - 1))
+    for events, _ in parts:
+        for sample, value, point in events:
+            green, nearest = green_at(bank, point, scene.output.interpolation)
+            own = bank.values[nearest].astype(float)
+            rms = np.sqrt(np.mean(own**2, axis=1))
+            sigma = np.array([1.0 if r < threshold else threshold / r for r in rms])
+            n = 1.0 / np.sum(sigma * np.sum(own**2, axis=1)) if scene.regularisation.normalise else 1.0
+            drive[:, sample : sample + bank.taps] += n * value * (sigma[:, None] * green)[:, ::-1]
+    return drive
+
+
+def relative_error(found, expected):
+    assert found.shape == expected.shape
+    return np.linalg.norm(found - expected) / np.linalg.norm(expected)
+
+
+MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)
+REPEATING = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 0.05, 4), 0.2, 100.0, 3.0, 1.5, "per_point")
+STANDING = Source(Point((3, 3)), Sine(70, 0.3), 0.3)
+LONG_PER_POINT = Source(Line((-10, 0), (10, 0)), Noise((50, 400), 4.6, 5), 0.0, 100.0, 5.0, 1.0, "per_point")
+
+
+@pytest.mark.parametrize("method", ["sampled", "exact"])
+@pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
+@pytest.mark.parametrize("threshold", [None, 0.9])
+@pytest.mark.parametrize("sources", [(MOVING,), (REPEATING,), (STANDING,), (MOVING, REPEATING, STANDING)])
+def test_a_scene_renders_to_the_direct_evaluation_of_the_equations(sources, threshold, interpolation, method):
+    bank = make_bank()
+    scene = Scene("s", sources, Regularisation(saturation_absolute=threshold), Output(interpolation))
+    drive, _ = render_with_report(scene, bank, method=method)
+    expected = direct(scene, bank, method, threshold or np.inf)
+    assert relative_error(drive.drive_v, expected) < 1e-12
+    assert drive.omitted_bound == 0.0
+
+
+def test_a_long_signal_emitted_anew_at_every_point_renders_to_the_direct_evaluation():
+    bank = make_bank()
+    scene = Scene("s", (LONG_PER_POINT,))
+    drive, _ = render_with_report(scene, bank)
+    assert relative_error(drive.drive_v, direct(scene, bank, "sampled")) < 1e-12
+
+
+def test_without_normalisation_the_drive_is_the_plain_sum():
+    bank = make_bank()
+    scene = Scene("s", (MOVING,), Regularisation(normalise=False))
+    drive, _ = render_with_report(scene, bank)
+    assert relative_error(drive.drive_v, direct(scene, bank, "exact")) < 1e-12
+
+
+def test_saturation_as_a_fraction_is_of_the_median_rms():
+    bank = make_bank()
+    rms = np.sqrt(np.mean(bank.values**2, axis=2))
+    drive, _ = render_with_report(Scene("s", (MOVING,), Regularisation(saturation=0.9)), bank)
+    expected = direct(Scene("s", (MOVING,)), bank, "exact", 0.9 * float(np.median(rms)))
+    assert relative_error(drive.drive_v, expected) < 1e-12
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    taps=st.integers(1, 90),
+    start_s=st.floats(0, 0.5),
+    speed_mm_s=st.floats(5, 5000),
+    step_mm=st.floats(0.3, 9),
+    emission=st.sampled_from(["continuous", "per_point"]),
+    method=st.sampled_from(["sampled", "exact"]),
+)
+@settings(max_examples=25, deadline=None)
+def test_any_scene_renders_to_the_direct_evaluation(seed, taps, start_s, speed_mm_s, step_mm, emission, method):
+    bank = make_bank(taps, 2, seed)
+    end = tuple(np.random.default_rng(seed).uniform(-12, 12, 2))
+    source = Source(Line((-13, 5), end), Noise((0, 500), 0.03, seed), start_s, speed_mm_s, step_mm, 0.7, emission)
+    scene = Scene("s", (source,))
+    if emission == "continuous" and round((start_s + step_mm / speed_mm_s) * RATE_HZ) == round(start_s * RATE_HZ):
+        return  # it may emit nothing at all, which is refused
+    drive, _ = render_with_report(scene, bank, method=method)
+    assert relative_error(drive.drive_v, direct(scene, bank, method)) < 1e-12
+
+
+@given(position=st.integers(0, ROWS * COLUMNS - 1), amplitude=st.floats(0.01, 100), start_s=st.floats(0, 0.2))
+@settings(max_examples=15, deadline=None)
+def test_an_impulse_of_amplitude_a_gives_the_response_a_at_its_focus(position, amplitude, start_s):
+    bank = make_bank()
+    at_mm = tuple(bank.position_mm[position])
+    scene = Scene("s", (Source(Point(at_mm), Impulse(), start_s, amplitude=amplitude),), Regularisation(saturation=0.8))
+    drive, _ = render_with_report(scene, bank)
+    field = predict(drive, bank, [position])
+    at = int(drive.focus_sample[0]) + bank.taps - 1
+    assert field.field[0, at] == pytest.approx(amplitude, rel=1e-9)
+    assert drive.focus_position.tolist() == [position]
+
+
+def test_the_drive_starts_a_lead_in_before_time_zero_even_if_every_source_starts_later():
+    bank = make_bank()
+    drive, _ = render_with_report(Scene("s", (Source(Point((0, 0)), Impulse(), 0.5),)), bank)
+    assert drive.start_s == -(bank.taps - 1) / RATE_HZ
+    assert drive.drive_v.shape == (3, 500 + 1 + bank.taps - 1)
+    assert not drive.drive_v[:, :500].any()
+
+
+def test_a_continuous_emission_lasts_until_the_next_focus_would_come():
+    drive, _ = render_with_report(
+        Scene("s", (Source(Line((-8, 0), (8, 0)), Sine(50, 0.01), 0.0, 80.0, 4.0),)), make_bank()
+    )
+    assert drive.drive_v.shape[1] == 250 + 60 - 1
+    assert drive.focus_sample.tolist() == [0, 50, 100, 150, 200]
+
+
+def test_foci_are_listed_source_by_source():
+    drive, _ = render_with_report(Scene("s", (REPEATING, STANDING)), make_bank())
+    assert drive.focus_source.tolist() == [0] * 13 + [1]
+    assert drive.focus_sample[-1] == 300
+    assert (np.diff(drive.focus_sample[:13]) == 30).all()
+
+
+def test_the_method_is_sampled_only_where_every_source_emits_per_point():
+    bank = make_bank()
+    assert render(Scene("s", (REPEATING,)), bank).method == "sampled"
+    assert render(Scene("s", (MOVING,)), bank).method == "exact"
+    assert render(Scene("s", (MOVING, REPEATING)), bank).method == "exact"
+    assert render(Scene("s", (MOVING,)), bank, method="sampled").method == "sampled"
+
+
+def test_a_limit_scales_the_drive_down_and_says_by_how_much():
+    bank = make_bank()
+    free, _ = render_with_report(Scene("s", (MOVING,)), bank)
+    peak = np.abs(free.drive_v).max()
+    held, report = render_with_report(Scene("s", (MOVING,), output=Output(limit_v=peak / 3)), bank)
+    assert np.abs(held.drive_v).max() <= peak / 3
+    assert held.scale == pytest.approx(1 / 3)
+    assert report.scale == held.scale
+    np.testing.assert_allclose(held.drive_v, free.drive_v * held.scale, rtol=1e-15)
+    loose, _ = render_with_report(Scene("s", (MOVING,), output=Output(limit_v=peak * 3)), bank)
+    assert loose.scale == 1.0
+
+
+def test_a_drive_that_does_not_fit_into_float64_is_refused():
+    source = Source(Point((0, 0)), Impulse(), amplitude=1e300)
+    bank = make_bank()
+    tiny = GreenArray(bank.values * 1e-200, bank.position_mm, RATE_HZ)
+    with pytest.raises(InputError, match="does not fit into float64"):
+        render(Scene("s", (source,)), tiny)
+
+
+def test_progress_ends_at_its_total():
+    told = []
+    render_with_report(
+        Scene("s", (MOVING, REPEATING)),
+        make_bank(),
+        on_progress=lambda done, total: told.append((done, total)),
+    )
+    assert told[-1][0] == told[-1][1]
+    assert told == sorted(told)
+
+
+def banded_bank(seed, taps, leak):
+    """Green's functions within 50 to 150 Hz, and white noise `leak` times as strong everywhere."""
+    bank = make_bank(taps, 2, seed)
+    spectrum = np.fft.rfft(bank.values, axis=2)
+    frequency = np.fft.rfftfreq(taps, 1 / RATE_HZ)
+    spectrum[..., (frequency < 50) | (frequency > 150)] = 0
+    values = np.fft.irfft(spectrum, taps, axis=2) * np.exp(-np.arange(taps) / (taps / 6))
+    values += leak * values.std() * np.random.default_rng(seed + 1).standard_normal(values.shape)
+    return GreenArray(values, bank.position_mm, RATE_HZ, band_hz=(50.0, 150.0))
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    leak=st.sampled_from([0.0, 1e-6, 1e-4, 1e-2]),
+    tolerance_db=st.floats(-120, -3),
+    speed_mm_s=st.sampled_from([0.0, 20.0, 300.0]),
+    emission=st.sampled_from(["continuous", "per_point"]),
+    threshold=st.sampled_from([None, 0.5]),
+    interpolation=st.sampled_from(["nearest", "bilinear"]),
+)
+@settings(max_examples=40, deadline=None)
+def test_the_bound_is_never_smaller_than_the_error_of_what_was_left_out(
+    seed, leak, tolerance_db, speed_mm_s, emission, threshold, interpolation
+):
+    bank = banded_bank(seed, 300, leak)
+    end = tuple(np.random.default_rng(seed).uniform(-12, 12, 2))
+    path = Line((-13, 5), end) if speed_mm_s else Point(end)
+    source = Source(path, Noise((40, 200), 0.4, seed), 0.0, speed_mm_s, 2.0, 1.0, emission)
+    scene = Scene("s", (source, STANDING), Regularisation(saturation=threshold), Output(interpolation))
+    exact, _ = render_with_report(scene, bank)
+    drive, report = render_with_report(scene, bank, tolerance_db=tolerance_db)
+    assert relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound or report.kept_bins == report.bins
+    assert drive.omitted_bound <= 10 ** (tolerance_db / 20)
+
+
+def test_a_tolerance_on_a_banded_bank_leaves_bins_out():
+    bank = banded_bank(3, 400, 0.0)
+    exact, _ = render_with_report(Scene("s", (MOVING,)), bank)
+    drive, report = render_with_report(Scene("s", (MOVING,)), bank, tolerance_db=-20)
+    assert report.kept_bins < report.bins
+    assert 0 < drive.omitted_bound <= 0.1
+    assert 0 < relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound
+
+
+@pytest.mark.parametrize("tolerance_db", [0.0, 3.0, float("nan"), float("-inf")])
+def test_a_tolerance_that_is_not_below_zero_is_refused(tolerance_db):
+    with pytest.raises(InputError, match="tolerance_db"):
+        render(Scene("s", (MOVING,)), make_bank(), tolerance_db=tolerance_db)
+
+
+def test_an_unknown_method_is_refused():
+    with pytest.raises(InputError, match="method is 'fast'"):
+        render(Scene("s", (MOVING,)), make_bank(), method="fast")
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        (Source(Line((-8, 0), (8, 0)), Impulse(), 0, 0.0, 4.0), "speed_mm_s of source 0 is 0"),
+        (Source(Line((-8, 0), (8, 0)), Impulse(), 0, 80.0, 0.0), "step_mm of source 0 is 0"),
+        (Source(Line((-8, 0), (8, 0)), Impulse(), 0, 80.0, 1e-9), "path points; at most"),
+        (Source(Line((-8, 0), (8, 0)), Impulse(), 0, 1e9, 4.0), "emits nothing"),
+        (Source(Point((0, 0)), Impulse(), 1e9), "samples are allowed"),
+    ],
+)
+def test_a_source_that_cannot_be_sampled_is_refused(source, message):
+    with pytest.raises(InputError, match=message):
+        render(Scene("s", (source,)), make_bank())
+
+
+def test_a_doubtful_row_on_the_path_is_used_with_a_warning():
+    status = np.ones(ROWS * COLUMNS, np.uint8)
+    status[31] = 4
+    bank = make_bank(status=status)
+    _, report = render_with_report(Scene("s", (Source(Point((0, 0)), Impulse()),)), bank)
+    assert report.rows == (31,)
+    assert any("position 31" in text for text in report.warnings)
+    with pytest.warns(RenderWarning, match="position 31"):
+        render(Scene("s", (Source(Point((0, 0)), Impulse()),)), bank)
+
+
+def test_the_report_tells_how_far_path_points_were_snapped():
+    path = Polyline([(0.0, 0.0), (0.0, 1.0), (0.0, 4.0)])
+    _, report = render_with_report(Scene("s", (Source(path, Impulse(), 0, 100.0, 1.0),)), make_bank())
+    assert (report.points, report.snapped_points, report.largest_snap_mm) == (5, 3, 2.0)
+    assert report.relative_rms_drive.max() == 1.0

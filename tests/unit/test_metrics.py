@@ -1,0 +1,136 @@
+"""Figures of wave fields against fields whose figures are known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import j1
+
+from calibration.errors import InputError
+from rendering import metrics
+
+SPACING_MM = 4.0
+AXIS_MM = np.arange(-40.0, 40.1, SPACING_MM)
+GRID_MM = np.stack(np.meshgrid(AXIS_MM, AXIS_MM), axis=-1).reshape(-1, 2)
+offsets_mm = st.floats(-2.0, 2.0)
+
+
+def gaussian(centre_mm: tuple[float, float], fwhm_mm: float) -> np.ndarray:
+    distance = np.hypot(*(GRID_MM - centre_mm).T)
+    return np.asarray(np.exp(-4.0 * math.log(2.0) * (distance / fwhm_mm) ** 2))
+
+
+def jinc(centre_mm: tuple[float, float], fwhm_mm: float) -> np.ndarray:
+    # 2 J1(z) / z is one half at z = 2.21509.
+    z = np.hypot(*(GRID_MM - centre_mm).T) * 2.0 * 2.21509 / fwhm_mm + 1e-12
+    return np.asarray(2.0 * j1(z) / z)
+
+
+@given(x=offsets_mm, y=offsets_mm, fwhm=st.floats(9.0, 14.0), sign=st.sampled_from([-1e-3, 1.0, 1e4]))
+@settings(max_examples=25, deadline=None)
+def test_given_a_gaussian_spot_between_positions_then_its_width_and_place_are_found(x, y, fwhm, sign):
+    field = sign * gaussian((x, y), fwhm)
+    peak = metrics.focus_peak(GRID_MM, field, (0.0, 0.0), 15.0)
+    assert peak is not None
+    assert math.dist(peak.at_mm, (x, y)) < 0.01
+    width = metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM)
+    assert width == pytest.approx(fwhm, rel=0.04)
+
+
+@given(x=offsets_mm, y=offsets_mm, fwhm=st.floats(8.0, 14.0))
+@settings(max_examples=25, deadline=None)
+def test_given_a_jinc_spot_with_side_lobes_then_only_the_main_lobe_counts(x, y, fwhm):
+    field = jinc((x, y), fwhm)
+    peak = metrics.focus_peak(GRID_MM, field, (0.0, 0.0), 15.0)
+    assert peak is not None
+    assert math.dist(peak.at_mm, (x, y)) < 0.35
+    assert metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM) == pytest.approx(fwhm, rel=0.04)
+
+
+def test_given_an_elliptic_spot_then_the_width_is_the_geometric_mean_of_its_axes():
+    x, y = GRID_MM.T
+    field = np.exp(-4.0 * math.log(2.0) * ((x / 9.0) ** 2 + (y / 16.0) ** 2))
+    row = int(np.argmax(field))
+    assert metrics.focal_width_mm(GRID_MM, field, row, SPACING_MM) == pytest.approx(12.0, rel=0.03)
+
+
+def test_given_two_spots_then_the_one_within_the_radius_is_found_and_measured_alone():
+    field = gaussian((-10.0, 0.0), 9.0) - 5.0 * gaussian((25.0, 0.0), 12.0)
+    peak = metrics.focus_peak(GRID_MM, field, (-9.0, 1.0), 10.0)
+    assert peak is not None
+    assert math.dist(peak.at_mm, (-10.0, 0.0)) < 0.6
+    assert metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM) == pytest.approx(9.0, rel=0.04)
+
+
+def test_given_a_spot_cut_off_by_the_rim_of_the_grid_then_it_has_no_width():
+    field = gaussian((40.0, 0.0), 10.0)
+    assert metrics.focal_width_mm(GRID_MM, field, int(np.argmax(field)), SPACING_MM) is None
+
+
+@pytest.mark.parametrize("rows", [[220], [220, 221, 222, 223], [200, 201, 220, 221, 222, 240, 241]])
+def test_given_too_few_positions_around_the_peak_then_there_is_no_width(rows):
+    field = gaussian((0.0, 0.0), 10.0)
+    assert metrics.focal_width_mm(GRID_MM[rows], field[rows], 0, SPACING_MM) is None
+
+
+def test_given_positions_on_one_line_then_there_is_a_peak_on_the_grid_and_no_width():
+    line = GRID_MM[GRID_MM[:, 1] == 0.0]
+    field = np.exp(-((line[:, 0] - 1.0) ** 2) / 30.0)
+    peak = metrics.focus_peak(line, field, (0.0, 0.0), 20.0)
+    assert peak is not None
+    assert peak.at_mm == (0.0, 0.0)
+    assert metrics.focal_width_mm(line, field, peak.row, SPACING_MM) is None
+
+
+def test_given_no_position_within_the_radius_then_there_is_no_peak():
+    assert metrics.focus_peak(GRID_MM, np.ones(len(GRID_MM)), (200.0, 0.0), 15.0) is None
+
+
+def test_given_fields_that_differ_by_a_tenth_then_the_error_is_a_tenth_and_the_correlation_one():
+    field = np.random.default_rng(1).standard_normal((5, 200)).astype(np.float32)
+    assert metrics.normalised_error(field, np.float32(0.9) * field) == pytest.approx(0.1, rel=1e-5)
+    assert metrics.correlation(field, -0.9 * field) == pytest.approx(-1.0)
+
+
+def test_given_silence_then_the_figures_say_so_and_do_not_divide_by_it():
+    silence, field = np.zeros((2, 3)), np.ones((2, 3))
+    assert metrics.normalised_error(silence, silence) == 0.0
+    assert metrics.normalised_error(silence, field) == math.inf
+    assert math.isnan(metrics.correlation(silence, field))
+    assert metrics.level_db(0.0) == -math.inf
+
+
+def test_given_fields_of_different_shape_then_the_message_names_both():
+    with pytest.raises(InputError, match=r"\(2, 3\) and \(3, 2\)"):
+        metrics.normalised_error(np.ones((2, 3)), np.ones((3, 2)))
+
+
+def test_given_gains_of_1_to_10_with_unmeasured_positions_then_the_range_is_20_db():
+    assert metrics.range_db(np.array([1.0, 10.0, np.nan, np.inf, 0.0, 3.0])) == pytest.approx(20.0)
+    assert math.isnan(metrics.range_db(np.array([np.nan, 2.0])))
+
+
+def test_given_a_shuffled_grid_with_gaps_then_the_spacing_is_still_four_millimetres():
+    rows = np.random.default_rng(2).permutation(len(GRID_MM))[:300]
+    assert metrics.grid_spacing_mm(GRID_MM[rows]) == pytest.approx(SPACING_MM)
+    with pytest.raises(InputError, match="two positions"):
+        metrics.grid_spacing_mm(GRID_MM[:1])
+
+
+def test_given_a_side_spot_of_a_tenth_then_the_artefact_level_is_minus_20_db():
+    field = gaussian((0.0, 0.0), 9.0) - 0.1 * gaussian((32.0, 0.0), 9.0)
+    assert metrics.artefact_level_db(GRID_MM, field, (0.0, 0.0), 15.0) == pytest.approx(-20.0, abs=0.1)
+    assert math.isnan(metrics.artefact_level_db(GRID_MM, field, (0.0, 0.0), 500.0))
+
+
+@pytest.mark.parametrize(("frequency_hz", "kept"), [(5.0, 0.0), (100.0, 1.0), (480.0, 1.0), (900.0, 0.0)])
+def test_given_a_tone_then_the_band_keeps_it_or_drops_it_whole(frequency_hz, kept):
+    time_s = np.arange(20_000) / 10_000.0
+    tone = np.sin(2.0 * np.pi * frequency_hz * time_s) * np.hanning(time_s.size)
+    limited = metrics.band_limited(tone, 10_000.0, (20.0, 500.0))
+    assert np.linalg.norm(limited - kept * tone) < 2e-3 * np.linalg.norm(tone)
+    assert limited.dtype == tone.dtype

@@ -1,0 +1,221 @@
+"""Paths followed by their arc length."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.errors import InputError
+from rendering.paths import Circle, Line, Point, Polyline, Strokes
+from rendering.svg_commands import flatten
+from rendering.svg_path import SvgPath
+from rendering.text_path import TextPath
+
+NAN = float("nan")
+
+
+def test_a_point_has_no_length_and_stays_where_it_is():
+    path = Point((3.0, -4.0))
+    assert path.length_mm == 0.0
+    np.testing.assert_array_equal(path.point_at([0.0, 0.0]), [[3, -4], [3, -4]])
+
+
+def test_a_line_is_followed_at_unit_speed():
+    path = Line((1.0, 2.0), (4.0, 6.0))
+    assert path.length_mm == 5.0
+    np.testing.assert_allclose(path.point_at([0.0, 2.5, 5.0]), [[1, 2], [2.5, 4], [4, 6]], atol=1e-12)
+
+
+def test_a_closed_polyline_comes_back_to_its_start():
+    path = Polyline([(0, 0), (4, 0), (4, 3)], closed=True)
+    assert path.length_mm == 12.0
+    np.testing.assert_allclose(path.point_at([4, 7, 9.5, 12]), [[4, 0], [4, 3], [2, 1.5], [0, 0]], atol=1e-12)
+
+
+def test_points_that_repeat_count_once():
+    path = Polyline([(0, 0), (0, 0), (2, 0), (2, 0), (2, 2)])
+    assert path.length_mm == 4.0
+    np.testing.assert_allclose(path.point_at([2, 3]), [[2, 0], [2, 1]], atol=1e-12)
+
+
+def test_strokes_are_joined_by_jumps_that_take_no_length():
+    path = Strokes([np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[10.0, 0.0], [10.0, 3.0]])])
+    assert path.length_mm == 5.0
+    np.testing.assert_allclose(path.point_at([1.9, 2.0, 5.0]), [[1.9, 0], [10, 0], [10, 3]], atol=1e-12)
+
+
+@pytest.mark.parametrize(("turns", "expected"), [(0.25, (1.0, 7.0)), (-0.25, (1.0, -3.0))])
+def test_a_circle_turns_anticlockwise_when_its_turns_are_positive(turns, expected):
+    path = Circle((1.0, 2.0), 5.0, turns, start_deg=0.0)
+    assert path.length_mm == pytest.approx(2.5 * math.pi)
+    np.testing.assert_allclose(path.point_at([0.0, path.length_mm]), [[6, 2], expected], atol=1e-12)
+
+
+def test_a_circle_starts_at_the_angle_given():
+    np.testing.assert_allclose(Circle((0, 0), 2.0, 1.0, 90.0).point_at([0.0]), [[0, 2]], atol=1e-12)
+
+
+def test_a_circle_without_radius_is_a_point():
+    path = Circle((1, 1), 0.0)
+    assert path.length_mm == 0.0
+    np.testing.assert_array_equal(path.point_at([0.0]), [[1, 1]])
+
+
+@given(
+    points=st.lists(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), min_size=2, max_size=8),
+    closed=st.booleans(),
+)
+@settings(max_examples=40, deadline=None)
+def test_neighbours_on_a_polyline_are_never_further_apart_than_along_it(points, closed):
+    path = Polyline(points, closed)
+    along = np.linspace(0, path.length_mm, 200)
+    steps = np.hypot(*np.diff(path.point_at(along), axis=0).T)
+    assert (steps <= np.diff(along) + 1e-9).all()
+    np.testing.assert_allclose(path.point_at([0.0])[0], points[0], atol=1e-9)
+    np.testing.assert_allclose(path.point_at([path.length_mm])[0], points[0 if closed else -1], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Point((NAN, 0)),
+        lambda: Line((0, 0), (math.inf, 0)),
+        lambda: Polyline([]),
+        lambda: Polyline([(0, NAN)]),
+        lambda: Circle((0, 0), -1.0),
+        lambda: Circle((0, 0), 1.0, math.inf),
+        lambda: TextPath("  ", 10),
+        lambda: TextPath("A", 0),
+        lambda: TextPath("A", 10, (NAN, 0)),
+        lambda: TextPath("\u4e2d", 10),
+        lambda: Strokes([]),
+    ],
+)
+def test_a_path_that_makes_no_sense_is_refused(make):
+    with pytest.raises(InputError):
+        make()
+
+
+# --- SVG ---------------------------------------------------------------------------------------------------
+
+
+def svg(tmp_path, body, head=""):
+    file = tmp_path / "drawing.svg"
+    file.write_text(f'<?xml version="1.0"?>{head}<svg xmlns="http://www.w3.org/2000/svg">{body}</svg>')
+    return file
+
+
+def test_an_svg_path_is_seen_upright(tmp_path):
+    file = svg(tmp_path, '<path id="v" d="M 0 0 L 10 0 L 10 20"/>')
+    path = SvgPath(file, "v", 0.5, (1.0, 2.0))
+    assert path.length_mm == pytest.approx(15.0)
+    np.testing.assert_allclose(path.point_at([0, 5, 15]), [[1, 2], [6, 2], [6, -8]], atol=1e-9)
+
+
+def test_transforms_of_groups_and_paths_are_applied(tmp_path):
+    file = svg(
+        tmp_path,
+        '<g transform="translate(10, 0) scale(2)"><g transform="rotate(90)"><path id="v" d="m1 0 1 0"/></g></g>',
+    )
+    np.testing.assert_allclose(SvgPath(file).point_at([0, 2]), [[10, -2], [10, -4]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("data", "end", "length"),
+    [
+        ("M0 0 H10 V5", (10, 5), 15),
+        ("m1,1 h2v3l-2-3z", (1, 1), 5 + math.sqrt(13)),
+        ("M0 0 10 0 10 10", (10, 10), 20),
+        ("M0,0C0,0 10,0 10,0", (10, 0), 10),
+        ("M0 0c0 0 5 0 5 0s5 0 5 0", (10, 0), 10),
+        ("M0 0Q5 0 10 0T20 0", (20, 0), 20),
+        ("M0 0A10 10 0 0 1 20 0", (20, 0), 10 * math.pi),
+        ("M0 0a10 10 0 1010 10", (10, 10), 15 * math.pi),
+        ("M0 0A1 1 0 0 1 20 0", (20, 0), 10 * math.pi),
+        ("M0 0A0 5 0 0 1 3 4", (3, 4), 5),
+        ("M1e1-.5.5.5", (0.5, 0.5), math.hypot(9.5, 1.0)),
+    ],
+)
+def test_path_commands_draw_what_the_standard_says(data, end, length):
+    (stroke,) = flatten(data, 1e-4)
+    np.testing.assert_allclose(stroke[-1], end, atol=1e-9)
+    assert np.hypot(*np.diff(stroke, axis=0).T).sum() == pytest.approx(length, rel=1e-3)
+
+
+@pytest.mark.parametrize(("flags", "low", "high"), [("0 0", 0, 10), ("0 1", 0, 10), ("1 0", 0, 20), ("1 1", -10, 10)])
+def test_an_arc_goes_the_way_its_flags_say(flags, low, high):
+    """Appendix F.6 of SVG 1.1: large-arc flag, then sweep flag (1: clockwise on the screen)."""
+    (stroke,) = flatten(f"M0 0A10 10 0 {flags} 10 10", 1e-4)
+    assert stroke[:, 1].min() == pytest.approx(low, abs=1e-3)
+    assert stroke[:, 1].max() == pytest.approx(high, abs=1e-3)
+
+
+def test_a_smooth_curve_mirrors_the_handle_before_it():
+    (smooth,) = flatten("M0 0C0 5 5 5 5 0S10 -5 10 0", 1e-5)
+    (spelled,) = flatten("M0 0C0 5 5 5 5 0C5 -5 10 -5 10 0", 1e-5)
+    np.testing.assert_allclose(smooth, spelled, atol=1e-12)
+
+
+def test_flattening_stays_within_its_tolerance():
+    (stroke,) = flatten("M-10 0A10 10 0 0 1 10 0", 0.01)
+    middle = (stroke[1:] + stroke[:-1]) / 2
+    assert 0 <= (10 - np.hypot(*middle.T)).max() <= 0.01
+
+
+def test_every_moveto_starts_a_stroke():
+    strokes = flatten("M0 0h5M0 10h7m0 0", 0.01)
+    assert [len(stroke) for stroke in strokes] == [2, 2]
+
+
+@pytest.mark.parametrize("data", ["", "L0 0", "M0", "M0 0 X", "M0 0 L1", "M0 0A1 1 0 2 0 5 5", "M0 0z 5", "M0 0 nan 0"])
+def test_malformed_path_data_is_refused(data):
+    with pytest.raises(InputError):
+        flatten(data, 0.01)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        '<!DOCTYPE svg [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>',
+        '<!DOCTYPE svg SYSTEM "file:///etc/passwd">',
+    ],
+)
+def test_an_svg_file_with_a_document_type_is_refused(tmp_path, head):
+    with pytest.raises(InputError, match="document type"):
+        SvgPath(svg(tmp_path, '<path d="M0 0h1"/>', head))
+
+
+def test_an_svg_file_without_that_path_names_those_it_has(tmp_path):
+    with pytest.raises(InputError, match="'heart'"):
+        SvgPath(svg(tmp_path, '<path id="heart" d="M0 0h1"/>'), "star")
+
+
+@pytest.mark.parametrize("body", ["<path d='M0 0h1'", '<path transform="spin(3)" d="M0 0h1"/>', "<rect/>"])
+def test_a_broken_svg_file_is_refused(tmp_path, body):
+    with pytest.raises(InputError, match=r"drawing\.svg"):
+        SvgPath(svg(tmp_path, body))
+
+
+def test_a_missing_svg_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        SvgPath(tmp_path / "none.svg")
+
+
+# --- text --------------------------------------------------------------------------------------------------
+
+
+def test_text_fills_its_height_around_its_centre():
+    path = TextPath("Ab$", 40.0, (5.0, -3.0))
+    points = path.point_at(np.linspace(0, path.length_mm, 4000))
+    assert np.ptp(points[:, 1]) == pytest.approx(40.0, abs=0.1)
+    np.testing.assert_allclose((points.min(axis=0) + points.max(axis=0)) / 2, [5, -3], atol=0.1)
+
+
+def test_text_stands_upright():
+    path = TextPath("L", 10.0)
+    points = path.point_at(np.linspace(0, path.length_mm, 2000))
+    assert np.count_nonzero(points[:, 1] < -3) > np.count_nonzero(points[:, 1] > 3)

@@ -1,0 +1,197 @@
+"""The report holds what it shows, says what was found, and trusts no name."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import io
+import math
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from calibration.drive_file import Drive
+from calibration.field_file import Field
+from rendering.drive import render
+from rendering.field import predict
+from rendering.green_source import GreenArray
+from rendering.paths import Line
+from rendering.report import build_report
+from rendering.report_words import number, remarks
+from rendering.scan import Scan
+from rendering.scene import Output, Regularisation, Scene, Source
+from rendering.signals import Impulse
+from rendering.verification import compare
+
+RATE_HZ = 4_000.0
+TAPS = 200
+AXIS_MM = np.arange(-24.0, 24.1, 4.0)
+GRID_MM = np.stack(np.meshgrid(AXIS_MM, AXIS_MM), axis=-1).reshape(-1, 2)
+ACTUATOR_MM = np.array([(-40.0, 0.0), (40.0, 10.0), (0.0, 40.0), (5.0, -40.0)])
+NASTY = '<script>alert("1")</script> & </title><img src="https://evil.example/x.png">'
+
+
+@cache
+def bank() -> GreenArray:
+    distance_m = np.hypot(*(GRID_MM[:, None] - ACTUATOR_MM).transpose(2, 0, 1)) / 1e3
+    late_s = np.arange(TAPS) / RATE_HZ - distance_m[..., None] / 4.8 - 0.006
+    pulse = np.sin(2.0 * np.pi * 250.0 * late_s) * np.exp(-((late_s / 0.002) ** 2))
+    green = pulse / (1.0 + 50.0 * distance_m[..., None])
+    return GreenArray(green, GRID_MM, RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=(50.0, 500.0))
+
+
+def scene_of(name: str) -> Scene:
+    path = Line((-12.0, 0.0), (12.0, 0.0))
+    source = Source(path, Impulse(), speed_mm_s=200.0, step_mm=4.0, emission="per_point")
+    return Scene(name, (source,), Regularisation(), Output())
+
+
+@cache
+def rendered() -> tuple[Drive, Field]:
+    drive = render(scene_of("line"), bank())
+    return drive, predict(drive, bank())
+
+
+def scan_of(gain: float = 1.0, noise: float = 1e-3) -> Scan:
+    _, prediction = rendered()
+    count, samples = prediction.field.shape
+    noise_rms = noise * float(np.sqrt(np.mean(prediction.field**2)))
+    white = np.random.default_rng(1).standard_normal((count, samples))
+    return Scan(
+        field=(gain * prediction.field + noise_rms * white).astype(np.float32),
+        position_index=np.arange(count),
+        sample_rate_hz=RATE_HZ,
+        start_s=prediction.start_s,
+        response_unit="m/s",
+        status=np.ones(count, np.uint8),
+        attempts=np.ones(count, np.int64),
+        noise_rms=np.full(count, noise_rms),
+        clock_ratio=np.ones(count),
+        playback_gain=np.full(count, gain),
+    )
+
+
+def report_of(out_dir: Path, scan: Scan | Field, source: GreenArray, name: str, **options) -> Path:
+    drive, prediction = rendered()
+    return build_report(
+        out_dir,
+        verification=compare(prediction, scan, drive, source),
+        scene=scene_of(name),
+        drive=drive,
+        prediction=prediction,
+        scan=scan,
+        bank=source,
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def good_report(tmp_path_factory) -> Path:
+    outline = np.array([(-50.0, -45.0), (50.0, -45.0), (50.0, 45.0), (-50.0, 45.0), (-50.0, -45.0)])
+    return report_of(
+        tmp_path_factory.mktemp("good") / "made",
+        scan_of(),
+        bank(),
+        NASTY,
+        campaign={"hours simulated": 30.0, NASTY: NASTY},
+        outline_mm=outline,
+        save_pictures=True,
+    )
+
+
+def images_of(html: str) -> list[Image.Image]:
+    coded = re.findall(r'src="data:image/png;base64,([A-Za-z0-9+/=]+)"', html)
+    return [Image.open(io.BytesIO(base64.b64decode(one))) for one in coded]
+
+
+def test_given_a_good_scan_then_the_report_passes_and_holds_all_its_pictures(good_report):
+    html = good_report.read_text(encoding="utf-8")
+    assert good_report.name == "report.html"
+    assert "✓ Passed" in html
+    assert "✗" not in html
+    assert "hours simulated" in html
+    pictures = images_of(html)
+    assert len(pictures) == html.count("<img ") == 8
+    for picture, width in zip(pictures, re.findall(r'<img [^>]*width="(\d+)"', html), strict=True):
+        assert picture.width == 2 * int(width)
+        assert len(picture.convert("RGB").getcolors(1 << 24)) > 3
+    assert good_report.stat().st_size < 3_000_000
+
+
+def test_given_any_report_then_it_reaches_for_nothing_outside_itself(good_report):
+    html = good_report.read_text(encoding="utf-8")
+    assert "default-src 'none'" in html
+    assert not re.search(r"<script|<link|<iframe|@import|url\(", html)
+    assert set(re.findall(r'\bsrc="([^,]{0,22})', html)) == {"data:image/png;base64"}
+
+
+def test_given_names_that_are_markup_then_they_are_shown_as_text(good_report):
+    html = good_report.read_text(encoding="utf-8")
+    assert "evil.example/x.png&#34;" in html
+    assert '"https://evil' not in html
+    assert html.count("</title>") == 1
+
+
+def test_given_pictures_asked_for_then_they_lie_beside_the_report(good_report):
+    names = {path.name for path in good_report.parent.iterdir()} - {"report.html"}
+    drawn = ("path", "snapshots", "waveforms", "positions", "snr", "error", "gain", "drive")
+    assert names == {f"{name}.png" for name in drawn}
+
+
+def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_them(tmp_path):
+    status = np.ones(len(GRID_MM), np.uint8)
+    status[[3, 5, 7, 9]] = 2, 4, 8, 16
+    flawed = dataclasses.replace(bank(), status=status, actuator_mm=np.full((4, 2), np.nan), band_hz=None)
+    _, prediction = rendered()
+    scan = Field(1.3 * prediction.field, prediction.position_index, RATE_HZ, prediction.start_s, "m/s")
+    html = report_of(tmp_path, scan, flawed, "flawed", campaign={}).read_text(encoding="utf-8")
+    assert "✗ Failed" in html
+    assert "all frequencies" in html
+    assert "crosses: the 4 scanned position(s)" in html
+    assert "wavefocus remeasure" in html
+
+
+def remarks_on(scan: Scan | Field) -> str:
+    drive, prediction = rendered()
+    return " ".join(remarks(compare(prediction, scan, drive, bank()), drive, scan))
+
+
+def test_given_a_scan_that_is_too_loud_then_the_remarks_say_what_to_check():
+    said = remarks_on(scan_of(gain=1.3))
+    assert "louder than predicted. Check that amplifier volume" in said
+    assert "loopback carried 1.3 times" in said
+
+
+def test_given_a_scan_full_of_noise_then_the_remarks_blame_the_noise_alone():
+    said = remarks_on(scan_of(noise=0.5))
+    assert "Most of the error is the vibrometer's noise" in said
+    assert "not explained by noise" not in said
+
+
+def test_given_a_few_scanned_positions_then_the_remarks_call_the_focus_not_judged():
+    _, prediction = rendered()
+    few = Field(prediction.field[80:90], np.arange(80, 90), RATE_HZ, prediction.start_s, "m/s")
+    said = remarks_on(few)
+    assert "Not judged: focus to path point" in said
+    assert "scan every position within 15 mm of the path" in said
+    assert "not explained" not in said
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (None, "mm", "\N{EN DASH}"),
+        (math.nan, "", "\N{EN DASH}"),
+        (0.0004, "mm", "0.00 mm"),
+        (-0.001, "dB", "0.00 dB"),
+        (-12.345, "dB", "\N{MINUS SIGN}12.3 dB"),
+        (1234.5, "V", "1,234 V"),
+        (math.inf, "", "∞"),
+    ],
+)
+def test_given_a_figure_then_it_is_written_with_the_digits_it_deserves(value, unit, text):
+    assert number(value, unit) == text

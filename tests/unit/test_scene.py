@@ -1,0 +1,64 @@
+"""What a scene may say."""
+
+from __future__ import annotations
+
+import pytest
+
+from calibration.errors import InputError
+from rendering.paths import Line, Point
+from rendering.scene import Output, Regularisation, Scene, Source
+from rendering.signals import Impulse
+
+NAN, INF = float("nan"), float("inf")
+
+
+def test_a_point_needs_neither_speed_nor_step():
+    source = Source(Point((1.0, 2.0)), Impulse(), speed_mm_s=-5.0, step_mm=NAN)
+    assert source.emission == "continuous"
+    assert source.amplitude == 1.0
+
+
+@pytest.mark.parametrize(
+    ("figure", "value"),
+    [
+        ("start_s", -0.1),
+        ("start_s", NAN),
+        ("amplitude", INF),
+        ("emission", "once"),
+        ("speed_mm_s", -1.0),
+        ("speed_mm_s", NAN),
+        ("step_mm", -4.0),
+        ("step_mm", INF),
+    ],
+)
+def test_a_source_with_a_figure_out_of_range_is_refused_by_name(figure, value):
+    figures = {"speed_mm_s": 80.0, "step_mm": 4.0, figure: value}
+    with pytest.raises(InputError, match=f"{figure} is "):
+        Source(Line((0, 0), (10, 0)), Impulse(), **figures)
+
+
+@pytest.mark.parametrize("figure", ["saturation", "saturation_absolute"])
+@pytest.mark.parametrize("value", [-0.5, NAN, INF])
+def test_a_saturation_that_is_not_a_finite_positive_number_is_refused(figure, value):
+    with pytest.raises(InputError, match=f"{figure} is "):
+        Regularisation(**{figure: value})
+
+
+def test_both_saturations_at_once_are_refused():
+    with pytest.raises(InputError, match="only one of the two"):
+        Regularisation(saturation=0.5, saturation_absolute=1.0)
+
+
+def test_a_saturation_of_zero_is_off_and_may_stand_beside_the_other():
+    assert Regularisation(saturation=0.5, saturation_absolute=0.0).saturation == 0.5
+
+
+@pytest.mark.parametrize("limit_v", [0.0, -1.0, NAN, INF])
+def test_a_limit_that_is_not_a_finite_positive_number_is_refused(limit_v):
+    with pytest.raises(InputError, match="limit_v is "):
+        Output(limit_v=limit_v)
+
+
+def test_a_scene_without_a_source_is_refused():
+    with pytest.raises(InputError, match="no source"):
+        Scene("empty", ())

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from calibration.errors import InputError
+from wavefocus.config.loading import Configuration, load_rig, load_run
+from wavefocus.config.rig import default_rig
+from wavefocus.config.run import Virtual, default_run
+from wavefocus.config.scene import load_scene
+from wavefocus.config.templates import write_templates
+
+
+def test_virtual_templates_are_the_defaults(tmp_path: Path) -> None:
+    write_templates(tmp_path, "virtual")
+    written = load_run(tmp_path / "run.toml")
+    assert written.rig == default_rig()
+    assert written.run.virtual == Virtual()
+    assert written.run.model_copy(update={"rig": "virtual", "virtual": None}) == default_run()
+    defaults = Configuration(default_run(), default_rig(), written.position_mm)
+    assert written.plan_sha256 == defaults.plan_sha256
+
+
+def test_rig_to_fill_in_is_the_default_under_another_name(tmp_path: Path) -> None:
+    write_templates(tmp_path, "template")
+    rig = load_rig(tmp_path / "rig.toml")
+    assert rig.rig.name == "my plate"
+    assert rig.model_copy(update={"rig": default_rig().rig}) == default_rig()
+    assert load_run(tmp_path / "run.toml").rig == rig
+
+
+def test_template_scene_moves_on_a_circle_for_about_two_seconds(tmp_path: Path) -> None:
+    write_templates(tmp_path, "virtual")
+    (source,) = load_scene(tmp_path / "scene.toml").sources
+    field_s = source.path.length_mm / source.speed_mm_s + 2 * 0.2  # and a response before and after
+    assert 1.5 < field_s < 2.5
+
+
+@pytest.mark.parametrize("kind", ["virtual", "template"])
+def test_every_key_of_every_template_is_explained(tmp_path: Path, kind: str) -> None:
+    for path in write_templates(tmp_path, kind):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for before, line in zip(["", *lines], lines, strict=False):
+            if " = " in line and not line.startswith(("#", " ", "name")):
+                assert "#" in line or before.startswith("#") or line.startswith("rig"), line
+
+
+@pytest.mark.parametrize("name", ["rig.toml", "run.toml", "scene.toml"])
+def test_file_that_is_there_is_never_overwritten(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match=rf"{name}: is there already"):
+        write_templates(tmp_path, "virtual")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path: Path) -> None:
+    assert [path.name for path in write_templates(tmp_path / "a" / "b", "virtual")] == [
+        "rig.toml",
+        "run.toml",
+        "scene.toml",
+    ]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file"):
+        write_templates(tmp_path / "file", "virtual")

@@ -1,0 +1,297 @@
+"""Scans of a virtual rig and comparisons whose outcome is known."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from acquisition.setup import Setup
+from calibration.drive_file import Drive
+from calibration.errors import InputError
+from calibration.field_file import Field
+from calibration.mirror_map import MirrorMap
+from calibration.timing import ReferenceMissingError
+from drivers.errors import InstrumentLostError
+from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from rendering.field import predict
+from rendering.green_source import GreenArray
+from rendering.verification import Scan, ScanPlan, Tolerances, compare, scan
+
+RATE_HZ = 10_000.0
+TAPS = 600
+SPACING_MM = 4.0
+AXIS_MM = np.arange(-20.0, 20.1, SPACING_MM)
+GRID_MM = np.stack(np.meshgrid(AXIS_MM, AXIS_MM), axis=-1).reshape(-1, 2)
+CENTRE = 60
+AROUND = (48, 49, 50, 59, 60, 61, 70, 71, 72)
+SETTINGS = VirtualSettings(
+    actuator_mm=((-60.0, 0.0), (60.0, 10.0), (0.0, 60.0), (5.0, -60.0), (45.0, 45.0), (-45.0, -40.0)),
+    dropout_probability=0.0,
+)
+
+
+@cache
+def bank() -> GreenArray:
+    rig = VirtualRig(SETTINGS)
+    green = np.stack([rig.truth(x, y, TAPS) for x, y in GRID_MM])
+    return GreenArray(green, GRID_MM, RATE_HZ, band_hz=(20.0, 500.0))
+
+
+@cache
+def impulse_drive() -> Drive:
+    """Time-reversed Green's functions of the centre: an impulse source at rest there."""
+    reversed_v = bank().green(CENTRE)[:, ::-1]
+    one = np.ones(1, np.int64)
+    return Drive(
+        drive_v=reversed_v / np.abs(reversed_v).max(),
+        sample_rate_hz=RATE_HZ,
+        start_s=-(TAPS - 1) / RATE_HZ,
+        method="sampled",
+        scale=1.0,
+        omitted_bound=0.0,
+        focus_sample=0 * one,
+        focus_position=CENTRE * one,
+        focus_source=0 * one,
+    )
+
+
+def setup_of(rig: VirtualRig) -> Setup:
+    settings = rig.settings
+    return Setup(
+        instruments=rig.instruments,
+        mirror_map=MirrorMap.straight(settings.mirror.distance_mm),
+        actuator_channels=settings.channel_of_actuator,
+        loopback_channel=settings.channel_of_loopback,
+        range_v=(10.0, 10.0),
+        response_per_volt=settings.sensitivity_m_s_per_v,
+        inter_channel_delay_s=settings.inter_channel_delay_s,
+    )
+
+
+def scanned(plan: ScanPlan, *faults: Fault, **changes: object) -> Scan:
+    rig = VirtualRig(dataclasses.replace(SETTINGS, fault_plan=faults, **changes))
+    return scan(plan, setup_of(rig), impulse_drive(), bank())
+
+
+def as_scan(field: np.ndarray, noise_rms: float = math.nan, **changes: object) -> Scan:
+    count = len(field)
+    made = Scan(
+        field=field.astype(np.float32),
+        position_index=np.arange(count),
+        sample_rate_hz=RATE_HZ,
+        start_s=impulse_drive().start_s,
+        response_unit="m/s",
+        status=np.ones(count, np.uint8),
+        attempts=np.ones(count, np.int64),
+        noise_rms=np.full(count, noise_rms),
+        clock_ratio=np.ones(count),
+        playback_gain=np.ones(count),
+    )
+    return dataclasses.replace(made, **changes)
+
+
+@cache
+def prediction() -> Field:
+    return predict(impulse_drive(), bank())
+
+
+def test_given_an_honest_rig_then_the_scan_agrees_with_the_prediction_but_for_its_noise():
+    found = scanned(ScanPlan(AROUND), clock_ppm=45.0, inter_channel_delay_s=3e-5)
+    outcome = compare(prediction(), found, impulse_drive(), bank())
+    assert np.array_equal(found.position_index, AROUND)
+    assert found.field.shape == (9, 2 * TAPS - 1)
+    assert np.all(found.status == 1)
+    assert found.clock_ratio == pytest.approx(1.000045, abs=1e-6)
+    assert found.noise_rms == pytest.approx(SETTINGS.noise_v * SETTINGS.sensitivity_m_s_per_v, rel=0.5)
+    assert outcome.fields.error < 0.005
+    assert outcome.noise_error is not None
+    assert outcome.misfit is not None
+    assert outcome.misfit < 2.0 * outcome.noise_error
+    assert abs(outcome.fields.delay_samples) < 1e-3
+    assert outcome.passed
+
+
+def test_given_a_wrong_channel_delay_then_the_comparison_names_it():
+    rig = VirtualRig(SETTINGS)
+    wrong = dataclasses.replace(setup_of(rig), inter_channel_delay_s=SETTINGS.inter_channel_delay_s - 5e-5)
+    found = scan(ScanPlan((49, 60)), wrong, impulse_drive(), bank())
+    outcome = compare(prediction(), found, impulse_drive(), bank())
+    assert outcome.fields.delay_samples == pytest.approx(-0.5, abs=0.01)
+
+
+def test_given_underflows_then_the_position_is_repeated_and_the_scan_complete():
+    fault = Fault("player", "wait", "underflow", position=49, count=2)
+    found = scanned(ScanPlan((48, 49, 50)), fault)
+    assert found.attempts.tolist() == [1, 3, 1]
+    assert found.status.tolist() == [1, 1, 1]
+    assert compare(prediction(), found, impulse_drive(), bank()).fields.error < 0.005
+
+
+def test_given_a_reference_that_is_missing_once_then_the_position_is_repeated():
+    found = scanned(ScanPlan((48, 49, 50)), Fault("recorder", "read", "missing_reference", position=48))
+    assert found.attempts.tolist() == [2, 1, 1]
+    assert np.all(found.status == 1)
+
+
+def test_given_a_position_that_never_succeeds_then_it_is_marked_and_left_out():
+    fault = Fault("recorder", "read", "short_read", position=49, count=9)
+    progress: list[tuple[int, int]] = []
+    rig = VirtualRig(dataclasses.replace(SETTINGS, fault_plan=(fault,)))
+    plan = ScanPlan((50, 49, 48))
+    found = scan(plan, setup_of(rig), impulse_drive(), bank(), on_progress=lambda *at: progress.append(at))
+    assert found.status.tolist() == [1, 8, 1]
+    assert [row for row, _ in found.faults] == [49]
+    assert progress == [(1, 3), (2, 3), (3, 3)]
+    assert found.as_field().position_index.tolist() == [48, 50]
+    outcome = compare(prediction(), found, impulse_drive(), bank())
+    assert outcome.fields.excluded == ((49, "the scan failed"),)
+    assert not outcome.passed
+
+
+def test_given_a_record_over_range_then_it_is_repeated_once_and_marked():
+    fault = Fault("recorder", "read", "over_range", position=49, count=9)
+    found = scanned(ScanPlan((48, 49)), fault)
+    assert found.status.tolist() == [1, 2]
+    assert found.attempts.tolist() == [1, 2]
+
+
+def test_given_a_recorder_that_is_lost_then_the_error_passes_on():
+    with pytest.raises(InstrumentLostError, match="recorder"):
+        scanned(ScanPlan((48, 49)), Fault("recorder", "read", "lost", position=49))
+
+
+def test_given_a_rig_whose_reference_never_comes_then_the_scan_gives_up_after_five_positions():
+    faults = [Fault("recorder", "read", "missing_reference", position=row, count=9) for row in range(9)]
+    with pytest.raises(ReferenceMissingError):
+        scanned(ScanPlan(tuple(range(9)), attempts=1), *faults)
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        (ScanPlan(()), "no position"),
+        (ScanPlan((3, 121)), "121 is not in the bank; rows 0 to 120"),
+        (ScanPlan((3, 3)), "named twice"),
+        (ScanPlan((3,), attempts=0), "attempts is 0"),
+    ],
+)
+def test_given_a_wrong_plan_then_the_message_says_what_is_allowed(plan, message):
+    with pytest.raises(InputError, match=message):
+        scanned(plan)
+
+
+def test_given_a_drive_beyond_full_scale_then_nothing_is_played():
+    rig = VirtualRig(SETTINGS)
+    loud = dataclasses.replace(impulse_drive(), drive_v=20.0 * impulse_drive().drive_v)
+    with pytest.raises(InputError, match="at most 5 V, the player's full scale"):
+        scan(ScanPlan((3,)), setup_of(rig), loud, bank())
+    few = dataclasses.replace(impulse_drive(), drive_v=impulse_drive().drive_v[:4])
+    with pytest.raises(InputError, match="4 actuators; the rig has 6"):
+        scan(ScanPlan((3,)), setup_of(rig), few, bank())
+
+
+def test_given_white_noise_of_known_level_then_error_and_noise_are_that_level_and_no_misfit_is_left():
+    field = prediction().field
+    rms = 0.02 * float(np.sqrt(np.mean(field**2)))
+    noisy = field + rms * np.random.default_rng(5).standard_normal(field.shape)
+    outcome = compare(prediction(), as_scan(noisy, rms), impulse_drive(), bank())
+    assert outcome.fields.error_all_frequencies == pytest.approx(0.02, rel=0.02)
+    # 480 of 5000 Hz, and the soft edges.
+    assert 0.1 < (outcome.fields.error / 0.02) ** 2 < 0.13
+    assert outcome.noise_error == pytest.approx(outcome.fields.error, rel=0.02)
+    assert outcome.passed
+
+
+def test_given_a_louder_and_later_scan_then_level_and_delay_are_found_and_the_verdict_is_no():
+    late = 1.12 * np.roll(prediction().field, 3, axis=1)
+    outcome = compare(prediction(), as_scan(late), impulse_drive(), bank())
+    assert outcome.fields.delay_samples == pytest.approx(3.0, abs=0.01)
+    assert outcome.noise_error is None
+    assert not outcome.passed
+    louder = compare(prediction(), as_scan(1.12 * prediction().field), impulse_drive(), bank())
+    assert louder.fields.level_db == pytest.approx(20.0 * math.log10(1.12), abs=1e-3)
+    assert louder.fields.error == pytest.approx(0.12 / 1.12, rel=1e-3)
+
+
+def test_given_an_impulse_then_the_focus_is_at_its_path_point_at_its_sample():
+    outcome = compare(prediction(), as_scan(prediction().field), impulse_drive(), bank())
+    (instant,) = outcome.fields.instant
+    assert (instant.sample, instant.row) == (0, CENTRE)
+    assert outcome.focus.from_intended_mm[0] < 1.0
+    assert outcome.focus.from_prediction_mm[0] == 0.0
+    assert 5.0 < outcome.focus.scanned_width_mm[0] < 16.0
+    assert outcome.fields.error == 0.0
+    assert all(check.passed for check in outcome.checks)
+
+
+def test_given_a_focus_shifted_by_two_positions_then_its_check_fails():
+    rows = np.arange(len(GRID_MM)).reshape(11, 11)
+    moved = prediction().field[np.roll(rows, 2, axis=1).ravel()]
+    outcome = compare(prediction(), as_scan(moved), impulse_drive(), bank())
+    failed = {check.name for check in outcome.checks if check.passed is False}
+    assert {"focus to path point", "focus to predicted focus"} <= failed
+    assert outcome.focus.from_intended_mm[0] == pytest.approx(8.0, abs=1.0)
+
+
+def test_given_positions_in_another_order_then_the_outcome_is_the_same():
+    order = np.random.default_rng(3).permutation(len(GRID_MM))
+    noisy = prediction().field + 1e-4 * np.random.default_rng(4).standard_normal(prediction().field.shape)
+    shuffled = Field(prediction().field[order], order, RATE_HZ, prediction().start_s, "m/s")
+    first = compare(prediction(), as_scan(noisy), impulse_drive(), bank())
+    second = compare(shuffled, as_scan(noisy), impulse_drive(), bank())
+    assert second.as_dict() == first.as_dict()
+
+
+def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():
+    few = Field(prediction().field[[0, 60, 90]], np.array([0, 60, 90]), RATE_HZ, prediction().start_s, "m/s")
+    outcome = compare(few, as_scan(prediction().field), impulse_drive(), bank())
+    passed = {check.name: check.passed for check in outcome.checks}
+    assert passed["normalised error"] is True
+    assert passed["focus to path point"] is None
+    assert passed["focal width against prediction"] is None
+    assert outcome.passed
+    assert outcome.as_dict()["focal_width_mm"] is None
+
+
+def test_given_rows_that_are_not_valid_in_the_bank_then_they_are_left_out_and_counted():
+    status = np.ones(len(GRID_MM), np.uint8)
+    status[[7, 9]] = 4, 2
+    doubtful = dataclasses.replace(bank(), status=status)
+    field = prediction().field.copy()
+    field[[7, 9]] = 100.0
+    outcome = compare(prediction(), as_scan(field), impulse_drive(), doubtful)
+    assert [row for row, _ in outcome.fields.excluded] == [7, 9]
+    assert outcome.fields.error == 0.0
+    strict = compare(prediction(), as_scan(field), impulse_drive(), doubtful, Tolerances(usable_share=0.99))
+    assert not strict.passed
+
+
+def test_given_fields_of_different_drives_or_nothing_in_common_then_the_message_says_so():
+    later = as_scan(prediction().field, start_s=0.0)
+    with pytest.raises(InputError, match="start_s of the prediction"):
+        compare(prediction(), later, impulse_drive(), bank())
+    failed = as_scan(prediction().field, status=np.full(len(GRID_MM), 8, np.uint8))
+    with pytest.raises(InputError, match="no position in common"):
+        compare(prediction(), failed, impulse_drive(), bank())
+
+
+def test_given_a_dropout_then_the_record_is_repeated():
+    found = scanned(ScanPlan((48, 49, 50)), Fault("recorder", "read", "dropout", position=49, purpose="scan"))
+    assert found.attempts.tolist() == [1, 2, 1]
+    assert found.status.tolist() == [1, 1, 1]
+    assert compare(prediction(), found, impulse_drive(), bank()).fields.error < 0.005
+
+
+def test_given_dropouts_in_every_record_then_the_position_is_poor_and_left_out():
+    fault = Fault("recorder", "read", "dropout", position=49, purpose="scan", count=9)
+    found = scanned(ScanPlan((48, 49, 50)), fault)
+    assert found.attempts.tolist() == [1, 3, 1]
+    assert found.status.tolist() == [1, 4, 1]
+    assert found.as_field().position_index.tolist() == [48, 50]
+    outcome = compare(prediction(), found, impulse_drive(), bank())
+    assert outcome.fields.excluded == ((49, "the vibrometer lost the signal in the scan"),)
+    assert outcome.fields.error < 0.005
