@@ -1,0 +1,1 @@
+"""Error against run time, ours beside peers, in one run."""

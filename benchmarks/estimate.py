@@ -1,0 +1,278 @@
+"""Estimators side by side: error of the Green's functions against run time, in one process.
+
+Run as ``python -m benchmarks.estimate``. The workload: 24 damped modes between 20 and 500 Hz, 200 ms; a
+linear sweep of 3 s at 10 kHz with 0.5 s of silence, three times; 40 dB signal-to-noise ratio on the response,
+60 dB on each record's own reference. Error: relative L2 of the 20-500 Hz spectrum of the first 200 ms.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.fft
+import scipy.signal
+from numpy.typing import NDArray
+
+from calibration.estimator import Estimator
+from calibration.sweeps import Excitation
+
+TAPS = 2000
+OFFSET = 200
+POST_ROLL = 1000
+RESPONSE_SNR_DB = 40.0
+REFERENCE_SNR_DB = 60.0
+MARK_SPEED = 6.0
+MARK_ERROR_DB = -65.0
+PYFAR = "pyfar deconvolve, whole records"
+
+Method = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Workload:
+    """Records with a known truth.
+
+    Parameters
+    ----------
+    excitation : Excitation
+        What each record plays.
+    truth : float64 array, shape (records, TAPS)
+        The Green's functions.
+    reference, response : float32 array, shape (records, samples)
+        The two DAQ channels in volts.
+    noise_v : float64 array, shape (records,)
+        Rms of the response's noise.
+    """
+
+    excitation: Excitation
+    truth: NDArray[np.float64]
+    reference: NDArray[np.float32]
+    response: NDArray[np.float32]
+    noise_v: NDArray[np.float64]
+
+    def error_db(self, green: NDArray[Any]) -> NDArray[np.float64]:
+        """Relative L2 error in dB, shape (records,), of the in-band spectra of FIRs (records, TAPS)."""
+        length = self.excitation.period_samples
+        hertz = np.arange(length // 2 + 1) * self.excitation.sample_rate_hz / length
+        band = (hertz >= self.excitation.start_hz) & (hertz <= self.excitation.stop_hz)
+        wrong = scipy.fft.rfft(green.astype(np.float64) - self.truth, length)[:, band]
+        right = scipy.fft.rfft(self.truth, length)[:, band]
+        return np.asarray(10 * np.log10((np.abs(wrong) ** 2).sum(axis=1) / (np.abs(right) ** 2).sum(axis=1)))
+
+
+def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
+    """Time every estimator in turns on one thread and print the table.
+
+    Parameters
+    ----------
+    out : Path, optional
+        Folder that gets ``estimate.json``.
+    quick : bool
+        Fewer records and turns.
+
+    Returns
+    -------
+    dict
+        Per method: seconds per record, speed relative to pyfar's deconvolution, median and worst error in dB;
+        `limit_db`, the noise's own limit; `marks`, what was asked for and whether it was reached.
+    """
+    work = make_workload(records=8 if quick else 20)
+    estimator = Estimator(work.excitation, TAPS)
+
+    def ours(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
+        return estimator.estimate(reference, response, range_v=(10.0, 1e3)).green
+
+    methods: dict[str, Method] = {
+        "wavefocus": ours,
+        "plain H1, band mask, cut at 0": _plain_h1(work.excitation),
+    }
+    methods["scipy csd / welch H1"] = _welch_h1(work.excitation)
+    note = ""
+    try:
+        methods |= _pyfar_methods(work.excitation)
+    except ImportError:
+        note = "pyfar is not installed; 'pip install wavefocus[bench]' adds the comparison"
+    seconds: dict[str, list[float]] = {name: [] for name in methods}
+    errors: dict[str, NDArray[np.float64]] = {}
+    for turn in range(3 if quick else 7):
+        for name, method in methods.items():
+            began = time.perf_counter()
+            green = method(work.reference, work.response)
+            seconds[name].append(time.perf_counter() - began)
+            if turn == 0:
+                errors[name] = work.error_db(green)
+    limit = np.median(_limit_db(work, estimator))
+    per_record = {name: float(np.median(turns)) / work.truth.shape[0] for name, turns in seconds.items()}
+    base = per_record.get(PYFAR)
+    table = {
+        name: {
+            "seconds_per_record": per_record[name],
+            "relative_speed": base / per_record[name] if base else None,
+            "median_error_db": float(np.median(errors[name])),
+            "worst_error_db": float(errors[name].max()),
+        }
+        for name in methods
+    }
+    speed, error = table["wavefocus"]["relative_speed"], table["wavefocus"]["median_error_db"]
+    marks = {
+        f"at least {MARK_SPEED:g} times pyfar's deconvolve": None if speed is None else speed >= MARK_SPEED,
+        f"median error at most {MARK_ERROR_DB:g} dB": error is not None and error <= MARK_ERROR_DB,
+    }
+    result: dict[str, Any] = {"methods": table, "limit_db": float(limit), "marks": marks, "note": note}
+    _print(result)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "estimate.json").write_text(json.dumps(result, indent=2), encoding="utf-8")
+    return result
+
+
+def make_workload(records: int, seed: int = 0) -> Workload:
+    """Records of random damped modes, clocks in step, noise on both channels."""
+    draw = np.random.default_rng(seed)
+    excitation = Excitation(10_000.0, 20.0, 500.0, 3.0, 0.5, 1.0, 3)
+    time_s = np.arange(TAPS) / excitation.sample_rate_hz
+    truth = np.zeros((records, TAPS))
+    for record in range(records):
+        for hertz in draw.uniform(20, 500, 24):
+            decay = np.exp(-time_s * draw.uniform(25, 60))
+            truth[record] += draw.standard_normal() * decay * np.sin(2 * np.pi * hertz * time_s)
+    signal = excitation.signal_v()
+    samples = OFFSET + signal.size + POST_ROLL
+    length = scipy.fft.next_fast_len(samples + TAPS, real=True)
+    placed = np.zeros(samples)
+    placed[OFFSET : OFFSET + signal.size] = signal
+    spectrum = scipy.fft.rfft(placed, length)
+    response = np.stack(
+        [scipy.fft.irfft(spectrum * scipy.fft.rfft(g, length), length)[:samples] for g in truth]
+    )
+    sounding = slice(OFFSET, OFFSET + signal.size)
+    noise_v = np.sqrt((response[:, sounding] ** 2).mean(axis=1)) * 10 ** (-RESPONSE_SNR_DB / 20)
+    reference_noise_v = np.sqrt((signal**2).mean()) * 10 ** (-REFERENCE_SNR_DB / 20)
+    response += noise_v[:, None] * draw.standard_normal(response.shape)
+    reference = placed + reference_noise_v * draw.standard_normal(response.shape)
+    return Workload(excitation, truth, reference.astype(np.float32), response.astype(np.float32), noise_v)
+
+
+def _limit_db(work: Workload, estimator: Estimator) -> NDArray[np.float64]:
+    """Error that white noise alone must leave: least squares from a noise-free reference, in expectation.
+
+    The trace of the estimate's covariance over the band, by the fit's own unbiased in-band projection: noise
+    of `rank` out of all directions of the band stays, each with the variance of its bin.
+    """
+    excitation = work.excitation
+    period, averages = excitation.period_samples, excitation.averages
+    power = np.abs(scipy.fft.rfft(excitation.base_v())) ** 2
+    hertz = np.arange(power.size) * excitation.sample_rate_hz / period
+    used = np.flatnonzero((power > 1e-4 * np.median(power[(hertz >= 20) & (hertz <= 500)])) & (hertz > 0))
+    used = used[used < period // 2]
+    delay = np.arange(TAPS)
+    steering = np.exp(-2j * np.pi * np.outer(used, delay) / period)
+    weight = np.sqrt(power[used])
+    stacked = np.concatenate([(weight[:, None] * steering).real, (weight[:, None] * steering).imag])
+    left, singular, _ = np.linalg.svd(stacked, full_matrices=False)
+    left = left[:, singular > 1e-4 * singular[0]]
+    inside = (hertz[used] >= excitation.start_hz) & (hertz[used] <= excitation.stop_hz)
+    # White noise of variance period / (2 * averages) per real element of the weighted data, kept by left.
+    kept = (left**2).sum(axis=1).reshape(2, -1).sum(axis=0)
+    variance = period / (2 * averages) * (kept / power[used])[inside].sum()
+    wanted = scipy.fft.rfft(work.truth, period)[:, used[inside]]
+    return np.asarray(10 * np.log10(work.noise_v**2 * variance / (np.abs(wanted) ** 2).sum(axis=1)))
+
+
+def _repeats(recording: NDArray[np.float32], excitation: Excitation) -> NDArray[np.float32]:
+    """Repeats (records, averages, period), cut where the peers are told that they are."""
+    length = excitation.averages * excitation.period_samples
+    return recording[:, OFFSET : OFFSET + length].reshape(recording.shape[0], excitation.averages, -1)
+
+
+def _plain_h1(excitation: Excitation) -> Method:
+    hertz = (
+        np.arange(excitation.period_samples // 2 + 1) * excitation.sample_rate_hz / excitation.period_samples
+    )
+    mask = ((hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)).astype(np.float32)
+
+    def method(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
+        x = scipy.fft.rfft(_repeats(reference, excitation))
+        y = scipy.fft.rfft(_repeats(response, excitation))
+        h1 = mask * (x.conj() * y).sum(axis=1) / (np.abs(x) ** 2).sum(axis=1)
+        return np.asarray(scipy.fft.irfft(h1)[:, :TAPS])
+
+    return method
+
+
+def _welch_h1(excitation: Excitation) -> Method:
+    period = excitation.period_samples
+    hertz = np.arange(period // 2 + 1) * excitation.sample_rate_hz / period
+    mask = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
+    length = excitation.averages * period
+
+    def method(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
+        x, y = (channel[:, OFFSET : OFFSET + length] for channel in (reference, response))
+        options: dict[str, Any] = {"window": "boxcar", "nperseg": period, "noverlap": 0, "detrend": False}
+        cross = scipy.signal.csd(x, y, **options)[1]
+        power = scipy.signal.welch(x, **options)[1]
+        return np.asarray(scipy.fft.irfft(mask * cross / power)[:, :TAPS])
+
+    return method
+
+
+def _pyfar_methods(excitation: Excitation) -> dict[str, Method]:
+    import pyfar
+
+    rate, band = excitation.sample_rate_hz, excitation.band_hz
+
+    def deconvolve(
+        x: NDArray[Any], y: NDArray[Any], edges: tuple[float, float], **options: Any
+    ) -> NDArray[Any]:
+        found = pyfar.dsp.deconvolve(
+            pyfar.Signal(y, rate), pyfar.Signal(x, rate), frequency_range=edges, **options
+        )
+        return np.asarray(found.time[:, :TAPS])
+
+    def averaged(channel: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(_repeats(channel, excitation).mean(axis=1))
+
+    # Of 108 combinations of edges and regularisation on this workload.
+    wide = (5.0, 550.0)
+    return {
+        PYFAR: lambda x, y: deconvolve(x, y, band),
+        "pyfar deconvolve, repeats averaged": lambda x, y: deconvolve(averaged(x), averaged(y), band),
+        "pyfar, averaged, best settings found": lambda x, y: deconvolve(
+            averaged(x), averaged(y), wide, regu_inside=1e-10, regu_outside=1e-4
+        ),
+    }
+
+
+def _print(result: dict[str, Any]) -> None:
+    print(f"{'method':42}{'ms/record':>10}{'speed':>8}{'median':>9}{'worst':>9}   (error in dB)")
+    for name, row in result["methods"].items():
+        speed = f"{row['relative_speed']:.2f}" if row["relative_speed"] else "-"
+        print(
+            f"{name:42}{1e3 * row['seconds_per_record']:10.3f}{speed:>8}"
+            f"{row['median_error_db']:9.1f}{row['worst_error_db']:9.1f}"
+        )
+    print(f"the noise's own limit: {result['limit_db']:.1f} dB")
+    for mark, reached in result["marks"].items():
+        print(f"{mark}: {'not compared' if reached is None else 'yes' if reached else 'NO'}")
+    if result["note"]:
+        print(result["note"])
+
+
+def main() -> None:
+    """Command line of this benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--quick", action="store_true")
+    chosen = parser.parse_args()
+    run(chosen.out, quick=chosen.quick)
+
+
+if __name__ == "__main__":
+    main()

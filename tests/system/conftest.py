@@ -1,0 +1,70 @@
+"""Small campaigns on the virtual rig, quick enough for a test, through the same commands as large ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+POSITIONS = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0], [0.0, 4.0]]
+
+RIG = f"""
+[rig]
+name = "three coils"
+
+[actuators]
+position_mm = {ACTUATORS}
+"""
+
+RUN = """
+rig = "rig.toml"
+
+[grid]
+positions_file = "positions.csv"
+
+[sweep]
+duration_s = 0.3
+
+[capture]
+averages = 2
+decay_s = 0.1
+taps = 1000
+
+[virtual]
+seed = 3
+noise_v = 1e-4
+"""
+
+SCENE = """
+[scene]
+name = "stroke"
+
+[[source]]
+speed_mm_s = 100.0
+step_mm = 4.0
+path = { kind = "line", start_mm = [0, 0], end_mm = [8, 0] }
+signal = { kind = "sine", frequency_hz = 200.0, duration_s = 0.05 }
+emission = "per_point"
+
+[output]
+limit_v = 1.0
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """A folder with rig.toml, run.toml, scene.toml and positions.csv of a small campaign."""
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    (tmp_path / "run.toml").write_text(RUN, encoding="utf-8")
+    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
+    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
+    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    return tmp_path
+
+
+def with_faults(lab: Path, *faults: str) -> None:
+    """Let the virtual rig of a lab show faults, each an inline TOML table."""
+    run = (lab / "run.toml").read_text(encoding="utf-8")
+    plan = "".join(f"\n[[virtual.fault_plan]]\n{fault}\n" for fault in faults)
+    (lab / "run.toml").write_text(run + plan, encoding="utf-8")

@@ -1,0 +1,284 @@
+"""Campaigns through the command line, from the first position to the last, with all that can go wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from tests.system.conftest import with_faults
+from wavefocus.__main__ import run
+
+
+def _wavefocus(*arguments: object) -> int:
+    return run([str(argument) for argument in arguments])
+
+
+def _events(text: str) -> list[dict[str, object]]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def _capture(lab: Path, name: str = "plate.h5") -> Path:
+    bank = lab / name
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
+    return bank
+
+
+def test_given_a_run_then_every_position_is_valid_and_events_tell_it(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = lab / "plate.h5"
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    events = _events(capsys.readouterr().out)
+    assert events[0]["event"] == "session_started"
+    assert events[-1]["event"] == "session_ended"
+    assert events[-1]["counts"] == {
+        "not-measured": 0, "valid": 6, "over-range": 0, "poor": 0, "failed": 0, "disabled": 0,
+    }  # fmt: skip
+    assert [event["position"] for event in events if event["event"] == "position_committed"] == list(range(6))
+    progress = [event for event in events if event["event"] == "progress"]
+    assert [event["done"] for event in progress] == [1, 2, 3, 4, 5, 6]
+    assert progress[-1]["remaining_s"] == 0.0
+    with h5py.File(bank, "r") as file:
+        assert list(file["status"]) == [1] * 6
+        assert np.all(file["quality/attempts"][:] == 1)
+        assert np.all(np.abs(file["green"][:]).max(axis=2) > 0)
+
+
+def test_given_no_way_to_know_the_clocks_then_the_engine_finds_them(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5", "--json") == 0
+    committed = [one for one in _events(capsys.readouterr().out) if one["event"] == "position_committed"]
+    for event in committed:
+        assert event["clock_ppm"] == pytest.approx(30.0, abs=0.5)
+        assert event["start_offset_samples"] > 200  # 20 ms of pre-roll and 5-30 ms of latency at 10 kHz
+
+
+def test_given_sigkill_at_any_moment_then_resume_ends_byte_identical(lab: Path) -> None:
+    reference = _capture(lab, "reference.h5").read_bytes()
+    bank = lab / "plate.h5"
+    command = [sys.executable, "-m", "wavefocus"]
+    for after in (1, 3):
+        bank.unlink(missing_ok=True)
+        start = [*command, "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
+        with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
+            assert child.stdout is not None
+            for line in child.stdout:
+                event = json.loads(line)
+                if event["event"] == "progress" and event["done"] >= after:
+                    child.kill()
+                    break
+        assert child.returncode != 0
+        assert _wavefocus("resume", bank) == 0
+        assert bank.read_bytes() == reference
+
+
+def test_given_capture_on_a_finished_bank_then_nothing_changes(lab: Path) -> None:
+    bank = _capture(lab)
+    before = bank.read_bytes()
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
+    assert bank.read_bytes() == before
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGINT for one process alone")
+@pytest.mark.parametrize("interrupts", [1, 2])
+def test_given_ctrl_c_then_exit_130_and_resume_ends_byte_identical(lab: Path, interrupts: int) -> None:
+    reference = _capture(lab, "reference.h5").read_bytes()
+    bank = lab / "plate.h5"
+    start = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
+    with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            if json.loads(line)["event"] == "position_started":
+                for _ in range(interrupts):
+                    child.send_signal(signal.SIGINT)
+                    time.sleep(0.001)
+                break
+        rest, told = child.communicate(timeout=60)
+    assert child.returncode == 130, told
+    ended = _events(rest)[-1]
+    assert ended["event"] == "session_ended"
+    assert ended["state"] == "stopped"
+    assert f"wavefocus resume {bank}" in told
+    assert "Traceback" not in told
+    assert _wavefocus("resume", bank) == 0
+    assert bank.read_bytes() == reference
+
+
+def test_given_a_lost_instrument_then_exit_3_names_it_and_what_was_measured_is_safe(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 2')
+    bank = lab / "plate.h5"
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 3
+    told = capsys.readouterr().err
+    last = told.splitlines()[-1]
+    assert "recorder" in last
+    assert "position 2" in last
+    assert "cable" in last
+    assert "Traceback" not in told
+    with h5py.File(bank, "r") as file:
+        assert list(file["status"]) == [1, 1, 0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("kind", ["timeout", "short_read", "missing_reference", "dropout", "over_range"])
+def test_given_a_passing_fault_then_the_position_is_repeated_and_valid(
+    lab: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(lab, f'role = "recorder"\noperation = "read"\nkind = "{kind}"\nposition = 2\nattempt = 1')
+    bank = lab / "plate.h5"
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    events = _events(capsys.readouterr().out)
+    repeated = [event for event in events if event["event"] == "position_repeated"]
+    assert [event["position"] for event in repeated] == [2]
+    assert repeated[0]["reason"]
+    with h5py.File(bank, "r") as file:
+        assert list(file["status"]) == [1] * 6
+        assert list(file["quality/attempts"]) == [1, 1, 2, 1, 1, 1]
+
+
+@pytest.mark.parametrize(("kind", "bit"), [("timeout", 8), ("missing_reference", 8), ("dropout", 4), ("over_range", 2)])
+def test_given_a_fault_that_stays_then_the_position_is_not_called_valid(lab: Path, kind: str, bit: int) -> None:
+    with_faults(lab, f'role = "recorder"\noperation = "read"\nkind = "{kind}"\nposition = 2\ncount = 3')
+    bank = _capture(lab)
+    with h5py.File(bank, "r") as file:
+        status = list(file["status"])
+        assert status[2] & bit
+        assert not status[2] & 1
+        assert status[:2] + status[3:] == [1] * 5
+        assert file["quality/attempts"][2] == 3
+
+
+def test_given_remeasure_of_what_stayed_poor_then_it_becomes_valid(lab: Path) -> None:
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "dropout"\nposition = 2\ncount = 3')
+    bank = _capture(lab)
+    with h5py.File(bank, "r") as file:
+        before = file["green"][:]
+    assert _wavefocus("remeasure", bank, "--status", "poor") == 0
+    with h5py.File(bank, "r") as file:
+        assert list(file["status"]) == [1] * 6
+        assert file["quality/attempts"][2] == 4
+        changed = np.any(file["green"][:] != before, axis=(1, 2))
+        assert list(np.flatnonzero(changed)) == [2]
+
+
+def test_given_remeasure_that_is_no_better_then_the_bank_keeps_what_it_had(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "dropout"\nposition = 2\nattempt = 2\ncount = 9')
+    bank = _capture(lab)
+    before = bank.read_bytes()
+    capsys.readouterr()
+    assert _wavefocus("remeasure", bank, "--positions", "2", "--json") == 0
+    events = _events(capsys.readouterr().out)
+    assert [event["position"] for event in events if event["event"] == "position_kept"] == [2]
+    assert bank.read_bytes() == before
+
+
+def test_given_three_positions_in_a_row_without_a_record_then_exit_3(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "missing_reference"\nrecord = 0\ncount = 3')
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 3
+    assert "3 positions in a row" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_given_a_changed_plate_then_resume_refuses_and_says_how_to_override(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(
+        lab,
+        'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 2\npurpose = "capture"',
+        'role = "recorder"\noperation = "read"\nkind = "drift"\npurpose = "sentinel"\nlevel_db = -6.0',
+    )
+    bank = lab / "plate.h5"
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 3
+    before = bank.read_bytes()
+    capsys.readouterr()
+    assert _wavefocus("resume", bank) == 3
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert "sentinel position 0" in told
+    assert "--accept-drift" in told
+    assert bank.read_bytes() == before
+
+
+def test_given_a_second_process_then_exit_75_names_the_owner(lab: Path) -> None:
+    bank = _capture(lab)
+    hold = (
+        "import sys, time\n"
+        "from calibration.bank_writer import BankWriter\n"
+        f"with BankWriter.open({str(bank)!r}):\n"
+        "    print('mine', flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", hold], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
+        assert owner.stdout is not None
+        assert owner.stdout.readline().strip() == b"mine"
+        second = subprocess.run(
+            [sys.executable, "-m", "wavefocus", "resume", str(bank)], capture_output=True, text=True, check=False
+        )
+        owner.communicate(timeout=20)
+    assert second.returncode == 75
+    assert str(owner.pid) in second.stderr
+    assert "Traceback" not in second.stderr
+
+
+def test_given_status_while_a_run_is_on_then_it_tells_the_owner_and_a_finish(lab: Path) -> None:
+    bank = lab / "plate.h5"
+    start = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
+    with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            if json.loads(line)["event"] == "progress":
+                break
+        if os.name == "posix":
+            child.send_signal(signal.SIGSTOP)
+        told = subprocess.run(
+            [sys.executable, "-m", "wavefocus", "status", str(bank), "--json"],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        if os.name == "posix":
+            child.send_signal(signal.SIGCONT)
+        child.communicate(timeout=60)
+    facts = json.loads(told.stdout)
+    assert facts["owner"]["pid"] == child.pid
+    assert facts["done"] >= 1
+    assert facts["positions_per_hour"] > 0
+    assert child.returncode == 0
+
+
+def test_given_another_run_file_then_the_bank_is_refused_and_untouched(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = _capture(lab)
+    before = bank.read_bytes()
+    text = (lab / "run.toml").read_text(encoding="utf-8")
+    (lab / "run.toml").write_text(text.replace("duration_s = 0.3", "duration_s = 0.4"), encoding="utf-8")
+    capsys.readouterr()
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1
+    assert "plan" in told[0]
+    assert bank.read_bytes() == before
+
+
+def test_given_a_copied_bank_then_it_resumes_from_the_copy_alone(
+    lab: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    bank = _capture(lab)
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / "copy.h5"
+    shutil.copyfile(bank, elsewhere)
+    shutil.rmtree(lab)
+    assert _wavefocus("resume", elsewhere) == 0
+    assert _wavefocus("remeasure", elsewhere, "--positions", "1") == 0
+    assert _wavefocus("check", elsewhere) == 0

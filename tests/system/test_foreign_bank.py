@@ -1,0 +1,148 @@
+"""A bank written by a few lines of h5py renders and predicts as the contract's equations say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from wavefocus.__main__ import run
+
+RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
+
+SCENE = """
+[scene]
+name = "stroke"
+
+[[source]]
+start_s = 0.01
+speed_mm_s = 200.0
+step_mm = 4.0
+amplitude = 0.5
+path = {{ kind = "line", start_mm = [0, 0], end_mm = [12, 4] }}
+signal = {{ kind = "sine", frequency_hz = 150.0, duration_s = 0.03 }}
+emission = "{emission}"
+
+[regularisation]
+saturation = 0.7
+"""
+
+
+@pytest.fixture
+def bank(tmp_path: Path) -> Path:
+    path = tmp_path / "foreign.h5"
+    random = np.random.default_rng(4)
+    x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
+    with h5py.File(path, "w") as file:
+        file["green"] = random.standard_normal((15, ACTUATORS, TAPS)) * np.exp(-np.arange(TAPS) / 15)
+        file["position_mm"] = np.column_stack([x_mm.ravel(), y_mm.ravel()])
+        file.attrs["sample_rate_hz"] = RATE_HZ
+    return path
+
+
+def _weights(green: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """sigma (positions, actuators) and n (positions,) by equations 14 and 15."""
+    rms = np.sqrt(np.mean(green**2, axis=2))
+    limit = 0.7 * np.median(rms)
+    sigma = np.where(rms < limit, 1.0, limit / rms)
+    return sigma, 1.0 / np.sum(sigma * np.sum(green**2, axis=2), axis=1)
+
+
+def _nearest(position_mm: np.ndarray, point: np.ndarray) -> int:
+    return int(np.argmin(np.hypot(*(position_mm - point).T)))
+
+
+def _direct_drive(green: np.ndarray, position_mm: np.ndarray, emission: str) -> np.ndarray:
+    """Equations 16 (per point) and 9 (continuous), sample by sample."""
+    sigma, gain = _weights(green)
+    u = 0.5 * np.sin(2 * np.pi * 150.0 * np.arange(60) / RATE_HZ)
+    start, end = np.array([0.0, 0.0]), np.array([12.0, 4.0])
+    length = float(np.hypot(12.0, 4.0))
+    emissions: list[tuple[int, float, int]] = []
+    if emission == "per_point":
+        for m in range(int(length / 4.0 + 1e-9) + 1):
+            row = _nearest(position_mm, start + (end - start) * m * 4.0 / length)
+            n_m = round((0.01 + m * 4.0 / 200.0) * RATE_HZ)
+            emissions += [(n_m + s, u[s], row) for s in range(60)]
+    else:
+        points = int(length / 4.0 + 1e-9) + 1
+        first, last = round(0.01 * RATE_HZ), round((0.01 + points * 4.0 / 200.0) * RATE_HZ)
+        for s in range(last - first):
+            arc = min(200.0 * s / RATE_HZ, length)
+            row = _nearest(position_mm, start + (end - start) * arc / length)
+            emissions.append((first + s, u[s] if s < 60 else 0.0, row))
+    drive = np.zeros((ACTUATORS, TAPS - 1 + max(n for n, _, _ in emissions) + 1))
+    for n, value, row in emissions:
+        for actuator in range(ACTUATORS):
+            weight = value * gain[row] * sigma[row, actuator]
+            drive[actuator, n : n + TAPS] += weight * green[row, actuator, ::-1]
+    return drive
+
+
+@pytest.mark.parametrize("emission", ["per_point", "continuous"])
+def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(
+    bank: Path, tmp_path: Path, emission: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, drive_file, field_file = tmp_path / "scene.toml", tmp_path / "drive.h5", tmp_path / "field.h5"
+    scene.write_text(SCENE.format(emission=emission), encoding="utf-8")
+    assert run(["render", str(scene), "--bank", str(bank), "--out", str(drive_file), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["method"] == ("sampled" if emission == "per_point" else "exact")
+    assert told["omitted_bound"] == 0.0
+    assert run(["predict", str(drive_file), "--bank", str(bank), "--out", str(field_file)]) == 0
+    with h5py.File(bank, "r") as file:
+        green, position_mm = file["green"][:], file["position_mm"][:]
+    expected = _direct_drive(green, position_mm, emission)
+    with h5py.File(drive_file, "r") as file:
+        assert file["drive"].dtype == np.float64
+        assert file["drive"].shape == expected.shape
+        np.testing.assert_allclose(file["drive"][:], expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        assert file.attrs["start_s"] == pytest.approx(-(TAPS - 1) / RATE_HZ)
+        drive = file["drive"][:]
+    field = np.array([sum(np.convolve(drive[i], green[row, i]) for i in range(ACTUATORS)) for row in range(len(green))])
+    with h5py.File(field_file, "r") as file:
+        assert file["field"].shape == field.shape
+        # The contract's file is float32: the float64 result, rounded once.
+        np.testing.assert_allclose(file["field"][:], field, rtol=0, atol=1e-7 * np.abs(field).max())
+        assert list(file["position_index"]) == list(range(15))
+
+
+def test_given_an_impulse_then_the_predicted_response_at_the_focus_is_its_amplitude(bank: Path) -> None:
+    from calibration.bank import open_bank
+    from rendering.drive import render
+    from rendering.field import predict
+    from wavefocus.config.scene import load_scene
+
+    scene = bank.with_name("scene.toml")
+    scene.write_text(
+        '[[source]]\namplitude = 0.25\npath = { kind = "point", at_mm = [8, 4] }\nsignal = { kind = "impulse" }\n',
+        encoding="utf-8",
+    )
+    with open_bank(bank) as view:
+        drive = render(load_scene(scene), view)
+        field = predict(drive, view, [int(drive.focus_position[0])])
+    focus = int(drive.focus_sample[0]) - round(drive.start_s * RATE_HZ)
+    assert field.field[0, focus] == pytest.approx(0.25, rel=1e-9)
+
+
+@pytest.mark.parametrize("command", ["resume", "remeasure", "verify"])
+def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(
+    bank: Path, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE.format(emission="per_point"), encoding="utf-8")
+    arguments = {
+        "resume": [str(bank)],
+        "remeasure": [str(bank), "--positions", "1"],
+        "verify": [str(scene), "--bank", str(bank), "--rig", "virtual", "--out", str(tmp_path / "out")],
+    }
+    before = bank.read_bytes()
+    assert run([command, *arguments[command]]) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1
+    assert "foreign.h5" in told[0]
+    assert "made by other means" in told[0]
+    assert bank.read_bytes() == before

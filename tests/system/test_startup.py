@@ -1,0 +1,40 @@
+"""Starting the command must not wait for libraries that only some commands need."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SLOW = {"h5py", "matplotlib", "scipy", "soundfile", "mocks", "rendering"}
+SHOW_MODULES = "\nimport json, sys\nprint(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))"
+
+
+def loaded_by(code: str, folder: Path) -> set[str]:
+    """Top-level packages that a fresh interpreter has loaded after running the code."""
+    done = subprocess.run(
+        [sys.executable, "-c", code + SHOW_MODULES], cwd=folder, capture_output=True, text=True, check=True
+    )
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_importing_the_command_loads_nothing_slow(tmp_path: Path) -> None:
+    loaded = loaded_by("import wavefocus.__main__", tmp_path)
+    assert "wavefocus" in loaded
+    assert not loaded & SLOW
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["capture", "--help"], ["verify", "--help"]])
+def test_asking_for_help_loads_nothing_slow(tmp_path: Path, arguments: list[str]) -> None:
+    loaded = loaded_by(f"from wavefocus.__main__ import run\nrun({arguments!r})", tmp_path)
+    assert "wavefocus" in loaded
+    assert not loaded & SLOW
+
+
+def test_writing_templates_loads_nothing_slow(tmp_path: Path) -> None:
+    loaded = loaded_by("from wavefocus.__main__ import run\nassert run(['init', 'lab']) == 0", tmp_path)
+    assert (tmp_path / "lab" / "run.toml").is_file()
+    assert not loaded & SLOW

@@ -1,0 +1,113 @@
+"""Rendering, playing and scanning on the virtual rig, through the commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import soundfile
+
+from tests.system.conftest import with_faults
+from wavefocus.__main__ import run
+
+
+@pytest.fixture
+def bank(lab: Path) -> Path:
+    path = lab / "plate.h5"
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(path)]) == 0
+    return path
+
+
+def _verify(lab: Path, bank: Path, *more: str) -> int:
+    scene, rig, out = lab / "scene.toml", lab / "rig.toml", lab / "verify"
+    return run(["verify", str(scene), "--bank", str(bank), "--rig", str(rig), "--out", str(out), "--json", *more])
+
+
+def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_says_so(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert _verify(lab, bank) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["passed"] is True
+    assert told["error"] < 0.02
+    assert told["correlation"] > 0.999
+    report = (lab / "verify" / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in report
+    assert "https://" not in report
+    assert "http://" not in report.replace("http://www.w3.org", "")
+    with h5py.File(lab / "verify" / "scan.h5", "r") as scan, h5py.File(lab / "verify" / "prediction.h5", "r") as field:
+        assert scan["field"].shape == field["field"].shape
+        assert scan.attrs["start_s"] == field.attrs["start_s"]
+
+
+def test_given_a_bank_of_another_gain_then_verification_fails_with_exit_1(lab: Path, bank: Path) -> None:
+    rig = lab / "rig.toml"
+    rig.write_text(rig.read_text(encoding="utf-8") + "\n[vibrometer]\nsensitivity_m_s_per_v = 0.25\n", encoding="utf-8")
+    with h5py.File(bank, "r") as file:
+        copy = {name: file[name][:] for name in ("green", "position_mm", "actuator_mm", "status")}
+        attributes = {name: file.attrs[name] for name in ("sample_rate_hz", "rig", "run", "band_hz")}
+    louder = lab / "louder.h5"
+    with h5py.File(louder, "w") as file:
+        for name, values in copy.items():
+            file[name] = values * np.float32(1.2) if name == "green" else values
+        file.attrs.update(attributes)
+    assert _verify(lab, louder) == 1
+
+
+def test_given_some_positions_then_only_those_are_scanned(lab: Path, bank: Path) -> None:
+    assert _verify(lab, bank, "--positions", "1,4") == 0
+    with h5py.File(lab / "verify" / "scan.h5", "r") as file:
+        assert list(file["position_index"]) == [1, 4]
+
+
+def test_given_a_rig_with_other_actuators_then_it_is_refused(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = lab / "rig.toml"
+    rig.write_text(rig.read_text(encoding="utf-8").replace("110.0, 0.0", "109.0, 0.0"), encoding="utf-8")
+    capsys.readouterr()
+    assert _verify(lab, bank) == 2
+    assert "actuators.position_mm" in capsys.readouterr().err
+
+
+def test_given_a_scene_beyond_the_rigs_limit_then_it_is_refused_before_anything_plays(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = lab / "scene.toml"
+    text = scene.read_text(encoding="utf-8")
+    scene.write_text(text.replace("limit_v = 1.0", ""), encoding="utf-8")
+    capsys.readouterr()
+    assert _verify(lab, bank) == 2
+    assert "output.limit_v" in capsys.readouterr().err
+    assert not (lab / "verify" / "scan.h5").exists()
+
+
+def test_given_a_scan_with_a_lost_player_then_exit_3(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 3\npurpose = "scan"')
+    bank = lab / "plate.h5"
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    capsys.readouterr()
+    assert _verify(lab, bank) == 3
+    assert "player" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(lab: Path, bank: Path) -> None:
+    drive_file, wav = lab / "drive.h5", lab / "drive.wav"
+    command = ["render", str(lab / "scene.toml"), "--bank", str(bank), "--out", str(drive_file), "--wav", str(wav)]
+    assert run(command) == 0
+    played, rate_hz = soundfile.read(wav)
+    with h5py.File(drive_file, "r") as file:
+        drive_v = file["drive"][:]
+    assert rate_hz == 48_000
+    assert played.shape[1] == len(drive_v)
+    assert np.abs(played).max() <= 1.0 / 5.0 * 1.05
+    # Every 24th sample of the WAV falls on every 5th of the drive.
+    common = min(played.shape[0] // 24, drive_v.shape[1] // 5)
+    assert common > 100
+    np.testing.assert_allclose(
+        5.0 * played[: 24 * common : 24].T, drive_v[:, : 5 * common : 5], atol=2e-3 * np.abs(drive_v).max()
+    )

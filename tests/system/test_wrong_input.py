@@ -1,0 +1,215 @@
+"""Wrong input through the command line: one sentence, exit 2, and the file untouched."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from wavefocus.__main__ import run
+
+
+def _told(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
+    """Exit code and the one line on standard error."""
+    capsys.readouterr()
+    code = run([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    lines = [line for line in captured.err.splitlines() if line.startswith("wavefocus: ")]
+    assert len(lines) == 1, captured.err
+    assert "Traceback" not in captured.err
+    assert captured.out == ""
+    return code, lines[0]
+
+
+@pytest.fixture
+def bank(lab: Path) -> Path:
+    """A measured bank of six positions."""
+    path = lab / "plate.h5"
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(path)]) == 0
+    return path
+
+
+def _truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def _not_hdf5(path: Path) -> None:
+    path.write_bytes(b"position;actuator;volts\n" * 1000)
+
+
+def _empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def _future(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = 2
+
+
+def _foreign_schema(path: Path) -> None:
+    path.unlink()
+    with h5py.File(path, "w") as file:
+        file.attrs["format"] = "somebody-elses-format"
+        file["data"] = np.zeros(10)
+
+
+def _external_link(path: Path) -> None:
+    with h5py.File(path.with_name("outside.h5"), "w") as file:
+        file["green"] = np.ones((6, 3, 1000), np.float32)
+    with h5py.File(path, "r+") as file:
+        del file["green"]
+        file["green"] = h5py.ExternalLink("outside.h5", "/green")
+
+
+def _soft_link(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file.move("green", "elsewhere")
+        file["green"] = h5py.SoftLink("/elsewhere")
+
+
+def _no_green(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["green"]
+
+
+BROKEN: dict[str, Callable[[Path], None]] = {
+    "truncated": _truncate,
+    "not-hdf5": _not_hdf5,
+    "empty": _empty,
+    "future-version": _future,
+    "foreign-schema": _foreign_schema,
+    "external-link": _external_link,
+    "soft-link": _soft_link,
+    "no-green": _no_green,
+}
+
+
+@pytest.mark.parametrize("kind", list(BROKEN))
+@pytest.mark.parametrize("command", ["resume", "status", "check", "render", "predict", "remeasure"])
+def test_given_a_broken_bank_then_one_sentence_exit_2_and_the_file_untouched(
+    lab: Path, bank: Path, kind: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = lab / "drive.h5"
+    if command == "predict":
+        assert run(["render", str(lab / "scene.toml"), "--bank", str(bank), "--out", str(drive)]) == 0
+    BROKEN[kind](bank)
+    before, files = bank.read_bytes(), sorted(path.name for path in lab.iterdir())
+    arguments: dict[str, list[object]] = {
+        "resume": [bank],
+        "status": [bank],
+        "check": [bank],
+        "remeasure": [bank, "--positions", "1"],
+        "render": [lab / "scene.toml", "--bank", bank, "--out", lab / "new.h5"],
+        "predict": [drive, "--bank", bank, "--out", lab / "new.h5"],
+    }
+    code, line = _told(capsys, command, *arguments[command])
+    assert code == 2
+    assert bank.name in line
+    assert bank.read_bytes() == before
+    assert sorted(path.name for path in lab.iterdir()) == files
+
+
+def test_given_a_flipped_byte_then_render_refuses_check_names_it_and_resume_measures_it_again(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sound = bank.read_bytes()
+    with h5py.File(bank, "r") as file:
+        offset = file["green"].id.get_chunk_info(1).byte_offset + 777
+    flipped = bytearray(sound)
+    flipped[offset] ^= 0x10
+    bank.write_bytes(flipped)
+    code, line = _told(capsys, "render", lab / "scene.toml", "--bank", bank, "--out", lab / "drive.h5")
+    assert code == 2
+    assert "position 1" in line
+    assert bank.read_bytes() == bytes(flipped)
+    assert run(["check", str(bank)]) == 1
+    assert "position 1" in capsys.readouterr().err
+    assert bank.read_bytes() == bytes(flipped)
+    assert run(["resume", str(bank)]) == 0
+    assert bank.read_bytes() == sound
+
+
+def test_given_a_bank_whose_plan_was_edited_then_its_resume_is_refused(
+    bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with h5py.File(bank, "r+") as file:
+        file.attrs["plan_sha256"] = "0" * 64
+    before = bank.read_bytes()
+    code, line = _told(capsys, "resume", bank)
+    assert code == 2
+    assert "header" in line
+    assert bank.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        (["capture", "nowhere.toml", "--bank", "plate.h5"], "nowhere.toml"),
+        (["plan", "nowhere.toml"], "nowhere.toml"),
+        (["resume", "nowhere.h5"], "nowhere.h5"),
+        (["status", "nowhere.h5"], "nowhere.h5"),
+        (["check", "."], "."),
+        (["render", "nowhere.toml", "--bank", "b.h5", "--out", "d.h5"], "nowhere.toml"),
+        (["predict", "nowhere.h5", "--bank", "b.h5", "--out", "d.h5"], "nowhere.h5"),
+        (["capture"], "RUN.toml"),
+        (["captrue"], "captrue"),
+        (["status", "b.h5", "--frobnicate"], "--frobnicate"),
+        (["render", "s.toml", "--bank", "b.h5", "--out", "d.h5", "--method", "guessed"], "guessed"),
+    ],
+)
+def test_given_a_wrong_command_line_then_one_sentence_names_it(
+    command: list[str], names: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, line = _told(capsys, *command)
+    assert code == 2
+    assert names in line
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        (("duration_s = 0.3", "durations_s = 0.3"), "sweep.durations_s"),
+        (("duration_s = 0.3", "duration_s = -1"), "sweep.duration_s"),
+        (("duration_s = 0.3", "duration_s = 0.3\nstart_hz = 0"), "sweep.start_hz"),
+        (("duration_s = 0.3", "duration_s = 0.3\nstop_hz = 5000"), "sweep.stop_hz"),
+        (("taps = 1000", "taps = 1000\nstagger_s = 0.1"), "capture.stagger_s"),
+        (('[grid]\npositions_file = "positions.csv"', "[grid]\nspacing_mm = -4"), "grid.spacing_mm"),
+        (('[grid]\npositions_file = "positions.csv"', "[grid]\nspacing_m = 0.004"), "grid.spacing_m"),
+        (('[grid]\npositions_file = "positions.csv"', "[grid]\nmargin_mm = 80"), "grid.margin_mm"),
+        (("amplitude", "amplitude"), ""),
+    ],
+)
+def test_given_a_mistake_in_the_run_file_then_file_key_value_and_what_is_allowed(
+    lab: Path, change: tuple[str, str], names: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = lab / "run.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(*change) if names else text + "\nnot toml at all", encoding="utf-8")
+    code, line = _told(capsys, "capture", path, "--bank", lab / "plate.h5")
+    assert code == 2
+    assert "run.toml" in line
+    assert names in line
+    assert not (lab / "plate.h5").exists()
+
+
+def test_given_the_demo_and_a_folder_of_somebody_elses_then_it_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work", encoding="utf-8")
+    code, line = _told(capsys, "demo", "--out", tmp_path)
+    assert code == 2
+    assert str(tmp_path) in line
+    assert (tmp_path / "thesis.tex").read_text(encoding="utf-8") == "years of work"
+
+
+def test_given_a_reader_that_goes_away_then_no_traceback(bank: Path) -> None:
+    command = f"{sys.executable} -m wavefocus status {bank} --json | true"
+    told = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
+    assert "Traceback" not in told.stderr

@@ -1,0 +1,26 @@
+"""``wavefocus bench``: error against run time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from wavefocus.console import say
+
+
+def bench(what: str, out: Path, *, quick: bool) -> None:
+    """Run the benchmarks and write their figures as JSON beside the printed tables."""
+    out.mkdir(parents=True, exist_ok=True)
+    if what in ("estimate", "all"):
+        from benchmarks import estimate
+
+        _keep(out / "estimate.json", estimate.run(out, quick=quick))
+    if what in ("render", "all"):
+        from benchmarks import render
+
+        _keep(out / "render.json", render.run(out, quick=quick))
+
+
+def _keep(path: Path, figures: dict[str, object]) -> None:
+    path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    say(f"wrote {path}")

@@ -1,0 +1,153 @@
+"""``wavefocus demo``: the whole suite on the virtual rig, a power cut included."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+import webbrowser
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.table import Table
+
+from calibration.bank import open_bank
+from calibration.errors import InputError, WavefocusError
+from wavefocus.commands import check, init, plan, status
+from wavefocus.commands import predict as prediction
+from wavefocus.commands import render as rendering
+from wavefocus.commands import verify as verification
+from wavefocus.compose import bank_configuration, virtual_rig
+from wavefocus.config.run import Virtual
+from wavefocus.console import people, say
+from wavefocus.exits import Exit
+from wavefocus.truth import compare_with_truth
+
+# The bank is this good at the default noise, or the demo has failed.
+BANK_LIMIT_DB = -55.0
+
+_MARKER = "made-by-wavefocus-demo"
+
+
+@dataclass
+class _Stopwatch:
+    """Wall time of each part of the demo."""
+
+    parts: list[tuple[str, float]] = field(default_factory=list)
+
+    def time(self, name: str, work: Callable[[], object]) -> None:
+        """Announce a part, do it and note how long it took."""
+        people.rule(name, align="left")
+        started_s = time.monotonic()
+        work()
+        self.parts.append((name, time.monotonic() - started_s))
+
+
+def demo(out: Path) -> Exit:
+    """Capture, kill half-way, resume, check, render, predict, verify; all files in a folder of its own."""
+    _prepare(out)
+    run, bank, scene = out / "run.toml", out / "plate.h5", out / "scene.toml"
+    drive, report = out / "drive.h5", out / "verify" / "report.html"
+    watch = _Stopwatch()
+    watch.time("Configuration", lambda: init.init(out, "virtual"))
+    watch.time("Plan", lambda: plan.plan(run, as_json=False))
+    watch.time("Capture, until the power is cut half-way", lambda: _capture_and_kill(run, bank))
+    watch.time("What the bank says after the power cut", lambda: status.status(bank, as_json=False))
+    watch.time("Resume from the bank alone", lambda: _resume(bank))
+    outcome: list[Exit] = []
+    watch.time("Check every row", lambda: outcome.append(check.check(bank, as_json=False)))
+    watch.time("Compare with the plate's truth", lambda: outcome.append(_compare(bank)))
+    watch.time(
+        "Render the scene",
+        lambda: rendering.render(scene, bank, drive, out / "drive.wav", None, None, as_json=False),
+    )
+    watch.time(
+        "Predict ten positions of its field",
+        lambda: prediction.predict(drive, bank, out / "field.h5", "700-709", as_json=False),
+    )
+    watch.time(
+        "Play it on the rig, scan it, compare",
+        lambda: outcome.append(verification.verify(scene, bank, Path("virtual"), out / "verify", "", as_json=False)),
+    )
+    _tell(watch, report)
+    return max(outcome)
+
+
+def _prepare(out: Path) -> None:
+    """Take a folder of the demo's own; never clear one that is somebody else's."""
+    if out.exists():
+        if not (out / _MARKER).is_file() and (not out.is_dir() or any(out.iterdir())):
+            raise InputError(f"--out {out}: is not empty and was not made by the demo; name another folder")
+        shutil.rmtree(out)
+    out.mkdir(parents=True)
+    (out / _MARKER).write_text("this folder is cleared whenever the demo runs\n", encoding="utf-8")
+
+
+def _capture_and_kill(run: Path, bank: Path) -> None:
+    """Run a capture in a process of its own and kill it, without warning, half-way."""
+    command = [sys.executable, "-m", "wavefocus", "capture", str(run), "--bank", str(bank), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            event = json.loads(line)
+            if event["event"] == "progress" and 2 * event["done"] >= event["total"]:
+                child.kill()
+                break
+        code = child.wait()
+    if code == 0 or not bank.exists():
+        raise WavefocusError(f"the capture ended with {code} before it could be interrupted")
+    say(f"killed process {child.pid} without warning after {event['done']} of {event['total']} positions")
+
+
+def _resume(bank: Path) -> None:
+    """Go on from the bank alone, in a new process."""
+    code = subprocess.run([sys.executable, "-m", "wavefocus", "resume", str(bank)], check=False).returncode
+    if code != 0:
+        raise WavefocusError(f"wavefocus resume {bank} ended with exit code {code}")
+
+
+def _compare(bank: Path) -> Exit:
+    """Tell how far the bank is from the truth, at which nothing else in the suite may look."""
+    with open_bank(bank) as view:
+        configuration = bank_configuration(view)
+        rig = virtual_rig(configuration.rig, configuration.run.virtual or Virtual())
+        figures = compare_with_truth(view, rig)
+    say(
+        f"error of the bank against the true Green's functions: median {figures.median_db:.1f} dB, worst "
+        f"{figures.worst_db:.1f} dB over {figures.error_db.size} pairs (in-band relative L2; limit {BANK_LIMIT_DB:g})"
+    )
+    return Exit.DONE if figures.median_db <= BANK_LIMIT_DB else Exit.NOT_GOOD_ENOUGH
+
+
+def _tell(watch: _Stopwatch, report: Path) -> None:
+    """Times, memory and where the report is; opens it where somebody can look."""
+    people.rule("Done", align="left")
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for name, seconds in watch.parts:
+        table.add_row(name, f"{seconds:6.1f} s")
+    table.add_row("Together", f"{sum(seconds for _, seconds in watch.parts):6.1f} s")
+    people.print(table)
+    if (peak := _peak_memory_bytes()) is not None:
+        say(f"largest process: {peak / 1e6:.0f} MB of memory")
+    say(f"report: {report}")
+    if sys.stdin.isatty() and people.is_terminal and _has_display():
+        webbrowser.open(report.resolve().as_uri())
+
+
+def _peak_memory_bytes() -> int | None:
+    """Largest resident memory of this process and its children, where the system tells."""
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+
+
+def _has_display() -> bool:
+    """Whether a browser window could be seen."""
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,0 +1,58 @@
+"""``wavefocus status``: how a campaign stands, also while it runs."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from pathlib import Path
+
+from acquisition.durations import hours
+from acquisition.quality import median_snr_db, status_counts
+from calibration.bank import open_bank
+from calibration.bank_owner import bank_owner
+from wavefocus.console import finish_clock, say
+from wavefocus.event_log import last_events
+
+
+def status(bank: Path, *, as_json: bool) -> None:
+    """Tell counts per status, who writes, rate and finish time; reads only."""
+    with open_bank(bank) as view:
+        counts = status_counts(view.status)
+        total = view.positions
+        done = total - counts["not-measured"]
+        snr_db = median_snr_db(view.quality.get("snr_db"), view.status)
+        plan_sha256 = view.plan_sha256
+    owner = bank_owner(bank)
+    newest = next((event for event in last_events(bank) if event.get("event") == "progress"), None)
+    running = owner is not None and newest is not None
+    facts: dict[str, object] = {
+        "bank": str(bank),
+        "positions": total,
+        "done": done,
+        "counts": counts,
+        "median_snr_db": snr_db,
+        "owner": {"host": owner.host, "pid": owner.pid} if owner else None,
+        "positions_per_hour": newest["positions_per_hour"] if running and newest else None,
+        "remaining_s": newest["remaining_s"] if running and newest else None,
+        "last_event_at": newest["at"] if newest else None,
+        "plan_sha256": plan_sha256,
+    }
+    if as_json:
+        print(json.dumps(facts))
+        return
+    words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    say(f"{bank}: {done} of {total} positions measured ({words})")
+    if snr_db is not None:
+        say(f"median signal-to-noise ratio {snr_db:.1f} dB over all pairs")
+    if owner is None:
+        left = f"; go on with: wavefocus resume {bank}" if done < total else ""
+        say(f"no process is measuring{left}")
+        return
+    say(f"process {owner.pid} on {owner.host} is measuring")
+    if newest is not None:
+        remaining_s = float(str(newest["wall_remaining_s"]))
+        at = datetime.fromisoformat(str(newest["at"])).astimezone()
+        say(
+            f"{float(str(newest['positions_per_hour'])):.0f} positions an hour, {hours(remaining_s)} left, "
+            f"finished at {finish_clock(remaining_s)} (last position {at:%H:%M:%S})"
+        )

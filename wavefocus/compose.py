@@ -1,0 +1,176 @@
+"""From configuration to what carries it out: the plan, the bank's header and the instruments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.plan import Plan
+from acquisition.quality import QualityLimits
+from acquisition.setup import Setup
+from calibration.bank import Bank, open_bank
+from calibration.bank_header import BankHeader
+from calibration.errors import InputError
+from calibration.mirror_map import MirrorMap
+from calibration.sweeps import Excitation
+from drivers.errors import InstrumentError
+from drivers.protocols import Instruments
+from mocks.faults import Fault
+from mocks.geometry import MirrorGeometry
+from mocks.settings import VirtualSettings
+from mocks.virtual_rig import VirtualRig
+from wavefocus.config.loading import Configuration, configuration_from_json, load_run
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.run import RunConfig, Virtual
+
+
+@dataclass(frozen=True, slots=True)
+class Blueprint:
+    """A configuration with the plan that follows from it."""
+
+    configuration: Configuration
+    plan: Plan
+
+    def bank_header(self) -> BankHeader:
+        """What a new bank says of itself."""
+        configuration, plan = self.configuration, self.plan
+        return BankHeader(
+            sample_rate_hz=plan.excitation.sample_rate_hz,
+            taps=plan.taps,
+            band_hz=plan.excitation.band_hz,
+            position_mm=plan.position_mm,
+            actuator_mm=plan.actuator_mm,
+            rig_json=configuration.rig.model_dump_json(),
+            run_json=configuration.run.model_dump_json(),
+            plan_sha256=plan.sha256,
+            software=f"wavefocus {version('wavefocus')}",
+        )
+
+
+def blueprint_from_files(run_file: Path) -> Blueprint:
+    """Read and check a run file with all that it names.
+
+    Raises
+    ------
+    InputError
+        Anything in the files is wrong.
+    """
+    return _blueprint(load_run(run_file))
+
+
+def blueprint_from_bank(path: Path) -> Blueprint:
+    """Take up the configuration that a bank carries, checked against the bank's own hash.
+
+    Raises
+    ------
+    InputError
+        The file is no bank, or one that this suite did not measure.
+    """
+    with open_bank(path) as bank:
+        blueprint = _blueprint(bank_configuration(bank))
+        if bank.plan_sha256 != blueprint.plan.sha256:
+            raise InputError(
+                f"{path}: the attributes rig, run and plan_sha256 do not belong together; the bank cannot be "
+                "resumed, but what it holds can be rendered"
+            )
+    return blueprint
+
+
+def bank_configuration(bank: Bank) -> Configuration:
+    """The configuration that an open bank carries.
+
+    Raises
+    ------
+    InputError
+        The bank was made by other means and carries none.
+    """
+    if bank.rig_json is None or bank.run_json is None:
+        raise InputError(
+            f"{bank.path}: has no attributes rig and run: it was made by other means and cannot be measured on"
+        )
+    return configuration_from_json(bank.rig_json, bank.run_json, bank.position_mm, str(bank.path))
+
+
+def _blueprint(configuration: Configuration) -> Blueprint:
+    run, rig = configuration.run, configuration.rig
+    plan = Plan(
+        position_mm=configuration.position_mm,
+        actuator_mm=rig.actuator_mm,
+        order=np.arange(len(configuration.position_mm)),
+        excitation=Excitation(
+            sample_rate_hz=run.capture.sample_rate_hz,
+            start_hz=run.sweep.start_hz,
+            stop_hz=run.sweep.stop_hz,
+            duration_s=run.sweep.duration_s,
+            decay_s=run.capture.decay_s,
+            amplitude_v=run.sweep.amplitude_v,
+            averages=run.capture.averages,
+        ),
+        taps=run.capture.taps,
+        sha256=configuration.plan_sha256,
+        quality=QualityLimits(**run.quality.model_dump()),
+    )
+    return Blueprint(configuration, plan)
+
+
+def virtual_rig(rig: RigConfig, virtual: Virtual) -> VirtualRig:
+    """Build the virtual rig that a configuration describes; its laser stands where the mirror map says."""
+    settings = VirtualSettings(
+        seed=virtual.seed,
+        noise_v=VirtualSettings().noise_v if virtual.noise_v is None else virtual.noise_v,
+        actuator_mm=rig.actuators.position_mm,
+        actuator_channels=rig.player.channels,
+        loopback_channel=rig.player.loopback_channel,
+        surface_mm=(rig.surface.length_mm, rig.surface.width_mm),
+        mirror=MirrorGeometry(matrix=rig.mirror.matrix),
+        settle_s=rig.mirror.settle_s,
+        limit_mrad=rig.mirror.limit_mrad,
+        park_mrad=rig.mirror.park_mrad,
+        full_scale_v=rig.player.full_scale_v,
+        sensitivity_m_s_per_v=rig.vibrometer.sensitivity_m_s_per_v,
+        inter_channel_delay_s=rig.recorder.inter_channel_delay_s,
+        fault_plan=tuple(Fault(**fault.model_dump()) for fault in virtual.fault_plan),
+    )
+    return VirtualRig(settings)
+
+
+@contextmanager
+def open_setup(rig: RigConfig, run: RunConfig) -> Iterator[Setup]:
+    """Open the instruments of a rig; on the way out they are muted, parked and released.
+
+    Raises
+    ------
+    InstrumentError
+        An instrument cannot be opened, or could not be put to rest.
+    """
+    instruments: Instruments = virtual_rig(rig, run.virtual or Virtual()).instruments
+    setup = Setup(
+        instruments=instruments,
+        mirror_map=MirrorMap(rig.mirror.matrix),
+        actuator_channels=rig.player.channels,
+        loopback_channel=rig.player.loopback_channel,
+        range_v=(rig.recorder.reference_range_v, rig.recorder.response_range_v),
+        response_per_volt=rig.vibrometer.sensitivity_m_s_per_v,
+        reference_gain=rig.recorder.reference_gain,
+        inter_channel_delay_s=rig.recorder.inter_channel_delay_s,
+        pre_roll_s=rig.recorder.pre_roll_s,
+        post_roll_s=rig.recorder.post_roll_s,
+    )
+    try:
+        yield setup
+    except BaseException as failure:
+        try:
+            setup.close()
+        except* Exception as group:
+            failure.add_note(str(group))
+        raise
+    try:
+        setup.close()
+    except* InstrumentError as group:
+        causes = "; ".join(str(one) for one in group.exceptions)
+        raise InstrumentError("rig", "putting the instruments to rest", causes, "check them by hand") from group

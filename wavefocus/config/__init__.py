@@ -1,0 +1,1 @@
+"""Configuration: what rig, run and scene files may say, and one-line errors about what they must not."""

@@ -1,0 +1,39 @@
+"""What the tables of every configuration file share: strict numbers, closed tables, named mistakes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, StrictBool
+from pydantic_core import PydanticCustomError
+
+# Strict: "20" and true are no numbers in TOML, and guessing would hide a slip of the pen.
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[Finite, Field(gt=0)]
+NonNegative = Annotated[Finite, Field(ge=0)]
+Whole = Annotated[int, Strict()]
+Switch = StrictBool
+Text = Annotated[str, Strict(), Field(min_length=1)]
+PointMm = tuple[Finite, Finite]
+
+
+class Table(BaseModel):
+    """A table of a configuration file: immutable, and closed to keys that it does not know."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def mistake(key: str, value: object, allowed: str) -> PydanticCustomError:
+    """Make the error to raise in a validator about one key beneath the table validated.
+
+    Parameters
+    ----------
+    key : str
+        Dotted path from the table: ``"stop_hz"``, ``"capture.taps"``; empty for the value validated itself.
+    value : object
+        What the key holds.
+    allowed : str
+        What it may hold, as the end of a sentence: ``"must be below 5000"``.
+    """
+    context: dict[str, Any] = {"key": key, "value": value, "allowed": allowed}
+    return PydanticCustomError("mistake", "{allowed}", context)

@@ -1,0 +1,267 @@
+"""From files to validated configuration; whatever is wrong is one line with file, key and value."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
+
+from acquisition.grid import read_positions_file, stadium_grid
+from acquisition.text_file import read_text
+from calibration.errors import InputError
+from wavefocus.config.mistakes import one_line, printable, shown
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.config.run import FaultFile, RunConfig, Virtual
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """A run file with all that it names, checked against each other.
+
+    Parameters
+    ----------
+    run : RunConfig
+        The run.
+    rig : RigConfig
+        The rig that the run names.
+    position_mm : float64 array, shape (positions, 2)
+        The grid in the order of measurement.
+    """
+
+    run: RunConfig
+    rig: RigConfig
+    position_mm: NDArray[np.float64]
+
+    @property
+    def plan_sha256(self) -> str:
+        """Hash of all that a resume must not change."""
+        return plan_sha256(self.rig, self.run, self.position_mm)
+
+
+def load_run(path: Path) -> Configuration:
+    """Read a run file, the rig and the position list that it names.
+
+    Parameters
+    ----------
+    path : Path
+        The run file; paths in it are relative to its folder.
+
+    Raises
+    ------
+    InputError
+        Anything in the files is wrong, alone or against each other.
+    """
+    data = read_toml(path)
+    virtual = data.get("virtual")
+    if isinstance(virtual, dict) and isinstance(virtual.get("fault_plan"), str):
+        plan_file = named_file(path, "virtual.fault_plan", virtual["fault_plan"])
+        faults = validated(FaultFile, read_toml(plan_file), str(plan_file))
+        data["virtual"] = {**virtual, "fault_plan": faults.model_dump()["fault"]}
+    run = validated(RunConfig, data, str(path))
+    rig = default_rig() if run.rig == "virtual" else load_rig(named_file(path, "rig", run.rig))
+    check_together(run, rig, str(path))
+    surface = rig.surface
+    if run.grid.positions_file is not None:
+        positions_file = named_file(path, "grid.positions_file", run.grid.positions_file)
+        position_mm = read_positions_file(positions_file, surface.length_mm, surface.width_mm)
+    else:
+        try:
+            position_mm = stadium_grid(surface.length_mm, surface.width_mm, run.grid.margin_mm, run.grid.spacing_mm)
+        except InputError as error:
+            raise InputError(printable(f"{path}: grid.{error}")) from None
+    _check_mirror_reach(rig, position_mm, str(path))
+    return Configuration(run, rig, position_mm)
+
+
+def load_rig(path: Path) -> RigConfig:
+    """Read a rig file.
+
+    Parameters
+    ----------
+    path : Path
+        The rig file.
+
+    Raises
+    ------
+    InputError
+        Anything in the file is wrong.
+    """
+    return validated(RigConfig, read_toml(path), str(path))
+
+
+def configuration_from_json(
+    rig_json: str, run_json: str, position_mm: NDArray[np.float64], source: str
+) -> Configuration:
+    """Take up the configuration that a bank carries.
+
+    Parameters
+    ----------
+    rig_json, run_json : str
+        The validated configuration as ``model_dump_json`` wrote it.
+    position_mm : float64 array, shape (positions, 2)
+        The bank's grid.
+    source : str
+        The bank's name, for messages.
+
+    Raises
+    ------
+    InputError
+        The texts are no configuration of this version.
+    """
+    rig = validated(RigConfig, _from_json(rig_json, f"{source}: attribute rig"), f"{source}: attribute rig")
+    run = validated(RunConfig, _from_json(run_json, f"{source}: attribute run"), f"{source}: attribute run")
+    check_together(run, rig, source)
+    return Configuration(run, rig, position_mm)
+
+
+def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
+    """Check what neither run nor rig can tell alone.
+
+    Parameters
+    ----------
+    run, rig : RunConfig, RigConfig
+        Each valid by itself.
+    source : str
+        The run file's name, for messages.
+
+    Raises
+    ------
+    InputError
+        A virtual setting without a virtual rig, or a sweep that the wiring cannot carry.
+    """
+    if run.virtual is not None and not rig.is_virtual:
+        raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
+    amplitude_v, key = run.sweep.amplitude_v, f"{source}: sweep.amplitude_v"
+    if amplitude_v > rig.player.limit_v:
+        allowed = f"must be at most player.limit_v = {rig.player.limit_v:g} of the rig"
+        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
+    loudest_v = rig.recorder.reference_range_v / rig.recorder.reference_gain
+    if amplitude_v > loudest_v:
+        allowed = f"must be at most {loudest_v:g} (the rig's recorder.reference_range_v / reference_gain)"
+        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
+
+
+def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> str:
+    """Hash all that a resume must not change, so that no bank mixes two plans.
+
+    Positions, actuators, sweep, capture, wiring, ranges, calibration, quality limits and the virtual rig's
+    seed and noise count. Names, file paths, safety limits, settling time, verification tolerances and fault
+    plans do not: they can change without making the rows of one bank differ in kind.
+
+    Parameters
+    ----------
+    rig, run : RigConfig, RunConfig
+        The validated configuration.
+    position_mm : float64 array, shape (positions, 2)
+        The grid.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits: SHA-256 of canonical JSON.
+    """
+    virtual = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
+    capture = {"averages", "decay_s", "excitation", "taps", "sample_rate_hz"}
+    essence = {
+        "position_mm": (position_mm + 0.0).tolist(),
+        "actuator_mm": rig.actuators.position_mm,
+        "surface": rig.surface.model_dump(),
+        "mirror": {"driver": rig.mirror.driver, "matrix": rig.mirror.matrix},
+        "recorder": rig.recorder.model_dump(),
+        "player": rig.player.model_dump(exclude={"limit_v", "interface_rate_hz"}),
+        "vibrometer": rig.vibrometer.model_dump(),
+        "sweep": run.sweep.model_dump(),
+        "capture": run.capture.model_dump(
+            include=capture | ({"stagger_s"} if run.capture.excitation == "staggered" else set())
+        ),
+        "quality": run.quality.model_dump(),
+        "virtual": virtual if rig.is_virtual else None,
+    }
+    text = json.dumps(essence, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file into plain tables.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is not TOML; the message names the line.
+    """
+    try:
+        return tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(printable(f"{path}: not TOML: {error}")) from None
+    except InputError as error:
+        raise InputError(printable(str(error))) from None
+    except (RecursionError, ValueError):  # ValueError: a whole number of thousands of digits
+        raise InputError(printable(f"{path}: not TOML: nested too deeply, or a number too long")) from None
+
+
+def validated(model: type[Model], data: object, source: str) -> Model:
+    """Validate plain tables against a model.
+
+    Raises
+    ------
+    InputError
+        One line with the first few mistakes.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as failure:
+        raise InputError(one_line(source, failure, model, data)) from None
+
+
+def named_file(path: Path, key: str, name: str) -> Path:
+    """Find a file that a configuration names.
+
+    Parameters
+    ----------
+    path : Path
+        The configuration's own file; the name is relative to its folder.
+    key : str
+        Where it names it, for messages.
+    name : str
+        The name.
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    """
+    try:
+        named = path.parent / name
+        if named.is_file():
+            return named
+    except (OSError, ValueError):  # a name that no file can have
+        pass
+    raise InputError(printable(f"{path}: {key} = {shown(name)}: must be a file; none found from {path.parent}/"))
+
+
+def _from_json(text: str, source: str) -> object:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(printable(f"{source}: not JSON: {error}")) from None
+
+
+def _check_mirror_reach(rig: RigConfig, position_mm: NDArray[np.float64], source: str) -> None:
+    angles = rig.mirror.angles_mrad(position_mm)
+    beyond = np.flatnonzero(~(np.abs(angles).max(axis=1) <= rig.mirror.limit_mrad))
+    if len(beyond):
+        row = int(beyond[0])
+        (x_mm, y_mm), (x_mrad, y_mrad) = position_mm[row], angles[row]
+        raise InputError(
+            f"{source}: grid: position {row} at ({x_mm:g}, {y_mm:g}) mm needs mirror angles of "
+            f"({x_mrad:.1f}, {y_mrad:.1f}) mrad; the rig's mirror.limit_mrad = {rig.mirror.limit_mrad:g}"
+        )

@@ -1,0 +1,45 @@
+"""The commented files that a new folder starts with."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+from calibration.errors import InputError
+from wavefocus.config.mistakes import printable
+
+
+def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
+    """Write rig.toml, run.toml and scene.toml with every key explained; nothing is ever overwritten.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to write; made when missing.
+    rig : {"virtual", "template"}
+        The virtual rig, or a rig of one's own to fill in.
+
+    Returns
+    -------
+    tuple of Path
+        The files written.
+
+    Raises
+    ------
+    InputError
+        One of the files is there already, or the folder cannot be written to.
+    """
+    templates = files("wavefocus") / "templates"
+    named = {"rig.toml": f"rig-{rig}.toml", "run.toml": "run.toml", "scene.toml": "scene.toml"}
+    for name in named:
+        if (folder / name).exists():
+            there = printable(str(folder / name))
+            raise InputError(f"{there}: is there already and is not overwritten; choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, template in named.items():
+            with (folder / name).open("x", encoding="utf-8", newline="\n") as file:
+                file.write((templates / template).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(printable(f"{error.filename or folder}: cannot be written: {error.strerror}")) from None
+    return tuple(folder / name for name in named)

@@ -1,0 +1,116 @@
+"""What people see while a command works: lines and a progress bar, all on standard error."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime, timedelta
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+)
+from rich.text import Text
+
+from acquisition.durations import hours
+
+# Without a terminal (a log file, a service) a line this often tells that the work goes on.
+LINE_EVERY_S = 30.0
+
+people = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def say(line: str) -> None:
+    """Tell people one line, on standard error; square brackets are text, not markup."""
+    people.print(line, markup=False)
+
+
+def finish_clock(remaining_s: float) -> str:
+    """The wall's clock time in `remaining_s` seconds, with the day when it is not today."""
+    now = datetime.now().astimezone()
+    finish = now + timedelta(seconds=remaining_s)
+    return finish.strftime("%H:%M:%S" if finish.date() == now.date() else "%a %d %b %H:%M")
+
+
+class Report(Protocol):
+    """Tells how far some work is."""
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """`done` of `total` items are done; `note` stands at the end of the line."""
+        ...
+
+
+class _RateColumn(ProgressColumn):
+    """Rate, remaining time and finish time, from the task's own figures."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        if task.finished:
+            return Text(f"in {hours(task.finished_time or 0.0)}")
+        if not speed or task.total is None:
+            return Text("")
+        remaining_s = (task.total - task.completed) / speed
+        return Text(f"{speed:.1f}/s  {hours(remaining_s)} left  finished at {finish_clock(remaining_s)}")
+
+
+@contextmanager
+def progress(what: str, total: int, *, done: int = 0) -> Iterator[Report]:
+    """Show how far some work is, with rate, remaining time and finish time.
+
+    Parameters
+    ----------
+    what : str
+        Name of the work.
+    total : int
+        How many items there are.
+    done : int
+        How many are done before it starts.
+
+    Yields
+    ------
+    callable
+        ``report(done, total, note="")``, to be called as items are done.
+    """
+    if not people.is_terminal:
+        yield _line_reporter(what, done)
+        return
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        _RateColumn(),
+        TextColumn("{task.fields[note]}", markup=False),
+    )
+    with Progress(*columns, console=people, expand=True) as bar:
+        task = bar.add_task(what, total=total, completed=done, note="")
+
+        def report(done: int, total: int, note: str = "") -> None:
+            bar.update(task, completed=done, total=total, note=note)
+
+        yield report
+
+
+def _line_reporter(what: str, first: int) -> Report:
+    """Progress as a line now and then, for when nobody watches a terminal."""
+    started_s = last_s = time.monotonic()
+
+    def report(done: int, total: int, note: str = "") -> None:
+        nonlocal last_s
+        now_s = time.monotonic()
+        if now_s - last_s < LINE_EVERY_S:
+            return
+        last_s = now_s
+        rate = (done - first) / (now_s - started_s)
+        left = f"{hours((total - done) / rate)} left" if rate > 0 else "no estimate yet"
+        say(f"{what}: {done} of {total}, {rate:.1f}/s, {left} {note}".rstrip())
+
+    return report

@@ -1,0 +1,67 @@
+"""The log beside a bank: one JSON line per event, so that the bank itself holds no clock times."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+
+from acquisition.events import Event, event_record
+
+
+def log_path(bank: Path) -> Path:
+    """Where the events of a bank are logged: ``plate.h5`` -> ``plate.events.jsonl``."""
+    return bank.with_suffix(".events.jsonl")
+
+
+def event_line(event: Event) -> str:
+    """One event as a JSON line with the wall's clock time, without the line end."""
+    return json.dumps({"at": datetime.now(UTC).isoformat(timespec="milliseconds"), **event_record(event)})
+
+
+class EventLog:
+    """Appends events to the log beside a bank; a subscriber."""
+
+    def __init__(self, bank: Path) -> None:
+        self._file = log_path(bank).open("a", encoding="utf-8")
+
+    def __call__(self, event: Event) -> None:
+        """Write one event; each line reaches the operating system at once."""
+        self._file.write(event_line(event) + "\n")
+        self._file.flush()
+
+    def __enter__(self) -> EventLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+# The newest progress is among the last lines; an event is under 400 bytes.
+_TAIL_BYTES = 65536
+
+
+def last_events(bank: Path) -> Iterator[dict[str, object]]:
+    """The latest events of a bank's log, newest first; nothing when there is no log.
+
+    A torn last line (the machine lost power) is passed over.
+    """
+    path = log_path(bank)
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - _TAIL_BYTES))
+        lines = file.read().split(b"\n")
+    for line in reversed(lines[1:] if size > _TAIL_BYTES else lines):
+        try:
+            record = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(record, dict):
+            yield record

@@ -1,0 +1,43 @@
+"""Exit codes of the contract, and which error ends in which."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from acquisition.errors import DriftError
+from calibration.errors import BankBusyError, WavefocusError
+from drivers.errors import InstrumentError
+
+
+class Exit(IntEnum):
+    """Exit codes, as the public contract states them."""
+
+    DONE = 0
+    NOT_GOOD_ENOUGH = 1
+    WRONG_INPUT = 2
+    INSTRUMENT_FAILED = 3
+    BANK_BUSY = 75
+    STOPPED = 130
+
+
+def exit_code(failure: BaseException) -> Exit | None:
+    """The exit code of an error that people can act on; None for a defect of the program."""
+    match failure:
+        case KeyboardInterrupt():
+            return Exit.STOPPED
+        case BankBusyError():
+            return Exit.BANK_BUSY
+        case DriftError() | InstrumentError():
+            return Exit.INSTRUMENT_FAILED
+        case WavefocusError() | OSError():
+            return Exit.WRONG_INPUT
+    return None
+
+
+def sentence(failure: BaseException) -> str:
+    """The one line that is told about an error."""
+    if isinstance(failure, KeyboardInterrupt):
+        return "stopped by the user"
+    if isinstance(failure, OSError) and failure.filename is not None:
+        return f"{failure.filename}: {failure.strerror}"
+    return " ".join(str(failure).split())
