@@ -60,7 +60,7 @@ class AttemptResult:
         return float("nan") if self.estimate is None else float(np.median(self.estimate.snr_db))
 
     @property
-    def worst_residual_db(self) -> float:
+    def best_heard_residual_db(self) -> float:
         """Residual of the best-heard actuator, NaN without an estimate."""
         if self.estimate is None:
             return float("nan")
@@ -89,9 +89,10 @@ def evaluate(
     """
     if not recorded.recordings:
         return AttemptResult(recorded.attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
-    volts = np.stack([one.volts for one in recorded.recordings])
+    reference_v = np.stack([one.volts[0] for one in recorded.recordings])
+    response_v = np.stack([one.volts[1] for one in recorded.recordings])
     try:
-        estimate = estimator.estimate(volts[:, 0], volts[:, 1], range_v=range_v)
+        estimate = estimator.estimate(reference_v, response_v, range_v=range_v)
     except ReferenceMissingError as missing:
         return AttemptResult(recorded.attempt, None, Judgement(Status.FAILED, str(missing), np.inf))
     over_range = any(any(one.over_range) for one in recorded.recordings)

@@ -2,37 +2,22 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
-import numpy as np
-from threadpoolctl import threadpool_limits
-
 from acquisition.attempt import Attempt, AttemptResult, Recorded, commit_attempt, evaluate
 from acquisition.errors import DriftError
-from acquisition.events import (
-    Drift,
-    Fault,
-    PositionCommitted,
-    PositionKept,
-    PositionRepeated,
-    PositionStarted,
-    Progress,
-    SessionEnded,
-    SessionStarted,
-    State,
-    StateChanged,
-    Subscriber,
-)
+from acquisition.events import SessionEnded, State, Subscriber
 from acquisition.plan import Plan, sentinel_of
-from acquisition.quality import Status, status_counts
+from acquisition.quality import Status
 from acquisition.record import take_record
 from acquisition.sentinel import compare_sentinel
+from acquisition.session import Session
 from acquisition.setup import Setup
 from acquisition.stopping import StopRequest
 from calibration.bank_writer import BankWriter
+from calibration.blas import one_blas_thread
 from calibration.estimator import Estimator
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import Float64Array, Recording, Take
@@ -66,25 +51,22 @@ class Campaign:
         self._plan = plan
         self._setup = setup
         self._bank = bank
-        self._publish = publish
+        self._session = Session(plan, setup, bank, publish)
         self._stop = stop
-        self._clock = setup.instruments.clock
         self._signal_v = plan.excitation.signal_v()
-        self._estimator = Estimator(
-            plan.excitation,
-            plan.taps,
-            reference_gain=setup.reference_gain,
-            response_per_volt=setup.response_per_volt,
-            inter_channel_delay_s=setup.inter_channel_delay_s,
-        )
+        with one_blas_thread():
+            self._estimator = Estimator(
+                plan.excitation,
+                plan.taps,
+                reference_gain=setup.reference_gain,
+                response_per_volt=setup.response_per_volt,
+                inter_channel_delay_s=setup.inter_channel_delay_s,
+            )
         self._queue: deque[Attempt] = deque()
         self._pending: Future[AttemptResult] | None = None
         self._best: dict[int, AttemptResult] = {}
         self._failed_in_a_row = 0
         self._last_fault: InstrumentError | None = None
-        self._started_s = 0.0
-        self._started_wall_s = 0.0
-        self._committed = 0
 
     def run(self, positions: Sequence[int] | None = None, *, accept_drift: bool = False) -> SessionEnded:
         """Measure what is to do, or the given positions once more.
@@ -109,14 +91,11 @@ class Campaign:
             An instrument failed for good; all that was committed is safe.
         """
         rows = self._plan.to_do(self._bank.status) if positions is None else positions
-        self._started_s, self._started_wall_s = self._clock.now_s(), time.monotonic()
         self._queue = deque(Attempt(int(row), int(self._bank.attempts[row]) + 1, 1) for row in rows)
-        self._publish_start(len(rows))
+        self._session.start(len(rows))
         state, reason = State.FINISHED, "every position is committed"
         try:
-            # One BLAS thread: the matrices are small, idle BLAS threads would steal the core that records,
-            # and the order of sums, so every byte of the bank, would depend on how many there are.
-            with threadpool_limits(limits=1, user_api="blas"):
+            with one_blas_thread():
                 if len(rows):
                     self._check_sentinel(accept_drift)
                     self._measure_queue()
@@ -125,9 +104,9 @@ class Campaign:
         except KeyboardInterrupt:
             state, reason = State.STOPPED, "stopped by the user at once"
         except BaseException as failure:
-            self._publish_end(State.FAILED, str(failure))
+            self._session.end(State.FAILED, str(failure))
             raise
-        return self._publish_end(state, reason)
+        return self._session.end(state, reason)
 
     # -- measuring ---------------------------------------------------------------------------
 
@@ -150,8 +129,7 @@ class Campaign:
 
     def _record_attempt(self, attempt: Attempt) -> Recorded:
         """Record all actuators at one position; an instrument's passing fault costs the attempt."""
-        x_mm, y_mm = (float(value) for value in self._plan.position_mm[attempt.position])
-        self._publish(PositionStarted(self._time_s(), attempt.position, attempt.number, x_mm, y_mm))
+        self._session.begin(attempt)
         recordings: list[Recording] = []
         try:
             self._point_at(attempt.position)
@@ -162,10 +140,10 @@ class Campaign:
         except TransientInstrumentError as fault:
             self._last_fault = fault
             retried = attempt.of_session < self._plan.quality.max_attempts
-            self._publish_fault(fault, attempt, retried)
+            self._session.fault(fault, attempt, retried=retried)
             return Recorded(attempt, (), str(fault))
         except InstrumentError as fault:
-            self._publish_fault(fault, attempt, retried=False)
+            self._session.fault(fault, attempt, retried=False)
             raise
         if self._queue:
             self._start_move(self._queue[0].position)
@@ -212,27 +190,11 @@ class Campaign:
         if not result.final:
             kept = self._best.get(attempt.position, result)
             self._best[attempt.position] = min((result, kept), key=lambda one: one.rank)
-            self._publish(PositionRepeated(self._time_s(), attempt.position, attempt.number, result.judgement.reason))
+            self._session.repeat(result)
             self._queue.appendleft(attempt.next())
             return
         self._best.pop(attempt.position, None)
-        if not result.committed:
-            self._publish(PositionKept(self._time_s(), attempt.position, attempt.number, result.judgement.reason))
-        else:
-            self._publish(
-                PositionCommitted(
-                    self._time_s(),
-                    attempt.position,
-                    int(result.judgement.status),
-                    int(self._bank.attempts[attempt.position]),
-                    result.median_snr_db,
-                    result.worst_residual_db,
-                    result.clock_ppm,
-                    result.start_offset_samples,
-                )
-            )
-        self._committed += 1
-        self._publish_progress()
+        self._session.settle(result, left=len(self._queue))
         self._count_failures(result)
 
     def _count_failures(self, result: AttemptResult) -> None:
@@ -271,16 +233,7 @@ class Campaign:
                 "check cables and laser, then resume"
             )
         figures = compare_sentinel(self._bank.green(position), result.estimate.green)
-        self._publish(
-            Drift(
-                self._time_s(),
-                position,
-                figures.level_db,
-                figures.delay_samples,
-                figures.correlation,
-                figures.verdict,
-            )
-        )
+        self._session.drift(position, figures)
         if figures.verdict == "stop" and not accept_drift:
             raise DriftError(
                 f"sentinel position {position} is not what the bank holds: level {figures.level_db:+.2f} dB, "
@@ -288,66 +241,3 @@ class Campaign:
                 "the mirror or a level has changed, and nothing was added; put it right and resume, start a new "
                 "bank, or go on with --accept-drift"
             )
-
-    # -- telling -------------------------------------------------------------------------------
-
-    def _time_s(self) -> float:
-        return self._clock.now_s() - self._started_s
-
-    def _done(self) -> int:
-        return int(np.count_nonzero(self._bank.status))
-
-    def _publish_start(self, to_do: int) -> None:
-        roles = self._setup.instruments
-        self._publish(
-            SessionStarted(
-                self._time_s(),
-                str(self._bank.path),
-                self._plan.positions,
-                self._plan.actuators,
-                self._done(),
-                to_do,
-                to_do * self._plan.position_s(self._setup),
-                (roles.mirror.identify(), roles.recorder.identify(), roles.player.identify()),
-            )
-        )
-        self._publish(StateChanged(self._time_s(), State.RUNNING, f"{to_do} positions to do"))
-
-    def _publish_progress(self) -> None:
-        elapsed_s = self._time_s()
-        left = len(self._queue)
-        per_position_s = elapsed_s / max(self._committed, 1)
-        wall_s = (time.monotonic() - self._started_wall_s) / max(self._committed, 1)
-        self._publish(
-            Progress(
-                elapsed_s,
-                self._done(),
-                self._plan.positions,
-                elapsed_s,
-                left * per_position_s,
-                left * wall_s,
-                3600.0 / per_position_s if per_position_s > 0 else 0.0,
-            )
-        )
-
-    def _publish_fault(self, fault: InstrumentError, attempt: Attempt, retried: bool) -> None:
-        self._publish(
-            Fault(
-                self._time_s(),
-                fault.instrument,
-                fault.operation,
-                fault.cause,
-                fault.remedy,
-                attempt.position,
-                attempt.number,
-                retried,
-            )
-        )
-
-    def _publish_end(self, state: State, reason: str) -> SessionEnded:
-        self._publish(StateChanged(self._time_s(), state, reason))
-        ended = SessionEnded(
-            self._time_s(), state, self._done(), self._plan.positions, status_counts(self._bank.status)
-        )
-        self._publish(ended)
-        return ended

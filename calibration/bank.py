@@ -248,9 +248,7 @@ class LedgerRows:
                 if green is not None:
                     return green
         except OSError as error:
-            raise InputError(
-                f"{self._path}: position {position} is not readable: {error.strerror}"
-            ) from error
+            raise InputError(f"{self._path}: position {position} is not readable: {error.strerror}") from error
         raise InputError(
             f"{self._path}: position {position} is damaged, its checksum does not hold; "
             "measure it again or restore a copy"

@@ -22,7 +22,7 @@ _RMS_OUTLIER = 10.0
 # An actuator this far below the median of the others moves nothing: -40 dB.
 _DEAD_ACTUATOR = 0.01
 # The last tenth of the taps against the strongest tenth, in energy: -40 dB.
-_TAIL_ENERGY = 1e-4
+_TAIL_DB = -40.0
 _TENTHS = 10
 
 
@@ -82,9 +82,7 @@ def _bookkeeping(path: Path) -> Iterator[Finding]:
             return
         journal = file[JOURNAL][...].tobytes()
         if journal.count(0) != len(journal):
-            yield Finding(
-                None, None, "a replacement was cut off; opening the bank to resume finishes it", "warning"
-            )
+            yield Finding(None, None, "a replacement was cut off; opening the bank to resume finishes it", "warning")
         actuators, taps = file["/green"].shape[1:]
         rows = bytearray(file[LEDGER][...].tobytes())
         replacing = decode_journal(journal, actuators, taps)
@@ -120,6 +118,7 @@ def _check_positions(bank: Bank) -> Iterator[Finding]:
 def _check_rows(bank: Bank) -> Iterator[Finding]:
     status = _status_or_none(bank)
     rms = np.full((bank.positions, bank.actuators), np.nan)
+    tail_db = np.full(bank.positions, -np.inf)
     for position in range(bank.positions):
         try:
             green = bank.green(position)
@@ -131,7 +130,8 @@ def _check_rows(bank: Bank) -> Iterator[Finding]:
         # energy of each actuator in each tenth of the taps, float64 so that nothing overflows
         energy = np.square(green, dtype=np.float64)
         rms[position] = np.sqrt(energy.mean(axis=1))
-        yield from _check_tail(position, energy.sum(axis=0))
+        tail_db[position] = _tail_db(energy.sum(axis=0))
+    yield from _check_tails(tail_db)
     yield from _check_levels(rms, certain=status is not None)
 
 
@@ -143,17 +143,24 @@ def _status_or_none(bank: Bank) -> NDArray[np.uint8] | None:
         return None
 
 
-def _check_tail(position: int, energy: NDArray[np.float64]) -> Iterator[Finding]:
+def _tail_db(energy: NDArray[np.float64]) -> float:
+    """Energy of the last tenth of the taps against the strongest tenth, in dB."""
     if len(energy) < _TENTHS:
-        return
+        return -np.inf
     tenths = np.array([part.mean() for part in np.array_split(energy, _TENTHS)])
-    if tenths[-1] > _TAIL_ENERGY * tenths.max() > 0:
-        level = 10 * np.log10(tenths[-1] / tenths.max())
+    return float(10 * np.log10(tenths[-1] / tenths.max())) if tenths[-1] > 0 else -np.inf
+
+
+def _check_tails(tail_db: NDArray[np.float64]) -> Iterator[Finding]:
+    """One warning for all positions: where one response is too long or too noisy, its neighbours are too."""
+    long = np.flatnonzero(tail_db > _TAIL_DB)
+    if len(long):
+        worst = int(np.argmax(tail_db))
         message = (
-            f"the response of position {position} is only {-level:.0f} dB down in its last tenth;"
-            " it is noisy or longer than the taps kept"
+            f"the responses of {len(long)} of {len(tail_db)} positions are less than {-_TAIL_DB:.0f} dB down in their"
+            f" last tenth, position {worst} only {-tail_db[worst]:.0f} dB; they are noisy or longer than the taps kept"
         )
-        yield Finding(position, None, message, "warning")
+        yield Finding(worst, None, message, "warning")
 
 
 def _check_levels(rms: NDArray[np.float64], *, certain: bool) -> Iterator[Finding]:
@@ -168,14 +175,10 @@ def _check_levels(rms: NDArray[np.float64], *, certain: bool) -> Iterator[Findin
             yield Finding(int(position), None, f"position {position} is marked valid and holds only zeros")
         elif typical > 0 and not 1 / _RMS_OUTLIER <= rows[position] / typical <= _RMS_OUTLIER:
             level = 20 * np.log10(rows[position] / typical) if rows[position] else -np.inf
-            message = (
-                f"the response of position {position} is {level:+.0f} dB from the median of all positions"
-            )
+            message = f"the response of position {position} is {level:+.0f} dB from the median of all positions"
             yield Finding(int(position), None, message, "warning")
     levels = np.median(rms[measured], axis=0)
     for actuator, level in enumerate(levels):
         if level < _DEAD_ACTUATOR * np.median(levels):
-            message = (
-                f"actuator {actuator} gives less than a hundredth of the others' response; is it connected?"
-            )
+            message = f"actuator {actuator} gives less than a hundredth of the others' response; is it connected?"
             yield Finding(None, actuator, message, "warning")

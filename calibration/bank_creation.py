@@ -12,9 +12,7 @@ from calibration.bank_ledger import round_to_page
 from calibration.errors import InputError
 
 
-def create_bank(
-    path: str | Path, header: BankHeader, *, open_file: durable.OpenFile = durable.open_file
-) -> None:
+def create_bank(path: str | Path, header: BankHeader, *, open_file: durable.OpenFile = durable.open_file) -> None:
     """Make an unmeasured bank with all its space reserved; an existing file is never touched.
 
     Parameters

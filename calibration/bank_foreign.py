@@ -58,9 +58,7 @@ class ForeignRows:
         except (OSError, RuntimeError, ValueError) as error:
             complaint = hdf5_safety.hdf5_complaint(error)
             raise InputError(f"{self._path}: /green at position {position} {complaint}") from error
-        with np.errstate(
-            over="ignore"
-        ):  # a long double beyond float64 becomes an infinity and is refused as such
+        with np.errstate(over="ignore"):  # a long double beyond float64 becomes an infinity and is refused as such
             return np.ascontiguousarray(row.astype(self._dtype, copy=False))
 
     def status(self) -> NDArray[np.uint8]:
@@ -133,9 +131,7 @@ def _band(file: h5py.File, path: Path, rate: float) -> tuple[float, float] | Non
         return None
     low, high = hdf5_safety.numbers(file, "band_hz", path, 2)
     if not 0 <= low < high <= rate / 2:
-        raise InputError(
-            f"{path}: attribute band_hz is {low:g} to {high:g}; 0 <= low < high <= {rate / 2:g} is needed"
-        )
+        raise InputError(f"{path}: attribute band_hz is {low:g} to {high:g}; 0 <= low < high <= {rate / 2:g} is needed")
     return low, high
 
 
@@ -159,9 +155,7 @@ def _quality(file: h5py.File, path: Path, positions: int, actuators: int) -> dic
             continue
         dataset = hdf5_safety.plain_dataset(file, f"/quality/{name}", path)
         if dataset.shape not in (full, (positions,)):
-            raise InputError(
-                f"{path}: /quality/{name} has shape {dataset.shape}; {full} or ({positions},) is needed"
-            )
+            raise InputError(f"{path}: /quality/{name} has shape {dataset.shape}; {full} or ({positions},) is needed")
         figures = np.asarray(dataset[...], np.float32)
         if figures.shape != full:  # one figure per position stands for all its actuators
             figures = np.repeat(figures[:, None], actuators, axis=1)

@@ -78,9 +78,7 @@ class BankHeader:
                 raise InputError(f"{name} has shape {array.shape}; one (x, y) row or more is needed")
             object.__setattr__(self, name, array)
         if not np.isfinite(self.position_mm).all():
-            raise InputError(
-                "position_mm holds values that are not finite; every grid position needs both coordinates"
-            )
+            raise InputError("position_mm holds values that are not finite; every grid position needs both coordinates")
         for name in ("rig_json", "run_json", "plan_sha256", "software", "response_unit", "drive_unit"):
             if "\0" in getattr(self, name):
                 raise InputError(f"{name} holds a zero character; plain text is needed")
@@ -103,9 +101,7 @@ class BankHeader:
     @property
     def file_bytes(self) -> int:
         """Bytes that a bank of this size takes on the disk, a little rounded up."""
-        per_position = (
-            round_to_page(self.chunk_bytes) + ledger_row_bytes(self.actuators) + self.actuators * 16 + 256
-        )
+        per_position = round_to_page(self.chunk_bytes) + ledger_row_bytes(self.actuators) + self.actuators * 16 + 256
         return (
             8 * self.taps
             + self.positions * per_position

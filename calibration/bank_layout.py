@@ -67,9 +67,7 @@ class BankLayout:
         end = 0
         for offset, size in sorted(self.extents()):
             if offset % PAGE or offset < max(end, PAGE):
-                raise InputError(
-                    f"{path} is damaged: its datasets overlap or do not start on a page; restore a copy"
-                )
+                raise InputError(f"{path} is damaged: its datasets overlap or do not start on a page; restore a copy")
             end = offset + size
 
     def extents(self) -> list[tuple[int, int]]:
@@ -134,13 +132,9 @@ def read_layout(file: h5py.File, path: Path) -> BankLayout:
         raise InputError(f"{path} is damaged: its header's checksum does not hold; restore it from a copy")
     layout.require_sound(path)
     if layout.checksum() != hdf5_safety.number(file, "layout_crc32", path):
-        raise InputError(
-            f"{path} is damaged: its address table's checksum does not hold; restore it from a copy"
-        )
+        raise InputError(f"{path} is damaged: its address table's checksum does not hold; restore it from a copy")
     if path.stat().st_size < layout.file_bytes:
-        raise InputError(
-            f"{path} is truncated: {path.stat().st_size} of {layout.file_bytes} bytes; restore a copy"
-        )
+        raise InputError(f"{path} is truncated: {path.stat().st_size} of {layout.file_bytes} bytes; restore a copy")
     return layout
 
 
@@ -163,9 +157,7 @@ def _write_scales(file: h5py.File, header: BankHeader) -> dict[str, h5py.Dataset
     scales = {
         "position": _filled(file, "/position", np.arange(header.positions, dtype="<i4")),
         "actuator": _filled(file, "/actuator", np.arange(header.actuators, dtype="<i4")),
-        "time_s": _filled(
-            file, "/time_s", (np.arange(header.taps) / header.sample_rate_hz).astype("<f8"), "s"
-        ),
+        "time_s": _filled(file, "/time_s", (np.arange(header.taps) / header.sample_rate_hz).astype("<f8"), "s"),
         "axis": file.create_dataset("axis", data=["x", "y"], dtype=h5py.string_dtype(), track_times=False),
     }
     for name, scale in scales.items():
@@ -237,9 +229,7 @@ def _label(dataset: h5py.Dataset, *scales: h5py.Dataset) -> None:
 def _read_header(file: h5py.File, path: Path) -> BankHeader:
     green = hdf5_safety.plain_dataset(file, "/green", path)
     if green.dtype != np.dtype("<f4") or green.ndim != 3 or green.chunks != (1, *green.shape[1:]):
-        raise InputError(
-            f"{path}: /green is not laid out as this program lays it out; it cannot be measured into"
-        )
+        raise InputError(f"{path}: /green is not laid out as this program lays it out; it cannot be measured into")
     positions, actuators, taps = green.shape
     rate = hdf5_safety.number(file, "sample_rate_hz", path)
     time_s = hdf5_safety.read_floats(file, "/time_s", path, (taps,))
@@ -252,9 +242,7 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
         return found
 
     if not np.array_equal(time_s, np.arange(taps) / rate):
-        raise InputError(
-            f"{path} is damaged: /time_s does not count samples at sample_rate_hz; restore a copy"
-        )
+        raise InputError(f"{path} is damaged: /time_s does not count samples at sample_rate_hz; restore a copy")
     try:
         return BankHeader(
             sample_rate_hz=rate,
@@ -289,9 +277,7 @@ def _find_offsets(file: h5py.File, header: BankHeader, path: Path) -> BankLayout
         dataset = hdf5_safety.plain_dataset(file, name, path, shape=shape)
         found = dataset.id.get_offset()
         if dataset.dtype != np.dtype(dtype) or dataset.chunks or found is None:
-            raise InputError(
-                f"{path}: {name} is not laid out as this program lays it out; restore it from a copy"
-            )
+            raise InputError(f"{path}: {name} is not laid out as this program lays it out; restore it from a copy")
         return int(found)
 
     return BankLayout(
@@ -314,9 +300,7 @@ def _find_heaps(path: Path, layout: BankLayout) -> list[int]:
         for offset, size in [*sorted(layout.extents()), (path.stat().st_size, 0)]:
             raw.seek(at)
             between = raw.read(max(0, offset - at))
-            found += [
-                at + page for page in range(0, len(between), PAGE) if between[page : page + 4] == b"GCOL"
-            ]
+            found += [at + page for page in range(0, len(between), PAGE) if between[page : page + 4] == b"GCOL"]
             at = offset + size
     return found
 
@@ -331,6 +315,4 @@ def _require_sound_heaps(file: h5py.File, path: Path) -> None:
             size = int.from_bytes(raw.read(16)[8:], "little")
             raw.seek(offset)
             if size > 16 * METADATA_BLOCK or not hdf5_safety.heap_is_sound(raw.read(size)):
-                raise InputError(
-                    f"{path} is damaged: the texts in its header are not readable; restore a copy"
-                )
+                raise InputError(f"{path} is damaged: the texts in its header are not readable; restore a copy")

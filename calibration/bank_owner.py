@@ -88,9 +88,7 @@ def take_ownership(path: Path, file: PositionedFile) -> None:
 
 def write_owner(path: Path) -> None:
     """Name this process beside the bank it has locked."""
-    owner = Owner(
-        socket.gethostname(), os.getpid(), datetime.now(UTC).astimezone().isoformat(timespec="seconds")
-    )
+    owner = Owner(socket.gethostname(), os.getpid(), datetime.now(UTC).astimezone().isoformat(timespec="seconds"))
     owner_path(path).write_text(json.dumps(asdict(owner)) + "\n", encoding="utf-8")
 
 

@@ -184,9 +184,7 @@ class BankWriter:
         kept = decode_rows(content, self.header.actuators, self.header.taps, position)
         figures = {name: kept.quality[name][0] for name in QUALITY_NAMES if name != "attempts"}
         status = (int(kept.status[0]) & ~VALID) | DISABLED
-        self.commit(
-            position, self.green(position), PointRecord(status, int(kept.quality["attempts"][0]), **figures)
-        )
+        self.commit(position, self.green(position), PointRecord(status, int(kept.quality["attempts"][0]), **figures))
 
     def green(self, position: int) -> Float32Array:
         """Read one position's Green's functions, float32 (N, L); zeros where it is not measured."""
@@ -220,9 +218,7 @@ class BankWriter:
     @contextmanager
     def _writing(self, what: str) -> Iterator[None]:
         if self._failure:
-            raise WavefocusError(
-                f"bank {self.path} takes no more commits after an earlier failure ({self._failure})"
-            )
+            raise WavefocusError(f"bank {self.path} takes no more commits after an earlier failure ({self._failure})")
         try:
             yield
         except OSError as error:
@@ -269,9 +265,7 @@ class BankWriter:
         self._clear_journal()
 
     def _read_ledger(self) -> None:
-        rows = self._read(
-            self._layout.ledger_offset, self.header.positions * ledger_row_bytes(self.header.actuators)
-        )
+        rows = self._read(self._layout.ledger_offset, self.header.positions * ledger_row_bytes(self.header.actuators))
         self._ledger: Ledger = decode_rows(rows, self.header.actuators, self.header.taps)
         trusted = self._ledger.holds.copy()
         chunk = bytearray(round_to_page(self.header.chunk_bytes))
@@ -319,9 +313,7 @@ class BankWriter:
 
     def _require_position(self, position: int) -> None:
         if not 0 <= position < self.header.positions:
-            raise InputError(
-                f"position {position} is not in bank {self.path}; 0 to {self.header.positions - 1} are"
-            )
+            raise InputError(f"position {position} is not in bank {self.path}; 0 to {self.header.positions - 1} are")
 
 
 def _require_plan(path: Path, header: BankHeader, plan_sha256: str | None) -> None:

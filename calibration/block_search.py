@@ -68,11 +68,13 @@ class BlockSearch:
             The recording; the signal may lie anywhere in it, or stick out at either end.
         """
         lags = self._lags(recorded)
-        slope = 0.0
-        if lags.size > 1:
-            slope = float(np.polyfit(self._moves, lags, 1, w=np.sqrt(self._energy))[0])
-            slope = float(np.clip(slope, -1e-6 * self._max_ppm, 1e-6 * self._max_ppm))
-        return float(np.average(lags - slope * self._moves, weights=self._energy)), 1.0 + slope
+        share = self._energy / self._energy.sum()
+        moves = self._moves - share @ self._moves
+        spread = float(share @ moves**2)
+        # Blocks that all move alike tell nothing of the stretch.
+        slope = float(share @ (moves * lags)) / spread if spread > 1.0 else 0.0
+        slope = min(max(slope, -1e-6 * self._max_ppm), 1e-6 * self._max_ppm)
+        return float(share @ (lags - slope * self._moves)), 1.0 + slope
 
     def _lags(self, recorded: NDArray[np.floating]) -> NDArray[np.float64]:
         """Sample at which the signal would begin, by each block."""

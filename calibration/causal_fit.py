@@ -102,9 +102,7 @@ class CausalFit:
             for j in range(self._nodes.size):
                 if i != j:
                     lagrange[:, i] *= difference[:, j] / (self._nodes[i] - self._nodes[j])
-        spread = (lagrange.astype(np.float32)[:, :, None] * coefficients[:, None, :]).reshape(
-            coefficients.shape[0], -1
-        )
+        spread = (lagrange.astype(np.float32)[:, :, None] * coefficients[:, None, :]).reshape(coefficients.shape[0], -1)
         return np.asarray((spread @ self._solutions) @ self._right)
 
 

@@ -17,9 +17,7 @@ BELOW_SHARE = 0.97
 LEAST_PEAK_SHARE = 0.05
 
 
-def count_clipped(
-    channel: NDArray[np.float32], peak_v: NDArray[np.float32], range_v: float
-) -> NDArray[np.int32]:
+def count_clipped(channel: NDArray[np.float32], peak_v: NDArray[np.float32], range_v: float) -> NDArray[np.int32]:
     """Count the clipped samples of each recording.
 
     These are samples at 0.999 of the range or beyond, or else those of a flat top below it, since what comes

@@ -60,14 +60,10 @@ class Drive:
     def __post_init__(self) -> None:
         object.__setattr__(self, "drive_v", np.ascontiguousarray(self.drive_v, np.float64))
         if self.drive_v.ndim != 2 or not self.drive_v.size:
-            raise InputError(
-                f"/drive has shape {self.drive_v.shape}; (actuator, sample), each 1 or more, is needed"
-            )
+            raise InputError(f"/drive has shape {self.drive_v.shape}; (actuator, sample), each 1 or more, is needed")
         if not np.isfinite(self.drive_v).all():
             actuator = int(np.flatnonzero(~np.isfinite(self.drive_v).all(axis=1))[0])
-            raise InputError(
-                f"/drive of actuator {actuator} holds NaN or infinities; finite volts are needed"
-            )
+            raise InputError(f"/drive of actuator {actuator} holds NaN or infinities; finite volts are needed")
         if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
             raise InputError(f"sample_rate_hz is {self.sample_rate_hz}; a rate above 0 is needed")
         if not np.isfinite(self.start_s):

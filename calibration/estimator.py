@@ -106,8 +106,7 @@ class Estimator:
     ) -> None:
         if not 1 <= taps <= excitation.decay_samples:
             raise InputError(
-                f"taps is {taps}; allowed is 1 to the silence after each sweep, "
-                f"{excitation.decay_samples} samples"
+                f"taps is {taps}; allowed is 1 to the silence after each sweep, {excitation.decay_samples} samples"
             )
         if not (np.isfinite(reference_gain) and reference_gain > 0):
             raise InputError(f"reference_gain is {reference_gain:g}; allowed is a finite number above 0")
@@ -165,18 +164,14 @@ class Estimator:
         if not all(np.isfinite(end) and end > 0 for end in range_v):
             raise InputError(f"range_v is {range_v}; allowed are two finite numbers above 0")
         parts = [
-            self._estimate(
-                reference[low : low + BATCH_RECORDS], response[low : low + BATCH_RECORDS], range_v, low
-            )
+            self._estimate(reference[low : low + BATCH_RECORDS], response[low : low + BATCH_RECORDS], range_v, low)
             for low in range(0, reference.shape[0], BATCH_RECORDS)
         ]
         if len(parts) == 1:
             return parts[0]
         if not parts:
             raise InputError("there are no records; allowed is at least one")
-        return Estimate(
-            **{name: np.concatenate([getattr(p, name) for p in parts]) for name in Estimate.__slots__}
-        )
+        return Estimate(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in Estimate.__slots__})
 
     def _estimate(
         self,
@@ -212,8 +207,7 @@ class Estimator:
             peak_v=peaks[1],
             repeat_db=repeat_db,
             noise_v=np.sqrt(variance * gain * self._finder.median_power).astype(np.float32),
-            clip_count=count_clipped(reference, peaks[0], range_v[0])
-            + count_clipped(response, peaks[1], range_v[1]),
+            clip_count=count_clipped(reference, peaks[0], range_v[0]) + count_clipped(response, peaks[1], range_v[1]),
             offset_samples=repeats.offset_samples,
             clock_ratio=repeats.ratio,
         )

@@ -58,16 +58,12 @@ class Field:
         if values.dtype not in (np.float32, np.float64):
             values = values.astype(np.float64)
         if values.ndim != 2 or not values.size:
-            raise InputError(
-                f"/field has shape {values.shape}; (position, sample), each 1 or more, is needed"
-            )
+            raise InputError(f"/field has shape {values.shape}; (position, sample), each 1 or more, is needed")
         object.__setattr__(self, "field", values)
         object.__setattr__(self, "position_index", _indices(self.position_index, len(values)))
         for row, position in zip(values, self.position_index, strict=True):
             if not np.isfinite(row).all():
-                raise InputError(
-                    f"/field of position {position} holds NaN or infinities; finite values are needed"
-                )
+                raise InputError(f"/field of position {position} holds NaN or infinities; finite values are needed")
         _require_times(self.sample_rate_hz, self.start_s)
 
 
@@ -107,9 +103,7 @@ class FieldWriter:
         self.path = Path(path)
         self._index = _indices(position_index, len(position_index))
         if not len(self._index) or samples < 1:
-            raise InputError(
-                f"a field of {len(self._index)} positions and {samples} samples; 1 or more is needed"
-            )
+            raise InputError(f"a field of {len(self._index)} positions and {samples} samples; 1 or more is needed")
         _require_times(sample_rate_hz, start_s)
         self._attributes = {"sample_rate_hz": float(sample_rate_hz), "start_s": float(start_s)}
         self._unit = response_unit
@@ -128,9 +122,7 @@ class FieldWriter:
         """
         last = first + len(rows)
         if np.shape(rows)[1:] != self._shape[1:] or first < 0 or last > self._shape[0]:
-            raise InputError(
-                f"rows {first} to {last} of shape {np.shape(rows)} do not fit a field of {self._shape}"
-            )
+            raise InputError(f"rows {first} to {last} of shape {np.shape(rows)} do not fit a field of {self._shape}")
         if not np.isfinite(rows).all():
             raise InputError(f"{self.path}: the field of rows {first} to {last} holds NaN or infinities")
         try:
@@ -161,9 +153,7 @@ class FieldWriter:
     ) -> None:
         if kind is None and not self._written.all():
             missing = int(np.flatnonzero(~self._written)[0])
-            error = InputError(
-                f"{self.path}: row {missing} of the field was never written; the file is left out"
-            )
+            error = InputError(f"{self.path}: row {missing} of the field was never written; the file is left out")
             self._stack.__exit__(type(error), error, None)
             raise error
         try:
@@ -220,9 +210,7 @@ def read_field(path: str | Path) -> Field:
 def _indices(position_index: Sequence[int] | Int64Array, count: int) -> Int64Array:
     indices = np.ascontiguousarray(position_index, np.int64)
     if indices.shape != (count,):
-        raise InputError(
-            f"/position_index has shape {indices.shape}; one position for each of {count} rows is needed"
-        )
+        raise InputError(f"/position_index has shape {indices.shape}; one position for each of {count} rows is needed")
     if (indices < 0).any():
         raise InputError(f"/position_index holds {indices.min()}; rows of a bank, 0 or more, are needed")
     return indices

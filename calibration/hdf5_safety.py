@@ -57,9 +57,7 @@ def require_hard_link(file: h5py.File, name: str, path: Path) -> None:
     for depth, part in enumerate(parts, 1):
         here = "/" + "/".join(parts[:depth])
         if isinstance(group.get(part, getlink=True), h5py.SoftLink | h5py.ExternalLink):
-            raise InputError(
-                f"{path}: {here} is a link to elsewhere; only objects inside the file itself are read"
-            )
+            raise InputError(f"{path}: {here} is a link to elsewhere; only objects inside the file itself are read")
         if depth < len(parts):
             found = group[part]
             if not isinstance(found, h5py.Group):
@@ -67,9 +65,7 @@ def require_hard_link(file: h5py.File, name: str, path: Path) -> None:
             group = found
 
 
-def plain_dataset(
-    file: h5py.File, name: str, path: Path, *, shape: tuple[int, ...] | None = None
-) -> h5py.Dataset:
+def plain_dataset(file: h5py.File, name: str, path: Path, *, shape: tuple[int, ...] | None = None) -> h5py.Dataset:
     """Return a dataset of plain numbers stored in this file.
 
     Parameters
@@ -96,9 +92,7 @@ def plain_dataset(
         raise InputError(f"{path}: {name} is not a dataset")
     properties = dataset.id.get_create_plist()
     if properties.get_external_count() or properties.get_layout() == h5py.h5d.VIRTUAL:
-        raise InputError(
-            f"{path}: {name} keeps its data in other files; only data inside the file itself is read"
-        )
+        raise InputError(f"{path}: {name} keeps its data in other files; only data inside the file itself is read")
     try:
         kind = dataset.dtype.kind
     except TypeError:
@@ -123,16 +117,12 @@ def has(file: h5py.File, name: str) -> bool:
     return True
 
 
-def read_floats(
-    file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None
-) -> NDArray[np.float64]:
+def read_floats(file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:
     """Read a whole plain dataset as native float64."""
     return np.asarray(plain_dataset(file, name, path, shape=shape)[...], np.float64)
 
 
-def read_integers(
-    file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None
-) -> NDArray[np.int64]:
+def read_integers(file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.int64]:
     """Read a whole plain dataset of integers as native int64."""
     dataset = plain_dataset(file, name, path, shape=shape)
     if dataset.dtype.kind == "f":

@@ -45,9 +45,7 @@ class MirrorMap:
         for axis in (1, 0):
             size = np.abs(homography).max(axis=axis, keepdims=True)
             if (size == 0).any():
-                raise InputError(
-                    f"mirror map matrix is {self.matrix}; allowed is a matrix that is not singular"
-                )
+                raise InputError(f"mirror map matrix is {self.matrix}; allowed is a matrix that is not singular")
             homography /= size
         if abs(np.linalg.det(homography)) < SINGULAR:
             raise InputError(f"mirror map matrix is {self.matrix}; allowed is a matrix that is not singular")
@@ -59,9 +57,7 @@ class MirrorMap:
             raise InputError(f"mirror distance_mm is {distance_mm:g}; allowed is a finite number above 0")
         return cls(((1.0 / distance_mm, 0.0, 0.0), (0.0, 1.0 / distance_mm, 0.0), (0.0, 0.0, 1.0)))
 
-    def angles_mrad(
-        self, x_mm: ArrayLike, y_mm: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def angles_mrad(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Optical angles that meet places on the surface.
 
         Parameters
@@ -82,9 +78,7 @@ class MirrorMap:
         tan_x, tan_y = _project(np.array(self.matrix), x_mm, y_mm, "surface place ({:g}, {:g}) mm")
         return 1000 * np.arctan(tan_x), 1000 * np.arctan(tan_y)
 
-    def surface_mm(
-        self, x_mrad: ArrayLike, y_mrad: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def surface_mm(self, x_mrad: ArrayLike, y_mrad: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Places on the surface that optical angles meet; the inverse of `angles_mrad`.
 
         Parameters

@@ -154,9 +154,7 @@ class RepeatFinder:
             )
         return Repeats(starts, spectra, offset, ratio)
 
-    def segment_spectra(
-        self, recording: NDArray[np.float32], starts: NDArray[np.int64]
-    ) -> NDArray[np.complex64]:
+    def segment_spectra(self, recording: NDArray[np.float32], starts: NDArray[np.int64]) -> NDArray[np.complex64]:
         """Spectra (records, averages, bins) of the segments of one period at `starts` (records, averages)."""
         return self._spectrum(recording, starts)
 
@@ -173,9 +171,7 @@ class RepeatFinder:
             starts = np.arange(guess[record] - self.period, samples - length + self.period / 2, self.period)
             inside = starts[(starts > -GUARD_SAMPLES) & (starts + length < samples + GUARD_SAMPLES)]
             if inside.size > 1:
-                energy = [
-                    np.square(reference[record, max(int(s), 0) : int(s) + length]).sum() for s in inside
-                ]
+                energy = [np.square(reference[record, max(int(s), 0) : int(s) + length]).sum() for s in inside]
                 guess[record] = inside[int(np.argmax(energy))]
             elif inside.size == 1:
                 guess[record] = inside[0]
@@ -193,8 +189,7 @@ class RepeatFinder:
         envelope = np.square(correlation.real) + np.square(correlation.imag)
         top = np.argmax(envelope, axis=-1)[..., None]
         around = [
-            np.take_along_axis(envelope, (top + step) % length, -1)[..., 0].astype(np.float64)
-            for step in (-1, 0, 1)
+            np.take_along_axis(envelope, (top + step) % length, -1)[..., 0].astype(np.float64) for step in (-1, 0, 1)
         ]
         bend = around[0] - 2 * around[1] + around[2]
         peak = np.where(bend < 0, (around[0] - around[2]) / (2 * np.where(bend < 0, bend, 1.0)), 0.0)

@@ -58,9 +58,7 @@ class Excitation:
         if not (math.isfinite(self.decay_s) and self.decay_s >= 0):
             raise InputError(f"sweep decay_s is {self.decay_s:g}; allowed is 0 or more")
         if self.start_hz >= self.stop_hz:
-            raise InputError(
-                f"sweep start_hz is {self.start_hz:g}; allowed is less than stop_hz, {self.stop_hz:g}"
-            )
+            raise InputError(f"sweep start_hz is {self.start_hz:g}; allowed is less than stop_hz, {self.stop_hz:g}")
         if self.stop_hz >= self.sample_rate_hz / 2:
             raise InputError(
                 f"sweep stop_hz is {self.stop_hz:g}; allowed is less than half the sample rate, "
@@ -70,8 +68,7 @@ class Excitation:
             raise InputError(f"capture averages is {self.averages!r}; allowed is a whole number of 1 or more")
         if not 0 <= self.fade_s <= self.duration_s / 2:
             raise InputError(
-                f"sweep fade_s is {self.fade_s:g}; allowed is 0 to half of duration_s, "
-                f"{self.duration_s / 2:g}"
+                f"sweep fade_s is {self.fade_s:g}; allowed is 0 to half of duration_s, {self.duration_s / 2:g}"
             )
         if (self.stop_hz - self.start_hz) * self.duration_s < 4:
             raise InputError(

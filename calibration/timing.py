@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import threading
-from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-import scipy.signal
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.block_search import BlockSearch
 from calibration.errors import InputError, WavefocusError
 from calibration.resampling import resampled
+from calibration.stretched_models import StretchedModels
 
 # Reference not explained by the known signal, above which a fit would be a guess.
 REFERENCE_LIMIT_DB = -10.0
@@ -26,9 +24,8 @@ CORNERS = (0.1, 0.3, 1.0)
 BAND_SHARE = 1e-9
 # Silence around the known signal that the fit may look at, for a first guess that is off and for tails.
 GUARD_SAMPLES = 64
-# Clock ratios for which models are made, first and last, in parts per million, and how many are kept.
+# Spacing of the clock ratios for which models are made, for the first step and for the others, in ppm.
 COARSE_PPM, FINE_PPM = 20.0, 1.0
-KEPT_MODELS = 16
 
 
 class ReferenceMissingError(WavefocusError):
@@ -103,14 +100,11 @@ class ClockFitter:
         last = max(int(np.searchsorted(below, (1 - BAND_SHARE) * below[-1])), first)
         # Half the sample rate is left out: a delay by a fraction of a sample is not defined there.
         self._bins = slice(first, min(last + 1, (self._length + 1) // 2))
-        omega = 2 * np.pi * np.arange(spectrum.size) / self._length
-        lowest = omega[max(int(np.searchsorted(below, 0.01 * below[-1])), 1)]
-        self._omega = omega[self._bins]
-        self._coupling = np.stack([1 / (1 + 1j * self._omega / (share * lowest)) for share in CORNERS])
+        lowest = max(int(np.searchsorted(below, 0.01 * below[-1])), 1)
+        corners = [share * 2 * np.pi * lowest / self._length for share in CORNERS]
+        self._models = StretchedModels(known, self._length, self._bins, corners)
         band = (first / self._length, self._bins.stop / self._length)
         self._search = BlockSearch(known, band, max_ppm)
-        self._lock = threading.Lock()
-        self._models: OrderedDict[float, _Model] = OrderedDict()
 
     def fit(self, recorded_v: ArrayLike) -> ClockFit:
         """Find the known signal in one recording.
@@ -133,15 +127,13 @@ class ClockFitter:
         if not np.isfinite(recorded).all():
             raise InputError("the reference holds values that are not finite; allowed are volts")
         if not recorded.any():
-            raise ReferenceMissingError(
-                "the reference channel is silent; check the loopback cable and its channel"
-            )
+            raise ReferenceMissingError("the reference channel is silent; check the loopback cable and its channel")
         offset, ratio = self._search.first_guess(recorded)
         cut, first = self._cut(recorded, offset)
         spectrum = scipy.fft.rfft(cut)[self._bins]
         step_ppm, gain = COARSE_PPM, 0.0
         for _ in range(MOST_STEPS):
-            model = self._model(step_ppm * round(1e6 * (ratio - 1) / step_ppm))
+            model = self._models.at(step_ppm * round(1e6 * (ratio - 1) / step_ppm))
             pairs = (spectrum * self._advance(offset - first)).view(np.float64)
             factors = model.solve @ pairs
             gain = factors[0] / model.ratio
@@ -179,44 +171,11 @@ class ClockFitter:
 
     def _advance(self, samples: float) -> NDArray[np.complex128]:
         """The factor in each bin that undoes a delay, from two short exponentials."""
-        bins, row = self._omega.size, math.isqrt(self._omega.size) + 1
+        bins = self._bins.stop - self._bins.start
+        row = math.isqrt(bins) + 1
         turn = 2j * np.pi * samples / self._length
         coarse = np.exp(turn * (self._bins.start + row * np.arange(-(-bins // row))))
         return np.outer(coarse, np.exp(turn * np.arange(row))).ravel()[:bins]
-
-    def _model(self, skew_ppm: float) -> _Model:
-        with self._lock:
-            held = self._models.get(skew_ppm)
-            if held is None:
-                held = self._models[skew_ppm] = self._make_model(1 + 1e-6 * skew_ppm)
-                if len(self._models) > KEPT_MODELS:
-                    self._models.popitem(last=False)
-            self._models.move_to_end(skew_ppm)
-            return held
-
-    def _make_model(self, ratio: float) -> _Model:
-        """Known signal, its change with offset and ratio, and what coupling capacitors take from it."""
-        turn = 2 * np.pi * ratio / self._length
-        start, step = np.exp(1j * turn * self._bins.start), np.exp(-1j * turn)
-        index = np.arange(self._known.size)
-        known, later = (
-            scipy.signal.czt(one, m=self._omega.size, w=step, a=start) for one in (self._known, index * self._known)
-        )
-        rows = np.stack([known, -1j * self._omega * known, -1j * self._omega * later, *(self._coupling * known)])
-        regressors = rows.view(np.float64)
-        # Scaled to one size, or the Gram matrix loses half its digits.
-        size = np.sqrt(np.square(regressors).sum(axis=1, keepdims=True))
-        even = regressors / size
-        return _Model(ratio, regressors, np.linalg.solve(even @ even.T, even) / size)
-
-
-@dataclass(frozen=True, slots=True)
-class _Model:
-    """What a recording with one clock ratio is made of, and how its factors are solved for."""
-
-    ratio: float
-    regressors: NDArray[np.float64]
-    solve: NDArray[np.float64]
 
 
 def fit_clock(recorded_v: ArrayLike, known_v: ArrayLike, *, max_ppm: float = 500.0) -> ClockFit:

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import bessel, butter
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
 
 AMPLIFIER_CORNER_HZ = 20.0  # the paper, section IV.A: amplified voltage signals from 20 Hz
-# Two orders rather than one: the plate's slow diffusion would leave a long tail at the lowest frequencies.
-AMPLIFIER_ORDER = 2
+# Butterworth of two orders rather than one: the plate's slow diffusion would leave a long tail at the lowest
+# frequencies.
+AMPLIFIER_DAMPING = np.sqrt(2)
 COIL_OHM = 14.0  # the paper, section IV.A
 COIL_H = 5e-3  # the paper, section IV.A
 # The decoder's low-pass. With coil and magnet it leaves -85 dB at 5 kHz, so that 10 kHz is free of
 # aliasing and the FIR of pre-ringing; a Bessel filter, for it does not ring itself.
 VIBROMETER_CORNER_HZ = 1200.0
-VIBROMETER_ORDER = 4
+# Poles of the Bessel filter of order 4 with -3 dB at 1 rad/s, each with its conjugate (`scipy.signal.bessel` with
+# norm="mag", whose import would cost every command half a second).
+VIBROMETER_POLES = (-0.995208764350272 + 1.257105739454664j, -1.3700678305514422 + 0.41024971749375155j)
 
 
 def chain_response(frequency_hz: Float64Array) -> Complex128Array:
@@ -28,19 +30,14 @@ def chain_response(frequency_hz: Float64Array) -> Complex128Array:
     frequency_hz : float64 array
         Frequencies in Hz, >= 0.
     """
-    angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
-    amplifier = butter(AMPLIFIER_ORDER, 2 * np.pi * AMPLIFIER_CORNER_HZ, "high", analog=True, output="zpk")
-    vibrometer = bessel(
-        VIBROMETER_ORDER, 2 * np.pi * VIBROMETER_CORNER_HZ, "low", analog=True, output="zpk", norm="mag"
-    )
-    coil = COIL_OHM / (COIL_OHM + 1j * angular * COIL_H)
-    response = coil.astype(np.complex128)
-    for zeros, poles, gain in (amplifier, vibrometer):
-        response *= float(gain)
-        for zero in zeros:
-            response *= 1j * angular - zero
-        for pole in poles:
-            response /= 1j * angular - pole
+    frequency = np.asarray(frequency_hz, dtype=np.float64)
+    slow = 1j * frequency / AMPLIFIER_CORNER_HZ
+    amplifier = slow**2 / (slow**2 + AMPLIFIER_DAMPING * slow + 1)
+    coil = COIL_OHM / (COIL_OHM + 2j * np.pi * frequency * COIL_H)
+    fast = 1j * frequency / VIBROMETER_CORNER_HZ
+    response = np.asarray(amplifier * coil, dtype=np.complex128)
+    for pole in VIBROMETER_POLES:
+        response *= abs(pole) ** 2 / ((fast - pole) * (fast - pole.conjugate()))
     return response
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import zlib
+import hashlib
+import struct
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from drivers.protocols import Take
 
 Float32Array = NDArray[np.float32]
 
-LATENCY, NOISE, DROPOUT = range(3)  # streams of one take
+LATENCY, NOISE, DROPOUT = range(3)  # what is drawn for a take, each from a stream of its own
 EVERY_RECORD = 0xFFFF_FFFF  # in place of a record: one stream for the whole attempt
 
 # A normal distribution as 65,536 equally likely values (the middle quantiles, unit variance). Drawing
@@ -35,15 +36,28 @@ def take_generator(seed: int, take: Take, stream: int, *, whole_attempt: bool = 
     whole_attempt : bool
         One stream for all records of the attempt.
     """
-    words = (
-        take.position & 0xFFFF_FFFF,
-        take.attempt & 0xFFFF_FFFF,
-        EVERY_RECORD if whole_attempt else take.record & 0xFFFF_FFFF,
-        zlib.crc32(take.purpose.encode()),
-        stream,
-        seed,
-    )
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(words)))
+    record = EVERY_RECORD if whole_attempt else take.record
+    return np.random.Generator(np.random.SFC64(_digest(seed, take, record, stream, 16)))
+
+
+def take_share(seed: int, take: Take) -> float:
+    """A number from 0 to below 1, drawn once for the take: how late its player starts.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the rig, >= 0.
+    take : Take
+        The measurement.
+    """
+    return (_digest(seed, take, take.record, LATENCY, 8) >> 11) / 2**53
+
+
+def _digest(seed: int, take: Take, record: int, stream: int, size: int) -> int:
+    """A hash of everything a stream depends on."""
+    words = struct.pack("<qqqqq", take.position, take.attempt, record, stream, seed)
+    digest = hashlib.blake2b(words + take.purpose.encode(), digest_size=size).digest()
+    return int.from_bytes(digest, "little")
 
 
 def normal(generator: np.random.Generator, samples: int) -> Float32Array:
@@ -57,4 +71,5 @@ def normal(generator: np.random.Generator, samples: int) -> Float32Array:
         How many, >= 0.
     """
     words = np.asarray(generator.bit_generator.random_raw(-(-samples // 4)), dtype="<u8")
-    return NORMAL_VALUES.take(words.view("<u2")[:samples])
+    # No index can be out of bounds, and numpy's check for it would cost as much as the rest.
+    return NORMAL_VALUES.take(words.view("<u2")[:samples], mode="wrap")

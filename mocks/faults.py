@@ -75,8 +75,7 @@ class Fault:
             allowed_kinds += ["short_read", *CORRUPTING]
         if self.kind not in allowed_kinds:
             raise ValueError(
-                f"fault kind of {self.role} {self.operation} is {self.kind!r}; "
-                f"allowed: {', '.join(allowed_kinds)}"
+                f"fault kind of {self.role} {self.operation} is {self.kind!r}; allowed: {', '.join(allowed_kinds)}"
             )
         by_take = (self.position, self.attempt, self.record, self.purpose) != (None, None, None, None)
         if (self.at_call is not None) == by_take:

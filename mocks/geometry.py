@@ -64,12 +64,8 @@ class MirrorGeometry:
             return np.array(self.matrix, dtype=np.float64)
         about_x, about_y = np.radians(self.tilt_deg)
         roll = np.radians(self.roll_deg)
-        turn_x = np.array(
-            [[1, 0, 0], [0, np.cos(about_x), -np.sin(about_x)], [0, np.sin(about_x), np.cos(about_x)]]
-        )
-        turn_y = np.array(
-            [[np.cos(about_y), 0, np.sin(about_y)], [0, 1, 0], [-np.sin(about_y), 0, np.cos(about_y)]]
-        )
+        turn_x = np.array([[1, 0, 0], [0, np.cos(about_x), -np.sin(about_x)], [0, np.sin(about_x), np.cos(about_x)]])
+        turn_y = np.array([[np.cos(about_y), 0, np.sin(about_y)], [0, 1, 0], [-np.sin(about_y), 0, np.cos(about_y)]])
         turn_z = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
         rotation = turn_x @ turn_y @ turn_z
         centre = (*self.offset_mm, self.distance_mm)

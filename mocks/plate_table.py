@@ -15,34 +15,6 @@ PHASE_BLOCK = 256
 LOW_HZ = 100.0  # below, diffusion bends the wavenumber away from that of the plain damped wave
 
 
-class LogInterpolation:
-    """Polynomial in the logarithm of a distance through values at Chebyshev nodes.
-
-    Parameters
-    ----------
-    span_mm : tuple of float
-        Smallest and largest distance in mm, > 0.
-    nodes : int
-        How many nodes.
-    """
-
-    def __init__(self, span_mm: tuple[float, float], nodes: int) -> None:
-        angle = np.pi * (np.arange(nodes) + 0.5) / nodes
-        self._place = np.cos(angle)
-        self._barycentric = np.sin(angle) * (-1.0) ** np.arange(nodes)
-        self._low, self._high = np.log(span_mm)
-        self.node_mm: Float64Array = np.exp(self._low + (self._high - self._low) * (self._place + 1) / 2)
-
-    def weights(self, radius_mm: Float64Array) -> Float64Array:
-        """Weights (distances, nodes) of the nodes' values (second barycentric form)."""
-        abscissa = 2 * (np.log(radius_mm) - self._low) / (self._high - self._low) - 1
-        gap = abscissa[:, None] - self._place
-        on_node = np.abs(gap) < 1e-15
-        terms = self._barycentric / np.where(on_node, 1.0, gap)
-        terms = np.where(on_node.any(axis=1, keepdims=True), on_node, terms)
-        return np.asarray(terms / terms.sum(axis=1, keepdims=True))
-
-
 class PlateTable:
     """Velocity of the soft plate on a fixed frequency grid, for distances chosen later.
 
@@ -88,11 +60,15 @@ class PlateTable:
         self._complex: ComplexType = np.complex64 if single else np.complex128
         self._real = np.dtype(np.float32 if single else np.float64)
 
-        self._interpolation = LogInterpolation(self._span_mm, NODES)
+        angle = np.pi * (np.arange(NODES) + 0.5) / NODES
+        self._nodes = np.cos(angle)
+        self._weights = np.sin(angle) * (-1.0) ** np.arange(NODES)
+        low, high = np.log(self._span_mm)
+        node_mm = np.exp(low + (high - low) * (self._nodes + 1) / 2)
         frequency_hz = step_hz * np.arange(bins)
         table = np.empty((NODES, bins), dtype=self._complex)
         self._low_wavenumber = wave.wavenumber(frequency_hz[frequency_hz < LOW_HZ])
-        for row, radius_mm in enumerate(self._interpolation.node_mm):
+        for row, radius_mm in enumerate(node_mm):
             carrier = self._decay(radius_mm) * np.exp(-1j * self._lag(radius_mm) * np.arange(bins))
             carrier[: len(self._low_wavenumber)] = self._low_carrier(radius_mm)
             table[row] = wave.velocity(frequency_hz, radius_mm, source_radius_mm) * colour / carrier
@@ -115,14 +91,21 @@ class PlateTable:
         tabulated = (radius_mm >= low) & (radius_mm <= high)
         held_mm = np.where(tabulated, radius_mm, high)
         result: NDArray[np.complex128] | NDArray[np.complex64] = self._carrier(held_mm)
-        weights = self._interpolation.weights(held_mm).astype(self._real)
-        result *= (weights @ self._table).view(self._complex)
+        result *= (self._interpolation(held_mm) @ self._table).view(self._complex)
         for row in np.flatnonzero(~tabulated):
             frequency_hz = self._step_hz * np.arange(self._bins)
-            result[row] = self._colour * self._wave.velocity(
-                frequency_hz, radius_mm[row], self._source_radius_mm
-            )
+            result[row] = self._colour * self._wave.velocity(frequency_hz, radius_mm[row], self._source_radius_mm)
         return result
+
+    def _interpolation(self, radius_mm: Float64Array) -> NDArray[np.floating]:
+        """Barycentric weights (second form) of every node for every distance."""
+        low, high = np.log(self._span_mm)
+        abscissa = 2 * (np.log(radius_mm) - low) / (high - low) - 1
+        gap = abscissa[:, None] - self._nodes
+        on_node = np.abs(gap) < 1e-15
+        terms = self._weights / np.where(on_node, 1.0, gap)
+        terms = np.where(on_node.any(axis=1, keepdims=True), on_node, terms)
+        return np.asarray(terms / terms.sum(axis=1, keepdims=True), dtype=self._real)
 
     def _carrier(self, radius_mm: Float64Array) -> NDArray[np.complex128] | NDArray[np.complex64]:
         """The carrier on the grid, its plain part as an outer product of two short exponentials."""

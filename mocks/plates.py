@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import root
 from scipy.special import hankel2, jv, kv
 
 Float64Array = NDArray[np.float64]
@@ -119,9 +118,7 @@ def mean_hankel(wavenumber: ArrayLike, radius_m: ArrayLike, source_radius_m: flo
     ValueError
         A wave that grows as it travels (Im k > 0), a negative distance, a radius not positive.
     """
-    k, r = np.broadcast_arrays(
-        np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64)
-    )
+    k, r = np.broadcast_arrays(np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64))
     a = float(source_radius_m)
     _refuse_growth(k)
     _refuse_negative_radius(r)
@@ -155,9 +152,7 @@ def thin_plate_green(wavenumber: ArrayLike, radius_m: ArrayLike) -> Complex128Ar
     ValueError
         A wave that grows as it travels (Im k > 0) or a negative distance.
     """
-    k, r = np.broadcast_arrays(
-        np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64)
-    )
+    k, r = np.broadcast_arrays(np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64))
     _refuse_growth(k)
     _refuse_negative_radius(r)
     shape = np.ones(k.shape, dtype=np.complex128)
@@ -219,6 +214,8 @@ def fit_damped_wave(
     ValueError
         No damped wave travels like that.
     """
+    # The only one who needs it; starting a rig shall not wait for it.
+    from scipy.optimize import root
 
     def misfit(logarithms: Float64Array) -> list[float]:
         travel = impulse_travel(DampedWave(*np.exp(logarithms)), band_hz)

@@ -105,9 +105,7 @@ class VirtualSettings:
                      "slew_mrad_s", "limit_mrad"):  # fmt: skip
             _require(name, getattr(self, name), getattr(self, name) > 0, "greater than 0")
         _require("clock_ppm", self.clock_ppm, abs(self.clock_ppm) <= 1000, "within +-1000")
-        _require(
-            "dropout_probability", self.dropout_probability, 0 <= self.dropout_probability <= 1, "0 to 1"
-        )
+        _require("dropout_probability", self.dropout_probability, 0 <= self.dropout_probability <= 1, "0 to 1")
         low_s, high_s = self.latency_s
         _require("latency_s", self.latency_s, 0 <= low_s <= high_s <= 1, "0 <= shortest <= longest <= 1")
         wired = (*self.channel_of_actuator, self.channel_of_loopback)

@@ -17,10 +17,12 @@ from mocks.plate_table import PlateTable, phase_ramp
 from mocks.plates import MAGNET_RADIUS_MM, SOFT_PLATE
 from mocks.settings import VirtualSettings
 from mocks.signals import PlayedSignal
+from mocks.truncated_plate import TruncatedPlate, impulse_length
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 Complex64Array = NDArray[np.complex64]
+Complex128Array = NDArray[np.complex128]
 
 TAIL_S = 0.3  # what a response may ring on before a transform may wrap
 LEFT_OUT = 1e-10  # share of a response's energy above the bins that are kept: -100 dB
@@ -73,8 +75,11 @@ class Synthesis:
         self._actuator_mm = np.asarray(settings.actuator_mm, dtype=np.float64).reshape(-1, 2)
         gains = actuator_gains(settings.actuators, settings.gain_spread_db, settings.seed)
         self._velocity_per_volt = settings.velocity_scale * gains
+        self._furthest_mm = float(np.hypot(*settings.surface_mm)) + 10
+        self._truncated: BoundedCache[TruncatedPlate] = BoundedCache(1)
         self._tables: BoundedCache[PlateTable] = BoundedCache(6)
         self._transfers: BoundedCache[Complex64Array] = BoundedCache(4)
+        self._shifts: BoundedCache[Complex64Array] = BoundedCache(4)
         self._shapes: BoundedCache[Float64Array] = BoundedCache(8)
 
     def voltages(
@@ -106,19 +111,17 @@ class Synthesis:
         """
         rate_hz = sample_rate_hz * self._settings.clock_ratio
         length = self._length(samples, rate_hz, start_ns, plays)
-        whole = length // 2 + 1
-        reference = np.zeros(whole, dtype=np.complex64)
+        whole, highest = length // 2 + 1, 1
+        reference_v = np.zeros(samples, dtype=np.float32)
         responses: dict[tuple[float, float], Complex64Array] = {
             spot.place_mm: np.zeros(whole, dtype=np.complex64) for spot in spots if spot.place_mm is not None
         }
         for play in plays:
             offset = ((play.requested_ns - start_ns) * 1e-9 + (play.latency_s or 0.0)) * rate_hz
             scale = rate_hz / play.sample_rate_hz
-            delay = _delay(offset, whole, length)
             loopback = play.signals.get(self._settings.channel_of_loopback)
             if loopback is not None:
-                spectrum = loopback.spectrum(length, scale, play.samples)
-                reference[: spectrum.size] += spectrum * delay[: spectrum.size]
+                reference_v += loopback.delayed(length, scale, play.samples, offset)[:samples]
             driven = {
                 actuator: play.signals[channel]
                 for actuator, channel in enumerate(self._settings.channel_of_actuator)
@@ -127,19 +130,20 @@ class Synthesis:
             if not driven:
                 continue
             bins = max(self._bins(signal, length, scale, rate_hz, play) for signal in driven.values())
+            highest = max(highest, bins)
+            delay = _delay(offset, bins, length)
             for place_mm, response in responses.items():
                 transfer = self._transfer(place_mm, _Grid(rate_hz / length, bins))
                 total = np.zeros(bins, dtype=np.complex64)
                 for actuator, signal in driven.items():
                     spectrum = signal.spectrum(length, scale, play.samples)[:bins]
                     total[: spectrum.size] += spectrum * transfer[actuator, : spectrum.size]
-                response[:bins] += total * delay[:bins]
+                response[:bins] += total * delay
         response_v = np.zeros(samples, dtype=np.float32)
-        heard_v = {place_mm: irfft(spectrum, length) for place_mm, spectrum in responses.items()}
+        heard_v = {place: self._wave(spectrum[:highest], length) for place, spectrum in responses.items()}
         for spot in spots:
             if spot.place_mm is not None:
                 response_v[spot.first : spot.stop] = heard_v[spot.place_mm][spot.first : spot.stop]
-        reference_v = irfft(reference, length)[:samples]
         return reference_v, response_v
 
     def green(self, place_mm: tuple[float, float], taps: int, sample_rate_hz: float) -> Float64Array:
@@ -159,11 +163,23 @@ class Synthesis:
         float64 array, shape (actuators, taps)
             In (m/s)/V.
         """
-        # Far pairs ring on by slow diffusion: room for a whole further second, so that nothing wraps.
-        length = next_fast_len(taps + round(sample_rate_hz), real=True)
+        length = impulse_length(taps, sample_rate_hz)
         table = self._table(_Grid(sample_rate_hz / length, length // 2 + 1), single=False)
         spectrum = table.evaluate(self._distances_mm(place_mm)) * self._velocity_per_volt[:, None]
         return np.asarray(irfft(spectrum, length, axis=1)[:, :taps], dtype=np.float64)
+
+    def green_spectra(
+        self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
+    ) -> Complex128Array:
+        """Some bins of the transforms of `green` at many positions: complex128 (positions, actuators, bins)."""
+        plate = self._truncated.get(
+            (taps, sample_rate_hz, length, bins.start, bins.stop),
+            lambda: TruncatedPlate(taps, sample_rate_hz, length, bins, self._furthest_mm),
+        )
+        gap = self._actuator_mm - np.asarray(position_mm, dtype=np.float64).reshape(-1, 1, 2)
+        radius_mm = np.hypot(gap[..., 0], gap[..., 1])
+        spectra = plate.spectra(radius_mm.ravel()).reshape(*radius_mm.shape, -1)
+        return np.asarray(spectra * self._velocity_per_volt[:, None])
 
     def _transfer(self, place_mm: tuple[float, float], grid: _Grid) -> Complex64Array:
         """Response volts per drive volt of every actuator, as the recorder samples them."""
@@ -179,13 +195,23 @@ class Synthesis:
 
         return self._transfers.get((place_mm, grid), make)
 
+    def _wave(self, spectrum: Complex64Array, length: int) -> Float32Array:
+        """The inverse transform of a spectrum that is 0 above its bins.
+
+        Where there is room, as four interleaved transforms of a quarter of the length: they stay in the cache.
+        """
+        quarter, bins = length // 4, spectrum.size
+        if length % 8 or bins > quarter // 2:
+            return np.asarray(irfft(spectrum, length), dtype=np.float32)
+        shift = self._shifts.get(
+            (length, bins), lambda: np.stack([_delay(-place, bins, length) for place in range(4)]) / np.float32(4)
+        )
+        return np.asarray(irfft(spectrum * shift, quarter).T, order="C").reshape(-1)
+
     def _table(self, grid: _Grid, *, single: bool) -> PlateTable:
         def make() -> PlateTable:
             chain = chain_response(grid.step_hz * np.arange(grid.bins, dtype=np.float64))
-            furthest_mm = float(np.hypot(*self._settings.surface_mm)) + 10
-            return PlateTable(
-                SOFT_PLATE, grid.step_hz, grid.bins, chain, furthest_mm=furthest_mm, single=single
-            )
+            return PlateTable(SOFT_PLATE, grid.step_hz, grid.bins, chain, furthest_mm=self._furthest_mm, single=single)
 
         return self._tables.get((grid, single), make)
 

@@ -7,15 +7,14 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from mocks.chain import chain_response
-from mocks.plate_table import LogInterpolation, PlateTable
+from mocks.plate_table import PlateTable
 from mocks.plates import MAGNET_RADIUS_MM, SOFT_PLATE
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
 
-# What is cut off is weak and smooth, for by then the wave has passed and only diffusion is left; with so many
-# nodes in log radius the spectra are within 1e-7 (measured in tests/unit/test_plates.py).
-TAIL_NODES = 32
+# What is cut off is weak, and smooth enough for a cubic spline over distance: waves are 9 mm long at 500 Hz.
+TAIL_STEP_MM = 2.0
 # Room for a whole further second, so that the slow diffusion of far pairs does not wrap.
 ROOM_S = 1.0
 
@@ -44,45 +43,44 @@ class TruncatedPlate:
         Largest distance in mm; the smallest is the magnet's radius.
     """
 
-    def __init__(
-        self, taps: int, sample_rate_hz: float, length: int, bins: slice, furthest_mm: float
-    ) -> None:
+    def __init__(self, taps: int, sample_rate_hz: float, length: int, bins: slice, furthest_mm: float) -> None:
+        # The only one who needs it; starting a rig shall not wait for it.
+        from scipy.interpolate import CubicSpline
+
         self._bins = bins
         self._span_mm = (MAGNET_RADIUS_MM, furthest_mm)
         step_hz = sample_rate_hz / length
         chain = chain_response(step_hz * np.arange(bins.stop, dtype=np.float64))
         self._whole = PlateTable(SOFT_PLATE, step_hz, bins.stop, chain, furthest_mm=furthest_mm)
-        self._interpolation = LogInterpolation(self._span_mm, TAIL_NODES)
         full = impulse_length(taps, sample_rate_hz)
         frequency_hz = sample_rate_hz / full * np.arange(full // 2 + 1, dtype=np.float64)
-        radius_mm = self._interpolation.node_mm[:, None]
         # The end is slow. Without the taper, what little there is at half the sample rate would ring through it,
-        # at 1e-8 of the response but with a phase that no polynomial in the distance follows.
-        taper = np.cos(0.5 * np.pi * frequency_hz / frequency_hz[-1]) ** 2
-        colour = taper * chain_response(frequency_hz)
-        response = irfft(SOFT_PLATE.velocity(frequency_hz, radius_mm) * colour, full)
+        # at 1e-7 of the response but with a phase that no spline over distance follows.
+        colour = np.cos(0.5 * np.pi * frequency_hz / frequency_hz[-1]) ** 2 * chain_response(frequency_hz)
+        table = PlateTable(SOFT_PLATE, frequency_hz[1], frequency_hz.size, colour, furthest_mm=furthest_mm)
+        radius_mm = np.linspace(*self._span_mm, int(furthest_mm / TAIL_STEP_MM) + 2)
+        response = irfft(table.evaluate(radius_mm), full)
         response[:, :taps] = 0
         # Folded, a transform of any length has the values at its frequencies.
-        folded = np.zeros((TAIL_NODES, -(-full // length) * length))
+        folded = np.zeros((radius_mm.size, -(-full // length) * length))
         folded[:, :full] = response
-        self._tail = rfft(folded.reshape(TAIL_NODES, -1, length).sum(axis=1))[:, bins]
+        ends = rfft(folded.reshape(radius_mm.size, -1, length).sum(axis=1))[:, bins]
+        self._end = CubicSpline(radius_mm, ends)
 
     def spectra(self, radius_mm: Float64Array) -> Complex128Array:
-        """Transfer functions at some distances.
+        """Transfer functions at some distances, within 1e-6 of that of the FIR.
 
         Parameters
         ----------
         radius_mm : float64 array, shape (distances,)
-            Distances in mm, within the span of the table.
+            Distances in mm; nearer than the magnet's radius or beyond the span, the cut is left out.
 
         Returns
         -------
         complex128 array, shape (distances, bins)
         """
+        spectra = self._whole.evaluate(radius_mm)[:, self._bins]
         low, high = self._span_mm
-        if radius_mm.size and not (radius_mm.min() >= low and radius_mm.max() <= high):
-            raise ValueError(
-                f"distances of {radius_mm.min():g} to {radius_mm.max():g} mm; allowed are {low:g} to {high:g} mm"
-            )
-        whole = self._whole.evaluate(radius_mm)[:, self._bins]
-        return np.asarray(whole - self._interpolation.weights(radius_mm) @ self._tail, dtype=np.complex128)
+        within = (radius_mm >= low) & (radius_mm <= high)
+        spectra[within] -= self._end(radius_mm[within])
+        return np.asarray(spectra, dtype=np.complex128)

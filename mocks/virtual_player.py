@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import Take
-from mocks.chance import LATENCY, take_generator
+from mocks.chance import take_share
 from mocks.clocks import NANOSECONDS, VirtualClock
 from mocks.faults import FaultPlan
 from mocks.settings import VirtualSettings
-from mocks.signals import SignalStore
+from mocks.signals import PlayedSignal, SignalStore
 from mocks.synthesis import Play
 
 Float64Array = NDArray[np.float64]
@@ -64,8 +64,7 @@ class VirtualPlayer:
         """Start playing; volts by channel, all of one length, none beyond full scale."""
         doing = f"playing on channels {sorted(signals_v)}" if len(signals_v) < 4 else "playing"
         self._check_open(doing)
-        for channel, volts in signals_v.items():
-            self._check(doing, channel, volts)
+        signals = {channel: self._checked(doing, channel, volts) for channel, volts in signals_v.items()}
         lengths = {volts.size for volts in signals_v.values()}
         if len(lengths) != 1 or 0 in lengths:
             raise InstrumentError(
@@ -79,7 +78,6 @@ class VirtualPlayer:
                 raise InstrumentError(NAME, doing, "it is still playing", "wait for its end or mute it first")
             take = self._take_under_way()
             self._faults.meet("play", doing, take)
-            signals = {channel: self._store.find(volts) for channel, volts in signals_v.items()}
             play = Play(now_ns, float(sample_rate_hz), signals, lengths.pop())
             play.latency_s = None if take is None else self._latency_s(take)
             self._plays.append(play)
@@ -155,7 +153,7 @@ class VirtualPlayer:
 
     def _latency_s(self, take: Take) -> float:
         low_s, high_s = self._settings.latency_s
-        return float(take_generator(self._settings.seed, take, LATENCY).uniform(low_s, high_s))
+        return low_s + (high_s - low_s) * take_share(self._settings.seed, take)
 
     def _end_ns(self, play: Play) -> int:
         return play.requested_ns + round((self._longest_latency_s(play) + play.duration_s) * NANOSECONDS)
@@ -172,19 +170,19 @@ class VirtualPlayer:
                 if play.samples == 0:
                     self._plays.pop()
 
-    def _check(self, doing: str, channel: int, volts: Float64Array) -> None:
+    def _checked(self, doing: str, channel: int, volts: Float64Array) -> PlayedSignal:
         if not 0 <= channel < self.channels:
-            raise InstrumentError(
-                NAME, doing, f"there is no channel {channel}", f"choose 0 to {self.channels - 1}"
-            )
-        largest_v = float(np.abs(volts).max()) if volts.size else 0.0
-        if volts.ndim != 1 or not largest_v <= self.full_scale_v:
+            raise InstrumentError(NAME, doing, f"there is no channel {channel}", f"choose 0 to {self.channels - 1}")
+        signal = self._store.find(volts) if volts.ndim == 1 else None
+        if signal is None or not signal.peak_v <= self.full_scale_v:
+            reaches = f" and reaches {signal.peak_v:g} V" if signal is not None else ""
             raise InstrumentError(
                 NAME,
                 doing,
-                f"the signal of channel {channel} has the shape {volts.shape} and reaches {largest_v:g} V",
+                f"the signal of channel {channel} has the shape {volts.shape}{reaches}",
                 f"give finite voltages within +-{self.full_scale_v:g} V, one row",
             )
+        return signal
 
     def _check_open(self, doing: str) -> None:
         if self._closed:

@@ -168,13 +168,15 @@ class VirtualRecorder:
     def _dropout(self, request: RecordRequest, *, always: bool) -> list[tuple[int, int]]:
         """The samples, if any, that speckle hides in this record."""
         take = request.take
-        speckle = self._speckles.get(
-            (take.position, take.attempt, take.purpose), lambda: self._draw_speckle(take)
-        )
-        if not always and take.record != speckle.record:
+        speckle = self._speckles.get((take.position, take.attempt, take.purpose), lambda: self._draw_speckle(take))
+        duration_s, place = speckle.duration_s, speckle.place
+        if always:
+            # One on order is the longest there is, and never in the silence before or after the signal.
+            duration_s, place = DROPOUT_S[1], 0.25 + 0.5 * place
+        elif take.record != speckle.record:
             return []
-        samples = round(speckle.duration_s * request.sample_rate_hz)
-        first = round(speckle.place * max(0, request.samples - samples))
+        samples = round(duration_s * request.sample_rate_hz)
+        first = round(place * max(0, request.samples - samples))
         return [(first, min(request.samples, first + samples))]
 
     def _draw_speckle(self, take: Take) -> _Speckle:

@@ -46,9 +46,7 @@ class VirtualRig:
         """The three instruments and their clock, made once."""
         return self._instruments
 
-    def truth(
-        self, x_mm: float, y_mm: float, taps: int, sample_rate_hz: float = 10_000.0
-    ) -> NDArray[np.float64]:
+    def truth(self, x_mm: float, y_mm: float, taps: int, sample_rate_hz: float = 10_000.0) -> NDArray[np.float64]:
         """The plate's true Green's functions at one point, for tests and the demo's last line.
 
         From player volts to surface velocity as the vibrometer shows it: amplifier, coil, plate and
@@ -69,3 +67,32 @@ class VirtualRig:
             In (m/s)/V.
         """
         return self._synthesis.green((float(x_mm), float(y_mm)), taps, float(sample_rate_hz))
+
+    def truth_spectra(
+        self,
+        position_mm: NDArray[np.float64],
+        taps: int,
+        length: int,
+        bins: slice,
+        sample_rate_hz: float = 10_000.0,
+    ) -> NDArray[np.complex128]:
+        """Some bins of the transforms of `truth` at many points, within 1e-6, without the transforms.
+
+        Parameters
+        ----------
+        position_mm : float64 array, shape (positions, 2)
+            Points on the surface in mm, not on a magnet.
+        taps : int
+            Length of the FIRs, > 0.
+        length : int
+            Length of the transform that the FIRs are padded to.
+        bins : slice
+            Which bins, start and stop given.
+        sample_rate_hz : float
+            Rate of the FIRs on the player's clock in Hz.
+
+        Returns
+        -------
+        complex128 array, shape (positions, actuators, bins)
+        """
+        return self._synthesis.green_spectra(position_mm, taps, float(sample_rate_hz), length, bins)

@@ -123,9 +123,9 @@ class _Band:
         return float(np.mean(self._weights**2))
 
     def spectrum(self, signals: RealArray) -> NDArray[np.complex64]:
-        limited: NDArray[np.complex64] = fft.rfft(
-            signals.astype(np.float32, copy=False), self._padded
-        ).astype(np.complex64, copy=False)
+        limited: NDArray[np.complex64] = fft.rfft(signals.astype(np.float32, copy=False), self._padded).astype(
+            np.complex64, copy=False
+        )
         limited *= self._weights
         return limited
 

@@ -37,9 +37,7 @@ class DropoutCheck:
         The bank's band; twice its upper end is left to the signal in any case.
     """
 
-    def __init__(
-        self, drive_v: Sequence[Float64Array], rate_hz: float, band_hz: tuple[float, float] | None
-    ) -> None:
+    def __init__(self, drive_v: Sequence[Float64Array], rate_hz: float, band_hz: tuple[float, float] | None) -> None:
         power = np.zeros(drive_v[0].size // 2 + 1)
         for signal_v in drive_v:
             power += np.abs(scipy.fft.rfft(signal_v.astype(np.float32))) ** 2

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from acquisition.quality import Status
 from acquisition.record import take_record
 from acquisition.setup import Setup
+from calibration.blas import one_blas_thread
 from calibration.errors import InputError
 from calibration.timing import ReferenceMissingError
 from drivers.errors import TransientInstrumentError
@@ -191,9 +191,8 @@ class _ScanRun:
         self._done = 0
 
     def run(self) -> Scan:
-        # One BLAS thread: the matrices are small, and idle BLAS threads would steal the core that records.
         with (
-            threadpool_limits(limits=1, user_api="blas"),
+            one_blas_thread(),
             ThreadPoolExecutor(max_workers=1, thread_name_prefix="scan") as worker,
         ):
             pending: _Pending | None = None

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from mocks.virtual_rig import VirtualRig
 
+# Bounds memory to some 20 MB.
+CHUNK_POSITIONS = 64
+
 
 @dataclass(frozen=True, slots=True)
 class TruthFigures:
@@ -54,12 +57,16 @@ def compare_with_truth(bank: Bank, rig: VirtualRig) -> TruthFigures:
     length = scipy.fft.next_fast_len(2 * bank.taps, real=True)
     frequency_hz = np.fft.rfftfreq(length, 1.0 / bank.sample_rate_hz)
     start_hz, stop_hz = bank.band_hz if bank.band_hz is not None else (0.0, np.inf)
-    band = (frequency_hz >= start_hz) & (frequency_hz <= stop_hz)
+    in_band = np.flatnonzero((frequency_hz >= start_hz) & (frequency_hz <= stop_hz))
+    band = slice(int(in_band[0]), int(in_band[-1]) + 1)
     error_db = np.full((bank.positions, bank.actuators), np.nan)
-    for position in np.flatnonzero(bank.status):
-        x_mm, y_mm = bank.position_mm[position]
-        true = scipy.fft.rfft(rig.truth(float(x_mm), float(y_mm), bank.taps), length)[:, band]
-        measured = scipy.fft.rfft(bank.green(int(position)).astype(np.float64), length)[:, band]
-        error = np.linalg.norm(measured - true, axis=1) / np.linalg.norm(true, axis=1)
-        error_db[position] = 20.0 * np.log10(np.maximum(error, np.finfo(np.float64).tiny))
+    measured_rows = np.flatnonzero(bank.status)
+    for first in range(0, measured_rows.size, CHUNK_POSITIONS):
+        rows = measured_rows[first : first + CHUNK_POSITIONS]
+        true = rig.truth_spectra(bank.position_mm[rows], bank.taps, length, band, bank.sample_rate_hz)
+        for position, true_here in zip(rows, true, strict=True):
+            green = bank.green(int(position)).astype(np.float32, copy=False)
+            error = np.linalg.norm(scipy.fft.rfft(green, length)[:, band] - true_here, axis=1)
+            error /= np.linalg.norm(true_here, axis=1)
+            error_db[position] = 20.0 * np.log10(np.maximum(error, np.finfo(np.float64).tiny))
     return TruthFigures(error_db)

@@ -51,6 +51,10 @@ from calibration.bank_writer import BankWriter
 def green_of(position, attempt):
     return np.random.default_rng([position, attempt]).normal(size=(2, 16)).astype(np.float32)
 
+def say(*words):
+    # One write a line: a process killed inside print could leave half of one.
+    os.write(1, (" ".join(str(word) for word in words) + "\\n").encode())
+
 def measure(path):
     with BankWriter.open(path) as writer:
         for attempt in range(1, 1000):
@@ -59,16 +63,16 @@ def measure(path):
                     figures = np.zeros(2, np.float32)
                     record = PointRecord(1, attempt, figures, figures, figures, figures)
                     writer.commit(position, green_of(position, attempt), record)
-                    print("kept", position, attempt, flush=True)
+                    say("kept", position, attempt)
 
 for line in sys.stdin:
     child = os.fork()
     if child == 0:
-        print("pid", os.getpid(), 0, flush=True)
+        say("pid", os.getpid(), 0)
         measure(sys.argv[1])
         os._exit(1)
     os.waitpid(child, 0)
-    print("end", 0, 0, flush=True)
+    say("end", 0, 0)
 """
 KILLS = 20
 

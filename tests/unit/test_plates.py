@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import hankel2
@@ -147,9 +148,7 @@ def test_given_a_thin_plate_then_its_green_function_solves_the_biharmonic_equati
     y = h * np.arange(-2, 3)
     w = thin_plate_green(k, np.hypot(*np.meshgrid(x, y)))
     laplacian = (w[1:-1, 2:] + w[1:-1, :-2] + w[2:, 1:-1] + w[:-2, 1:-1] - 4 * w[1:-1, 1:-1]) / h**2
-    biharmonic = (
-        laplacian[1, 2] + laplacian[1, 0] + laplacian[2, 1] + laplacian[0, 1] - 4 * laplacian[1, 1]
-    ) / h**2
+    biharmonic = (laplacian[1, 2] + laplacian[1, 0] + laplacian[2, 1] + laplacian[0, 1] - 4 * laplacian[1, 1]) / h**2
     assert biharmonic == pytest.approx(k**4 * w[2, 2], rel=1e-3)
 
 
@@ -186,3 +185,19 @@ def test_given_any_mirror_then_its_angles_lead_back_to_the_spot(x_mm, y_mm, abou
 def test_given_a_mirror_behind_the_surface_then_it_is_refused():
     with pytest.raises(ValueError, match="distance_mm is 0"):
         MirrorGeometry(distance_mm=0.0)
+
+
+def test_given_the_chain_then_its_filters_are_the_textbook_s():
+    frequency_hz = np.linspace(0.0, 5000.0, 201)
+    laplace = 2j * np.pi * frequency_hz
+    expected = 14.0 / (14.0 + 5e-3 * laplace)
+    for zeros, poles, gain in (
+        scipy.signal.butter(2, 2 * np.pi * 20.0, "high", analog=True, output="zpk"),
+        scipy.signal.bessel(4, 2 * np.pi * 1200.0, "low", analog=True, output="zpk", norm="mag"),
+    ):
+        expected = expected * gain
+        for zero in zeros:
+            expected = expected * (laplace - zero)
+        for pole in poles:
+            expected = expected / (laplace - pole)
+    assert np.allclose(chain_response(frequency_hz), expected, rtol=1e-10, atol=0)

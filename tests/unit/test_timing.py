@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.errors import InputError, WavefocusError
 from calibration.sweeps import Excitation
-from calibration.timing import ClockFit, ReferenceMissingError, fit_clock, to_playback_clock
+from calibration.timing import ClockFit, ClockFitter, ReferenceMissingError, fit_clock, to_playback_clock
 
 SAMPLES = 37_200
 KNOWN = Excitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3).signal_v()
@@ -88,9 +88,7 @@ def test_a_known_signal_that_is_none_is_refused(known: NDArray[np.float64]) -> N
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.01, 0.8), st.floats(60, 140), st.floats(-500, 500), st.integers(0, 50), st.floats(-1, 1))
-def test_a_tone_is_resampled_to_100_db(
-    share: float, offset: float, ppm: float, first: int, delay: float
-) -> None:
+def test_a_tone_is_resampled_to_100_db(share: float, offset: float, ppm: float, first: int, delay: float) -> None:
     fit = ClockFit(offset, 1 + 1e-6 * ppm, 1.0, -100.0)
     recorded = np.cos(np.pi * share * np.arange(1000) + 0.3)
     place = offset + (first + np.arange(700)) * fit.ratio + delay
@@ -118,3 +116,44 @@ def test_whole_samples_come_back_as_they_are_and_beyond_the_record_there_is_sile
 def test_a_negative_length_is_refused() -> None:
     with pytest.raises(InputError):
         to_playback_clock(np.ones(10), ClockFit(0.0, 1.0, 1.0, -60.0), -1)
+
+
+def sweep(samples: int, stop_hz: float) -> NDArray[np.float64]:
+    time_s = np.arange(samples) / 10_000
+    wave = np.sin(2 * np.pi * (20 + 0.5 * (stop_hz - 20) / time_s[-1] * time_s) * time_s)
+    return wave * np.sin(0.5 * np.pi * np.clip(np.minimum(time_s, time_s[::-1]) / 0.02, 0, 1)) ** 2
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.floats(0, 1100), st.floats(-500, 500), st.sampled_from([1000.0, 4000.0]), st.integers(0, 99))
+def test_one_long_sweep_is_found_although_a_stretch_shifts_it_along_itself(
+    offset: float, ppm: float, stop_hz: float, seed: int
+) -> None:
+    known = sweep(20_000, stop_hz)
+    recorded = played(known, 21_200, offset, 1 + 1e-6 * ppm)
+    recorded += 1e-3 * np.sqrt(0.5) * np.random.default_rng(seed).standard_normal(recorded.size)
+    fit = fit_clock(recorded, known)
+    assert fit.offset_samples == pytest.approx(offset, abs=0.01)
+    assert fit.skew_ppm == pytest.approx(ppm, abs=0.1)
+    assert fit.residual_db == pytest.approx(-60, abs=1)
+
+
+def test_a_coupling_capacitor_in_the_loopback_does_not_pass_for_a_stretch() -> None:
+    passed = played(KNOWN, SAMPLES, 321.7, 1 + 40e-6)
+    spectrum = scipy.fft.rfft(passed, 2 * SAMPLES)
+    hertz = scipy.fft.rfftfreq(2 * SAMPLES, 1e-4)
+    coupled = scipy.fft.irfft(spectrum * (1j * hertz / (1j * hertz + 3.0)))[:SAMPLES]
+    fit = fit_clock(coupled, KNOWN)
+    assert fit.offset_samples == pytest.approx(321.7, abs=0.01)
+    assert fit.skew_ppm == pytest.approx(40, abs=0.1)
+
+
+def test_one_fitter_gives_each_recording_the_same_fit_in_any_order() -> None:
+    recordings = [
+        played(KNOWN, SAMPLES, offset, 1 + 1e-6 * ppm)
+        for offset, ppm in ((10.3, 0.0), (500.1, 300.0), (99.9, -123.4), (10.4, 30.5))
+    ]
+    alone = [fit_clock(recorded, KNOWN) for recorded in recordings]
+    fitter = ClockFitter(KNOWN)
+    assert [fitter.fit(recorded) for recorded in reversed(recordings)] == alone[::-1]
+    assert [fitter.fit(recorded) for recorded in recordings] == alone

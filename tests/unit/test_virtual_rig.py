@@ -176,9 +176,7 @@ def test_given_the_same_take_then_the_bytes_are_the_same_whatever_came_before():
     assert len(set(forward.values())) == 3
 
 
-@pytest.mark.parametrize(
-    "other", [Take(1, 1, 0), Take(0, 2, 0), Take(0, 1, 1), Take(0, 1, 0, "sentinel")], ids=str
-)
+@pytest.mark.parametrize("other", [Take(1, 1, 0), Take(0, 2, 0), Take(0, 1, 1), Take(0, 1, 0, "sentinel")], ids=str)
 def test_given_another_take_then_noise_and_latency_are_others(other):
     rig = VirtualRig(changed(VirtualSettings(), dropout_probability=0.0))
     one, two = record(rig, drive()), record(rig, drive(), other)
@@ -359,3 +357,27 @@ def test_given_a_second_play_before_the_first_ended_then_it_is_refused():
     rig.instruments.player.play({0: drive()}, RATE_HZ)
     with pytest.raises(InstrumentError, match="still playing"):
         rig.instruments.player.play({0: drive()}, RATE_HZ)
+
+
+def test_given_a_drive_of_low_frequencies_then_the_response_is_the_convolution_with_the_truth():
+    # Such responses take a shorter way through the transforms.
+    rig = VirtualRig(QUIET)
+    time_s = np.arange(800) / RATE_HZ
+    drive_v = on_steps(np.sin(2 * np.pi * (20 + 3000 * time_s) * time_s) * np.hanning(800))
+    expected = np.zeros(4000)
+    expected[300:] = response_volts(rig, drive_v)[:3700]
+    heard = record(rig, drive_v, range_v=(2.0, 2.0))
+    assert np.abs(expected).max() > 0.2
+    assert np.abs(heard.volts[1] - expected).max() < 0.6 * heard.volts_per_count[1]
+
+
+@pytest.mark.parametrize("taps", [600, 2000])
+def test_given_many_positions_then_their_true_spectra_are_those_of_the_truth(taps):
+    rig = VirtualRig(QUIET)
+    position_mm = np.array([[60.0, 40.0], [-100.0, -30.0], [0.0, 0.0], [10.0, 20.0]])
+    band = slice(8, 201)
+    spectra = rig.truth_spectra(position_mm, taps, 4000, band)
+    for place_mm, found in zip(position_mm, spectra, strict=True):
+        expected = np.fft.rfft(rig.truth(*place_mm, taps), 4000)[:, band]
+        error = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
+        assert error.max() < 2e-5 if taps == 600 else error.max() < 1e-6

@@ -12,13 +12,13 @@ def bench(what: str, out: Path, *, quick: bool) -> None:
     """Run the benchmarks and write their figures as JSON beside the printed tables."""
     out.mkdir(parents=True, exist_ok=True)
     if what in ("estimate", "all"):
-        from benchmarks import estimate
+        from benchmarks.estimate import run as estimate
 
-        _keep(out / "estimate.json", estimate.run(out, quick=quick))
+        _keep(out / "estimate.json", estimate(quick=quick))
     if what in ("render", "all"):
-        from benchmarks import render
+        from benchmarks.render import run as render
 
-        _keep(out / "render.json", render.run(out, quick=quick))
+        _keep(out / "render.json", render(out, quick=quick))
 
 
 def _keep(path: Path, figures: dict[str, object]) -> None:

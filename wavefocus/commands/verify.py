@@ -54,19 +54,22 @@ def verify(scene_file: Path, bank: Path, rig_file: Path, out: Path, positions: s
             measured = scan(plan, setup, drive, view, on_progress=report)
             scan_s = setup.instruments.clock.now_s() - started_s
         write_field(out / "scan.h5", measured.as_field())
-        verification = compare(prediction, measured, drive, view, _tolerances(configuration, view))
-        report_file = build_report(
-            out,
-            verification=verification,
-            scene=scene,
-            drive=drive,
-            prediction=prediction,
-            scan=measured,
-            bank=view,
-            campaign=_facts(configuration, view, scan_s),
-            outline_mm=stadium_rim(rig.surface.length_mm, rig.surface.width_mm, 0.0, OUTLINE_POINTS),
-            save_pictures=True,
-        )
+        with progress("compare and report", 2) as report:
+            verification = compare(prediction, measured, drive, view, _tolerances(configuration, view))
+            report(1, 2)
+            report_file = build_report(
+                out,
+                verification=verification,
+                scene=scene,
+                drive=drive,
+                prediction=prediction,
+                scan=measured,
+                bank=view,
+                campaign=_facts(configuration, view, scan_s),
+                outline_mm=stadium_rim(rig.surface.length_mm, rig.surface.width_mm, 0.0, OUTLINE_POINTS),
+                save_pictures=True,
+            )
+            report(2, 2)
     for check in verification.checks:
         say(_line(check))
     say(f"report: {report_file}")

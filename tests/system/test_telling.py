@@ -1,0 +1,92 @@
+"""What people and programs are told: dry run, status, progress, truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.bank import open_bank
+from wavefocus.__main__ import run
+from wavefocus.compose import bank_configuration, virtual_rig
+from wavefocus.config.run import Virtual
+from wavefocus.console import finish_clock
+from wavefocus.truth import compare_with_truth
+
+
+def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["positions"] == 6
+    assert facts["records"] == 18
+    # Three records of two periods of 0.4 s with 0.12 s around them, and 0.05 s a position beside.
+    assert facts["duration_s"] == pytest.approx(6 * (3 * (2 * 0.4 + 0.12) + 0.05))
+    assert facts["bank_bytes"] > 6 * 3 * 1000 * 4
+    assert len(facts["plan_sha256"]) == 64
+    assert run(["plan", str(lab / "run.toml")]) == 0
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "6, 3 actuators, 18 records" in told.err
+
+
+def test_given_a_plan_then_its_bytes_are_those_of_the_bank(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
+    planned = json.loads(capsys.readouterr().out)["bank_bytes"]
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
+    # HDF5's own front block of 1 MB or two comes on top.
+    assert (lab / "plate.h5").stat().st_size == pytest.approx(planned, abs=2.5e6)
+
+
+def test_given_a_bank_then_status_tells_people_how_it_stands(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bank = lab / "plate.h5"
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    capsys.readouterr()
+    assert run(["status", str(bank)]) == 0
+    told = capsys.readouterr().err
+    assert "6 of 6 positions measured (6 valid)" in told
+    assert "no process is measuring" in told
+
+
+def test_given_a_log_with_a_torn_line_then_status_still_reads_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bank = lab / "plate.h5"
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    with bank.with_suffix(".events.jsonl").open("a", encoding="utf-8") as log:
+        log.write('{"at": "2026-01-01T00:00:00+00:00", "event": "prog')
+    capsys.readouterr()
+    assert run(["status", str(bank), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["last_event_at"] is not None
+
+
+def test_given_a_measured_bank_then_it_is_near_the_plates_truth(lab: Path) -> None:
+    bank = lab / "plate.h5"
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    with open_bank(bank) as view:
+        configuration = bank_configuration(view)
+        rig = virtual_rig(configuration.rig, configuration.run.virtual or Virtual())
+        figures = compare_with_truth(view, rig)
+        snr_db = view.quality["snr_db"]
+    assert figures.error_db.shape == (6, 3)
+    assert figures.median_db < -45.0
+    # Each pair is as good as its own signal-to-noise ratio promises, up to a few dB.
+    assert np.max(figures.error_db + np.minimum(snr_db, 70.0)) < 8.0
+
+
+def test_given_the_written_templates_then_they_plan_the_thirty_hour_campaign(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["init", str(tmp_path / "lab")]) == 0
+    capsys.readouterr()
+    assert run(["plan", str(tmp_path / "lab" / "run.toml"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["positions"] == 1500
+    assert facts["actuators"] == 20
+    assert 30.0 < facts["hours"] < 32.0
+
+
+def test_given_seconds_left_then_the_finish_is_told_with_its_day_when_not_today() -> None:
+    assert len(finish_clock(0.0)) == len("12:34:56")
+    assert finish_clock(3 * 86400.0)[:3].isalpha()
