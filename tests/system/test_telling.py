@@ -37,8 +37,8 @@ def test_given_a_plan_then_its_bytes_are_those_of_the_bank(lab: Path, capsys: py
     assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
     planned = json.loads(capsys.readouterr().out)["bank_bytes"]
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
-    # HDF5's own front block of 1 MB or two comes on top.
-    assert (lab / "plate.h5").stat().st_size == pytest.approx(planned, abs=2.5e6)
+    # The plan allows HDF5 four front blocks of 1 MB, of which it needs one or two.
+    assert planned - 4.5e6 < (lab / "plate.h5").stat().st_size <= planned
 
 
 def test_given_a_bank_then_status_tells_people_how_it_stands(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
