@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from wavefocus.console import say
+from wavefocus.console import people, say
 
 
 def bench(what: str, out: Path, *, quick: bool) -> None:
@@ -14,11 +14,15 @@ def bench(what: str, out: Path, *, quick: bool) -> None:
     if what in ("estimate", "all"):
         from benchmarks.estimate import run as estimate
 
-        _keep(out / "estimate.json", estimate(quick=quick))
+        with people.status("estimators side by side ..."):
+            figures = estimate(quick=quick)
+        _keep(out / "estimate.json", figures)
     if what in ("render", "all"):
         from benchmarks.render import run as render
 
-        _keep(out / "render.json", render(out, quick=quick))
+        with people.status("renderers side by side ..."):
+            figures = render(out, quick=quick)
+        _keep(out / "render.json", figures)
 
 
 def _keep(path: Path, figures: dict[str, object]) -> None:
