@@ -149,9 +149,7 @@ def make_workload(records: int, seed: int = 0) -> Workload:
     placed = np.zeros(samples)
     placed[OFFSET : OFFSET + signal.size] = signal
     spectrum = scipy.fft.rfft(placed, length)
-    response = np.stack(
-        [scipy.fft.irfft(spectrum * scipy.fft.rfft(g, length), length)[:samples] for g in truth]
-    )
+    response = np.stack([scipy.fft.irfft(spectrum * scipy.fft.rfft(g, length), length)[:samples] for g in truth])
     sounding = slice(OFFSET, OFFSET + signal.size)
     noise_v = np.sqrt((response[:, sounding] ** 2).mean(axis=1)) * 10 ** (-RESPONSE_SNR_DB / 20)
     reference_noise_v = np.sqrt((signal**2).mean()) * 10 ** (-REFERENCE_SNR_DB / 20)
@@ -193,9 +191,7 @@ def _repeats(recording: NDArray[np.float32], excitation: Excitation) -> NDArray[
 
 
 def _plain_h1(excitation: Excitation) -> Method:
-    hertz = (
-        np.arange(excitation.period_samples // 2 + 1) * excitation.sample_rate_hz / excitation.period_samples
-    )
+    hertz = np.arange(excitation.period_samples // 2 + 1) * excitation.sample_rate_hz / excitation.period_samples
     mask = ((hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)).astype(np.float32)
 
     def method(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
@@ -228,12 +224,8 @@ def _pyfar_methods(excitation: Excitation) -> dict[str, Method]:
 
     rate, band = excitation.sample_rate_hz, excitation.band_hz
 
-    def deconvolve(
-        x: NDArray[Any], y: NDArray[Any], edges: tuple[float, float], **options: Any
-    ) -> NDArray[Any]:
-        found = pyfar.dsp.deconvolve(
-            pyfar.Signal(y, rate), pyfar.Signal(x, rate), frequency_range=edges, **options
-        )
+    def deconvolve(x: NDArray[Any], y: NDArray[Any], edges: tuple[float, float], **options: Any) -> NDArray[Any]:
+        found = pyfar.dsp.deconvolve(pyfar.Signal(y, rate), pyfar.Signal(x, rate), frequency_range=edges, **options)
         return np.asarray(found.time[:, :TAPS])
 
     def averaged(channel: NDArray[np.float32]) -> NDArray[np.float32]:

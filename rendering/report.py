@@ -144,11 +144,7 @@ def _pictures(
     }
     captions = {
         "positions_caption": "Status of each position in the bank"
-        + (
-            f"; crosses: the {excluded.size} scanned position(s) that were not compared."
-            if excluded.size
-            else "."
-        ),
+        + (f"; crosses: the {excluded.size} scanned position(s) that were not compared." if excluded.size else "."),
         "snr_caption": snr_caption,
         "gain_caption": "Normalisation factor n(x) of equation 15: how much louder the drive must be for "
         "an equal "
@@ -176,9 +172,7 @@ def _signal_to_noise(
 
 
 def _check_row(check: Check) -> dict[str, str]:
-    word, style = {True: ("✓ pass", "pass"), False: ("✗ fail", "fail"), None: ("not judged", "open")}[
-        check.passed
-    ]
+    word, style = {True: ("✓ pass", "pass"), False: ("✗ fail", "fail"), None: ("not judged", "open")}[check.passed]
     relation = "≤" if check.relation == "at most" else "≥"
     text = precise(check.value) if check.name == "correlation" else number(check.value, check.unit)
     return {

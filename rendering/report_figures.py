@@ -127,15 +127,11 @@ def snapshots(surface: Surface, fields: FieldComparison, chosen: NDArray[np.int6
             draw_surface(axes, surface, path=True)
             axes.set_title(title)
             limits = (-factor * top, factor * top)
-            cells = draw_cells(
-                axes, surface, fields.position_index, factor * values, colours="RdBu_r", limits=limits
-            )
+            cells = draw_cells(axes, surface, fields.position_index, factor * values, colours="RdBu_r", limits=limits)
             axes.plot(*surface.position_mm[instant.row], "o", ms=13, mfc="none", mec=INK, mew=1.2, zorder=6)
             _label_outer(axes, left=column == 0, bottom=line == len(chosen) - 1)
     bar = canvas.axes(1120 / 2 - 180, 8, 360, 10)
-    canvas.figure.colorbar(
-        cells, cax=bar, label=f"y ({unit}), all panels", orientation="horizontal", extend="both"
-    )
+    canvas.figure.colorbar(cells, cax=bar, label=f"y ({unit}), all panels", orientation="horizontal", extend="both")
     return canvas.picture()
 
 
@@ -212,9 +208,7 @@ def focus_level(surface: Surface, fields: FieldComparison) -> float:
 
 def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
     """Factor and unit that bring `largest` near 1 to 1000, for units that take an SI prefix."""
-    if unit not in ("m", "m/s", "m/s\N{SUPERSCRIPT TWO}", "V") or not (
-        math.isfinite(largest) and largest > 0.0
-    ):
+    if unit not in ("m", "m/s", "m/s\N{SUPERSCRIPT TWO}", "V") or not (math.isfinite(largest) and largest > 0.0):
         return 1.0, unit
     for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "\N{MICRO SIGN}")):
         if largest * factor >= 1.0:

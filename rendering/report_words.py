@@ -55,9 +55,7 @@ def number(value: float | None, unit: str = "") -> str:
 
 def precise(value: float | None) -> str:
     """A correlation, which differs from 1 in its last digits only."""
-    return (
-        number(value) if value is None or math.isnan(value) else f"{value:.4f}".replace("-", "\N{MINUS SIGN}")
-    )
+    return number(value) if value is None or math.isnan(value) else f"{value:.4f}".replace("-", "\N{MINUS SIGN}")
 
 
 def percent(value: float | None) -> str:
@@ -88,9 +86,7 @@ def summary(verification: Verification) -> str:
 def figures(verification: Verification, gain_range_db: float) -> list[Figure]:
     """Every figure of the report that has no limit, with its definition."""
     fields, focus = verification.fields, verification.focus
-    band = (
-        "all frequencies" if fields.band_hz is None else f"{fields.band_hz[0]:g} to {fields.band_hz[1]:g} Hz"
-    )
+    band = "all frequencies" if fields.band_hz is None else f"{fields.band_hz[0]:g} to {fields.band_hz[1]:g} Hz"
     delay_us = 1e6 * fields.delay_samples / fields.sample_rate_hz
     radius = f"{FOCUS_RADIUS_MM:g} mm"
     return [
@@ -118,8 +114,7 @@ def figures(verification: Verification, gain_range_db: float) -> list[Figure]:
         Figure(
             "Error, all frequencies",
             percent(fields.error_all_frequencies),
-            "The normalised error of the fields as they stand in their files, noise outside the band "
-            "included.",
+            "The normalised error of the fields as they stand in their files, noise outside the band included.",
         ),
         Figure(
             "Correlation",
@@ -246,12 +241,10 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
         )
     if drive.scale < 1.0:
         found.append(
-            f"The drive was scaled by {number(drive.scale)} to keep to limit_v, and prediction and scan "
-            f"with it."
+            f"The drive was scaled by {number(drive.scale)} to keep to limit_v, and prediction and scan with it."
         )
     if drive.omitted_bound > 0.0:
         found.append(
-            f"The renderer left out parts of the drive; their relative error is at most "
-            f"{percent(drive.omitted_bound)}."
+            f"The renderer left out parts of the drive; their relative error is at most {percent(drive.omitted_bound)}."
         )
     return found

@@ -12,9 +12,7 @@ CI = os.environ.get("CI") == "true"
 
 # No deadlines: speed is measured by benchmarks, and a busy machine is no defect. CI tries the same cases
 # each time.
-settings.register_profile(
-    "wavefocus", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=CI
-)
+settings.register_profile("wavefocus", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=CI)
 settings.load_profile("wavefocus")
 
 

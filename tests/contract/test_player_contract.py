@@ -16,9 +16,7 @@ def tone(bench, seconds=0.2, volts=0.5):
 
 def recorded_reference(bench, signals_v, *, mute_after_s=None):
     instruments = bench.instruments
-    request = RecordRequest(
-        round(0.5 * bench.sample_rate_hz), bench.sample_rate_hz, bench.range_v, Take(0, 1, 0)
-    )
+    request = RecordRequest(round(0.5 * bench.sample_rate_hz), bench.sample_rate_hz, bench.range_v, Take(0, 1, 0))
     instruments.recorder.start(request)
     instruments.player.play(signals_v, bench.sample_rate_hz)
     if mute_after_s is not None:

@@ -78,9 +78,7 @@ def test_a_position_outside_the_bank_then_is_refused(tmp_path: Path, position: i
 
 
 @pytest.mark.parametrize("dataset", ["green", "durability/ledger"])
-def test_a_flipped_byte_then_is_named_and_the_other_positions_still_read(
-    tmp_path: Path, dataset: str
-) -> None:
+def test_a_flipped_byte_then_is_named_and_the_other_positions_still_read(tmp_path: Path, dataset: str) -> None:
     path = measured(tmp_path / "bank.h5")
     with h5py.File(path, "r") as file:
         found = file[dataset].id
@@ -144,9 +142,7 @@ def test_a_text_heap_then_is_sound_only_when_its_objects_fit(content: bytes, sou
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     dtype=st.sampled_from(["<f2", "<f4", "<f8", ">f4", ">f8", "<i2", ">i2", "u1"]),
-    options=st.sampled_from(
-        [{}, {"chunks": (2, 1, 3)}, {"compression": "gzip"}, {"shuffle": True, "chunks": True}]
-    ),
+    options=st.sampled_from([{}, {"chunks": (2, 1, 3)}, {"compression": "gzip"}, {"shuffle": True, "chunks": True}]),
     shape=st.tuples(st.integers(1, 5), st.integers(1, 3), st.integers(1, 9)),
     seed=st.integers(0, 2**32 - 1),
 )
@@ -185,9 +181,7 @@ def test_a_bank_with_only_what_is_needed_then_gets_the_documented_defaults(tmp_p
 def test_a_bank_after_contract_section_2_by_another_program_then_is_read_as_it_says(tmp_path: Path) -> None:
     path = foreign(tmp_path / "foreign.h5", np.ones((2, 3, 4), ">f4"))
     with h5py.File(path, "r+") as file:
-        file.attrs.update(
-            format="wavefocus-bank", format_version=1, band_hz=[30.0, 400.0], response_unit="m/V"
-        )
+        file.attrs.update(format="wavefocus-bank", format_version=1, band_hz=[30.0, 400.0], response_unit="m/V")
         file.attrs.update(rig="{}", plan_sha256=np.bytes_(b"cd"))
         file["status"] = np.array([4, 1], np.uint8)
         file["actuator_mm"] = np.arange(6.0).reshape(3, 2)
@@ -273,9 +267,7 @@ def test_a_foreign_bank_with_something_wrong_then_is_refused_by_name(
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_value_that_is_not_finite_then_is_named_by_position_and_actuator(
-    tmp_path: Path, bad: float
-) -> None:
+def test_a_value_that_is_not_finite_then_is_named_by_position_and_actuator(tmp_path: Path, bad: float) -> None:
     green = np.ones((3, 2, 4))
     green[2, 1, 3] = bad
     with open_bank(foreign(tmp_path / "foreign.h5", green)) as bank:

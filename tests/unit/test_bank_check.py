@@ -83,9 +83,7 @@ def test_a_figure_that_differs_from_the_ledger_then_is_a_warning_and_opening_hea
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r") as file:
         dataset = file[name]
-        offset = dataset.id.get_offset() + 2 * dataset.id.get_type().get_size() * int(
-            np.prod(dataset.shape[1:])
-        )
+        offset = dataset.id.get_offset() + 2 * dataset.id.get_type().get_size() * int(np.prod(dataset.shape[1:]))
     flip(path, offset)
     finding = only(check_bank(path))
     assert (finding.position, finding.severity) == (2, "warning")

@@ -112,9 +112,7 @@ def test_mistake_in_a_run_file_is_one_line_with_file_key_value_and_what_is_allow
 
 
 def test_several_mistakes_are_told_in_one_line_and_counted(tmp_path: Path) -> None:
-    file = write(
-        tmp_path, "[grid]\nspacing_mm=0\nmargin_mm=-1\n[sweep]\nstart_hz=0\nstop_hz=0\nduration_s=0\n"
-    )
+    file = write(tmp_path, "[grid]\nspacing_mm=0\nmargin_mm=-1\n[sweep]\nstart_hz=0\nstop_hz=0\nduration_s=0\n")
     assert complaint_about(file) == (
         f"{file}: grid.spacing_mm = 0: must be above 0; grid.margin_mm = -1: must be at least 0; "
         "sweep.start_hz = 0: must be above 0; and 2 more"
@@ -231,9 +229,7 @@ def test_plan_hash_changes_with_what_a_resume_must_not_change(rig: object, run: 
 
 def test_plan_hash_changes_with_a_position() -> None:
     moved = POSITIONS + np.array([[0, 0], [0, 1e-9]])
-    assert plan_sha256(default_rig(), default_run(), moved) != plan_sha256(
-        default_rig(), default_run(), POSITIONS
-    )
+    assert plan_sha256(default_rig(), default_run(), moved) != plan_sha256(default_rig(), default_run(), POSITIONS)
 
 
 @pytest.mark.parametrize(
@@ -248,11 +244,7 @@ def test_plan_hash_changes_with_a_position() -> None:
         ({}, {"capture": {"stagger_s": 0.5}}),
         (
             {},
-            {
-                "virtual": {
-                    "fault_plan": [{"role": "player", "operation": "wait", "kind": "lost", "at_call": 2}]
-                }
-            },
+            {"virtual": {"fault_plan": [{"role": "player", "operation": "wait", "kind": "lost", "at_call": 2}]}},
         ),
     ],
 )

@@ -59,9 +59,7 @@ def test_a_read_past_the_end_then_is_an_error(tmp_path: Path, kind: Callable[...
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_file_opened_for_reading_then_cannot_be_written(
-    tmp_path: Path, kind: Callable[..., PositionedFile]
-) -> None:
+def test_a_file_opened_for_reading_then_cannot_be_written(tmp_path: Path, kind: Callable[..., PositionedFile]) -> None:
     (tmp_path / "file").write_bytes(b"abc")
     file = kind(tmp_path / "file")
     with pytest.raises(OSError, match=r"(?i)bad file descriptor|not open for writing"):
@@ -116,9 +114,7 @@ def test_a_locked_file_then_has_one_owner_until_it_is_closed(
 
 
 @pytest.mark.parametrize("publish", [publish_new, publish_by_link, publish_by_claim])
-def test_a_published_file_then_has_its_name_and_no_other(
-    tmp_path: Path, publish: Callable[[Path, Path], None]
-) -> None:
+def test_a_published_file_then_has_its_name_and_no_other(tmp_path: Path, publish: Callable[[Path, Path], None]) -> None:
     (tmp_path / "temporary").write_bytes(b"new")
     publish(tmp_path / "temporary", tmp_path / "final")
     assert (tmp_path / "final").read_bytes() == b"new"
@@ -126,9 +122,7 @@ def test_a_published_file_then_has_its_name_and_no_other(
 
 
 @pytest.mark.parametrize("publish", [publish_new, publish_by_link, publish_by_claim])
-def test_a_name_that_is_taken_then_keeps_its_file(
-    tmp_path: Path, publish: Callable[[Path, Path], None]
-) -> None:
+def test_a_name_that_is_taken_then_keeps_its_file(tmp_path: Path, publish: Callable[[Path, Path], None]) -> None:
     (tmp_path / "temporary").write_bytes(b"new")
     (tmp_path / "final").write_bytes(b"old")
     with pytest.raises(FileExistsError):

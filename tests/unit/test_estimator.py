@@ -67,9 +67,7 @@ class Records:
     noise_v: Float64Array
 
     def estimate(self, estimator: Estimator = ESTIMATOR) -> Estimate:
-        return estimator.estimate(
-            self.reference.astype(np.float32), self.response.astype(np.float32), range_v=RANGE
-        )
+        return estimator.estimate(self.reference.astype(np.float32), self.response.astype(np.float32), range_v=RANGE)
 
 
 def records_of(
@@ -96,9 +94,7 @@ def records_of(
     noise_v = np.zeros(green.shape[0])
     x = np.repeat(x, green.shape[0], axis=0)
     if snr_db is not None:
-        noise_v = np.sqrt((y[:, int(offset) : int(offset) + signal.size] ** 2).mean(axis=1)) * 10 ** (
-            -snr_db / 20
-        )
+        noise_v = np.sqrt((y[:, int(offset) : int(offset) + signal.size] ** 2).mean(axis=1)) * 10 ** (-snr_db / 20)
         x += 1e-3 * np.sqrt((signal**2).mean()) * draw.standard_normal(x.shape)
         y += noise_v[:, None] * draw.standard_normal(y.shape)
     return Records(x, y, noise_v)
@@ -147,9 +143,7 @@ def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm() -> N
     options: dict[str, Any] = {"offset": 200.3, "post_roll": 1000}
     still = error_db(records_of(truth, default, **options).estimate(estimator).green, truth, default)
     for ppm in (200.0, -200.0):
-        skewed = error_db(
-            records_of(truth, default, ppm=ppm, **options).estimate(estimator).green, truth, default
-        )
+        skewed = error_db(records_of(truth, default, ppm=ppm, **options).estimate(estimator).green, truth, default)
         assert np.abs(np.median(skewed) - np.median(still)) < 0.3
 
 
@@ -307,9 +301,7 @@ def test_the_same_record_gives_the_same_bytes_whatever_came_before() -> None:
 
 def test_more_records_than_a_batch_come_out_in_order() -> None:
     records = records_of(damped_modes(3, TAPS, SMALL))
-    many = Records(
-        *(np.tile(part, (15, 1)) for part in (records.reference, records.response)), records.noise_v
-    )
+    many = Records(*(np.tile(part, (15, 1)) for part in (records.reference, records.response)), records.noise_v)
     green = many.estimate().green
     assert green.shape == (45, TAPS)
     assert np.allclose(green[36:39], records.estimate().green, atol=1e-5 * np.abs(green).max())

@@ -23,9 +23,7 @@ def field(positions: int = 3, samples: int = 5, seed: int = 0) -> Field:
 
 @settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(1, 4), st.integers(1, 9), st.integers(0, 2**32 - 1))
-def test_a_field_written_then_comes_back_bit_for_bit(
-    tmp_path: Path, positions: int, samples: int, seed: int
-) -> None:
+def test_a_field_written_then_comes_back_bit_for_bit(tmp_path: Path, positions: int, samples: int, seed: int) -> None:
     written = field(positions, samples, seed)
     write_field(tmp_path / "field.h5", written)
     found = read_field(tmp_path / "field.h5")
@@ -79,9 +77,7 @@ def write_and_stop(path: Path) -> None:
         raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize(
-    ("write", "error"), [(write_two_rows, InputError), (write_and_stop, KeyboardInterrupt)]
-)
+@pytest.mark.parametrize(("write", "error"), [(write_two_rows, InputError), (write_and_stop, KeyboardInterrupt)])
 def test_a_field_that_is_not_finished_then_leaves_the_old_file_and_nothing_else(
     tmp_path: Path, write: Callable[[Path], None], error: type[BaseException]
 ) -> None:
@@ -103,9 +99,7 @@ def test_a_field_that_is_not_finished_then_leaves_the_old_file_and_nothing_else(
         (0, np.array([[1.0, np.nan]]), "holds NaN or infinities"),
     ],
 )
-def test_rows_that_do_not_fit_then_are_refused(
-    tmp_path: Path, first: int, rows: np.ndarray, message: str
-) -> None:
+def test_rows_that_do_not_fit_then_are_refused(tmp_path: Path, first: int, rows: np.ndarray, message: str) -> None:
     with rows_of(tmp_path / "field.h5") as writer:
         with pytest.raises(InputError, match=message):
             writer.write(first, rows)

@@ -63,9 +63,7 @@ def test_any_grid_fills_the_inset_stadium_and_stays_in_it(
     ("margin_mm", "spacing_mm", "key"),
     [(75, 4, "margin_mm = 75"), (14.3, 1e-9, "spacing_mm = 1e-09"), (14.3, 300, "spacing_mm = 300")],
 )
-def test_grid_without_a_possible_position_names_key_and_value(
-    margin_mm: float, spacing_mm: float, key: str
-) -> None:
+def test_grid_without_a_possible_position_names_key_and_value(margin_mm: float, spacing_mm: float, key: str) -> None:
     with pytest.raises(InputError, match=key):
         stadium_grid(250, 150, margin_mm, spacing_mm)
 

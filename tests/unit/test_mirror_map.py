@@ -30,9 +30,7 @@ def test_a_place_comes_back_from_its_angles(x_mm: float, y_mm: float) -> None:
 
 
 @given(st.floats(0.1, 10), st.booleans(), places, places)
-def test_a_factor_of_the_matrix_changes_nothing(
-    factor: float, turned: bool, x_mm: float, y_mm: float
-) -> None:
+def test_a_factor_of_the_matrix_changes_nothing(factor: float, turned: bool, x_mm: float, y_mm: float) -> None:
     scale = -factor if turned else factor
     scaled = MirrorMap(tuple(tuple(scale * value for value in row) for row in OBLIQUE.matrix))  # type: ignore[arg-type]
     assert scaled.angles_mrad(x_mm, y_mm) == pytest.approx(OBLIQUE.angles_mrad(x_mm, y_mm), abs=1e-9)
