@@ -24,14 +24,11 @@ def run(arguments: Sequence[str]) -> int:
     command = typer.main.get_command(app)
     try:
         result = command.main(list(arguments) or ["--help"], prog_name="wavefocus", standalone_mode=False)
-        sys.stdout.flush()
     except TyperException as wrong:
         message = " ".join(wrong.format_message().split())
         print(f"wavefocus: {message} (wavefocus --help shows what there is)", file=sys.stderr)
         return Exit.WRONG_INPUT
     except BrokenPipeError:
-        # Whoever read our output has gone; the interpreter must not fail on its last flush.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.NOT_GOOD_ENOUGH
     except BaseException as failure:
         code = exit_code(failure)
@@ -44,7 +41,13 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Run the command line of this process and exit."""
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Whoever read our output has gone; the interpreter must not fail on its own last flush.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)
 
 
 if __name__ == "__main__":

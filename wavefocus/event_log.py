@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
 from acquisition.events import Event, event_record
+from wavefocus.console import say
 
 
 def log_path(bank: Path) -> Path:
@@ -22,16 +24,49 @@ def event_line(event: Event) -> str:
     return json.dumps({"at": datetime.now(UTC).isoformat(timespec="milliseconds"), **event_record(event)})
 
 
+class EventLines:
+    """Writes events as JSON lines; a subscriber that a full disk or a closed pipe cannot turn against the campaign.
+
+    Parameters
+    ----------
+    write : callable
+        Takes a line with its end and brings it out at once.
+    name : str
+        What the lines go to, for the one message when that fails.
+    """
+
+    def __init__(self, write: Callable[[str], object], name: str) -> None:
+        self._write: Callable[[str], object] | None = write
+        self._name = name
+
+    def __call__(self, event: Event) -> None:
+        """Write one event; after a failure the campaign goes on without these lines."""
+        if self._write is None:
+            return
+        try:
+            self._write(event_line(event) + "\n")
+        except OSError as failure:
+            self._write = None
+            say(f"{self._name} cannot be written any more ({failure.strerror}); the campaign goes on without it")
+
+
+def print_line(line: str) -> None:
+    """Write a line on standard output at once."""
+    sys.stdout.write(line)
+    sys.stdout.flush()
+
+
 class EventLog:
     """Appends events to the log beside a bank; a subscriber."""
 
     def __init__(self, bank: Path) -> None:
-        self._file = log_path(bank).open("a", encoding="utf-8")
+        # Unbuffered: every line reaches the operating system, and closing has nothing left to fail on.
+        self._file = log_path(bank).open("ab", buffering=0)
+        self._lines = EventLines(lambda line: self._file.write(line.encode()), str(log_path(bank)))
 
     def __call__(self, event: Event) -> None:
-        """Write one event; each line reaches the operating system at once."""
-        self._file.write(event_line(event) + "\n")
-        self._file.flush()
+        """Write one event."""
+        self._lines(event)
 
     def __enter__(self) -> EventLog:
         return self

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from acquisition.errors import DriftError
-from calibration.errors import BankBusyError, WavefocusError
+from calibration.errors import BankBusyError, InputError, WavefocusError
 from drivers.errors import InstrumentError
 
 
@@ -27,10 +26,10 @@ def exit_code(failure: BaseException) -> Exit | None:
             return Exit.STOPPED
         case BankBusyError():
             return Exit.BANK_BUSY
-        case DriftError() | InstrumentError():
-            return Exit.INSTRUMENT_FAILED
-        case WavefocusError() | OSError():
+        case InputError() | OSError():
             return Exit.WRONG_INPUT
+        case InstrumentError() | WavefocusError():
+            return Exit.INSTRUMENT_FAILED
     return None
 
 

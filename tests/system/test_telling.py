@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +62,35 @@ def test_given_a_log_with_a_torn_line_then_status_still_reads_it(lab: Path, caps
     capsys.readouterr()
     assert run(["status", str(bank), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["last_event_at"] is not None
+
+
+@pytest.mark.may_skip("only Linux has a device that is always full")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_given_a_log_that_cannot_be_written_then_the_campaign_goes_on_and_says_so(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (lab / "plate.events.jsonl").symlink_to("/dev/full")
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
+    told = capsys.readouterr().err
+    assert told.count("plate.events.jsonl cannot be written any more") == 1
+    assert "finished: 6 of 6 positions (6 valid)" in told
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a closed pipe is another thing on Windows")
+@pytest.mark.may_skip("a closed pipe is another thing on Windows")
+def test_given_a_reader_of_events_that_goes_away_then_the_campaign_goes_on(lab: Path) -> None:
+    bank = lab / "plate.h5"
+    command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        child.stdout.close()
+        assert child.stderr is not None
+        told = child.stderr.read()
+    assert child.returncode == 0
+    assert "standard output cannot be written any more" in told
+    assert "Traceback" not in told
+    assert "finished: 6 of 6 positions (6 valid)" in told
 
 
 def test_given_a_measured_bank_then_it_is_near_the_plates_truth(lab: Path) -> None:

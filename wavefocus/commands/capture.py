@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from acquisition.engine import Campaign
-from acquisition.events import Event, State
+from acquisition.events import Event, State, Subscriber
 from acquisition.quality import STATUS_WORDS, Status
 from acquisition.stopping import StopRequest, stop_on_signals
 from calibration.bank import open_bank
@@ -17,7 +17,7 @@ from calibration.network_mount import is_network_mount
 from wavefocus.campaign_view import CampaignView
 from wavefocus.compose import Blueprint, blueprint_from_bank, blueprint_from_files, open_setup
 from wavefocus.console import progress, say
-from wavefocus.event_log import EventLog, event_line
+from wavefocus.event_log import EventLines, EventLog, print_line
 from wavefocus.exits import Exit
 from wavefocus.positions import parse_positions
 
@@ -74,13 +74,13 @@ def _session(
         progress("capture", plan.positions) as report,
         stop_on_signals(stop),
     ):
-        view = CampaignView(report)
+        subscribers: list[Subscriber] = [log, CampaignView(report)]
+        if as_json:
+            subscribers.append(EventLines(print_line, "standard output"))
 
         def publish(event: Event) -> None:
-            log(event)
-            view(event)
-            if as_json:
-                print(event_line(event), flush=True)
+            for subscriber in subscribers:
+                subscriber(event)
 
         ended = Campaign(plan, setup, writer, publish, stop).run(rows, accept_drift=accept_drift)
     if ended.state is State.STOPPED:
