@@ -24,8 +24,8 @@ SLIP_PPM = 25.0
 # A segment may begin this many samples off its sweep before it is cut anew.
 MISPLACED_SAMPLES = 4.0
 GUARD_SAMPLES = 8
-# The clock is known far better than needed, so that every fourth bin is enough for it.
-THIN = 4
+# The clock is known far better than needed, so that every eighth bin is enough for it.
+THIN = 8
 # A segment begins near its sweep, so that fewer bins tell by how much: modulo the period over this.
 SEGMENT_THIN = 8
 # The first guess of the start may be wrong by samples; it is taken from a recording thinned this close to aliasing.
