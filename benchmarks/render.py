@@ -17,27 +17,30 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import scipy.fft
-import scipy.signal
 from numpy.typing import NDArray
 
+from benchmarks.render_workloads import (
+    RATE_HZ,
+    Workload,
+    circle,
+    convolve_and_overlap_add,
+    convolve_each,
+    convolve_positions,
+    floor,
+    modal_bank,
+    noise,
+    sum_directly,
+    workloads,
+)
 from rendering.drive import render_with_report
 from rendering.field import predict
-from rendering.green_source import GreenArray, read_row
-from rendering.interpolation import interpolation
-from rendering.paths import Circle, Polyline
-from rendering.paths import Path as SurfacePath
+from rendering.green_source import GreenArray
+from rendering.paths import Circle
 from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Noise
-from rendering.snapping import PositionGrid
 
 Float64Array = NDArray[np.float64]
 T = TypeVar("T")
 
-RATE_HZ = 10_000.0
-TAPS = 2000
-ACTUATORS = 20
-SPACING_MM = 4.0
 TOLERANCE_DB = -60.0
 PLAIN_SEGMENTS = 250
 DIRECT_SAMPLES = 4000
@@ -69,41 +72,6 @@ class Result:
     remark: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Workload:
-    """A moving source cut into segments, each of which one bank row emits.
-
-    Parameters
-    ----------
-    name : str
-        For the table.
-    bank : GreenArray
-        Green's functions.
-    source : Source
-        Continuous emission.
-    """
-
-    name: str
-    bank: GreenArray
-    source: Source
-
-    @property
-    def scene(self) -> Scene:
-        return Scene(self.name, (self.source,))
-
-    def segments(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64Array]:
-        """Focus samples (one more than segments), row of each segment, signal."""
-        source = self.source
-        count = int(np.floor(source.path.length_mm / source.step_mm + 1e-9)) + 1
-        instants = np.rint(np.arange(count + 1) * source.step_mm / source.speed_mm_s * RATE_HZ).astype(np.int64)
-        points = source.path.point_at(np.arange(count) * source.step_mm)
-        rows, _ = PositionGrid(self.bank.position_mm).nearest(points)
-        signal = np.zeros(int(instants[-1]))
-        emitted = source.signal.samples(RATE_HZ)[: len(signal)]
-        signal[: len(emitted)] = emitted
-        return instants, rows, signal
-
-
 def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
     """Run all workloads and print the table.
 
@@ -121,59 +89,17 @@ def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
     """
     repeats = 1 if quick else 3
     bank = modal_bank(columns=50 if not quick else 20, rows=30 if not quick else 20)
-    results = [line for workload in _workloads(bank, quick=quick) for line in compare_drives(workload, repeats)]
-    results += compare_exact(_circle("path, M = 500, dt = 2 ms", bank, 500, 0.2), repeats)
+    results = [line for workload in workloads(bank, quick=quick) for line in compare_drives(workload, repeats)]
+    for points in (500,) if quick else (500, 5000):
+        results += compare_exact(circle(f"path, M = {points}, dt = 2 ms", bank, points, 0.2), repeats)
     results += compare_fields(bank, repeats, seconds=1.0 if quick else 4.0)
     results += compare_denormals(repeats)
+    results += measure_exponents(bank, repeats, 100 if quick else 1000)
     show(results)
     return {
         "quick": quick,
         "results": [{name: getattr(result, name) for name in Result.__dataclass_fields__} for result in results],
     }
-
-
-def modal_bank(columns: int, rows: int) -> GreenArray:
-    """Make a bank of damped modes between 20 and 500 Hz, independent from row to row."""
-    rng = np.random.default_rng(7)
-    time_s = np.arange(TAPS) / RATE_HZ
-    frequency_hz = np.sort(rng.uniform(20.0, 500.0, 24))
-    decay_s = rng.uniform(0.01, 0.03, 24)
-    modes = np.exp(-time_s / decay_s[:, None]) * np.sin(2.0 * np.pi * frequency_hz[:, None] * time_s)
-    modes = scipy.signal.sosfilt(scipy.signal.butter(4, 600.0, fs=RATE_HZ, output="sos"), modes, axis=1)
-    values = np.empty((columns * rows, ACTUATORS, TAPS), dtype=np.float32)
-    for row in values:
-        row[:] = rng.standard_normal((ACTUATORS, 24)) @ modes
-    x, y = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2)
-    return GreenArray(values, SPACING_MM * np.stack([x.ravel(), y.ravel()], axis=1), RATE_HZ, band_hz=(20, 500))
-
-
-def _workloads(bank: GreenArray, *, quick: bool) -> list[Workload]:
-    many = 5000 if not quick else 1000
-    line_mm = np.stack([SPACING_MM * np.arange(bank.positions), np.zeros(bank.positions)], axis=1)
-    end_mm = line_mm[-1, 0]
-    turns = int(np.ceil(many * SPACING_MM / end_mm))
-    there_and_back: SurfacePath = Polyline([(0.0 if turn % 2 == 0 else end_mm, 0.0) for turn in range(turns + 1)])
-    jumping = GreenArray(bank.values, line_mm, RATE_HZ, band_hz=bank.band_hz)
-    return [
-        _circle("path, M = 500, dt = 2 ms", bank, 500, 0.2),
-        _circle(f"path, M = {many}, dt = 2 ms", bank, many, 0.2),
-        _circle(f"path, M = {many}, dt = 25 ms", bank, many, 2.5),
-        Workload(
-            f"new row each time, M = {int(there_and_back.length_mm / SPACING_MM) + 1}, dt = 2 ms",
-            jumping,
-            Source(there_and_back, _noise(there_and_back.length_mm / 2000.0), 0.0, 2000.0, SPACING_MM),
-        ),
-    ]
-
-
-def _circle(name: str, bank: GreenArray, points: int, step_mm: float) -> Workload:
-    length_mm = (points - 1) * step_mm
-    path = Circle((0.0, 0.0), 30.0, (length_mm + 1e-6) / (2.0 * np.pi * 30.0))
-    return Workload(name, bank, Source(path, _noise(points * step_mm / 100.0), 0.0, 100.0, step_mm))
-
-
-def _noise(duration_s: float) -> Noise:
-    return Noise((0.0, RATE_HZ / 2.0), duration_s + 0.1, 1)
 
 
 def compare_drives(workload: Workload, repeats: int) -> list[Result]:
@@ -203,47 +129,33 @@ def compare_drives(workload: Workload, repeats: int) -> list[Result]:
             remark,
         )
     )
-    floor_s, _ = timed(lambda: floor(workload), repeats)
-    remark = f"rows read and transformed, drives transformed back; ours / floor {exact_s / floor_s:.1f}"
-    lines.append(Result(workload.name, "floor", floor_s, None, peer_s / floor_s, remark))
+    for name, dtype, ours_s in (("float64", np.float64, exact_s), ("float32", np.float32, loose_s)):
+        floor_s, _ = timed(lambda d=dtype: floor(workload, d), repeats)  # type: ignore[misc]
+        remark = f"rows read and transformed, drives transformed back; ours / floor {ours_s / floor_s:.1f}"
+        lines.append(Result(workload.name, f"floor, {name}", floor_s, None, peer_s / floor_s, remark))
     return lines
 
 
-def convolve_and_overlap_add(workload: Workload) -> Float64Array:
-    """Render as gpuRIR's simulateTrajectory does: all segments convolved in batches, then overlap-added."""
-    instants, rows, signal = workload.segments()
-    drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
-    size = scipy.fft.next_fast_len(int(np.diff(instants).max()) + TAPS - 1, real=True)
-    for m, row in enumerate(rows.tolist()):
-        green, gain = _green(workload.bank, row)
-        segment = gain * signal[instants[m] : instants[m + 1]]
-        spectrum = scipy.fft.rfft(segment, size) * scipy.fft.rfft(green[:, ::-1], size, workers=2)
-        length = len(segment) + TAPS - 1
-        drive[:, instants[m] : instants[m] + length] += scipy.fft.irfft(spectrum, size, workers=2)[:, :length]
-    return drive
+def measure_exponents(bank: GreenArray, repeats: int, points: int) -> list[Result]:
+    """Fit run time ~ size**exponent, over the points of one path and over scene length."""
+    lines = []
+    made: tuple[tuple[str, list[int], Callable[[int], Workload]], ...] = (
+        ("path points M, 10 s", [points * k for k in (1, 2, 4, 8)], lambda m: circle("", bank, m, 1000.0 / m)),
+        ("scene length, dt = 2 ms", [points * k for k in (4, 8, 16, 32)], lambda m: circle("", bank, m, 0.2)),
+    )
+    for what, sizes, make in made:
+        for name, tolerance_db in (("all bins", None), (f"to {TOLERANCE_DB:g} dB", TOLERANCE_DB)):
+            seconds = [_render_seconds(make(size), tolerance_db, repeats) for size in sizes]
+            exponent = float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+            remark = f"exponent {exponent:.2f} from {sizes[0]} to {sizes[-1]} points"
+            lines.append(Result(f"cost against {what}", f"ours, {name}", seconds[-1], None, None, remark))
+    return lines
 
 
-def convolve_each(workload: Workload, segments: int) -> Float64Array:
-    """Render with one call of fftconvolve per segment and actuator."""
-    instants, rows, signal = workload.segments()
-    drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
-    for m, row in enumerate(rows[:segments].tolist()):
-        green, gain = _green(workload.bank, row)
-        segment = gain * signal[instants[m] : instants[m + 1]]
-        for actuator in range(ACTUATORS):
-            part = scipy.signal.fftconvolve(segment, green[actuator, ::-1])
-            drive[actuator, instants[m] : instants[m] + len(part)] += part
-    return drive
-
-
-def floor(workload: Workload) -> None:
-    """Do what no method can do without: read and transform the rows, transform the drives back."""
-    _, rows, signal = workload.segments()
-    for row in np.unique(rows).tolist():
-        scipy.fft.rfft(read_row(workload.bank, row).values, 4096, workers=2)
-    spectrum = np.zeros((ACTUATORS, 2049), dtype=np.complex128)
-    for _ in range(-(-len(signal) // (4096 - TAPS + 1))):
-        scipy.fft.irfft(spectrum, 4096, workers=2)
+def _render_seconds(workload: Workload, tolerance_db: float | None, repeats: int) -> float:
+    return timed(
+        lambda: render_with_report(workload.scene, workload.bank, method="sampled", tolerance_db=tolerance_db), repeats
+    )[0]
 
 
 def compare_exact(workload: Workload, repeats: int) -> list[Result]:
@@ -254,34 +166,22 @@ def compare_exact(workload: Workload, repeats: int) -> list[Result]:
     direct_s, direct = timed(lambda: sum_directly(workload, some), 1)
     direct_s *= samples / some
     scene = Scene(name, (workload.source,), output=Output("bilinear"))
-    ours_s, ours = timed(lambda: render_with_report(scene, workload.bank, method="exact")[0], repeats)
-    # Earlier samples of the drive are complete: nothing emitted after sample s reaches array index s.
-    error = _error(ours.drive_v[:, :some], direct[:, :some])
-    return [
-        Result(name, "direct summation", direct_s, None, 1.0, f"timed on {some} of {samples} samples and scaled"),
-        Result(name, "ours, all bins", ours_s, error, direct_s / ours_s),
-    ]
-
-
-def sum_directly(workload: Workload, samples: int) -> Float64Array:
-    """Evaluate eq. (9) sample by sample."""
-    source, bank = workload.source, workload.bank
-    signal = source.signal.samples(RATE_HZ)
-    along = np.minimum(source.speed_mm_s * np.arange(samples) / RATE_HZ, source.path.length_mm)
-    nodes = interpolation("bilinear", PositionGrid(bank.position_mm)).nodes(source.path.point_at(along))
-    known = {int(row): _green(bank, int(row)) for row in np.unique(np.append(nodes.rows, nodes.nearest))}
-    drive = np.zeros((ACTUATORS, samples + TAPS - 1))
-    for s in range(samples):
-        green = sum(w * known[int(row)][0] for row, w in zip(nodes.rows[s], nodes.weights[s], strict=True))
-        gain = known[int(nodes.nearest[s])][1]
-        drive[:, s : s + TAPS] += gain * signal[s] * np.asarray(green)[:, ::-1]
-    return drive
+    lines = [Result(name, "direct summation", direct_s, None, 1.0, f"timed on {some} of {samples} samples and scaled")]
+    for how, tolerance_db in (("all bins", None), (f"to {TOLERANCE_DB:g} dB", TOLERANCE_DB)):
+        ours_s, ours = timed(
+            lambda t=tolerance_db: render_with_report(scene, workload.bank, method="exact", tolerance_db=t)[0],  # type: ignore[misc]
+            repeats,
+        )
+        # Earlier samples of the drive are complete: nothing emitted after sample s reaches array index s.
+        error = _error(ours.drive_v[:, :some], direct[:, :some])
+        lines.append(Result(name, f"ours, {how}", ours_s, error, direct_s / ours_s, f"bound {ours.omitted_bound:.1e}"))
+    return lines
 
 
 def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Result]:
     """Time the field of a drive at all positions, and at 30 of them."""
     path = Circle((0.0, 0.0), 30.0, seconds * 100.0 / (2.0 * np.pi * 30.0))
-    scene = Scene("field", (Source(path, _noise(seconds), 0.0, 100.0, 1.0),))
+    scene = Scene("field", (Source(path, noise(seconds), 0.0, 100.0, 1.0),))
     drive, _ = render_with_report(scene, bank)
     some = list(range(0, bank.positions, bank.positions // 6))[:6]
     naive_s, naive = timed(lambda: convolve_positions(bank, drive.drive_v, some), 1)
@@ -310,20 +210,10 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Resul
     return lines
 
 
-def convolve_positions(bank: GreenArray, drive_v: Float64Array, positions: list[int]) -> Float64Array:
-    """Predict with one call of fftconvolve per position and actuator."""
-    field = np.zeros((len(positions), drive_v.shape[1] + TAPS - 1))
-    for place, position in enumerate(positions):
-        green = bank.values[position].astype(np.float64)
-        for actuator in range(ACTUATORS):
-            field[place] += scipy.signal.fftconvolve(drive_v[actuator], green[actuator])
-    return field
-
-
 def compare_denormals(repeats: int) -> list[Result]:
     """Time a bank of denormal float64 numbers against the same bank in a sensible unit."""
     bank = modal_bank(20, 20)
-    plain = _circle("path, M = 500, dt = 2 ms", bank, 500, 0.2)
+    plain = circle("path, M = 500, dt = 2 ms", bank, 500, 0.2)
     tiny = GreenArray(np.ldexp(bank.values.astype(np.float64), -1060), bank.position_mm, RATE_HZ)
     plain = Workload(plain.name, GreenArray(bank.values.astype(np.float64), bank.position_mm, RATE_HZ), plain.source)
     # Not normalised: 1 / R(0) of denormal rows does not fit into float64.
@@ -361,11 +251,6 @@ def show(results: list[Result]) -> None:
         error = "" if result.error is None else f"{result.error:.1e}"
         times = "" if result.times is None else f"{result.times:.1f} x"
         print(f"  {result.method:42s} {result.seconds:9.3f} s {times:>9s} {error:>9s}  {result.remark}")
-
-
-def _green(bank: GreenArray, row: int) -> tuple[Float64Array, float]:
-    green = bank.values[row].astype(np.float64)
-    return green, 1.0 / float(np.sum(green**2))
 
 
 def _error(found: NDArray[Any], expected: Float64Array) -> float:

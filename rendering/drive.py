@@ -15,7 +15,7 @@ from rendering.accumulate import Accumulated, accumulate
 from rendering.green_source import GreenSource
 from rendering.interpolation import interpolation
 from rendering.limits import scale_to_limit
-from rendering.omission import relative_bound
+from rendering.omission import relative_bound, row_norms
 from rendering.regularisation import BankRows
 from rendering.render_report import RenderReport, RenderWarning, report_render
 from rendering.sampling import Method, SampledSource, sample_source
@@ -25,7 +25,7 @@ from rendering.snapping import PositionGrid
 Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
-STRICTER = (1.0, 0.3, 0.08, 0.0)
+STRICTER = (1.0, 0.3, 0.0)
 """Shares of the tolerance tried one after another until the proved bound holds; 0 computes everything."""
 
 
@@ -138,12 +138,15 @@ def _accumulated(
                         source.emission,
                         rows,
                         drive_v,
+                        fft_samples=source.fft_samples(rows.bank),
                         tolerance=share * tolerance,
                         band_hz=rows.bank.band_hz,
                         on_block=progress.of(source),
                     )
                 )
-        bound = relative_bound(math.fsum(item.error for item in accumulated), drive_v)
+        bound = (
+            relative_bound(math.fsum(item.error for item in accumulated), row_norms(drive_v)) if tolerance > 0 else 0.0
+        )
         if bound <= tolerance:
             break
     if rows.drive_exponent:

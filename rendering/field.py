@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
-from scipy import fft as scipy_fft
 
 from calibration.drive_file import Drive
 from calibration.errors import InputError
 from calibration.field_file import Field
-from rendering.green_source import GreenSource, read_row, refusal, usable
+from rendering.convolution import Convolution
+from rendering.green_source import GreenSource, refusal, usable
 
 Int64Array = NDArray[np.int64]
 RealArray = NDArray[np.float32] | NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
-FFT_SAMPLES = 8192
-FFT_WORKERS = 2
-SPECTRA_BYTES = 24 * 2**20
-"""Per array; larger ones cost more in fresh memory than they save."""
-BLOCKS_AT_ONCE = 64
+THREADS = 2
+"""Parts under way at a time, each with transforms and products of its own."""
+LEAST_ROWS = 8
+"""Fewer rows are not worth a thread of their own."""
 LISTED = 8
-PLAIN_EXPONENT = 120
-"""Powers of two below this fit float32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +105,23 @@ def predict_rows(
 ) -> Iterator[FieldRows]:
     """Predict like `predict`, a few rows at a time, for fields that are written as they come."""
     index = chosen_positions(drive, bank, positions)
-    convolution = _Convolution(drive, bank, _precision(dtype))
-    for first in range(0, len(index), convolution.rows_at_once):
-        part = index[first : first + convolution.rows_at_once]
-        yield FieldRows(first, part, convolution.respond(part))
-        if on_progress is not None:
-            on_progress(first + len(part), len(index))
+    convolution = Convolution(drive, bank, _precision(dtype))
+    at_once = min(convolution.rows_at_once, max(LEAST_ROWS, -(-len(index) // THREADS)))
+    parts = deque((first, index[first : first + at_once]) for first in range(0, len(index), at_once))
+    under_way: deque[tuple[int, Int64Array, Future[RealArray]]] = deque()
+    with ThreadPoolExecutor(THREADS) as pool:
+        try:
+            while parts or under_way:
+                while parts and len(under_way) <= THREADS:
+                    first, part = parts.popleft()
+                    under_way.append((first, part, pool.submit(convolution.respond, part)))
+                first, part, field = under_way.popleft()
+                yield FieldRows(first, part, field.result())
+                if on_progress is not None:
+                    on_progress(first + len(part), len(index))
+        finally:
+            for _, _, field in under_way:
+                field.cancel()
 
 
 def measured_positions(bank: GreenSource) -> tuple[Int64Array, Int64Array]:
@@ -164,94 +174,6 @@ def chosen_positions(drive: Drive, bank: GreenSource, positions: Sequence[int] |
             f"positions holds {named}{more}: {refusal(int(status[refused[0]]))}; leave them out or measure them"
         )
     return index
-
-
-class _Convolution:
-    """Convolves rows of the bank with the drive, block by block, a matrix product per frequency bin."""
-
-    def __init__(self, drive: Drive, bank: GreenSource, dtype: np.dtype[Any]) -> None:
-        if not np.isfinite(drive.drive_v).all():
-            raise InputError("the drive holds NaN or infinity; render it again")
-        self._bank = bank
-        self._dtype = dtype
-        self._complex = np.dtype(np.complex64 if dtype == np.float32 else np.complex128)
-        self._heard = np.flatnonzero(drive.drive_v.any(axis=1))
-        peak = float(np.abs(drive.drive_v).max(initial=0.0))
-        # Powers of two, so that single precision holds any bank and any drive.
-        self._exponent = int(np.frexp(peak)[1])
-        self._drive = np.ldexp(drive.drive_v[self._heard], -self._exponent).astype(dtype)
-        self._samples = field_samples(drive, bank)
-        longest = max(FFT_SAMPLES, 3 * bank.taps)
-        self._fft_samples = int(scipy_fft.next_fast_len(min(longest, self._samples), real=True))
-        self._hop = self._fft_samples - bank.taps + 1
-        self._blocks = -(-self._drive.shape[1] // self._hop)
-        bins = self._fft_samples // 2 + 1
-        per_row = max(
-            len(self._heard) * bins * self._complex.itemsize,
-            min(self._blocks, BLOCKS_AT_ONCE) * bins * self._complex.itemsize,
-            self._samples * dtype.itemsize,
-        )
-        self.rows_at_once = max(1, SPECTRA_BYTES // max(per_row, 1))
-        self._kept: NDArray[Any] | None = None
-        # Zeros beyond the taps stay zeros: fresh memory for each part would cost as much as its transform.
-        self._padded: NDArray[Any] | None = None
-
-    def respond(self, positions: Int64Array) -> RealArray:
-        """Responses at some positions, (k, samples)."""
-        field = np.zeros((len(positions), self._samples), dtype=self._dtype)
-        if not len(self._heard):
-            return field
-        if self._padded is None:
-            shape = (self.rows_at_once, len(self._heard), self._fft_samples)
-            self._padded = np.zeros(shape, dtype=self._dtype)
-        green = self._padded[: len(positions)]
-        exponents = np.empty(len(positions), dtype=np.int64)
-        for place, position in enumerate(positions.tolist()):
-            row = read_row(self._bank, position)
-            green[place, :, : self._bank.taps] = row.values[self._heard]
-            exponents[place] = row.exponent
-        spectra = scipy_fft.rfft(green, self._fft_samples, axis=2, workers=FFT_WORKERS)
-        by_bin = np.ascontiguousarray(spectra.transpose(2, 0, 1))
-        for first in range(0, self._blocks, BLOCKS_AT_ONCE):
-            last = min(first + BLOCKS_AT_ONCE, self._blocks)
-            product = np.matmul(by_bin, self._drive_spectra(first, last))
-            by_row = np.ascontiguousarray(product.transpose(1, 2, 0))
-            parts = scipy_fft.irfft(by_row, self._fft_samples, axis=2, overwrite_x=True, workers=FFT_WORKERS)
-            for block in range(first, last):
-                start = block * self._hop
-                length = min(self._fft_samples, self._samples - start)
-                field[:, start : start + length] += parts[:, block - first, :length]
-        with np.errstate(over="ignore", under="ignore"):
-            self._unscale(field, exponents)
-        if not np.isfinite(field).all():
-            bad = int(np.argmin(np.isfinite(field).all(axis=1)))
-            raise InputError(
-                f"the response at position {positions[bad]} does not fit into {self._dtype}; lower the drive's scale"
-            )
-        return field
-
-    def _unscale(self, field: RealArray, exponents: Int64Array) -> None:
-        total = exponents + self._exponent
-        if np.abs(total).max() < PLAIN_EXPONENT:
-            field *= np.ldexp(np.ones(len(total), dtype=self._dtype), total)[:, None]
-            return
-        # In two steps: the sum of two large exponents may lie beyond what one factor can hold.
-        np.ldexp(field, exponents[:, None], out=field)
-        np.ldexp(field, self._exponent, out=field)
-
-    def _drive_spectra(self, first: int, last: int) -> NDArray[Any]:
-        """Spectra of drive blocks, (bins, heard actuators, blocks); kept where all fit."""
-        if self._kept is not None:
-            return self._kept
-        padded = np.zeros((len(self._heard), (last - first) * self._hop), dtype=self._dtype)
-        part = self._drive[:, first * self._hop : last * self._hop]
-        padded[:, : part.shape[1]] = part
-        blocks = padded.reshape(len(self._heard), last - first, self._hop)
-        spectra = scipy_fft.rfft(blocks, self._fft_samples, axis=2, workers=FFT_WORKERS)
-        by_bin = np.ascontiguousarray(spectra.transpose(2, 0, 1))
-        if self._blocks <= BLOCKS_AT_ONCE:
-            self._kept = by_bin
-        return by_bin
 
 
 def _precision(dtype: DTypeLike) -> np.dtype[Any]:

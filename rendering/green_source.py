@@ -143,7 +143,8 @@ class ScaledRow:
 
     @property
     def silent(self) -> bool:
-        return not np.any(self.values)
+        # A look at one value spares most rows the search through all of them.
+        return not self.values[0, 0] and not self.values.any()
 
 
 def read_row(bank: GreenSource, position: int) -> ScaledRow:
@@ -197,10 +198,12 @@ def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:
     unsigned, mantissa_bits, unit = integers[raw.dtype]
     raw = np.ascontiguousarray(raw)
     magnitude = raw.view(unsigned) & unsigned(2 ** (8 * raw.dtype.itemsize - 1) - 1)
-    # Zero wraps round to the largest integer, so that one comparison finds the denormals alone.
-    denormal = magnitude - unsigned(1) < unsigned(2**mantissa_bits - 1)
-    if not denormal.any():
+    # Zero wraps round to the largest integer, so that the smallest one tells whether there is a denormal.
+    magnitude -= unsigned(1)
+    if magnitude.min(initial=unsigned(2**mantissa_bits)) >= 2**mantissa_bits - 1:
         return raw.astype(np.float64), 0
+    denormal = magnitude < unsigned(2**mantissa_bits - 1)
+    magnitude += unsigned(1)
     values = np.where(denormal, raw.dtype.type(0), raw).astype(np.float64)
     lift = 0
     if raw.dtype == np.float64:
@@ -208,8 +211,8 @@ def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:
             return values, 0  # they stand 290 decades below the rest
         lift = 54
         values *= 2.0**lift
-    values[denormal] = np.copysign(magnitude[denormal] * 2.0 ** (unit + lift), raw[denormal])
-    return values, -lift
+    lifted = np.copysign(magnitude * 2.0 ** (unit + lift), raw)
+    return np.where(denormal, lifted, values), -lift
 
 
 def usable(bank: GreenSource) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
+from rendering.omission import row_norms
 
 Float64Array = NDArray[np.float64]
 
@@ -32,6 +33,8 @@ def scale_to_limit(drive_v: Float64Array, limit_v: float | None) -> float:
     InputError
         The drive holds NaN or infinity, or the limit is not a finite number above 0.
     """
+    if limit_v is None and np.isfinite(row_norms(drive_v)).all():
+        return 1.0
     peak_v = float(max(drive_v.max(initial=0.0), -drive_v.min(initial=0.0)))
     if not math.isfinite(peak_v):
         actuator = int(np.argmin(np.isfinite(drive_v).all(axis=1)))

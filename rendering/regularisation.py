@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from rendering.green_source import GreenSource, ScaledRow, read_row, refusal, us
 from rendering.scene import Regularisation
 
 Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
 
 PLAIN_EXPONENT = 300
 """Drives within 2**300 of 1 are accumulated as they are."""
@@ -190,6 +192,10 @@ class BankRows:
         self._latest: tuple[int, ScaledRow] | None = None
         self._loud = np.zeros(bank.actuators, dtype=bool)
 
+    def knows(self, row: int) -> bool:
+        """Whether a row was read before, so that its weights are known."""
+        return row in self._weights
+
     @property
     def used(self) -> list[int]:
         """Rows read so far, in ascending order."""
@@ -214,9 +220,10 @@ class BankRows:
                 " the path"
             )
         if row not in self._weights:
-            self._weights[row] = row_weights(scaled, self.threshold, normalise=self._normalise)
             self._exponent[row] = scaled.exponent
-            self._loud |= scaled.values.any(axis=1)
+            if not self._loud.all():
+                self._loud |= scaled.values.any(axis=1)
+            self._weights[row] = row_weights(scaled, self.threshold, normalise=self._normalise)
         self._latest = (row, scaled)
         return scaled
 
@@ -224,15 +231,38 @@ class BankRows:
         """Saturation factors (actuators,) of a row, None where all are 1."""
         return self._known(regularised_by).sigma
 
-    def factor(self, row: int, regularised_by: int) -> float:
-        """n(regularised_by) times the scale of `row`, over 2**drive_exponent."""
-        weights = self._known(regularised_by)
-        self._known(row)
-        exponent = weights.gain_exponent + self._exponent[row]
-        if self._drive_exponent is None:
-            self._drive_exponent = exponent if abs(exponent) > PLAIN_EXPONENT else 0
-        with np.errstate(over="ignore", under="ignore"):
-            return float(np.ldexp(weights.gain, exponent - self._drive_exponent))
+    def weigh(
+        self, rows: Int64Array, regularised_by: Int64Array, exponent: int = 0
+    ) -> tuple[Float64Array, NDArray[np.bool_]]:
+        """Weights of rows, each regularised by another or by itself.
+
+        Parameters
+        ----------
+        rows, regularised_by : int64 array, shape (k,)
+            Bank rows.
+        exponent : int
+            The factors are divided by 2**exponent.
+
+        Returns
+        -------
+        factors : float64 array, shape (k,)
+            n(regularised_by) times the scale of the row, over 2**(drive_exponent + exponent).
+        saturated : bool array, shape (k,)
+            Where `sigma` is not None.
+        """
+        factors, saturated = np.empty(len(rows)), np.empty(len(rows), dtype=bool)
+        for place, (row, by) in enumerate(zip(rows.tolist(), regularised_by.tolist(), strict=True)):
+            weights = self._known(by)
+            self._known(row)
+            power = weights.gain_exponent + self._exponent[row]
+            if self._drive_exponent is None:
+                self._drive_exponent = power if abs(power) > PLAIN_EXPONENT else 0
+            try:
+                factors[place] = math.ldexp(weights.gain, power - self._drive_exponent - exponent)
+            except OverflowError:
+                factors[place] = np.inf
+            saturated[place] = weights.sigma is not None
+        return factors, saturated
 
     @property
     def drive_exponent(self) -> int:

@@ -12,7 +12,7 @@ from scipy import fft as scipy_fft
 from rendering.accumulate import Accumulated
 from rendering.emission import ContinuousEmission
 from rendering.green_source import DOUBTFUL_BITS, GreenSource
-from rendering.omission import scaled_norm
+from rendering.omission import row_norms
 from rendering.regularisation import BankRows
 from rendering.sampling import SampledSource
 from rendering.scene import Scene
@@ -105,8 +105,7 @@ def report_render(
     omitted_bound : float
         Proved bound on the relative error.
     """
-    # Row by row: drives may be long, and a copy of them all is not needed for a figure.
-    norms = np.array([scaled_norm(row) for row in drive_v])
+    norms = row_norms(drive_v)
     peak = float(norms.max())
     snaps = np.concatenate([source.snap_mm for source in sources])
     outside = tuple(1.0 - item.band_energy / item.energy if item.energy > 0 else None for item in accumulated)

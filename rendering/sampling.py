@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
+from rendering.choice import choose_fft_samples
 from rendering.emission import ContinuousEmission, Emission, PointEmission
+from rendering.green_source import GreenSource
 from rendering.interpolation import Interpolation, Nodes, OffGridError
 from rendering.paths import Point
 from rendering.scene import Source
@@ -45,6 +47,8 @@ class SampledSource:
         Distance from each path point to that row's position.
     signal : float64 array, shape (samples,)
         The whole signal, amplitude included.
+    nodes : int
+        Bank rows that make one point.
     """
 
     index: int
@@ -55,6 +59,13 @@ class SampledSource:
     focus_position: Int64Array
     snap_mm: Float64Array
     signal: Float64Array
+    nodes: int
+
+    def fft_samples(self, bank: GreenSource) -> int:
+        """Transform length that costs least."""
+        reach = bank.taps + self.emission.event_samples - 1
+        span = self.emission.stop_event - self.emission.first_sample
+        return choose_fft_samples(reach, span, bank.actuators, self.focus_position, self.nodes)[0]
 
     def naming(self, row: int, at_mm: Float64Array) -> str:
         """Say which path point needs a row at `at_mm`: the first that is snapped to it, else the closest."""
@@ -135,7 +146,17 @@ def sample_source(
             )
         exact = method == "exact" and moving
         emission = ContinuousEmission(signal, int(focus[0]), last, where.of_samples if exact else of_segments)
-    return SampledSource(index, emission, arc_length, points_mm, focus[:-1], nodes.nearest, nodes.distance_mm, signal)
+    return SampledSource(
+        index,
+        emission,
+        arc_length,
+        points_mm,
+        focus[:-1],
+        nodes.nearest,
+        nodes.distance_mm,
+        signal,
+        nodes.rows.shape[1],
+    )
 
 
 def _point_count(source: Source, index: int) -> int:

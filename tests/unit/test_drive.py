@@ -253,8 +253,8 @@ def test_the_bound_is_never_smaller_than_the_error_of_what_was_left_out(
     source = Source(path, Noise((40, 200), 0.4, seed), 0.0, speed_mm_s, 2.0, 1.0, emission)
     scene = Scene("s", (source, STANDING), Regularisation(saturation=threshold), Output(interpolation))
     exact, _ = render_with_report(scene, bank)
-    drive, report = render_with_report(scene, bank, tolerance_db=tolerance_db)
-    assert relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound or report.kept_bins == report.bins
+    drive, _ = render_with_report(scene, bank, tolerance_db=tolerance_db)
+    assert relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound + 1e-13
     assert drive.omitted_bound <= 10 ** (tolerance_db / 20)
 
 

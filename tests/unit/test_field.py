@@ -108,7 +108,7 @@ def test_silent_actuators_add_nothing():
 def test_rows_come_as_a_stream_with_progress():
     rng = np.random.default_rng(0)
     bank = make_bank(rng.standard_normal((200, 2, 30)))
-    drive = make_drive(rng.standard_normal((2, 9000)))
+    drive = make_drive(rng.standard_normal((2, 50_000)))
     told, rows = [], []
     for part in predict_rows(drive, bank, dtype=np.float64, on_progress=lambda *count: told.append(count)):
         assert part.first == len(rows)

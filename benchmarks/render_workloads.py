@@ -1,0 +1,179 @@
+"""Workloads of the rendering benchmark, and the peers that they are rendered by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+import scipy.signal
+from numpy.typing import NDArray
+
+from rendering.green_source import GreenArray, read_row
+from rendering.interpolation import interpolation
+from rendering.paths import Circle, Polyline
+from rendering.scene import Scene, Source
+from rendering.signals import Noise
+from rendering.snapping import PositionGrid
+
+Float64Array = NDArray[np.float64]
+
+RATE_HZ = 10_000.0
+TAPS = 2000
+ACTUATORS = 20
+SPACING_MM = 4.0
+FEW_ROWS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Workload:
+    """A moving source cut into segments, each of which one bank row emits.
+
+    Parameters
+    ----------
+    name : str
+        For the table.
+    bank : GreenArray
+        Green's functions.
+    source : Source
+        Continuous emission.
+    """
+
+    name: str
+    bank: GreenArray
+    source: Source
+
+    @property
+    def scene(self) -> Scene:
+        return Scene(self.name, (self.source,))
+
+    def segments(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64Array]:
+        """Focus samples (one more than segments), row of each segment, signal."""
+        source = self.source
+        count = int(np.floor(source.path.length_mm / source.step_mm + 1e-9)) + 1
+        instants = np.rint(np.arange(count + 1) * source.step_mm / source.speed_mm_s * RATE_HZ).astype(np.int64)
+        points = source.path.point_at(np.arange(count) * source.step_mm)
+        rows, _ = PositionGrid(self.bank.position_mm).nearest(points)
+        signal = np.zeros(int(instants[-1]))
+        emitted = source.signal.samples(RATE_HZ)[: len(signal)]
+        signal[: len(emitted)] = emitted
+        return instants, rows, signal
+
+
+def modal_bank(columns: int, rows: int) -> GreenArray:
+    """Make a bank of damped modes between 20 and 500 Hz, independent from row to row."""
+    rng = np.random.default_rng(7)
+    time_s = np.arange(TAPS) / RATE_HZ
+    frequency_hz = np.sort(rng.uniform(20.0, 500.0, 24))
+    decay_s = rng.uniform(0.01, 0.03, 24)
+    modes = np.exp(-time_s / decay_s[:, None]) * np.sin(2.0 * np.pi * frequency_hz[:, None] * time_s)
+    modes = scipy.signal.sosfilt(scipy.signal.butter(4, 600.0, fs=RATE_HZ, output="sos"), modes, axis=1)
+    values = np.empty((columns * rows, ACTUATORS, TAPS), dtype=np.float32)
+    for row in values:
+        row[:] = rng.standard_normal((ACTUATORS, 24)) @ modes
+    x, y = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2)
+    return GreenArray(values, SPACING_MM * np.stack([x.ravel(), y.ravel()], axis=1), RATE_HZ, band_hz=(20, 500))
+
+
+def workloads(bank: GreenArray, *, quick: bool) -> list[Workload]:
+    """Make the workloads of the drive table: paths on the grid, and a new row at every path point."""
+    many = 5000 if not quick else 1000
+    return [
+        circle("path, M = 500, dt = 2 ms", bank, 500, 0.2),
+        circle(f"path, M = {many}, dt = 2 ms", bank, many, 0.2),
+        circle(f"path, M = {many}, dt = 25 ms", bank, many, 2.5),
+        jumping(bank, min(FEW_ROWS, bank.positions), many),
+        jumping(bank, bank.positions, many),
+    ]
+
+
+def jumping(bank: GreenArray, rows: int, least_points: int) -> Workload:
+    """Go to and fro along a line of rows, 2 ms on each: with unlike rows, as good as jumping at random."""
+    line_mm = np.stack([SPACING_MM * np.arange(rows), np.zeros(rows)], axis=1)
+    end_mm = float(line_mm[-1, 0])
+    turns = int(np.ceil(least_points * SPACING_MM / end_mm))
+    path = Polyline([(0.0 if turn % 2 == 0 else end_mm, 0.0) for turn in range(turns + 1)])
+    points = int(path.length_mm / SPACING_MM) + 1
+    source = Source(path, noise(path.length_mm / 2000.0), 0.0, 2000.0, SPACING_MM)
+    line = GreenArray(bank.values[:rows], line_mm, RATE_HZ, band_hz=bank.band_hz)
+    return Workload(f"new row each time, {rows} rows, M = {points}, dt = 2 ms", line, source)
+
+
+def circle(name: str, bank: GreenArray, points: int, step_mm: float) -> Workload:
+    """Move at 10 cm/s on a circle of 30 mm, round and round."""
+    length_mm = (points - 1) * step_mm
+    path = Circle((0.0, 0.0), 30.0, (length_mm + 1e-6) / (2.0 * np.pi * 30.0))
+    return Workload(name, bank, Source(path, noise(points * step_mm / 100.0), 0.0, 100.0, step_mm))
+
+
+def noise(duration_s: float) -> Noise:
+    """Make white noise."""
+    return Noise((0.0, RATE_HZ / 2.0), duration_s + 0.1, 1)
+
+
+def convolve_and_overlap_add(workload: Workload) -> Float64Array:
+    """Render as gpuRIR's simulateTrajectory does: all segments convolved in batches, then overlap-added."""
+    instants, rows, signal = workload.segments()
+    drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
+    size = scipy.fft.next_fast_len(int(np.diff(instants).max()) + TAPS - 1, real=True)
+    for m, row in enumerate(rows.tolist()):
+        green, gain = normalised_green(workload.bank, row)
+        segment = gain * signal[instants[m] : instants[m + 1]]
+        spectrum = scipy.fft.rfft(segment, size) * scipy.fft.rfft(green[:, ::-1], size, workers=2)
+        length = len(segment) + TAPS - 1
+        drive[:, instants[m] : instants[m] + length] += scipy.fft.irfft(spectrum, size, workers=2)[:, :length]
+    return drive
+
+
+def convolve_each(workload: Workload, segments: int) -> Float64Array:
+    """Render with one call of fftconvolve per segment and actuator."""
+    instants, rows, signal = workload.segments()
+    drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
+    for m, row in enumerate(rows[:segments].tolist()):
+        green, gain = normalised_green(workload.bank, row)
+        segment = gain * signal[instants[m] : instants[m + 1]]
+        for actuator in range(ACTUATORS):
+            part = scipy.signal.fftconvolve(segment, green[actuator, ::-1])
+            drive[actuator, instants[m] : instants[m] + len(part)] += part
+    return drive
+
+
+def floor(workload: Workload, dtype: type[np.float32] | type[np.float64] = np.float64) -> None:
+    """Do what no method can do without: read and transform the rows, transform the drives back."""
+    _, rows, signal = workload.segments()
+    for row in np.unique(rows).tolist():
+        scipy.fft.rfft(read_row(workload.bank, row).values.astype(dtype, copy=False), 4096, workers=2)
+    spectrum = np.zeros((ACTUATORS, 2049), dtype=np.result_type(dtype, np.complex64))
+    for _ in range(-(-len(signal) // (4096 - TAPS + 1))):
+        scipy.fft.irfft(spectrum, 4096, workers=2)
+
+
+def sum_directly(workload: Workload, samples: int) -> Float64Array:
+    """Evaluate eq. (9) sample by sample."""
+    source, bank = workload.source, workload.bank
+    signal = source.signal.samples(RATE_HZ)
+    along = np.minimum(source.speed_mm_s * np.arange(samples) / RATE_HZ, source.path.length_mm)
+    nodes = interpolation("bilinear", PositionGrid(bank.position_mm)).nodes(source.path.point_at(along))
+    known = {int(row): normalised_green(bank, int(row)) for row in np.unique(np.append(nodes.rows, nodes.nearest))}
+    drive = np.zeros((ACTUATORS, samples + TAPS - 1))
+    for s in range(samples):
+        green = sum(w * known[int(row)][0] for row, w in zip(nodes.rows[s], nodes.weights[s], strict=True))
+        gain = known[int(nodes.nearest[s])][1]
+        drive[:, s : s + TAPS] += gain * signal[s] * np.asarray(green)[:, ::-1]
+    return drive
+
+
+def convolve_positions(bank: GreenArray, drive_v: Float64Array, positions: list[int]) -> Float64Array:
+    """Predict with one call of fftconvolve per position and actuator."""
+    field = np.zeros((len(positions), drive_v.shape[1] + TAPS - 1))
+    for place, position in enumerate(positions):
+        green = bank.values[position].astype(np.float64)
+        for actuator in range(ACTUATORS):
+            field[place] += scipy.signal.fftconvolve(drive_v[actuator], green[actuator])
+    return field
+
+
+def normalised_green(bank: GreenArray, row: int) -> tuple[Float64Array, float]:
+    """One row in float64, and n(x) of eq. (15)."""
+    green = bank.values[row].astype(np.float64)
+    return green, 1.0 / float(np.sum(green**2))
