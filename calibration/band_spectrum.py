@@ -71,19 +71,16 @@ class BandSpectrum:
                     segments[record, segment] = recording[record, start : start + self.period]
             return np.ascontiguousarray(scipy.fft.rfft(segments, overwrite_x=True)[..., self.bins])
         blocks, width = self.period // self._block, self._block // self._thinning
-        # One record at a time: these stay in the processor's cache, and fresh memory costs more than the sums.
-        product = np.empty((starts.shape[1], blocks, 2 * width), dtype=np.float32)
-        thin = np.empty((starts.shape[1], blocks, width), dtype=np.float32)
-        spectra = np.empty((*starts.shape, self.bins.stop - self.bins.start), dtype=np.complex64)
+        product = np.empty((*starts.shape, blocks, 2 * width), dtype=np.float32)
         for record, row in enumerate(starts):
             for segment, start in enumerate(row):
                 piece = recording[record, start : start + self.period].reshape(blocks, self._block)
-                np.matmul(piece, self._matrix, out=product[segment])
-            np.add(product[:, :-1, :width], product[:, 1:, width:], out=thin[:, :-1, :])
-            np.add(product[:, -1, :width], product[:, 0, width:], out=thin[:, -1, :])
-            whole = scipy.fft.rfft(thin.reshape(starts.shape[1], -1))
-            np.multiply(whole[:, self.bins], self._correction, out=spectra[record])
-        return spectra
+                np.matmul(piece, self._matrix, out=product[record, segment])
+        thin = np.empty((*starts.shape, blocks, width), dtype=np.float32)
+        np.add(product[..., :-1, :width], product[..., 1:, width:], out=thin[..., :-1, :])
+        np.add(product[..., -1, :width], product[..., 0, width:], out=thin[..., -1, :])
+        spectra = scipy.fft.rfft(thin.reshape(*starts.shape, -1), overwrite_x=True)
+        return np.asarray(spectra[..., self.bins] * self._correction)
 
 
 def _reach(thinning: int, block: int) -> tuple[int, int]:

@@ -17,7 +17,18 @@ BELOW_SHARE = 0.97
 LEAST_PEAK_SHARE = 0.05
 
 
-def count_clipped(channel: NDArray[np.float32], peak_v: NDArray[np.float32], range_v: float) -> NDArray[np.int32]:
+def find_peaks(channel: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Largest magnitude of each recording and where it is, from recordings (records, samples)."""
+    rows = np.arange(channel.shape[0])
+    highest = np.array([recording.argmax() for recording in channel])
+    lowest = np.array([recording.argmin() for recording in channel])
+    up, down = channel[rows, highest], -channel[rows, lowest]
+    return np.maximum(up, down), np.where(up >= down, highest, lowest)
+
+
+def count_clipped(
+    channel: NDArray[np.float32], peak_v: NDArray[np.float32], place: NDArray[np.int64], range_v: float
+) -> NDArray[np.int32]:
     """Count the clipped samples of each recording.
 
     These are samples at 0.999 of the range or beyond, or else those of a flat top below it, since what comes
@@ -30,6 +41,8 @@ def count_clipped(channel: NDArray[np.float32], peak_v: NDArray[np.float32], ran
         Recordings in volts.
     peak_v : float32 array, shape (records,)
         Largest magnitude of each recording in volts.
+    place : int64 array, shape (records,)
+        Where that is.
     range_v : float
         End of the converter's range in volts, > 0.
 
@@ -44,17 +57,11 @@ def count_clipped(channel: NDArray[np.float32], peak_v: NDArray[np.float32], ran
         if peak >= CLIP_SHARE * range_v:
             count[record] = _beyond(channel[record], CLIP_SHARE * range_v)
             continue
-        around = _around_peak(channel[record])
+        around = channel[record, max(0, place[record] - AROUND_SAMPLES) : place[record] + AROUND_SAMPLES]
         top = _beyond(around, CLIP_SHARE * float(peak))
         if top >= LEAST_FLAT and 4 * top > _beyond(around, BELOW_SHARE * float(peak)):
             count[record] = _beyond(channel[record], CLIP_SHARE * float(peak))
     return count
-
-
-def _around_peak(recording: NDArray[np.float32]) -> NDArray[np.float32]:
-    highest, lowest = int(recording.argmax()), int(recording.argmin())
-    place = highest if recording[highest] >= -recording[lowest] else lowest
-    return recording[max(0, place - AROUND_SAMPLES) : place + AROUND_SAMPLES]
 
 
 def _beyond(recording: NDArray[np.float32], level_v: float) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.causal_fit import CausalFit
-from calibration.clipping import count_clipped
+from calibration.clipping import count_clipped, find_peaks
 from calibration.errors import InputError
 from calibration.repeats import RepeatFinder
 from calibration.sweeps import Excitation
@@ -180,8 +180,8 @@ class Estimator:
         range_v: tuple[float, float],
         first: int,
     ) -> Estimate:
-        peaks = [np.maximum(channel.max(axis=1), -channel.min(axis=1)) for channel in (reference, response)]
-        if not all(np.isfinite(peak).all() for peak in peaks):
+        peaks = [find_peaks(channel) for channel in (reference, response)]
+        if not all(np.isfinite(peak_v).all() for peak_v, _ in peaks):
             raise InputError("a recording holds values that are not finite; allowed are volts")
         repeats = self._finder.find(reference, first)
         x = repeats.spectra
@@ -204,10 +204,10 @@ class Estimator:
             snr_db=_decibel(np.maximum(whole - noise, 0), noise),
             residual_db=_decibel(left, whole),
             coherence=coherence,
-            peak_v=peaks[1],
+            peak_v=peaks[1][0],
             repeat_db=repeat_db,
             noise_v=np.sqrt(variance * gain * self._finder.median_power).astype(np.float32),
-            clip_count=count_clipped(reference, peaks[0], range_v[0]) + count_clipped(response, peaks[1], range_v[1]),
+            clip_count=count_clipped(reference, *peaks[0], range_v[0]) + count_clipped(response, *peaks[1], range_v[1]),
             offset_samples=repeats.offset_samples,
             clock_ratio=repeats.ratio,
         )

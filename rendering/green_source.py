@@ -202,17 +202,19 @@ def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:
     magnitude -= unsigned(1)
     if magnitude.min(initial=unsigned(2**mantissa_bits)) >= 2**mantissa_bits - 1:
         return raw.astype(np.float64), 0
-    denormal = magnitude < unsigned(2**mantissa_bits - 1)
     magnitude += unsigned(1)
-    values = np.where(denormal, raw.dtype.type(0), raw).astype(np.float64)
-    lift = 0
-    if raw.dtype == np.float64:
-        if np.abs(values).max() >= 2.0**-60:
-            return values, 0  # they stand 290 decades below the rest
-        lift = 54
-        values *= 2.0**lift
-    lifted = np.copysign(magnitude * 2.0 ** (unit + lift), raw)
-    return np.where(denormal, lifted, values), -lift
+    denormal = magnitude < unsigned(2**mantissa_bits)
+    largest = np.array(magnitude.max(), dtype=unsigned).view(raw.dtype)
+    double = raw.dtype == np.float64
+    if double and not largest < 2.0**-60:
+        return np.where(denormal, 0.0, raw), 0  # they stand 290 decades below the rest
+    lift = 54 if double else 0
+    lifted = magnitude.astype(np.float64)
+    lifted *= 2.0 ** (unit + lift)
+    np.copysign(lifted, raw, out=lifted)
+    if not denormal.all():
+        lifted = np.where(denormal, lifted, np.where(denormal, raw.dtype.type(0), raw) * 2.0**lift)
+    return lifted, -lift
 
 
 def usable(bank: GreenSource) -> NDArray[np.bool_]:
