@@ -13,7 +13,6 @@ class State(StrEnum):
     """Where a campaign stands."""
 
     RUNNING = "running"
-    STOPPING = "stopping"
     STOPPED = "stopped"
     FINISHED = "finished"
     FAILED = "failed"

@@ -94,10 +94,6 @@ class Economy:
         return np.complex64 if self.single else np.complex128
 
     @property
-    def _left_out(self) -> NDArray[np.bool_]:
-        return (self.starts < self.low) | (self.starts >= self.high)
-
-    @property
     def segments(self) -> int:
         """Number of segments, that of the bins computed included."""
         return len(self.starts)

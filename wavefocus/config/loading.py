@@ -256,7 +256,10 @@ def _from_json(text: str, source: str) -> object:
 
 
 def _check_mirror_reach(rig: RigConfig, position_mm: NDArray[np.float64], source: str) -> None:
-    angles = rig.mirror.angles_mrad(position_mm)
+    try:
+        angles = rig.mirror.angles_mrad(position_mm)
+    except InputError as error:
+        raise InputError(f"{source}: grid: {error}; the rig's mirror.map must reach every position") from None
     beyond = np.flatnonzero(~(np.abs(angles).max(axis=1) <= rig.mirror.limit_mrad))
     if len(beyond):
         row = int(beyond[0])

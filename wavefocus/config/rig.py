@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from acquisition.grid import inside_stadium, stadium_rim
+from calibration.mirror_map import MirrorMap
 from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
 
 Driver = Literal["virtual"]
@@ -66,17 +67,19 @@ class MirrorSection(Table):
         return ((1 / self.distance_mm, 0.0, 0.0), (0.0, 1 / self.distance_mm, 0.0), (0.0, 0.0, 1.0))
 
     def angles_mrad(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Mirror angles of surface points, NaN where the beam would have to point backwards.
+        """Mirror angles of surface points, as the engine will command them.
 
         Parameters
         ----------
         points_mm : float64 array, shape (points, 2)
             x and y in millimetres.
+
+        Raises
+        ------
+        InputError
+            A place that no angle can reach.
         """
-        homogeneous = np.column_stack([points_mm, np.ones(len(points_mm))]) @ np.array(self.matrix).T
-        depth = np.where(homogeneous[:, 2:] > 0, homogeneous[:, 2:], np.nan)
-        angles: NDArray[np.float64] = 1000 * np.arctan(homogeneous[:, :2] / depth)
-        return angles
+        return np.column_stack(MirrorMap(self.matrix).angles_mrad(points_mm[:, 0], points_mm[:, 1]))
 
     @model_validator(mode="after")
     def _possible(self) -> MirrorSection:
