@@ -27,6 +27,7 @@ from mocks.virtual_rig import VirtualRig
 from wavefocus.config.loading import Configuration, configuration_from_json, load_run
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig, Virtual
+from wavefocus.console import say
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +164,13 @@ def open_setup(rig: RigConfig, run: RunConfig) -> Iterator[Setup]:
     )
     try:
         yield setup
-    except BaseException as failure:
+    except BaseException:
+        # The first failure is the one to act on; what else fails on the way out is told and does not hide it.
         try:
             setup.close()
         except* Exception as group:
-            failure.add_note(str(group))
+            for one in group.exceptions:
+                say(f"on the way out: {one}")
         raise
     try:
         setup.close()

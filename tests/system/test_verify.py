@@ -92,7 +92,9 @@ def test_given_a_scan_with_a_lost_player_then_exit_3(lab: Path, capsys: pytest.C
     assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
     capsys.readouterr()
     assert _verify(lab, bank) == 3
-    assert "player" in capsys.readouterr().err.splitlines()[-1]
+    told = capsys.readouterr().err
+    assert "player" in told.splitlines()[-1]
+    assert "on the way out: virtual player" in told
 
 
 def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(lab: Path, bank: Path) -> None:
