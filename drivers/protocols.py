@@ -116,6 +116,18 @@ class Mirror(Protocol):
         """Move to the safe direction. Safe to call at any time, from any state."""
         ...
 
+    def reconnect(self) -> None:
+        """Drop the connection and open a fresh one to the same device; from any state but closed.
+
+        Raises
+        ------
+        InstrumentLostError
+            The device is not there (yet): trying again later can help.
+        InstrumentError
+            Another device answers in its place.
+        """
+        ...
+
     def close(self) -> None:
         """Release the device. Safe to call twice."""
         ...
@@ -139,6 +151,18 @@ class Recorder(Protocol):
 
     def abort(self) -> None:
         """Drop a record under way. Safe to call at any time."""
+        ...
+
+    def reconnect(self) -> None:
+        """Drop the connection and open a fresh one to the same device; from any state but closed.
+
+        Raises
+        ------
+        InstrumentLostError
+            The device is not there (yet): trying again later can help.
+        InstrumentError
+            Another device answers in its place.
+        """
         ...
 
     def close(self) -> None:
@@ -195,6 +219,18 @@ class Player(Protocol):
 
     def mute(self) -> None:
         """Silence every channel at once. Safe to call at any time, from any state."""
+        ...
+
+    def reconnect(self) -> None:
+        """Drop the connection and open a fresh one to the same device; from any state but closed.
+
+        Raises
+        ------
+        InstrumentLostError
+            The device is not there (yet): trying again later can help.
+        InstrumentError
+            Another device answers in its place.
+        """
         ...
 
     def close(self) -> None:

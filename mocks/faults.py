@@ -10,9 +10,9 @@ from drivers.errors import InstrumentLostError, TransientInstrumentError
 from drivers.protocols import Take
 
 OPERATIONS = {
-    "mirror": ("identify", "move_to", "wait_settled", "park"),
-    "recorder": ("identify", "start", "read"),
-    "player": ("identify", "play", "wait", "mute"),
+    "mirror": ("identify", "move_to", "wait_settled", "park", "reconnect"),
+    "recorder": ("identify", "start", "read", "reconnect"),
+    "player": ("identify", "play", "wait", "mute", "reconnect"),
 }
 RAISED = ("timeout", "lost", "underflow", "short_read")
 CORRUPTING = ("missing_reference", "over_range", "dropout", "drift")

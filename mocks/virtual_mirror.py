@@ -77,6 +77,11 @@ class VirtualMirror:
         self._faults.meet("park", "parking")
         self._start(self._settings.park_mrad)
 
+    def reconnect(self) -> None:
+        """Open the device afresh."""
+        self._check_open("reconnecting")
+        self._faults.meet("reconnect", "reconnecting")
+
     def close(self) -> None:
         """Release the device; twice does no harm."""
         self._closed = True

@@ -105,6 +105,11 @@ class VirtualPlayer:
         self._cut(self._clock.now_ns())
         self._faults.meet("mute", "muting")
 
+    def reconnect(self) -> None:
+        """Open the device afresh."""
+        self._check_open("reconnecting")
+        self._faults.meet("reconnect", "reconnecting")
+
     def close(self) -> None:
         """Release the device, muted; twice does no harm."""
         if not self._closed:

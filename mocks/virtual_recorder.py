@@ -125,6 +125,11 @@ class VirtualRecorder:
         with self._lock:
             self._under_way = None
 
+    def reconnect(self) -> None:
+        """Open the device afresh."""
+        self._check_open("reconnecting")
+        self._faults.meet("reconnect", "reconnecting")
+
     def close(self) -> None:
         """Release the device; twice does no harm."""
         self.abort()

@@ -1,0 +1,124 @@
+"""Faults on the wire, on order: which far side, which call or time, which fault."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from dataclasses import dataclass
+
+KINDS = {
+    "mirror": ("silent", "late", "truncated", "garbled", "stalled", "refused", "unplugged", "impostor"),
+    "vibrometer": ("silent", "late", "truncated", "garbled", "stalled", "refused", "unplugged", "impostor"),
+    "recorder": (
+        "overwritten",
+        "read_timeout",
+        "unplugged",
+        "absent",
+        "wrong_name",
+        "in_use",
+        "usb_aborted",
+        "wait_timeout",
+        "silent",
+        "server_dead",
+        "short_read",
+        "missing_reference",
+        "over_range",
+    ),
+    "player": ("underflow", "lost", "frozen"),
+    "usb": ("no_permission", "no_backend", "unplugged"),
+}
+ANY = "any"
+
+
+@dataclass(frozen=True, slots=True)
+class WireFault:
+    """One entry of a wire's fault plan.
+
+    Parameters
+    ----------
+    role : str
+        Whose far side: a key of `KINDS`.
+    kind : str
+        What happens: one of `KINDS[role]`.
+    operation : str
+        The call that meets it: the verb of a serial dialect (``"identify"``, ``"move"``, ``"busy"``,
+        ``"where"``...), the name of a remote procedure (``"ReadAnalogF64"``), ``"period"`` of an audio
+        server, or ``"any"``.
+    at_call : int, optional
+        The first call of the operation that meets it, from 1.
+    at_s : float, optional
+        In its place: the first call after so many seconds from the far side's start.
+    count : int
+        How many calls in a row, > 0.
+    seconds : float
+        How long a late answer is late, or a device stays unplugged, >= 0; 0 for good where it is unplugged.
+
+    Raises
+    ------
+    ValueError
+        A role or kind that is not known, or not exactly one of `at_call` and `at_s`.
+    """
+
+    role: str
+    kind: str
+    operation: str = ANY
+    at_call: int | None = None
+    at_s: float | None = None
+    count: int = 1
+    seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.role not in KINDS:
+            raise ValueError(f"fault role is {self.role!r}; allowed: {', '.join(KINDS)}")
+        if self.kind not in KINDS[self.role]:
+            allowed = ", ".join(KINDS[self.role])
+            raise ValueError(f"fault kind of the {self.role} is {self.kind!r}; allowed: {allowed}")
+        if (self.at_call is None) == (self.at_s is None):
+            raise ValueError("a fault needs either at_call or at_s")
+        if self.count < 1 or (self.at_call is not None and self.at_call < 1):
+            raise ValueError(f"fault at_call is {self.at_call}, count {self.count}; both start at 1")
+        if self.seconds < 0 or (self.at_s is not None and self.at_s < 0):
+            raise ValueError(f"fault at_s is {self.at_s}, seconds {self.seconds}; neither may be negative")
+
+
+class WireFaultPlan:
+    """The faults that one far side has before it; safe to ask from several threads.
+
+    Parameters
+    ----------
+    role : str
+        The far side's role.
+    faults : tuple of WireFault
+        The plan of the whole rig.
+    """
+
+    def __init__(self, role: str, faults: tuple[WireFault, ...] = ()) -> None:
+        self._faults = tuple(fault for fault in faults if fault.role == role)
+        self._calls: Counter[str] = Counter()
+        self._struck: Counter[int] = Counter()
+        self._started_s = time.monotonic()
+        self._lock = threading.Lock()
+
+    def due(self, operation: str) -> tuple[WireFault, ...]:
+        """Count a call of an operation and return the faults that it meets.
+
+        Parameters
+        ----------
+        operation : str
+            The call.
+        """
+        with self._lock:
+            self._calls[operation] += 1
+            self._calls[ANY] += 1
+            elapsed_s = time.monotonic() - self._started_s
+            due = []
+            for index, fault in enumerate(self._faults):
+                if fault.operation not in (ANY, operation) or self._struck[index] >= fault.count:
+                    continue
+                call = self._calls[fault.operation]
+                reached = call >= fault.at_call if fault.at_call is not None else elapsed_s >= (fault.at_s or 0.0)
+                if reached:
+                    self._struck[index] += 1
+                    due.append(fault)
+            return tuple(due)
