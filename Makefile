@@ -8,8 +8,9 @@ export PYTHON
 
 PY := .venv/bin/python
 ARGS :=
-# System packages that the tests need beyond Python and its wheels: none so far.
-TEST_PACKAGES :=
+# What the emulated wires need beyond Python and its wheels: PortAudio and its ALSA side, an audio server, libusb for
+# pyusb, and a compiler for the stand-in of NI's driver library.
+TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 gcc libc6-dev
 
 .PHONY: help demo test lint bench soak clean
 .NOTPARALLEL:

@@ -14,6 +14,11 @@ class InstrumentError(Exception):
         What happened instead.
     remedy : str
         What the person at the bench can do about it.
+
+    Attributes
+    ----------
+    role : str
+        ``"mirror"``, ``"recorder"`` or ``"player"``, noted by whoever called the instrument; empty until then.
     """
 
     def __init__(self, instrument: str, operation: str, cause: str, remedy: str) -> None:
@@ -22,6 +27,7 @@ class InstrumentError(Exception):
         self.operation = operation
         self.cause = cause
         self.remedy = remedy
+        self.role = ""
 
 
 class TransientInstrumentError(InstrumentError):

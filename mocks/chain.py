@@ -55,3 +55,30 @@ def actuator_gains(actuators: int, spread_db: float, seed: int) -> Float64Array:
     """
     level_db = np.random.default_rng([seed, 0x6A1]).uniform(-spread_db, spread_db, actuators)
     return np.asarray(10 ** (level_db / 20), dtype=np.float64)
+
+
+def output_errors(
+    outputs: int, latency_spread_s: float, gain_spread_db: float, seed: int
+) -> tuple[Float64Array, Float64Array]:
+    """What calibration has to find of a player's outputs: latency and gain of each, evenly spread.
+
+    Parameters
+    ----------
+    outputs : int
+        Number of outputs.
+    latency_spread_s : float
+        Largest deviation of an output's latency in s, >= 0.
+    gain_spread_db : float
+        Largest deviation of an output's gain in dB, >= 0.
+    seed : int
+        Seed of the rig.
+
+    Returns
+    -------
+    tuple of float64 array, shape (outputs,)
+        Latencies in s and gains.
+    """
+    chance = np.random.default_rng([seed, 0x0F7])
+    latency_s = chance.uniform(-latency_spread_s, latency_spread_s, outputs)
+    gain_db = chance.uniform(-gain_spread_db, gain_spread_db, outputs)
+    return np.asarray(latency_s), np.asarray(10 ** (gain_db / 20), dtype=np.float64)

@@ -14,7 +14,8 @@ OPERATIONS = {
     "recorder": ("identify", "start", "read", "reconnect"),
     "player": ("identify", "play", "wait", "mute", "reconnect"),
 }
-RAISED = ("timeout", "lost", "underflow", "short_read")
+ANYWHERE = ("timeout", "lost", "unplugged")
+RAISED = ("timeout", "underflow", "short_read")
 CORRUPTING = ("missing_reference", "over_range", "dropout", "drift")
 
 
@@ -29,9 +30,9 @@ class Fault:
     operation : str
         Method that fails, such as ``"read"``.
     kind : str
-        ``"timeout"`` (any), ``"lost"`` (any; it stays lost), ``"underflow"`` (player wait),
-        ``"short_read"``, ``"missing_reference"``, ``"over_range"``, ``"dropout"`` or ``"drift"``
-        (recorder read).
+        ``"timeout"`` (any), ``"lost"`` (any; it stays lost), ``"unplugged"`` (any but reconnect; once, and
+        then gone until it is plugged in again), ``"underflow"`` (player wait), ``"short_read"``,
+        ``"missing_reference"``, ``"over_range"``, ``"dropout"`` or ``"drift"`` (recorder read).
     at_call : int, optional
         The first call of the method that fails, from 1; `count` calls fail in a row.
     position, record, attempt : int, optional
@@ -44,6 +45,8 @@ class Fault:
         How often, > 0.
     level_db : float
         What ``"drift"`` does to the response.
+    tries : int
+        How many times ``reconnect`` fails before one succeeds, where ``"unplugged"``, >= 0.
 
     Raises
     ------
@@ -61,6 +64,7 @@ class Fault:
     purpose: str | None = None
     count: int = 1
     level_db: float = -3.0
+    tries: int = 1
 
     def __post_init__(self) -> None:
         if self.role not in OPERATIONS:
@@ -68,7 +72,7 @@ class Fault:
         if self.operation not in OPERATIONS[self.role]:
             allowed = ", ".join(OPERATIONS[self.role])
             raise ValueError(f"fault operation of the {self.role} is {self.operation!r}; allowed: {allowed}")
-        allowed_kinds = ["timeout", "lost"]
+        allowed_kinds = [kind for kind in ANYWHERE if (self.operation, kind) != ("reconnect", "unplugged")]
         if (self.role, self.operation) == ("player", "wait"):
             allowed_kinds.append("underflow")
         if (self.role, self.operation) == ("recorder", "read"):
@@ -84,6 +88,11 @@ class Fault:
             raise ValueError("a fault of the mirror needs at_call, for a mirror knows no takes")
         if self.count < 1 or (self.at_call is not None and self.at_call < 1):
             raise ValueError(f"fault at_call is {self.at_call}, count {self.count}; both start at 1")
+        if self.kind == "unplugged" and (self.count != 1 or self.tries < 0):
+            raise ValueError(
+                f"fault count is {self.count}, tries {self.tries}; an instrument is unplugged once, count 1, and "
+                "takes 0 or more tries to come back"
+            )
 
     def strikes(self, call: int, take: Take | None) -> bool:
         """Whether this call for this take fails."""
@@ -118,10 +127,14 @@ class FaultPlan:
         self._faults = tuple(fault for fault in faults if fault.role == role)
         self._calls: Counter[str] = Counter()
         self._lost = False
+        self._tries_left: int | None = None
+        self._unplugged_before: set[Fault] = set()
         self._lock = threading.Lock()
 
     def meet(self, operation: str, doing: str, take: Take | None = None) -> tuple[Fault, ...]:
         """Count a call, raise the fault that it meets, or return those that corrupt its record.
+
+        An unplugged instrument is plugged in again by a ``reconnect`` after the fault's failing ones.
 
         Parameters
         ----------
@@ -147,16 +160,25 @@ class FaultPlan:
                 if fault.operation == operation and fault.strikes(self._calls[operation], take)
             )
             self._lost = self._lost or any(fault.kind == "lost" for fault in due)
-            lost = self._lost
-        if lost:
-            raise InstrumentLostError(
-                self._device, doing, "the device does not answer any more", "check its cable and its power"
-            )
+            if self._lost or self._unplugged(operation, due):
+                raise InstrumentLostError(
+                    self._device, doing, "the device does not answer any more", "check its cable and its power"
+                )
         for fault in due:
             if fault.kind in RAISED:
                 cause, remedy = _EXPLANATIONS[fault.kind]
                 raise TransientInstrumentError(self._device, doing, cause, remedy)
         return due
+
+    def _unplugged(self, operation: str, due: tuple[Fault, ...]) -> bool:
+        """Whether the instrument is unplugged at this call; a take that is tried again finds it plugged in."""
+        for fault in due:
+            if fault.kind == "unplugged" and fault not in self._unplugged_before:
+                self._unplugged_before.add(fault)
+                self._tries_left = fault.tries
+        if operation == "reconnect" and self._tries_left is not None:
+            self._tries_left = self._tries_left - 1 if self._tries_left > 0 else None
+        return self._tries_left is not None
 
 
 _EXPLANATIONS = {

@@ -9,6 +9,8 @@ import numpy as np
 from mocks.faults import Fault
 from mocks.geometry import MirrorGeometry, stadium_rim
 
+# Small beside any record, and more than outputs and converters differ.
+MOST_DELAY_S = 1e-3
 SURFACE_MM = (250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 cm
 
 
@@ -28,7 +30,10 @@ class VirtualSettings:
     clock_ppm : float
         How much faster the recorder's clock is than the player's, in parts per million, within +-1000.
     inter_channel_delay_s : float
-        How much later the response is sampled than the reference, in s, >= 0.
+        How much later the response is sampled than the reference, in s, within +-0.001; negative where the
+        response input is converted first.
+    vibrometer_latency_s : float
+        How much later the vibrometer's voltage is than the velocity that it stands for, in s, 0 to 0.001.
     latency_s : tuple of float
         Shortest and longest time from the call of play to the first sample, in s.
     actuator_mm : tuple of (float, float)
@@ -37,6 +42,12 @@ class VirtualSettings:
         Player channel that each actuator hangs on; by default actuator i on channel i.
     loopback_channel : int, optional
         Player channel that is looped back to the reference input; by default the one after the last.
+    output_latency_s : tuple of float, optional
+        How much later than the player's latency each of its outputs is, in s, within +-0.001; 0 if absent.
+    output_gain : tuple of float, optional
+        Volts at each output per volt asked for, negative where its wires are crossed; 1 if absent.
+    actuator_strength : tuple of float, optional
+        Factor on each actuator's own strength: 0 where it is dead, negative where it is reversed; 1 if absent.
     surface_mm : tuple of float
         Length and width of the stadium in mm.
     mirror : MirrorGeometry
@@ -75,12 +86,16 @@ class VirtualSettings:
     reference_noise_v: float = 1e-4
     clock_ppm: float = 30.0
     inter_channel_delay_s: float = 5e-6
+    vibrometer_latency_s: float = 0.0
     latency_s: tuple[float, float] = (0.005, 0.030)
     actuator_mm: tuple[tuple[float, float], ...] = field(
         default_factory=lambda: stadium_rim(20, *SURFACE_MM, inset_mm=6.0)
     )
     actuator_channels: tuple[int, ...] | None = None
     loopback_channel: int | None = None
+    output_latency_s: tuple[float, ...] | None = None
+    output_gain: tuple[float, ...] | None = None
+    actuator_strength: tuple[float, ...] | None = None
     surface_mm: tuple[float, float] = SURFACE_MM
     mirror: MirrorGeometry = field(default_factory=MirrorGeometry)
     settle_s: float = 0.005
@@ -98,19 +113,31 @@ class VirtualSettings:
     realtime: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("noise_v", "reference_noise_v", "inter_channel_delay_s", "settle_s", "gain_spread_db",
-                     "lost_signal_v", "seed"):  # fmt: skip
+        for name in ("noise_v", "reference_noise_v", "settle_s", "gain_spread_db", "lost_signal_v", "seed"):
             _require(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")
         for name in ("sensitivity_m_s_per_v", "velocity_scale", "full_scale_v", "largest_range_v",
                      "slew_mrad_s", "limit_mrad"):  # fmt: skip
             _require(name, getattr(self, name), getattr(self, name) > 0, "greater than 0")
         _require("clock_ppm", self.clock_ppm, abs(self.clock_ppm) <= 1000, "within +-1000")
+        delay_s = self.inter_channel_delay_s
+        _require("inter_channel_delay_s", delay_s, abs(delay_s) <= MOST_DELAY_S, f"within +-{MOST_DELAY_S}")
+        decoder_s = self.vibrometer_latency_s
+        _require("vibrometer_latency_s", decoder_s, 0 <= decoder_s <= MOST_DELAY_S, f"0 to {MOST_DELAY_S}")
         _require("dropout_probability", self.dropout_probability, 0 <= self.dropout_probability <= 1, "0 to 1")
         low_s, high_s = self.latency_s
         _require("latency_s", self.latency_s, 0 <= low_s <= high_s <= 1, "0 <= shortest <= longest <= 1")
         wired = (*self.channel_of_actuator, self.channel_of_loopback)
         once = len(set(wired)) == len(wired) == self.actuators + 1 and min(wired) >= 0
         _require("actuator_channels", wired, once, "one channel of its own per actuator and the loopback")
+        late_s, count = self.output_latency_s or (0.0,) * self.player_channels, self.player_channels
+        within = len(late_s) == count and max(map(abs, late_s)) <= MOST_DELAY_S
+        _require("output_latency_s", late_s, within, f"one per output, {count} in all, within +-{MOST_DELAY_S}")
+        for name, factors, count in (
+            ("output_gain", self.output_gain, self.player_channels),
+            ("actuator_strength", self.actuator_strength, self.actuators),
+        ):
+            there = factors is None or (len(factors) == count and bool(np.isfinite(factors).all()))
+            _require(name, factors, there, f"{count} finite numbers")
         shape = np.shape(self.actuator_mm)
         _require("actuator_mm", f"of shape {shape}", shape == (len(self.actuator_mm), 2), "pairs (x, y)")
 

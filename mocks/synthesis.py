@@ -74,7 +74,12 @@ class Synthesis:
         self._settings = settings
         self._actuator_mm = np.asarray(settings.actuator_mm, dtype=np.float64).reshape(-1, 2)
         gains = actuator_gains(settings.actuators, settings.gain_spread_db, settings.seed)
+        if settings.actuator_strength is not None:
+            gains = gains * np.asarray(settings.actuator_strength, dtype=np.float64)
         self._velocity_per_volt = settings.velocity_scale * gains
+        self._output_gain = settings.output_gain or (1.0,) * settings.player_channels
+        self._output_late_s = settings.output_latency_s or (0.0,) * settings.player_channels
+        self._uneven = settings.output_gain is not None or settings.output_latency_s is not None
         self._furthest_mm = float(np.hypot(*settings.surface_mm)) + 10
         self._truncated: BoundedCache[TruncatedPlate] = BoundedCache(1)
         self._tables: BoundedCache[PlateTable] = BoundedCache(6)
@@ -83,7 +88,13 @@ class Synthesis:
         self._shapes: BoundedCache[Float64Array] = BoundedCache(8)
 
     def voltages(
-        self, samples: int, sample_rate_hz: float, start_ns: int, plays: Sequence[Play], spots: Sequence[Spot]
+        self,
+        samples: int,
+        sample_rate_hz: float,
+        start_ns: int,
+        plays: Sequence[Play],
+        spots: Sequence[Spot],
+        patched: tuple[int, ...] | None = None,
     ) -> tuple[Float32Array, Float32Array]:
         """Noise-free reference and response of one record, in volts.
 
@@ -103,6 +114,8 @@ class Synthesis:
             What sounds during the record, latencies known.
         spots : sequence of Spot
             Where the laser was; samples of no spot are zero.
+        patched : tuple of int, optional
+            Outputs of the player that are plugged into the response input in place of the vibrometer.
 
         Returns
         -------
@@ -113,21 +126,28 @@ class Synthesis:
         length = self._length(samples, rate_hz, start_ns, plays)
         whole, highest = length // 2 + 1, 1
         reference_v = np.zeros(samples, dtype=np.float32)
+        response_v = np.zeros(samples, dtype=np.float32)
         responses: dict[tuple[float, float], Complex64Array] = {
-            spot.place_mm: np.zeros(whole, dtype=np.complex64) for spot in spots if spot.place_mm is not None
+            spot.place_mm: np.zeros(whole, dtype=np.complex64)
+            for spot in spots
+            if spot.place_mm is not None and patched is None
         }
         for play in plays:
             offset = ((play.requested_ns - start_ns) * 1e-9 + (play.latency_s or 0.0)) * rate_hz
             scale = rate_hz / play.sample_rate_hz
-            loopback = play.signals.get(self._settings.channel_of_loopback)
-            if loopback is not None:
-                reference_v += loopback.delayed(length, scale, play.samples, offset)[:samples]
+            looped = self._settings.channel_of_loopback
+            if looped in play.signals:
+                reference_v += self._output(play, looped, length, scale, offset, rate_hz)[:samples]
+            for channel in patched or ():
+                if channel in play.signals:
+                    earlier = offset - self._settings.inter_channel_delay_s * rate_hz
+                    response_v += self._output(play, channel, length, scale, earlier, rate_hz)[:samples]
             driven = {
                 actuator: play.signals[channel]
                 for actuator, channel in enumerate(self._settings.channel_of_actuator)
                 if channel in play.signals
             }
-            if not driven:
+            if not driven or not responses:
                 continue
             bins = max(self._bins(signal, length, scale, rate_hz, play) for signal in driven.values())
             highest = max(highest, bins)
@@ -137,12 +157,13 @@ class Synthesis:
                 total = np.zeros(bins, dtype=np.complex64)
                 for actuator, signal in driven.items():
                     spectrum = signal.spectrum(length, scale, play.samples)[:bins]
+                    if self._uneven:
+                        spectrum = spectrum * self._output_factor(actuator, spectrum.size, rate_hz / length)
                     total[: spectrum.size] += spectrum * transfer[actuator, : spectrum.size]
                 response[:bins] += total * delay
-        response_v = np.zeros(samples, dtype=np.float32)
         heard_v = {place: self._wave(spectrum[:highest], length) for place, spectrum in responses.items()}
         for spot in spots:
-            if spot.place_mm is not None:
+            if spot.place_mm is not None and patched is None:
                 response_v[spot.first : spot.stop] = heard_v[spot.place_mm][spot.first : spot.stop]
         return reference_v, response_v
 
@@ -181,6 +202,19 @@ class Synthesis:
         spectra = plate.spectra(radius_mm.ravel()).reshape(*radius_mm.shape, -1)
         return np.asarray(spectra * self._velocity_per_volt[:, None])
 
+    def _output(
+        self, play: Play, channel: int, length: int, scale: float, offset: float, rate_hz: float
+    ) -> Float32Array:
+        """Volts at one output of the player, on the recorder's clock: float32 (length,)."""
+        late = self._output_late_s[channel] * rate_hz
+        wave = play.signals[channel].delayed(length, scale, play.samples, offset + late)
+        return wave if not self._uneven else wave * np.float32(self._output_gain[channel])
+
+    def _output_factor(self, actuator: int, bins: int, step_hz: float) -> Complex64Array:
+        """Gain and delay of an actuator's output, as a factor on its spectrum."""
+        channel = self._settings.channel_of_actuator[actuator]
+        return _delay(self._output_late_s[channel] * step_hz, bins, 1) * np.float32(self._output_gain[channel])
+
     def _transfer(self, place_mm: tuple[float, float], grid: _Grid) -> Complex64Array:
         """Response volts per drive volt of every actuator, as the recorder samples them."""
 
@@ -188,8 +222,8 @@ class Synthesis:
             gains = self._velocity_per_volt / self._settings.sensitivity_m_s_per_v
             response = self._table(grid, single=True).evaluate(self._distances_mm(place_mm))
             response *= gains.astype(np.float32)[:, None]
-            # The response is sampled later, so the same wave appears earlier in it.
-            earlier = -self._settings.inter_channel_delay_s * grid.step_hz
+            # The response is sampled later, so the same wave appears earlier in it; the vibrometer makes it late.
+            earlier = (self._settings.vibrometer_latency_s - self._settings.inter_channel_delay_s) * grid.step_hz
             response *= _delay(earlier, grid.bins, 1)
             return response.astype(np.complex64, copy=False)
 

@@ -106,8 +106,9 @@ class VirtualPlayer:
         self._faults.meet("mute", "muting")
 
     def reconnect(self) -> None:
-        """Open the device afresh."""
+        """Open the device afresh, muted."""
         self._check_open("reconnecting")
+        self._cut(self._clock.now_ns())
         self._faults.meet("reconnect", "reconnecting")
 
     def close(self) -> None:

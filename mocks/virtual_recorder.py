@@ -14,6 +14,7 @@ from mocks.bounded_cache import BoundedCache
 from mocks.chance import DROPOUT, NOISE, normal, take_generator
 from mocks.clocks import NANOSECONDS, VirtualClock
 from mocks.faults import Fault, FaultPlan
+from mocks.patch_bay import PatchBay
 from mocks.settings import VirtualSettings
 from mocks.synthesis import Spot, Synthesis
 from mocks.virtual_mirror import VirtualMirror
@@ -47,6 +48,8 @@ class VirtualRecorder:
         What it sees and hears.
     synthesis : Synthesis
         The plate and the signal chain between them.
+    patch_bay : PatchBay
+        What is plugged into its response input.
     """
 
     def __init__(
@@ -56,12 +59,14 @@ class VirtualRecorder:
         mirror: VirtualMirror,
         player: VirtualPlayer,
         synthesis: Synthesis,
+        patch_bay: PatchBay,
     ) -> None:
         self._settings = settings
         self._clock = clock
         self._mirror = mirror
         self._player = player
         self._synthesis = synthesis
+        self._patch_bay = patch_bay
         self._faults = FaultPlan("recorder", NAME, settings.fault_plan)
         self._speckles: BoundedCache[_Speckle] = BoundedCache(4)
         self._under_way: tuple[RecordRequest, int] | None = None
@@ -126,8 +131,9 @@ class VirtualRecorder:
             self._under_way = None
 
     def reconnect(self) -> None:
-        """Open the device afresh."""
+        """Open the device afresh; a record under way is dropped."""
         self._check_open("reconnecting")
+        self.abort()
         self._faults.meet("reconnect", "reconnecting")
 
     def close(self) -> None:
@@ -145,17 +151,19 @@ class VirtualRecorder:
     ) -> Recording:
         plays = self._player.plays_between(start_ns, end_ns)
         spots = self._spots(request.samples, start_ns, end_ns, rate_hz)
-        clean = self._synthesis.voltages(request.samples, request.sample_rate_hz, start_ns, plays, spots)
+        patched = self._patch_bay.outputs
+        clean = self._synthesis.voltages(request.samples, request.sample_rate_hz, start_ns, plays, spots, patched)
         reference_v, response_v = self._corrupted(clean, request.range_v, faults)
         generator = take_generator(self._settings.seed, request.take, NOISE)
         noise = [normal(generator, request.samples) for _ in range(2)]
         noise[0] *= np.float32(self._settings.reference_noise_v)
-        noise[1] *= np.float32(self._settings.noise_v)
+        noise[1] *= np.float32(self._settings.noise_v if patched is None else self._settings.reference_noise_v)
         reference_v += noise[0]
         response_v += noise[1]
         blind = [(spot.first, spot.stop) for spot in spots if spot.place_mm is None]
         always = any(fault.kind == "dropout" for fault in faults)
-        for first, stop in [*blind, *self._dropout(request, always=always)]:
+        lost = [*blind, *self._dropout(request, always=always)] if patched is None else []
+        for first, stop in lost:
             response_v[first:stop] = self._settings.lost_signal_v * normal(generator, stop - first)
         volts = np.empty((2, request.samples), dtype=np.float32)
         step_v, over_range = [], []

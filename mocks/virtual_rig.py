@@ -9,6 +9,7 @@ from drivers.protocols import Instruments
 from mocks.clocks import VirtualClock
 from mocks.faults import Fault
 from mocks.geometry import MirrorGeometry, stadium_rim
+from mocks.patch_bay import PatchBay
 from mocks.settings import VirtualSettings
 from mocks.synthesis import Synthesis
 from mocks.virtual_mirror import VirtualMirror
@@ -29,15 +30,21 @@ class VirtualRig:
     ----------
     settings : VirtualSettings, optional
         The rig; the default rig, if absent.
+
+    Attributes
+    ----------
+    patch_bay : PatchBay
+        What is plugged into the response input; the vibrometer, until somebody plugs in something else.
     """
 
     def __init__(self, settings: VirtualSettings | None = None) -> None:
         self.settings = settings or VirtualSettings()
         self._synthesis = Synthesis(self.settings)
+        self.patch_bay = PatchBay(self.settings.channel_of_actuator, self.settings.channel_of_loopback)
         clock = VirtualClock(realtime=self.settings.realtime)
         mirror = VirtualMirror(self.settings, clock)
         player = VirtualPlayer(self.settings, clock)
-        recorder = VirtualRecorder(self.settings, clock, mirror, player, self._synthesis)
+        recorder = VirtualRecorder(self.settings, clock, mirror, player, self._synthesis, self.patch_bay)
         player.follow(recorder.take_under_way)
         self._instruments = Instruments(mirror=mirror, recorder=recorder, player=player, clock=clock)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -14,6 +15,12 @@ CI = os.environ.get("CI") == "true"
 # each time.
 settings.register_profile("wavefocus", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=CI)
 settings.load_profile("wavefocus")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--hardware", metavar="RIG.toml", type=Path, help="run the contract suites on this rig's instruments instead"
+    )
 
 
 def failed_for_skipping(report: pytest.TestReport | pytest.CollectReport) -> None:

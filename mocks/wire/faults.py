@@ -24,6 +24,7 @@ KINDS = {
         "short_read",
         "missing_reference",
         "over_range",
+        "warning",
     ),
     "player": ("underflow", "lost", "frozen"),
     "usb": ("no_permission", "no_backend", "unplugged"),

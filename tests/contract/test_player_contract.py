@@ -14,16 +14,25 @@ def tone(bench, seconds=0.2, volts=0.5):
     return volts * np.sin(2 * np.pi * 200 * time_s)
 
 
+def asked_for(bench, seconds):
+    samples = round(seconds * bench.sample_rate_hz)
+    return RecordRequest(samples, bench.sample_rate_hz, bench.range_v, Take(0, 1, 0))
+
+
 def recorded_reference(bench, signals_v, *, mute_after_s=None):
     instruments = bench.instruments
-    request = RecordRequest(round(0.5 * bench.sample_rate_hz), bench.sample_rate_hz, bench.range_v, Take(0, 1, 0))
-    instruments.recorder.start(request)
-    instruments.player.play(signals_v, bench.sample_rate_hz)
-    if mute_after_s is not None:
-        instruments.clock.sleep(mute_after_s)
-        instruments.player.mute()
-    instruments.player.wait(2.0)
-    return instruments.recorder.read(5.0).volts[0].astype(np.float64)
+
+    def take():
+        duration_s = len(next(iter(signals_v.values()))) / bench.sample_rate_hz + 2 * bench.latency_s
+        instruments.recorder.start(asked_for(bench, duration_s))
+        instruments.player.play(signals_v, bench.sample_rate_hz)
+        if mute_after_s is not None:
+            instruments.clock.sleep(mute_after_s)
+            instruments.player.mute()
+        instruments.player.wait(5.0)
+        return instruments.recorder.read(10.0).volts[0].astype(np.float64)
+
+    return bench.undisturbed(take)
 
 
 def test_given_a_player_then_it_has_the_role_a_name_and_its_limits(bench):
@@ -38,7 +47,7 @@ def test_given_a_signal_then_waiting_takes_its_length(bench):
     clock = bench.instruments.clock
     before_s = clock.now_s()
     bench.instruments.player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
-    bench.instruments.player.wait(2.0)
+    bench.instruments.player.wait(5.0)
     assert clock.now_s() - before_s >= 0.2
 
 
@@ -65,7 +74,7 @@ def test_given_full_scale_then_it_is_played_and_no_more_is(bench):
     player = bench.instruments.player
     channel = bench.actuator_channel
     player.play({channel: np.full(10, player.full_scale_v)}, bench.sample_rate_hz)
-    player.wait(2.0)
+    player.wait(5.0)
     with pytest.raises(InstrumentError):
         player.play({channel: np.full(10, 1.01 * player.full_scale_v)}, bench.sample_rate_hz)
 
@@ -98,8 +107,10 @@ def test_given_signals_of_unlike_or_no_length_then_they_are_refused(bench, lengt
 
 
 def test_given_a_mute_then_the_rest_is_silent_and_the_wait_short(bench):
-    reference = recorded_reference(bench, {bench.loopback_channel: tone(bench, 0.4)}, mute_after_s=0.15)
-    quiet = reference[round((0.15 + bench.start_tolerance_s) * bench.sample_rate_hz) :]
+    sounding_s = bench.latency_s + 0.1
+    volts = tone(bench, sounding_s + bench.latency_s + 0.2)
+    reference = recorded_reference(bench, {bench.loopback_channel: volts}, mute_after_s=sounding_s)
+    quiet = reference[round((sounding_s + bench.latency_s) * bench.sample_rate_hz) :]
     assert np.abs(reference).max() > 0.4
     assert np.abs(quiet).max() < 0.05
 
@@ -107,12 +118,11 @@ def test_given_a_mute_then_the_rest_is_silent_and_the_wait_short(bench):
 def test_given_a_signal_changed_after_the_call_then_what_was_given_is_played(bench):
     volts = tone(bench)
     instruments = bench.instruments
-    request = RecordRequest(4000, bench.sample_rate_hz, bench.range_v, Take(0, 1, 0))
-    instruments.recorder.start(request)
+    instruments.recorder.start(asked_for(bench, 0.2 + 2 * bench.latency_s))
     instruments.player.play({bench.loopback_channel: volts}, bench.sample_rate_hz)
     volts[:] = 0
-    instruments.player.wait(2.0)
-    assert np.abs(instruments.recorder.read(5.0).volts[0]).max() > 0.4
+    instruments.player.wait(5.0)
+    assert np.abs(instruments.recorder.read(10.0).volts[0]).max() > 0.4
 
 
 def test_given_any_state_then_muting_is_safe(bench):

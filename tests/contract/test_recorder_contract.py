@@ -82,30 +82,36 @@ def test_given_a_range_it_has_not_then_it_says_who_what_why_and_what_to_do(bench
     assert all(text.strip() for text in (error.operation, error.cause, error.remedy))
 
 
-def test_given_a_looped_back_tone_then_it_arrives_with_its_voltage_within_the_roll(bench):
+def looped_back(bench, tone, range_v=None):
+    """Record a tone of the loopback output; begun again when the audio server ran dry, as an attempt would be."""
     recorder, player, clock = (bench.instruments.recorder, bench.instruments.player, bench.instruments.clock)
+
+    def take():
+        samples = len(tone) + round((0.1 + bench.latency_s) * bench.sample_rate_hz)
+        recorder.start(ask(bench, samples, range_v))
+        clock.sleep(0.02)
+        player.play({bench.loopback_channel: tone}, bench.sample_rate_hz)
+        player.wait(5.0)
+        return recorder.read(10.0)
+
+    return bench.undisturbed(take)
+
+
+def test_given_a_looped_back_tone_then_it_arrives_with_its_voltage_within_the_roll(bench):
     rate_hz = bench.sample_rate_hz
     tone = 0.5 * np.sin(2 * np.pi * 200 * np.arange(round(0.2 * rate_hz)) / rate_hz)
-    recorder.start(ask(bench, round(0.4 * rate_hz)))
-    clock.sleep(0.02)
-    player.play({bench.loopback_channel: tone}, rate_hz)
-    player.wait(2.0)
-    recording = recorder.read(5.0)
+    recording = looped_back(bench, tone)
     reference = recording.volts[0].astype(np.float64)
     assert recording.over_range == (False, False)
     assert np.abs(reference).max() == pytest.approx(0.5, rel=0.02)
     assert np.sum(reference**2) == pytest.approx(np.sum(tone**2), rel=0.02)
     first_s = np.argmax(np.abs(reference) > 0.1) / rate_hz
-    assert 0.02 <= first_s <= 0.02 + bench.start_tolerance_s + 0.001
+    assert 0.02 <= first_s <= 0.02 + bench.latency_s + 0.001
 
 
 def test_given_a_tone_beyond_the_range_then_the_flag_of_that_channel_is_up(bench):
-    recorder, player = bench.instruments.recorder, bench.instruments.player
     tone = 0.5 * np.sin(2 * np.pi * 200 * np.arange(2000) / bench.sample_rate_hz)
-    recorder.start(ask(bench, 4000, range_v=(0.2, bench.range_v[1])))
-    player.play({bench.loopback_channel: tone}, bench.sample_rate_hz)
-    player.wait(2.0)
-    assert recorder.read(5.0).over_range[0]
+    assert looped_back(bench, tone, (0.2, bench.range_v[1])).over_range[0]
 
 
 def test_given_a_closed_recorder_then_closing_is_harmless_and_starting_is_refused(bench):

@@ -1,0 +1,226 @@
+"""PortAudio's side of a player: finding the output, opening its stream, watching that it lives."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.audio.devices import DeviceChoiceError, OutputDevice, choose
+from drivers.audio.playback import Playback
+
+# PortAudio's error numbers, portaudio.h
+INVALID_CHANNEL_COUNT = -9998
+INVALID_SAMPLE_RATE = -9997
+DEVICE_UNAVAILABLE = -9985
+
+TICK_S = 0.05
+"""How often a stream is looked at."""
+
+SILENT_LIMIT_S = 0.5
+SILENT_LIMIT_PERIODS = 5
+"""A callback that is overdue by the larger of these is not coming: the driver is frozen."""
+
+MOST_LATENCY_S = 5.0
+"""More is no latency: PortAudio says 89,478 s of a JACK client that has not told its own (2**32 - 1 frames)."""
+
+AHEAD_S = 0.5
+"""An output without a clock, such as ALSA's file and null, is held to real time, so far ahead of it at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamRequest:
+    """What to open; `host_api` and `device` as of `drivers.audio.devices.choose`, `block_frames` 0 for the host's."""
+
+    host_api: str | None
+    device: str
+    channels: int
+    rate_hz: int
+    block_frames: int
+
+
+def load_sounddevice() -> Any:
+    """The package with the PortAudio library that it drives.
+
+    Raises
+    ------
+    DeviceChoiceError
+        Either is missing.
+    """
+    os.environ["SD_ENABLE_ASIO"] = "1"  # Windows: outputs of more than two channels are rarely offered otherwise
+    try:
+        import sounddevice
+    except ImportError as error:
+        raise DeviceChoiceError(
+            f"the Python package sounddevice is missing ({error})", "install it: pip install sounddevice"
+        ) from error
+    except OSError as error:
+        raise DeviceChoiceError(
+            f"the PortAudio library is missing or broken ({error})",
+            "install it: on Debian and Ubuntu apt install libportaudio2, elsewhere reinstall the package sounddevice",
+        ) from error
+    return sounddevice
+
+
+def outputs(sounddevice: Any) -> tuple[tuple[OutputDevice, ...], tuple[str, ...]]:
+    """All outputs there are, and the names of all host APIs, in PortAudio's order."""
+    host_apis = tuple(str(one["name"]) for one in sounddevice.query_hostapis())
+    devices = tuple(
+        OutputDevice(
+            int(one["index"]),
+            host_apis[int(one["hostapi"])],
+            str(one["name"]),
+            int(one["max_output_channels"]),
+            float(one["default_samplerate"]),
+        )
+        for one in sounddevice.query_devices()
+        if one["max_output_channels"] > 0
+    )
+    return devices, host_apis
+
+
+class WatchedStream:
+    """An output stream that runs from now on, silent until something is played.
+
+    Parameters
+    ----------
+    sounddevice : module
+        From `load_sounddevice`.
+    request : StreamRequest
+        What to open.
+
+    Raises
+    ------
+    DeviceChoiceError
+        There is no such output, or it cannot do what is asked.
+
+    Attributes
+    ----------
+    device : OutputDevice
+        What was opened.
+    latency_s : float
+        How long after its callback a period leaves the outputs, as the host tells.
+    playback : Playback
+        What it plays.
+    """
+
+    def __init__(self, sounddevice: Any, request: StreamRequest) -> None:
+        self._sounddevice = sounddevice
+        self.device = choose(*outputs(sounddevice), request.host_api, request.device)
+        if self.device.channels < request.channels:
+            raise DeviceChoiceError(
+                f"the rig needs {request.channels} channels, {self.device} has fewer",
+                "correct player.channels and player.loopback_channel, or choose another device or host API"
+                " (on Windows, ASIO)",
+            )
+        settings = {
+            "device": self.device.index,
+            "channels": request.channels,
+            "dtype": "float32",
+            "samplerate": request.rate_hz,
+        }
+        if self.device.host_api == "Core Audio":
+            # macOS would resample behind our back rather than say that the interface runs at another rate.
+            settings["extra_settings"] = sounddevice.CoreAudioSettings(
+                change_device_parameters=True, fail_if_conversion_required=True
+            )
+        self._hold = _Hold(request.rate_hz)
+        self._period_s = 0.0
+        try:
+            sounddevice.check_output_settings(**settings)
+            self._stream = sounddevice.OutputStream(
+                **settings,
+                blocksize=request.block_frames,
+                latency="high",
+                dither_off=True,
+                callback=self._callback,
+            )
+            told_s = float(self._stream.latency)
+            self.latency_s = told_s if 0 <= told_s <= MOST_LATENCY_S else 0.0
+            self.playback = Playback(request.rate_hz, self.latency_s)
+            self._hold.allow_s = AHEAD_S + 2 * self.latency_s
+            self._stream.start()
+        except sounddevice.PortAudioError as error:
+            raise _refused(self.device, request, error) from error
+
+    def watch(self, stopping: Callable[[], bool]) -> str:
+        """Look at the stream until it is lost.
+
+        Parameters
+        ----------
+        stopping : callable
+            Looked at each time; True ends the watch.
+
+        Returns
+        -------
+        str
+            What happened to the stream; empty if the watch was ended.
+        """
+        seen, silent_s, looked_s = -1, 0.0, time.monotonic()
+        while not stopping():
+            time.sleep(TICK_S)
+            now_s = time.monotonic()
+            # A watch that was itself kept waiting by a busy machine must not blame the driver.
+            silent_s += min(now_s - looked_s, 2 * TICK_S)
+            looked_s = now_s
+            if self.playback.callbacks != seen:
+                seen, silent_s = self.playback.callbacks, 0.0
+            if not self._stream.active:
+                return "it stopped and the host closed its stream: unplugged, switched off, or its server ended"
+            if silent_s > max(SILENT_LIMIT_S, SILENT_LIMIT_PERIODS * self._period_s):
+                return f"its driver is frozen: it asked for nothing more for {silent_s:.1f} s"
+        return ""
+
+    def close(self) -> None:
+        """Silence it, then stop and release it; with a host that is gone this never returns."""
+        self.playback.mute()
+        enough = self.playback.callbacks + 2
+        latest_s = time.monotonic() + max(SILENT_LIMIT_S, SILENT_LIMIT_PERIODS * self._period_s)
+        while self.playback.callbacks < enough and time.monotonic() < latest_s:
+            time.sleep(self._period_s / 4 + 1e-3)
+        self._stream.abort()
+        self._stream.close()
+        # The package would do so at exit; an audio server is glad to see its clients leave in good order.
+        self._sounddevice._terminate()
+
+    def _callback(self, out: Any, frames: int, _time: Any, status: Any) -> None:
+        now_s = time.monotonic()
+        self._period_s = frames / self._hold.rate_hz
+        self.playback.fill(out, now_s, flagged=bool(status.output_underflow))
+        self._hold.frames(frames, now_s)
+
+
+class _Hold:
+    """Keeps an output without a clock from running away; one with a clock never gets so far ahead."""
+
+    def __init__(self, rate_hz: int) -> None:
+        self.rate_hz = rate_hz
+        self.allow_s = AHEAD_S
+        self._due_s = 0.0
+
+    def frames(self, frames: int, now_s: float) -> None:
+        # A share less than 1, or an interface whose clock is fast would be held up after hours.
+        self._due_s = max(self._due_s, now_s) + 0.99 * frames / self.rate_hz
+        if self._due_s - now_s > self.allow_s:
+            time.sleep(self._due_s - now_s - self.allow_s)
+
+
+def _refused(device: OutputDevice, request: StreamRequest, error: Exception) -> DeviceChoiceError:
+    """PortAudio's refusal as a sentence."""
+    code = error.args[1] if len(error.args) > 1 else None
+    if code == INVALID_SAMPLE_RATE:
+        return DeviceChoiceError(
+            f"{device} does not run at {request.rate_hz} Hz",
+            "set the interface to that rate in its own panel, or player.interface_rate_hz to the interface's",
+        )
+    if code == INVALID_CHANNEL_COUNT:
+        return DeviceChoiceError(
+            f"{device} does not open with {request.channels} channels", "choose another host API (on Windows, ASIO)"
+        )
+    if code == DEVICE_UNAVAILABLE:
+        cause, remedy = f"{device} is not to be had", "close other programs that use it, plug it in again"
+    else:
+        cause, remedy = f"PortAudio cannot open {device}: {error.args[0]}", "power the interface off and on again"
+    return DeviceChoiceError(cause, remedy, absent=True)

@@ -1,0 +1,184 @@
+"""What the stream's callback does: puts signals into periods, sees them out of the door, notices gaps."""
+
+from __future__ import annotations
+
+import queue
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32Array = NDArray[np.float32]
+
+FADE_S = 0.002
+"""A mute fades over so long, within one period, so that the coils do not click."""
+
+SLOWEST = 5e-4
+"""How much slower than its nominal rate a sound clock may run; crystals keep to a fifth of this."""
+
+STANDSTILL_S = 0.05
+"""Beyond what is buffered, a callback that comes so late has left the outputs without sound."""
+
+PERIODS_AFTER = 2
+"""An underflow is flagged a period late; so many periods follow the last sample before a play has ended well."""
+
+PLAYED, MUTED, UNDERFLOW = "played", "muted", "underflow"
+
+
+@dataclass(frozen=True, slots=True)
+class Voice:
+    """One channel's signal in a play.
+
+    Parameters
+    ----------
+    channel : int
+        Output, from 0.
+    samples : float32 array, shape (frames,)
+        Parts of full scale.
+    start : int
+        Frame of the play at which it begins, >= 0.
+    """
+
+    channel: int
+    samples: Float32Array
+    start: int
+
+
+@dataclass(slots=True)
+class Play:
+    """Signals that start together, and how far they have come."""
+
+    number: int
+    voices: tuple[Voice, ...]
+    done: int = 0
+    periods_after: int = 0
+    frames: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.frames = max((one.start + one.samples.size for one in self.voices), default=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a play ended: `PLAYED`, `MUTED`, or `UNDERFLOW` with what was noticed."""
+
+    number: int
+    outcome: str
+    notice: str = ""
+
+
+class Playback:
+    """Fills the periods of one stream; plays and mutes are handed over between periods.
+
+    Parameters
+    ----------
+    rate_hz : int
+        Frames per second.
+    latency_s : float
+        How long after its callback a period leaves the outputs, as the stream tells.
+
+    Attributes
+    ----------
+    events : SimpleQueue of Ended
+        One for each play, in order.
+    callbacks : int
+        How many periods were filled so far.
+    underflows : int
+        How many of them came with the flag of an underflow, with a play under way or not.
+    """
+
+    def __init__(self, rate_hz: int, latency_s: float) -> None:
+        self._rate_hz = rate_hz
+        self._latency_frames = max(0, round(latency_s * rate_hz))
+        self._orders: queue.SimpleQueue[Play | None] = queue.SimpleQueue()
+        self._play: Play | None = None
+        self._grid_s = -np.inf
+        self._called_s = -np.inf
+        self._burst_frames = 0
+        self._host_frames = 0
+        self.events: queue.SimpleQueue[Ended] = queue.SimpleQueue()
+        self.callbacks = 0
+        self.underflows = 0
+
+    def start(self, play: Play) -> None:
+        """Let a play begin with the next period."""
+        self._orders.put(play)
+
+    def mute(self) -> None:
+        """Let the next period fade out."""
+        self._orders.put(None)
+
+    def fill(self, out: Float32Array, now_s: float, *, flagged: bool) -> None:
+        """Fill one period; called by the stream.
+
+        Parameters
+        ----------
+        out : float32 array, shape (frames, channels)
+            The period, written in full.
+        now_s : float
+            Instant of the callback, of a clock that never runs backwards.
+        flagged : bool
+            Whether the stream says that it ran dry since the last callback.
+        """
+        out.fill(0)
+        self.underflows += flagged
+        # Some hosts ask for their period in several callbacks at once (PortAudio over JACK: 1024 frames each).
+        at_once = now_s - self._called_s < 0.5 * len(out) / self._rate_hz
+        self._burst_frames = len(out) + (self._burst_frames if at_once else 0)
+        self._host_frames = max(self._host_frames, self._burst_frames)
+        self._called_s = now_s
+        # Callbacks come on a grid of periods; how far this one is off it, taking the earliest so far for punctual.
+        self._grid_s = min(now_s, self._grid_s)
+        late_s = now_s - self._grid_s
+        fade = False
+        while not self._orders.empty():
+            order = self._orders.get_nowait()
+            if order is None:
+                fade = self._play is not None and self._play.done > 0
+                if not fade:
+                    self._end(MUTED)
+            else:
+                self._end(MUTED)
+                self._play, fade = order, False
+                late_s, self._grid_s = 0.0, now_s
+        if self._play is not None:
+            self._go_on(self._play, out, late_s, flagged=flagged, fade=fade)
+        self._grid_s += len(out) / self._rate_hz * (1 + SLOWEST)
+        self.callbacks += 1
+
+    def _go_on(self, play: Play, out: Float32Array, late_s: float, *, flagged: bool, fade: bool) -> None:
+        frames = len(out)
+        for voice in play.voices:
+            first = max(voice.start, play.done)
+            stop = min(voice.start + voice.samples.size, play.done + frames)
+            if first < stop:
+                piece = voice.samples[first - voice.start : stop - voice.start]
+                out[first - play.done : stop - play.done, voice.channel] = piece
+        notice = "the host flagged an underflow" if flagged else ""
+        # Not every host flags underflows; a long one shows in the time that went by.
+        buffered_s = (self._latency_frames + 2 * self._host_frames) / self._rate_hz
+        if late_s > buffered_s + STANDSTILL_S and not notice:
+            notice = f"the stream fell {1e3 * late_s:.0f} ms behind"
+        if notice or fade:
+            _fade(out, round(FADE_S * self._rate_hz))
+            self._end(UNDERFLOW if notice else MUTED, notice)
+            return
+        # Time passes between periods, not between the callbacks of one.
+        if play.done >= play.frames and self._burst_frames == frames:
+            play.periods_after += 1
+            if play.periods_after >= PERIODS_AFTER and play.done >= play.frames + self._latency_frames:
+                self._end(PLAYED)
+        play.done += frames
+
+    def _end(self, outcome: str, notice: str = "") -> None:
+        if self._play is not None:
+            self.events.put(Ended(self._play.number, outcome, notice))
+            self._play = None
+
+
+def _fade(out: Float32Array, frames: int) -> None:
+    """Half a cosine down to silence from the period's start."""
+    frames = min(frames, len(out))
+    ramp = 0.5 + 0.5 * np.cos(np.pi * (np.arange(frames, dtype=np.float32) + 1) / frames)
+    out[:frames] *= ramp[:, np.newaxis]
+    out[frames:] = 0

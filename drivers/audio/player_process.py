@@ -1,0 +1,126 @@
+"""The process that owns the audio stream: it can be killed when a driver hangs, and ends, muted, with its parent.
+
+Run as ``python -P -m drivers.audio.player_process`` with pipes for input and output; see `stream_player`.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import threading
+import traceback
+from dataclasses import asdict
+
+import numpy as np
+
+from drivers.audio.devices import DeviceChoiceError
+from drivers.audio.messages import Message, MessagePipe
+from drivers.audio.output_stream import StreamRequest, WatchedStream, load_sounddevice, outputs
+from drivers.audio.playback import Float32Array, Play, Voice
+
+CLOSING_S = 3.0
+"""Closing a stream whose host is gone hangs, and JACK takes a period for each channel; then the process just ends."""
+
+
+def main() -> None:
+    """Do what comes over the pipe until it ends."""
+    # Ctrl-C reaches every process of a terminal; the parent decides what stops, and when.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Audio libraries print where they please; the answers go where nothing else does.
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering=0)
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    pipe = MessagePipe(sys.stdin.buffer, answers)
+    try:
+        code = _serve(pipe)
+    except DeviceChoiceError as error:
+        pipe.send({"is": "failed", "cause": error.cause, "remedy": error.remedy, "absent": error.absent})
+        code = 1
+    except OSError:  # the parent is gone, and with it who could be told
+        code = 2
+    except Exception:  # a defect: what the parent keeps of standard error tells where
+        traceback.print_exc()
+        code = 4
+    # The audio library's own clean-up hangs where its host is gone; it would run on any other way out.
+    os._exit(code)
+
+
+def _serve(pipe: MessagePipe) -> int:
+    received = pipe.receive()
+    if received is None:
+        return 0
+    request, _ = received
+    sounddevice = load_sounddevice()
+    if request.pop("do") == "list":
+        devices, host_apis = outputs(sounddevice)
+        pipe.send({"is": "list", "devices": [asdict(one) for one in devices], "host_apis": host_apis})
+        return 0
+    stream = WatchedStream(sounddevice, StreamRequest(**request))
+    gc.freeze()
+    gc.disable()  # a collection would keep the callback waiting; nothing here makes cycles
+    sys.setswitchinterval(0.001)
+    pipe.send(
+        {
+            "is": "open",
+            "device": asdict(stream.device),
+            "latency_s": stream.latency_s,
+            "library": str(sounddevice.get_portaudio_version()[1]),
+        }
+    )
+    ending = threading.Event()
+    threading.Thread(target=_tell_ends, args=(pipe, stream), daemon=True).start()
+    threading.Thread(target=_tell_loss, args=(pipe, stream, ending), daemon=True).start()
+    _obey(pipe, stream)
+    ending.set()
+    # On this thread, which opened the stream: ASIO drivers want it so.
+    too_long = threading.Timer(CLOSING_S, os._exit, [0])
+    too_long.daemon = True
+    too_long.start()
+    stream.close()
+    return 0
+
+
+def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
+    """Carry out orders until one says to close or the parent is gone."""
+    signals: dict[int, Float32Array] = {}
+    while (received := pipe.receive()) is not None:
+        message, payload = received
+        order = message["do"]
+        if order == "play":
+            voices = tuple(Voice(channel, signals[name], start) for channel, name, start in message["voices"])
+            stream.playback.start(Play(message["number"], voices))
+        elif order == "store":
+            signals[message["signal"]] = np.frombuffer(payload, dtype=np.float32)
+        elif order == "forget":
+            del signals[message["signal"]]
+        elif order == "mute":
+            stream.playback.mute()
+        elif order == "ask":
+            pipe.send({"is": "here", "callbacks": stream.playback.callbacks, "underflows": stream.playback.underflows})
+        elif order == "close":
+            return
+
+
+def _tell_ends(pipe: MessagePipe, stream: WatchedStream) -> None:
+    while True:
+        ended = stream.playback.events.get()
+        _send_if_heard(pipe, {"is": "ended", **asdict(ended)})
+
+
+def _tell_loss(pipe: MessagePipe, stream: WatchedStream, ending: threading.Event) -> None:
+    cause = stream.watch(ending.is_set)
+    if cause:
+        _send_if_heard(pipe, {"is": "lost", "cause": cause})
+        os._exit(3)
+
+
+def _send_if_heard(pipe: MessagePipe, message: Message) -> None:
+    try:
+        pipe.send(message)
+    except OSError:  # the parent is gone; the main thread sees it too, and ends the process in good order
+        return
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,175 @@
+"""Signals as the interface plays them, each made once: a sweep is played some ten thousand times in a night."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.audio.band_limited import converted, lead_samples
+
+Float64Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+HALF_STEP = 2.0**-25
+"""Half a step of a 24-bit converter, as a part of full scale: less than that at either end is silence."""
+
+RIPPLE = 1e-4
+"""So much beyond full scale is the low-pass's own ripple, and cut off: -80 dB."""
+
+
+FADED = 0.01
+"""A signal that begins or ends above this part of its peak has no fade there."""
+
+
+class BeyondFullScaleError(Exception):
+    """Between its samples a signal is larger than the interface can put out.
+
+    Parameters
+    ----------
+    reaches : float
+        Its largest magnitude, as a part of full scale.
+    """
+
+    def __init__(self, reaches: float) -> None:
+        super().__init__(f"reaches {reaches:.4g} of full scale")
+        self.reaches = reaches
+
+
+@dataclass(frozen=True, slots=True)
+class ShelvedSignal:
+    """A signal at the interface's rate.
+
+    Parameters
+    ----------
+    number : int
+        Its name, never used again for another.
+    frames : int
+        Its length at the interface's rate.
+    first : int
+        The frame at which it begins: 0 is sample 0 of what was given, negative what the conversion adds before.
+    """
+
+    number: int
+    frames: int
+    first: int
+
+
+@dataclass(slots=True)
+class _Held:
+    volts: Float64Array
+    shelved: ShelvedSignal
+
+
+class SignalShelf:
+    """Recognises signals by their content; tells which have to be handed over, and which can be forgotten.
+
+    Parameters
+    ----------
+    largest_frames : int
+        How many frames to keep in all; the longest unused go first. What one play needs is kept at any rate.
+    """
+
+    def __init__(self, largest_frames: int = 64_000_000) -> None:
+        self._largest_frames = largest_frames
+        self._held: OrderedDict[tuple[object, ...], _Held] = OrderedDict()
+        self._given_up: list[int] = []
+        self._frames = 0
+        self._made = 0
+
+    @property
+    def made(self) -> int:
+        """How many signals were converted so far; one that was recognised is not."""
+        return self._made
+
+    def find(
+        self, volts: Float64Array, full_scale_v: float, ratio: Fraction
+    ) -> tuple[ShelvedSignal, Float32Array | None]:
+        """A signal as parts of full scale at the interface's rate.
+
+        Parameters
+        ----------
+        volts : float64 array, shape (samples,)
+            In volts, finite, at least one sample.
+        full_scale_v : float
+            Of its channel.
+        ratio : Fraction
+            Rate of the interface over that of the signal.
+
+        Returns
+        -------
+        ShelvedSignal
+            Where it is found.
+        float32 array, shape (frames,), or None
+            Its frames if they are new.
+
+        Raises
+        ------
+        BeyondFullScaleError
+            It overshoots between its samples. What rings beyond full scale at an end that is no fade is
+            cut off instead: a jump has no band-limited form that a converter could put out.
+        """
+        key = (volts.size, full_scale_v, ratio, volts[:: max(1, volts.size // 64)].tobytes())
+        held = self._held.get(key)
+        if held is not None and np.array_equal(held.volts, volts):
+            self._held.move_to_end(key)
+            return held.shelved, None
+        frames, first = _frames(volts / full_scale_v, ratio)
+        self._made += 1
+        if held is not None:
+            self._give_up(key)
+        held = _Held(volts.copy(), ShelvedSignal(self._made, frames.size, first))
+        self._held[key] = held
+        self._frames += frames.size
+        return held.shelved, frames
+
+    def give_up(self, needed: set[int]) -> list[int]:
+        """Forget what exceeds the shelf, except signals that are needed.
+
+        Returns
+        -------
+        list of int
+            The numbers of all that were forgotten since the last call.
+        """
+        for key, held in list(self._held.items()):
+            if self._frames <= self._largest_frames:
+                break
+            if held.shelved.number not in needed:
+                self._give_up(key)
+        given_up, self._given_up = self._given_up, []
+        return given_up
+
+    def clear(self) -> None:
+        """Forget everything: whoever held the signals is gone."""
+        self._held.clear()
+        self._given_up.clear()
+        self._frames = 0
+
+    def _give_up(self, key: tuple[object, ...]) -> None:
+        shelved = self._held.pop(key).shelved
+        self._frames -= shelved.frames
+        self._given_up.append(shelved.number)
+
+
+def _frames(parts: Float64Array, ratio: Fraction) -> tuple[Float32Array, int]:
+    """Parts of full scale at the interface's rate, silence at either end left out, and where they begin."""
+    frames, lead = converted(parts, ratio), lead_samples(ratio)
+    beyond = np.abs(frames) > 1
+    if beyond.any():
+        beyond &= np.abs(frames) > 1 + RIPPLE
+        audible = FADED * float(np.abs(parts).max())
+        if abs(parts[0]) > audible:
+            beyond[: 2 * lead] = False
+        if abs(parts[-1]) > audible:
+            beyond[max(0, frames.size - 2 * lead) :] = False
+        if beyond.any():
+            raise BeyondFullScaleError(float(np.abs(frames[beyond]).max()))
+        frames = np.clip(frames, -1, 1)
+    sounding = np.flatnonzero(np.abs(frames) > HALF_STEP)
+    # The given samples stay whole, so that a play lasts as long as its signal, silence in it or not.
+    first = min(lead, int(sounding[0])) if sounding.size else lead
+    stop = max(frames.size - lead, int(sounding[-1]) + 1) if sounding.size else frames.size - lead
+    return np.ascontiguousarray(frames[first:stop], dtype=np.float32), first - lead

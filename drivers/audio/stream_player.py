@@ -1,0 +1,312 @@
+"""A player over PortAudio: all channels of an audio interface, found by host API and name."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.audio.devices import OutputDevice
+from drivers.audio.messages import Message
+from drivers.audio.play_orders import Order, PlayOrders
+from drivers.audio.playback import UNDERFLOW
+from drivers.audio.stream_process import ANSWER_S, OPENING_S, ProcessGoneError, StreamProcess
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+
+Float64Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+OVERDUE_S = 5.0
+"""A play that has not ended so long after it should have, and a tenth of its length, is not going to."""
+
+LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
+
+
+class StreamPlayer:
+    """Plays one signal per channel of an audio interface; implements `drivers.protocols.Player`.
+
+    One stream over all channels runs from the moment of opening to that of closing, silent between plays, in a
+    process of its own: what hangs there is killed, and nobody waits for it.
+
+    Parameters
+    ----------
+    host_api : str or None
+        PortAudio's name of the driver model, such as ``"ASIO"``, ``"Core Audio"`` or
+        ``"JACK Audio Connection Kit"``; None for any.
+    device : str
+        The device's name there, or a part of it that no other has.
+    channels : int
+        How many outputs to open, from 0; > 0.
+    channel_full_scale_v : sequence of float
+        Volts at full scale of each of them, from calibration; > 0.
+    interface_rate_hz : int
+        Rate of the stream in Hz.
+    block_frames : int
+        Frames per callback; 0 for what suits the host.
+    environment : mapping from str to str, optional
+        Added to the environment of the stream's process, such as ``JACK_DEFAULT_SERVER``.
+
+    Raises
+    ------
+    InstrumentError
+        No such device, or it does not do what is asked, or PortAudio is missing.
+    """
+
+    def __init__(
+        self,
+        host_api: str | None,
+        device: str,
+        *,
+        channels: int,
+        channel_full_scale_v: Sequence[float],
+        interface_rate_hz: int,
+        block_frames: int = 0,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        self._name = f"player {device}"
+        self._full_scale_v = tuple(float(volts) for volts in channel_full_scale_v)
+        if channels < 1 or len(self._full_scale_v) != channels or not all(0 < v < np.inf for v in self._full_scale_v):
+            raise InstrumentError(
+                self._name,
+                "opening",
+                f"{channels} channels with {len(self._full_scale_v)} full-scale voltages from"
+                f" {min(self._full_scale_v, default=math.nan):g} V up",
+                "give one finite voltage above 0 for each channel",
+            )
+        self._request: Message = {
+            "do": "open",
+            "host_api": host_api,
+            "device": device,
+            "channels": channels,
+            "rate_hz": interface_rate_hz,
+            "block_frames": block_frames,
+        }
+        self._environment = dict(environment or {})
+        self._orders = PlayOrders(self._name, self._full_scale_v, interface_rate_hz)
+        self._ordering = threading.Lock()
+        self._closed = False
+        self._plays = 0
+        self._stream = _Stream(self._environment)
+        try:
+            self._open("opening", InstrumentError)
+        except BaseException:
+            self._end_stream()
+            raise
+
+    @property
+    def channels(self) -> int:
+        """Number of output channels that are open."""
+        return len(self._full_scale_v)
+
+    @property
+    def full_scale_v(self) -> float:
+        """Largest output magnitude in volts: the smallest full scale of all channels."""
+        return self._orders.full_scale_v
+
+    @property
+    def latency_s(self) -> float:
+        """How long after its callback a sample leaves the outputs, as the host tells."""
+        return float(self._stream.opened["latency_s"])
+
+    @property
+    def process_id(self) -> int:
+        """The process that owns the stream."""
+        return self._stream.process.pid
+
+    @property
+    def signals_converted(self) -> int:
+        """How many signals were converted to the interface's rate so far; a repeated one is not."""
+        return self._orders.signals_converted
+
+    def identify(self) -> str:
+        """Name, host API, channels, rate and latency of the device."""
+        self._check_open("identifying")
+        stream = self._stream
+        asked_s = time.monotonic()
+        try:
+            stream.process.send(({"do": "ask"}, b""))
+            stream.process.wait_for(lambda: stream.heard_after(asked_s), asked_s + 2 * ANSWER_S)
+        except ProcessGoneError as gone:
+            raise self._lost("identifying", gone) from None
+        device = OutputDevice(**stream.opened["device"])
+        return (
+            f"player {device.name}, {device.host_api}, {self.channels} of {device.channels} channels at"
+            f" {self._request['rate_hz']} Hz, latency {1e3 * self.latency_s:.0f} ms,"
+            f" full scale {self.full_scale_v:g} V, {stream.opened['library']}"
+        )
+
+    def prepare(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
+        """Convert signals that will be played, so that their first play starts as soon as any other.
+
+        Parameters
+        ----------
+        signals_v, sample_rate_hz
+            As of `play`, and refused for the same reasons.
+        """
+        doing = _playing(signals_v)
+        self._check_open(doing)
+        with self._ordering:
+            self._send(doing, self._orders.order(doing, signals_v, sample_rate_hz).before)
+
+    def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
+        """Start playing with the next period; volts by channel, all of one length, none beyond full scale.
+
+        Signals are converted to the interface's rate the first time they are played. Sample 0 stays sample 0:
+        what the conversion's low-pass adds before it, down to half a step of a 24-bit converter, is played before
+        it, on all channels alike.
+        """
+        doing = _playing(signals_v)
+        self._check_open(doing)
+        with self._ordering:
+            stream = self._stream
+            if stream.play is not None and stream.play.outcome is None and not stream.process.gone:
+                raise InstrumentError(self._name, doing, "it is still playing", "wait for its end or mute it first")
+            order = self._orders.order(doing, signals_v, sample_rate_hz)
+            self._plays += 1
+            stream.play = _Play(self._plays, doing, order.frames / self._request["rate_hz"], time.monotonic())
+            start = ({"do": "play", "number": self._plays, "voices": order.voices}, b"")
+            self._send(doing, [*order.before, start])
+
+    def wait(self, timeout_s: float) -> None:
+        """Return when the last sample has left the outputs, at the latest after `timeout_s`."""
+        doing = "waiting for the end of the signal"
+        self._check_open(doing)
+        stream = self._stream
+        play = stream.play
+        if play is None:
+            return
+        now_s = time.monotonic()
+        overdue_s = play.asked_s + 1.1 * play.length_s + 2 * self.latency_s + OVERDUE_S
+        try:
+            ended = stream.process.wait_for(lambda: play.outcome, min(now_s + timeout_s, max(now_s, overdue_s)))
+        except ProcessGoneError as gone:
+            raise self._lost(play.doing, gone) from None
+        if ended == UNDERFLOW:
+            raise TransientInstrumentError(
+                self._name,
+                play.doing,
+                f"underflow: {play.notice}; what was recorded meanwhile is void",
+                "repeat it; if it comes again, raise player.block_frames and close other programs",
+            )
+        if ended is None and time.monotonic() >= overdue_s:
+            stream.process.kill(f"it took over {overdue_s - play.asked_s:.1f} s for {play.length_s:.1f} s of sound")
+            raise self._lost(play.doing, ProcessGoneError(stream.process.gone))
+        if ended is None:
+            raise TransientInstrumentError(
+                self._name, play.doing, f"not finished after {timeout_s:g} s", "allow the length of the signal"
+            )
+
+    def mute(self) -> None:
+        """Silence every channel with the next period, over a fade of 2 ms; from any state, and it never fails.
+
+        Where the stream does not obey, its process is killed, which silences it too; the next call then says so.
+        """
+        stream = self._stream
+        play = stream.play
+        if self._closed or play is None or play.outcome is not None:
+            return
+        try:
+            stream.process.send(({"do": "mute"}, b""))
+            if stream.process.wait_for(lambda: play.outcome, time.monotonic() + ANSWER_S) is None:
+                stream.process.kill(f"it did not fall silent within {ANSWER_S:g} s of a mute and was killed")
+        except ProcessGoneError:
+            return
+
+    def reconnect(self) -> None:
+        """End the stream's process and open the same device in a new one."""
+        doing = "reconnecting"
+        self._check_open(doing)
+        with self._ordering:
+            self._end_stream()
+            self._orders.forget()
+            self._stream = _Stream(self._environment)
+            try:
+                self._open(doing, InstrumentLostError)
+            except BaseException:
+                self._end_stream()
+                raise
+
+    def close(self) -> None:
+        """Fade out, release the device and end its process; twice does no harm."""
+        if not self._closed:
+            self._closed = True
+            self._end_stream()
+
+    def _open(self, doing: str, refusal: type[InstrumentError]) -> None:
+        stream = self._stream
+        try:
+            stream.process.send((self._request, b""))
+            answer = stream.process.wait_for(lambda: stream.opened or None, time.monotonic() + OPENING_S)
+        except ProcessGoneError as gone:
+            raise refusal(self._name, doing, gone.cause, LOST_REMEDY) from None
+        if answer is None:
+            stream.process.kill("opening took too long")
+            raise InstrumentLostError(self._name, doing, f"its driver did not open it in {OPENING_S:g} s", LOST_REMEDY)
+        if answer["is"] == "failed":
+            kind = refusal if answer["absent"] else InstrumentError
+            raise kind(self._name, doing, answer["cause"], answer["remedy"])
+
+    def _end_stream(self) -> None:
+        process = self._stream.process
+        if not process.gone:
+            try:
+                process.send(({"do": "close"}, b""))
+            except ProcessGoneError:
+                process.kill("it is gone")
+        process.close()
+
+    def _send(self, doing: str, messages: Sequence[Order]) -> None:
+        try:
+            self._stream.process.send(*messages)
+        except ProcessGoneError as gone:
+            raise self._lost(doing, gone) from None
+
+    def _lost(self, doing: str, gone: ProcessGoneError) -> InstrumentLostError:
+        return InstrumentLostError(self._name, doing, gone.cause, LOST_REMEDY)
+
+    def _check_open(self, doing: str) -> None:
+        if self._closed:
+            raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
+
+
+class _Play:
+    """What is known of a play here; the stream's process tells how it ended."""
+
+    def __init__(self, number: int, doing: str, length_s: float, asked_s: float) -> None:
+        self.number = number
+        self.doing = doing
+        self.length_s = length_s
+        self.asked_s = asked_s
+        self.outcome: str | None = None
+        self.notice = ""
+
+
+class _Stream:
+    """One life of the stream's process, and what it told."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        self.opened: Message = {}
+        self.play: _Play | None = None
+        self._heard_s = 0.0
+        self.process = StreamProcess(environment, self._note)
+
+    def heard_after(self, instant_s: float) -> bool | None:
+        """True when a sign of life came after an instant."""
+        return True if self._heard_s > instant_s else None
+
+    def _note(self, message: Message) -> None:
+        if message["is"] in ("open", "failed"):
+            self.opened = message
+        elif message["is"] == "here":
+            self._heard_s = time.monotonic()
+        elif message["is"] == "ended" and self.play is not None and message["number"] == self.play.number:
+            self.play.notice = message["notice"]
+            self.play.outcome = message["outcome"]
+
+
+def _playing(signals_v: Mapping[int, Float64Array]) -> str:
+    return f"playing on channels {sorted(signals_v)}" if len(signals_v) < 4 else f"playing on {len(signals_v)} channels"

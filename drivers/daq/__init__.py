@@ -1,0 +1,1 @@
+"""Data acquisition: recorders of the reference and the response."""

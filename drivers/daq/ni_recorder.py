@@ -1,0 +1,281 @@
+"""National Instruments' data acquisition devices as recorders, through the nidaqmx package."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.daq.ni_errors import REPEAT
+from drivers.daq.ni_limits import check_request, check_wiring
+from drivers.daq.ni_session import NiSession
+from drivers.daq.ni_task import RecordTask, Timing, Wiring
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.protocols import Recording, RecordRequest
+
+ANSWER_S = 5.0
+"""How long a server may take to answer beyond what a call asks for, in s."""
+
+
+class NiRecorder:
+    """Records reference and response; implements `drivers.protocols.Recorder`.
+
+    The low-cost devices cannot start on an audio signal: without a trigger a record starts at once, and where the
+    sound lies in it is found from the reference. The task is kept committed between records of one kind, so that a
+    start is one call; nobody else can have the device meanwhile.
+
+    Parameters
+    ----------
+    device : str
+        Name in NI MAX: ``"Dev1"``.
+    address : str, optional
+        ``"host:port"`` of NI's gRPC Device Server; None for the NI-DAQmx driver on this computer.
+    reference_input, response_input : str
+        Analog inputs: ``"ai0"``.
+    terminal : str
+        ``"differential"``, ``"rse"``, ``"nrse"`` or ``"pseudodifferential"``.
+    trigger : str, optional
+        Digital input whose rising edge starts a record: ``"PFI0"``; None or empty to start at once.
+    answer_s : float
+        How long a server may take to answer beyond what a call asks for, in s, > 0.
+
+    Raises
+    ------
+    InstrumentLostError
+        The device or the server is not there.
+    InstrumentError
+        A package, the driver, a device of that name, an input or a terminal configuration is missing.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        *,
+        address: str | None,
+        reference_input: str,
+        response_input: str,
+        terminal: str,
+        trigger: str | None,
+        answer_s: float = ANSWER_S,
+    ) -> None:
+        self._device = device
+        self._address = address or None
+        self._answer_s = answer_s
+        self._wiring = Wiring((reference_input, response_input), terminal, trigger or None)
+        self._lock = threading.RLock()
+        self._task: RecordTask | None = None
+        self._under_way: RecordRequest | None = None
+        self._owned = False  # whether it may have reserved the device: what is left reserved may be its own then
+        self._closed = False
+        self._session: NiSession | None = NiSession(device, self._address, answer_s)
+        self._instrument = self._session.instrument
+        self._identity = self._session.identity
+        try:
+            check_wiring(self._session, self._wiring)
+        except BaseException:
+            self._session.close()
+            raise
+
+    def identify(self) -> str:
+        """Product, serial number, driver version, address and inputs of the device."""
+        with self._lock:
+            session = self._connected("identifying")
+            with session.telling("identifying"):
+                identity = session.ask_identity()
+            where = f"at {self._address}" if self._address else "on this computer"
+            inputs = " and ".join(self._wiring.inputs)
+            return (
+                f"NI {identity}, {self._device} {where}, NI-DAQmx {session.driver_version}, "
+                f"{inputs} {self._wiring.terminal}"
+            )
+
+    def start(self, request: RecordRequest) -> None:
+        """Start one finite record and return at once.
+
+        Raises
+        ------
+        InstrumentError
+            The device lacks the rate or a range; a record is under way; the device fails.
+        """
+        doing = f"starting {request.take}"
+        with self._lock:
+            session = self._connected(doing)
+            if self._under_way is not None:
+                raise InstrumentError(self._instrument, doing, "a record is under way", "read or abort it first")
+            check_request(session, request, doing)
+            timing = Timing(request.sample_rate_hz, request.samples, request.range_v)
+            try:
+                with session.telling(doing):
+                    self._ready(session, timing, doing).start()
+            except BaseException as failure:  # an interruption too leaves a task of which nothing is known
+                self._discard(failure)
+                raise
+            finally:
+                self._owned = session.owned
+            self._under_way = request
+
+    def read(self, timeout_s: float) -> Recording:
+        """Wait for the record to end and fetch it.
+
+        Raises
+        ------
+        TransientInstrumentError
+            It has not ended in time (and goes on), was aborted, or samples are missing.
+        InstrumentError
+            No record was started, or the device fails.
+        """
+        with self._lock:
+            session = self._connected("reading")
+            request, task = self._under_way, self._task
+        if request is None or task is None:
+            raise InstrumentError(self._instrument, "reading", "no record was started", "start one first")
+        doing = f"recording {request.take}"
+        try:
+            # Without the lock: another thread may abort.
+            with session.telling(doing):
+                done = task.wait(timeout_s)
+            with self._lock:
+                self._check_goes_on(request, doing)
+                if not done:
+                    raise self._unfinished(timeout_s, doing)
+                with session.telling(doing):
+                    volts, count = task.read()
+                    task.stop()
+                self._under_way = None
+        except InstrumentError as failure:
+            with self._lock:
+                self._check_goes_on(request, doing)
+                if not isinstance(failure, _UnfinishedError):
+                    self._under_way = None
+                    self._discard(failure)
+            raise
+        if count < request.samples or not np.isfinite(volts).all():
+            cause = f"samples are missing: only {count} of {request.samples} came"
+            raise TransientInstrumentError(self._instrument, doing, cause, REPEAT)
+        return _recording(volts, task)
+
+    def abort(self) -> None:
+        """Drop a record under way; harmless when there is none. A read that waits for it fails."""
+        with self._lock:
+            if self._under_way is None:
+                return
+            self._under_way = None
+            if self._session is None or self._task is None:
+                return
+            try:
+                with self._session.telling("aborting"):
+                    self._task.stop()
+            except InstrumentError as failure:
+                # Aborting is safe from any state. The next start makes a new task, and meets what is wrong here.
+                self._discard(failure)
+
+    def reconnect(self) -> None:
+        """Drop the connection and open a fresh one to the same device.
+
+        The device is reset, if it was ours before: that takes back what a lost session has left reserved, and ends
+        a transfer that hangs. It also ends what other programs run on this device, so nothing here does it before
+        this recorder had the device.
+
+        Raises
+        ------
+        InstrumentLostError
+            The device or the server is not there (yet).
+        InstrumentError
+            Another device answers in its place, or the recorder was closed.
+        """
+        doing = "reconnecting"
+        with self._lock:
+            self._check_open(doing)
+            with suppress(InstrumentError):  # the reset takes back what cannot be cleared any more
+                self._drop(doing)
+            session = NiSession(self._device, self._address, self._answer_s, known=True)
+            try:
+                if session.identity != self._identity:
+                    raise InstrumentError(
+                        self._instrument,
+                        doing,
+                        f"{session.identity} answers instead of {self._identity}",
+                        "plug the right one in, or start a new campaign with this one",
+                    )
+                session.owned = self._owned
+                if self._owned:
+                    with session.telling("resetting the device"):
+                        session.reset()
+            except BaseException:
+                session.close()
+                raise
+            self._session = session
+
+    def close(self) -> None:
+        """Release the device. Safe to call twice; what is lost anyway is released in silence."""
+        with self._lock:
+            self._closed = True
+            with suppress(InstrumentLostError):
+                self._drop("closing")
+
+    def _ready(self, session: NiSession, timing: Timing, doing: str) -> RecordTask:
+        """The task for a record: the one of the record before where that was of the same kind."""
+        if self._task is not None and self._task.timing != timing:
+            task, self._task = self._task, None
+            task.close()
+        if self._task is None:
+            self._task = RecordTask(session, self._wiring, timing, doing)
+        return self._task
+
+    def _drop(self, doing: str) -> None:
+        """Let go of task and connection, whatever state they are in."""
+        self.abort()
+        session, self._session = self._session, None
+        task, self._task = self._task, None
+        if session is None:
+            return
+        try:
+            if task is not None:
+                with session.telling(doing):
+                    task.close()
+        finally:
+            session.close()
+
+    def _discard(self, failure: BaseException) -> None:
+        """Clear the task after a failure, which has been told; if that fails too, the failure's notes say so."""
+        task, self._task = self._task, None
+        if task is None:
+            return
+        try:
+            task.close()
+        except Exception as second:
+            failure.add_note(f"and the task could not be cleared: {second}")
+
+    def _check_open(self, doing: str) -> None:
+        if self._closed:
+            raise InstrumentError(self._instrument, doing, "it is closed", "open the rig again")
+
+    def _connected(self, doing: str) -> NiSession:
+        self._check_open(doing)
+        if self._session is None:
+            raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
+        return self._session
+
+    def _check_goes_on(self, request: RecordRequest, doing: str) -> None:
+        """Tell a read that its record was dropped meanwhile."""
+        if self._under_way is not request:
+            raise TransientInstrumentError(self._instrument, doing, "it was aborted", "start it again")
+
+    def _unfinished(self, timeout_s: float, doing: str) -> InstrumentError:
+        remedy = "allow the length of the record"
+        if self._wiring.trigger:
+            remedy += f", and check that a rising edge reaches {self._wiring.trigger}"
+        return _UnfinishedError(self._instrument, doing, f"not finished after {timeout_s:g} s", remedy)
+
+
+class _UnfinishedError(TransientInstrumentError):
+    """The record goes on, and can still be read."""
+
+
+def _recording(volts: NDArray[np.float64], task: RecordTask) -> Recording:
+    rounded = np.empty(volts.shape, dtype=np.float32)
+    reference, response = task.scales
+    over_range = (reference.quantise(volts[0], rounded[0]), response.quantise(volts[1], rounded[1]))
+    return Recording(rounded, (reference.step_v, response.step_v), over_range)

@@ -1,0 +1,194 @@
+"""One finite two-channel task, kept from record to record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.daq.converter import CountScale, count_scale
+from drivers.daq.ni_errors import IN_USE, NOT_DONE, STOPPED_BEFORE_DONE
+from drivers.daq.ni_session import TERMINALS, NiSession
+from drivers.errors import InstrumentError
+
+# The estimator finds clock ratios within 500 ppm; what the device's own divider takes of that is told beforehand.
+RATE_TOLERANCE = 2e-4
+# NI-DAQmx refuses a finite task of one sample.
+FEWEST_SAMPLES = 2
+# A finished record is in the computer's memory: reading it needs no time, but some drivers take 0 for "do not wait".
+READ_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """Which inputs are read, and how.
+
+    Parameters
+    ----------
+    inputs : tuple of str
+        Inputs of (reference, response): ``("ai0", "ai1")``.
+    terminal : str
+        Terminal configuration, a key of `TERMINALS`.
+    trigger : str, optional
+        Digital input whose rising edge starts a record.
+    """
+
+    inputs: tuple[str, str]
+    terminal: str
+    trigger: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """What a task is built for: rate in Hz, samples per channel, ranges in volts."""
+
+    rate_hz: float
+    samples: int
+    range_v: tuple[float, float]
+
+
+class RecordTask:
+    """A committed task: it starts with one call, and can be started again when it has been stopped.
+
+    Parameters
+    ----------
+    session : NiSession
+        The device.
+    wiring : Wiring
+        Its inputs.
+    timing : Timing
+        What is recorded.
+    operation : str
+        For messages.
+
+    Raises
+    ------
+    InstrumentError
+        The device has not this rate or range; nothing is left of the task then.
+    """
+
+    def __init__(self, session: NiSession, wiring: Wiring, timing: Timing, operation: str) -> None:
+        self.timing = timing
+        self._session = session
+        self._wiring = wiring
+        self._acquired = max(FEWEST_SAMPLES, timing.samples)
+        self._task = session.new_task()
+        try:
+            channels = self._configure()
+            self._check(channels, operation)
+            self._commit()
+            self.scales = (
+                self._scale(channels[0], timing.range_v[0]),
+                self._scale(channels[1], timing.range_v[1]),
+            )
+        except BaseException as failure:
+            self._close_after(failure)
+            raise
+
+    def start(self) -> None:
+        """Start a record."""
+        self._task.start()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Whether the record has ended within a time; returns as soon as it has."""
+        from nidaqmx.errors import DaqError
+
+        try:
+            self._task.wait_until_done(timeout_s)
+        except DaqError as error:
+            if error.error_code != NOT_DONE:
+                raise
+            return False
+        return True
+
+    def read(self) -> tuple[NDArray[np.float64], int]:
+        """Volts of the record that has ended, shape (2, samples), and how many of them are there.
+
+        Raises
+        ------
+        DaqReadError
+            Of the driver, where it says itself that samples are missing.
+        """
+        from nidaqmx.stream_readers import AnalogMultiChannelReader
+
+        volts = np.zeros((2, self._acquired))
+        reader = AnalogMultiChannelReader(self._task.in_stream)
+        reader.verify_array_shape = False  # it would ask the device for the number of channels each time
+        count = reader.read_many_sample(volts, self._acquired, READ_S)
+        return volts[:, : self.timing.samples], min(count, self.timing.samples)
+
+    def stop(self) -> None:
+        """End a record, finished or not; the task stays committed."""
+        from nidaqmx.errors import DaqWarning
+
+        try:
+            self._task.stop()
+        except DaqWarning as warning:
+            if warning.error_code != STOPPED_BEFORE_DONE:
+                raise  # that one is what stopping is for
+
+    def close(self) -> None:
+        """Give the device back."""
+        self._task.close()
+
+    def _configure(self) -> list[Any]:
+        from nidaqmx.constants import AcquisitionType, Edge, TerminalConfiguration
+
+        terminal = TerminalConfiguration[TERMINALS[self._wiring.terminal]]
+        channels = [
+            self._task.ai_channels.add_ai_voltage_chan(
+                f"{self._session.device}/{name}", terminal_config=terminal, min_val=-range_v, max_val=range_v
+            )
+            for name, range_v in zip(self._wiring.inputs, self.timing.range_v, strict=True)
+        ]
+        self._task.timing.cfg_samp_clk_timing(
+            self.timing.rate_hz, sample_mode=AcquisitionType.FINITE, samps_per_chan=self._acquired
+        )
+        if self._wiring.trigger:
+            source = f"/{self._session.device}/{self._wiring.trigger}"
+            self._task.triggers.start_trigger.cfg_dig_edge_start_trig(source, trigger_edge=Edge.RISING)
+        return channels
+
+    def _check(self, channels: list[Any], operation: str) -> None:
+        """Refuse what the driver would quietly change: it takes the next rate and the next larger range."""
+        rate_hz, instrument = self._task.timing.samp_clk_rate, self._session.instrument
+        if abs(rate_hz / self.timing.rate_hz - 1) > RATE_TOLERANCE:
+            raise InstrumentError(
+                instrument,
+                operation,
+                f"it has no sample rate of {self.timing.rate_hz:g} Hz",
+                f"choose the nearest one that it has, {rate_hz:.10g} Hz",
+            )
+        for channel, name, range_v in zip(channels, self._wiring.inputs, self.timing.range_v, strict=True):
+            got_v = channel.ai_rng_high
+            if abs(got_v / range_v - 1) > 1e-6:
+                raise InstrumentError(
+                    instrument,
+                    operation,
+                    f"{name} has no range of {range_v:g} V as a {self._wiring.terminal} input",
+                    f"choose {got_v:g} V, or another terminal configuration",
+                )
+
+    def _commit(self) -> None:
+        """Reserve the device, and make everything ready."""
+        from nidaqmx.constants import TaskMode
+        from nidaqmx.errors import DaqError
+
+        owned, self._session.owned = self._session.owned, True  # unless it says no, for it may not answer
+        try:
+            self._task.control(TaskMode.TASK_COMMIT)
+        except DaqError as error:
+            if error.error_code == IN_USE:
+                self._session.owned = owned
+            raise
+
+    def _scale(self, channel: Any, range_v: float) -> CountScale:
+        return count_scale(range_v, round(channel.ai_resolution), self._session.coefficients_of(channel))
+
+    def _close_after(self, failure: BaseException) -> None:
+        try:
+            self._task.close()
+        except Exception as second:
+            failure.add_note(f"and the task could not be cleared: {second}")

@@ -1,0 +1,1 @@
+"""Scanning mirrors on serial lines."""

@@ -1,0 +1,97 @@
+"""Mirrorcle MEMS mirrors on a USB or Bluetooth MTI controller in its command mode.
+
+Sources: public drivers of laboratories, in agreement with each other: command mode is entered by ``$MTI$``
+(answer ``MTI-Device MTI-MZ-2.3.113:USB Ready in Command Mode``) and left by ``MTI+EX``; ``MTI+EN`` and ``MTI+DI``
+switch the high voltage; ``MTI+GT x y m`` points, x and y from -1 to 1, m a digital output, here 0; answers are
+``MTI-OK`` and ``MTI-ERR`` with a word, ``MTI-ERR InvalidCommand`` also to ``$MTI$`` within command mode. Commands
+end with a line feed.
+
+Not confirmed: other words after ``MTI-ERR``; the baud, which is a setting of the controller (115200 and 460800 are
+both in use). There is no read-back and no busy query: a move lasts the stated settling time. Between full
+deflections the angle is taken to be linear in x and y; what is not is the mirror map's business.
+
+Bias, largest difference and filter (``MTI+VB``, ``MTI+VD``, ``MTI+BW``) belong to the mirror's data sheet. They are
+taken from the controller's memory, or sent as `setup` before the mirror is enabled.
+"""
+
+from __future__ import annotations
+
+import re
+
+from drivers.serial_line.dialogue import Dialogue
+from drivers.serial_line.question import Marker, Query, RefusedError, RestartedError, UnreadableError
+
+WITHIN_COMMAND_MODE = "MTI-ERR InvalidCommand"
+
+
+class MirrorcleMti:
+    """The dialect ``mirrorcle-mti``.
+
+    Parameters
+    ----------
+    full_scale_mrad : float
+        Optical angle at x = 1 or y = 1, > 0.
+    setup : tuple of str
+        Commands to send before the mirror is enabled, each answered by ``MTI-OK``.
+    """
+
+    baud = 115200
+    command_end = "\n"
+    patience_s = 2.0
+    says_when_idle = False
+
+    def __init__(self, full_scale_mrad: float, setup: tuple[str, ...] = ()) -> None:
+        self._full_scale_mrad = full_scale_mrad
+        self._setup = setup
+
+    @property
+    def reach_mrad(self) -> float:
+        return self._full_scale_mrad
+
+    def wake(self, dialogue: Dialogue, patience_s: float) -> str:
+        # Only on entering command mode does the controller say who it is: leave it first.
+        return dialogue.introduce(Query("$MTI$", _greeting), patience_s, before="MTI+EX")
+
+    def marker(self, identity: str) -> Marker:
+        def stranger(line: str) -> str | None:
+            if not line.startswith("MTI-Device") or line.endswith("Exit Command Mode"):
+                return None
+            if line == identity:
+                raise RestartedError(line)
+            return line
+
+        return Marker("$MTI$", identity, lambda line: line.endswith(WITHIN_COMMAND_MODE), stranger)
+
+    def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
+        for command in self._setup:
+            dialogue.ask(Query(command, _done), f"setting up ({command})")
+        dialogue.ask(Query("MTI+EN", _done), "enabling the mirror")
+
+    def move(self, dialogue: Dialogue, x_mrad: float, y_mrad: float, doing: str) -> None:
+        x, y = x_mrad / self._full_scale_mrad, y_mrad / self._full_scale_mrad
+        dialogue.ask(Query(f"MTI+GT {x:.4f} {y:.4f} 0", _done), doing)
+
+    def park(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
+        # Disabling the mirror would send the beam to the middle of the plate; it is held aside instead.
+        self.move(dialogue, *park_mrad, "parking")
+
+    def moving(self, dialogue: Dialogue, doing: str) -> bool:
+        return False
+
+    def where_mrad(self, dialogue: Dialogue, doing: str) -> None:
+        return None
+
+
+def _greeting(answer: str) -> str:
+    if not answer.startswith("MTI-Device") or answer.endswith("Exit Command Mode"):
+        raise UnreadableError(answer)
+    return answer.strip()
+
+
+def _done(answer: str) -> None:
+    refusal = re.fullmatch(r"MTI-ERR ?([ -~]*)", answer)
+    if refusal is not None:
+        # What its words mean is not known; a disturbed command is an invalid one, so another try may go well.
+        raise RefusedError(f"the controller answers {answer.strip()!r}", "see the controller's manual", passing=True)
+    if answer.strip() != "MTI-OK":
+        raise UnreadableError(answer)

@@ -1,0 +1,300 @@
+"""A scanning mirror on a serial line, whatever its dialect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.mirror.asi_tiger import AsiTiger
+from drivers.mirror.dialect import Dialect
+from drivers.mirror.generic import GenericMirror
+from drivers.mirror.mirrorcle import MirrorcleMti
+from drivers.mirror.optotune import OptotuneMre2
+from drivers.protocols import Clock
+from drivers.serial_line.dialogue import Dialogue
+from drivers.serial_line.line import LineSettings, SerialLine
+
+DIALECTS = ("asi-tiger", "mirrorcle-mti", "generic", "optotune-mre2")
+EXPERIMENTAL = ("optotune-mre2",)
+
+# Pause between two questions whether the mirror still moves.
+POLL_S = 0.001
+
+
+class SerialMirror:
+    """Points the laser over a serial line; implements `drivers.protocols.Mirror`.
+
+    The constructor opens the port, checks who answers, and enables the mirror; it does not move it.
+
+    Parameters
+    ----------
+    dialect : str
+        One of `DIALECTS`.
+    port : str
+        A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
+    baud : int, optional
+        Bits per second; by default the dialect's.
+    identity : str, optional
+        Text that the device's identification must contain. Whatever it is at the first open, it must be the same at
+        every other.
+    settle_s : float
+        How long the beam swings after the device says that it stands, or, where it cannot say so, after the move was
+        acknowledged; >= 0.
+    limit_mrad : float
+        Largest optical angle in x and in y, in mrad, > 0.
+    park_mrad : tuple of float
+        The safe direction, within the limit.
+    full_scale_mrad : float, optional
+        Optical angle in mrad at the device's full scale; needed by ``mirrorcle-mti`` alone.
+    clock : Clock
+        Passes the time while the mirror settles.
+    axes : tuple of str, optional
+        The device's axes, where it has more than one mirror; ``asi-tiger`` alone.
+    beam_per_mirror : float
+        Degrees that the beam turns by per degree of the device; ``asi-tiger`` alone.
+    setup : tuple of str
+        Commands from the mirror's data sheet, sent before it is enabled; ``mirrorcle-mti`` alone.
+    tolerance_mrad : float
+        How far from its target a mirror that reads back may stand, in mrad, > 0.
+    answer_s : float
+        Longest wait for one answer, in s, > 0.
+    patience_s : float, optional
+        How long a device whose port was just opened may take until it answers, in s; by default the dialect's 2, or
+        4 for a board that starts then.
+
+    Raises
+    ------
+    InstrumentError
+        The arguments do not fit the dialect, or another device answers.
+    InstrumentLostError
+        The device is not there, or does not answer.
+    """
+
+    def __init__(
+        self,
+        dialect: str,
+        port: str,
+        *,
+        baud: int | None = None,
+        identity: str | None = None,
+        settle_s: float,
+        limit_mrad: float,
+        park_mrad: tuple[float, float],
+        full_scale_mrad: float | None = None,
+        clock: Clock,
+        axes: tuple[str, str] | None = None,
+        beam_per_mirror: float = 2.0,
+        setup: tuple[str, ...] = (),
+        tolerance_mrad: float = 0.5,
+        answer_s: float = 1.0,
+        patience_s: float | None = None,
+    ) -> None:
+        self._name = f"mirror ({dialect} at {port})"
+        self._dialect = self._make(dialect, full_scale_mrad, axes, beam_per_mirror, setup)
+        self._wanted_identity = identity
+        self._identity: str | None = None
+        self._settle_s = settle_s
+        self._limit_mrad = limit_mrad
+        self._park_mrad = park_mrad
+        self._tolerance_mrad = tolerance_mrad
+        self._patience_s = self._dialect.patience_s if patience_s is None else patience_s
+        self._clock = clock
+        self._closed = False
+        self._target_mrad: tuple[float, float] | None = None
+        self._standing_since_s: float | None = None
+        self._settled = False
+        self._astray = ""
+        if limit_mrad > self._dialect.reach_mrad:
+            cause = f"limit_mrad is {limit_mrad:g}, the device's full scale {self._dialect.reach_mrad:g} mrad"
+            raise InstrumentError(self._name, "preparing", cause, "lower limit_mrad in the rig file")
+        self._check_reach(*park_mrad, "preparing to park")
+        settings = LineSettings(baud or self._dialect.baud, self._dialect.command_end, answer_s)
+        self._dialogue = Dialogue(self._name, SerialLine(self._name, port, settings))
+        self._open()
+
+    # -- the role ----------------------------------------------------------------------------------
+
+    def identify(self) -> str:
+        """Name of the device, after making sure that it still answers."""
+        self._check_open("identifying")
+        self._dialogue.verify("identifying")
+        return f"{self._name}: {_words(self._identity or '')}, within +-{self._limit_mrad:g} mrad"
+
+    def move_to(self, x_mrad: float, y_mrad: float) -> None:
+        """Start a move; angles in mrad, each within the limit."""
+        doing = f"moving to ({x_mrad:.3f}, {y_mrad:.3f}) mrad"
+        self._check_open(doing)
+        self._check_reach(x_mrad, y_mrad, doing)
+        self._start(lambda: self._dialect.move(self._dialogue, x_mrad, y_mrad, doing), (x_mrad, y_mrad))
+
+    def wait_settled(self, timeout_s: float) -> None:
+        """Return when the beam stands still where it was sent.
+
+        It ends after `timeout_s` and what a question under way then still takes, see
+        `drivers.serial_line.dialogue.Dialogue.ask`.
+
+        Raises
+        ------
+        TransientInstrumentError
+            It still moves, or stands elsewhere, after `timeout_s`.
+        """
+        self._check_open("settling")
+        gives_up_s = self._clock.now_s() + timeout_s
+        cause = "still moving"
+        if self._astray:
+            raise TransientInstrumentError(self._name, "settling", self._astray, "send it there again")
+        while not self._settled:
+            if self._clock.now_s() >= gives_up_s:
+                raise TransientInstrumentError(
+                    self._name,
+                    "settling",
+                    f"{cause} after {timeout_s:g} s",
+                    "allow more time to settle; check that nothing holds or drives the mirror",
+                )
+            cause = self._look(gives_up_s) or cause
+
+    def park(self) -> None:
+        """Move to the safe direction; a lost device is given one more chance. Does nothing once closed."""
+        if self._closed:
+            return
+        try:
+            self._start(lambda: self._dialect.park(self._dialogue, self._park_mrad), self._park_mrad)
+        except InstrumentLostError:
+            self._open()
+            self._start(lambda: self._dialect.park(self._dialogue, self._park_mrad), self._park_mrad)
+
+    def reconnect(self) -> None:
+        """Open the same port again, make sure that the same device answers, and enable it."""
+        self._check_open("reconnecting")
+        self._open()
+        self._astray = "it has been sent nowhere since it was opened again"
+
+    def close(self) -> None:
+        """Release the port; the mirror stays where it is. Twice does no harm."""
+        self._closed = True
+        self._dialogue.close()
+
+    # -- beyond the role -----------------------------------------------------------------------------
+
+    def where_mrad(self) -> tuple[float, float] | None:
+        """Where the device says that it points, optical mrad; None where the dialect has no read-back.
+
+        Raises
+        ------
+        InstrumentError
+            It does not answer.
+        """
+        self._check_open("reading the position")
+        return self._dialect.where_mrad(self._dialogue, "reading the position")
+
+    # -- inside --------------------------------------------------------------------------------------
+
+    def _make(
+        self,
+        dialect: str,
+        full_scale_mrad: float | None,
+        axes: tuple[str, str] | None,
+        beam_per_mirror: float,
+        setup: tuple[str, ...],
+    ) -> Dialect:
+        if dialect == "asi-tiger":
+            return AsiTiger(axes, beam_per_mirror)
+        if dialect == "generic":
+            return GenericMirror()
+        if dialect == "optotune-mre2":
+            return OptotuneMre2()
+        if dialect != "mirrorcle-mti":
+            raise InstrumentError(
+                self._name, "preparing", f"there is no dialect {dialect!r}", f"choose from {', '.join(DIALECTS)}"
+            )
+        if full_scale_mrad is None:
+            raise InstrumentError(
+                self._name, "preparing", "full_scale_mrad is missing", "measure it, or take it from the data sheet"
+            )
+        return MirrorcleMti(full_scale_mrad, setup)
+
+    def _open(self) -> None:
+        self._forget_move()
+        self._dialogue.open()
+        try:
+            identity = self._dialect.wake(self._dialogue, self._patience_s)
+            if self._stranger(identity):
+                # One disturbed answer is no other device.
+                identity = self._dialect.wake(self._dialogue, self._patience_s)
+            self._check_identity(identity)
+            self._dialogue.recognise(self._dialect.marker(identity))
+            self._dialect.enable(self._dialogue, self._park_mrad)
+        except BaseException:
+            self._dialogue.close()
+            raise
+        self._identity = identity
+        self._standing_since_s = None if self._dialect.says_when_idle else self._clock.now_s()
+
+    def _check_identity(self, identity: str) -> None:
+        stranger = self._stranger(identity)
+        if stranger:
+            raise InstrumentError(
+                self._name, "asking who it is", stranger, "plug in the right device, or correct the rig file, identity"
+            )
+
+    def _stranger(self, identity: str) -> str:
+        """Why this is not the device that is wanted; empty if it is."""
+        says, wanted = _words(identity), self._wanted_identity
+        if wanted is not None and wanted not in says:
+            return f"another device answers: {says!r} does not contain {wanted!r}"
+        if self._identity is not None and identity != self._identity:
+            return f"another device answers in its place: {says!r}, and not {_words(self._identity)!r}"
+        return ""
+
+    def _start(self, command: Callable[[], None], target_mrad: tuple[float, float]) -> None:
+        self._forget_move()
+        self._astray = "the latest move failed"
+        command()
+        self._astray = ""
+        self._target_mrad = target_mrad
+        if not self._dialect.says_when_idle:
+            self._standing_since_s = self._clock.now_s()
+
+    def _forget_move(self) -> None:
+        self._target_mrad, self._standing_since_s, self._settled = None, None, False
+
+    def _look(self, gives_up_s: float) -> str:
+        """Look once whether the beam stands; says why not, where that is news."""
+        if self._dialect.says_when_idle:
+            if self._dialect.moving(self._dialogue, "settling"):
+                self._standing_since_s = None
+                self._clock.sleep(POLL_S)
+                return "still moving"
+            if self._standing_since_s is None:
+                # When it came to rest is not known: only that it rests now.
+                self._standing_since_s = self._clock.now_s()
+        left_s = self._settle_s - (self._clock.now_s() - (self._standing_since_s or 0.0))
+        if left_s > 0:
+            self._clock.sleep(min(left_s, gives_up_s - self._clock.now_s()))
+            return ""
+        where_mrad = self._dialect.where_mrad(self._dialogue, "settling")
+        target_mrad = self._target_mrad
+        if where_mrad is None or target_mrad is None or self._is_near(where_mrad, target_mrad):
+            self._settled = True
+            return ""
+        self._standing_since_s = None
+        self._clock.sleep(POLL_S)
+        stands, sent = (f"({x:.3f}, {y:.3f}) mrad" for x, y in (where_mrad, target_mrad))
+        return f"standing at {stands} and not at {sent}"
+
+    def _is_near(self, one_mrad: tuple[float, float], other_mrad: tuple[float, float]) -> bool:
+        return max(abs(one_mrad[0] - other_mrad[0]), abs(one_mrad[1] - other_mrad[1])) <= self._tolerance_mrad
+
+    def _check_reach(self, x_mrad: float, y_mrad: float, doing: str) -> None:
+        limit = self._limit_mrad
+        if not (abs(x_mrad) <= limit and abs(y_mrad) <= limit):
+            cause = f"({x_mrad:g}, {y_mrad:g}) mrad is beyond the limit of +-{limit:g} mrad"
+            raise InstrumentError(self._name, doing, cause, "choose a grid within the mirror's reach")
+
+    def _check_open(self, doing: str) -> None:
+        if self._closed:
+            raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
+
+
+def _words(identity: str) -> str:
+    return " ".join(identity.split())

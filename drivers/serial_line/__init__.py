@@ -1,0 +1,1 @@
+"""Serial lines: ports by name, lines with deadlines, questions and their answers."""

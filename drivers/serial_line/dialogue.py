@@ -1,0 +1,309 @@
+"""Questions over a serial line, asked again once where that can help, and never mistaken for one another.
+
+A device answers in the order in which it was asked, so an answer that comes late looks like that to the
+next question. Therefore no question follows an unanswered one directly: in between, the device is asked for
+something that only it answers so (its identity, as a rule), and whatever arrives before that is dropped.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.serial_line.line import LineFailedError, NoAnswerError, SerialLine
+from drivers.serial_line.question import Marker, Query, RefusedError, RestartedError, UnreadableError
+
+Answer = TypeVar("Answer")
+
+# Pause after a command whose answer is not waited for, as public drivers make it (0.2 s, lab-built ones for MTI).
+BEFORE_S = 0.2
+
+
+class Dialogue:
+    """Asks a device over a line, one thread at a time.
+
+    Parameters
+    ----------
+    instrument : str
+        Whose device it is, for messages.
+    line : SerialLine
+        The line.
+    """
+
+    def __init__(self, instrument: str, line: SerialLine) -> None:
+        self._instrument = instrument
+        self._line = line
+        self._marker: Marker | None = None
+        self._behind = False
+        self._markers_due = 0
+        self._lock = threading.RLock()
+
+    @property
+    def instrument(self) -> str:
+        """Whose device it is, for messages."""
+        return self._instrument
+
+    def open(self) -> None:
+        """Open the line afresh; nothing is known of the device then."""
+        with self._lock:
+            self._marker = None
+            self._behind = False
+            self._markers_due = 0
+            self._line.open()
+
+    def close(self) -> None:
+        """Release the line."""
+        with self._lock:
+            self._line.close()
+
+    def introduce(self, query: Query[str], patience_s: float, before: str = "") -> str:
+        """Ask a device that was just opened who it is, again and again: it may still be starting.
+
+        Parameters
+        ----------
+        query : Query
+            Answered with the identity.
+        patience_s : float
+            How long to try; a try that was begun is finished.
+        before : str
+            A command to send before each try, whether it is answered or not.
+
+        Raises
+        ------
+        InstrumentLostError
+            It does not answer, or not in its language.
+        """
+        doing = "asking who it is"
+        latest = NoAnswerError("no answer came")
+        gives_up_s = time.monotonic() + patience_s
+        with self._lock, self._losses(doing):
+            while True:
+                try:
+                    # An end rounds off what another program may have left half said.
+                    self._line.send(before)
+                    if before:
+                        time.sleep(BEFORE_S)
+                    self._line.send(query.text)
+                    return self._first_readable(query)
+                except NoAnswerError as missing:
+                    latest = missing
+                except LineFailedError as failure:
+                    self._line.close()
+                    raise InstrumentLostError(
+                        self._instrument,
+                        doing,
+                        f"the connection was closed ({failure})",
+                        "it may serve one program at a time: close the others; check its power",
+                    ) from failure
+                if time.monotonic() > gives_up_s:
+                    raise InstrumentLostError(
+                        self._instrument,
+                        doing,
+                        str(latest),
+                        "switch it on; check the cable, and driver and baud in the rig file",
+                    )
+
+    def recognise(self, marker: Marker) -> None:
+        """From now on, know the device by this.
+
+        The place in its answers is taken to be in doubt: more than one introduction may have been asked for.
+        """
+        self._marker = marker
+        self._behind = True
+
+    def verify(self, doing: str) -> None:
+        """Make sure that the device answers, and that it is still the same.
+
+        Raises
+        ------
+        InstrumentError
+            Another device answers.
+        InstrumentLostError
+            None does, or it has been switched off and on.
+        """
+        with self._lock, self._losses(doing):
+            self._require_open(doing)
+            try:
+                self._catch_up(doing)
+            except NoAnswerError:
+                self._catch_up_or_fail(doing)
+
+    def ask(self, query: Query[Answer], doing: str) -> Answer:
+        """Ask, and once more if no answer can be read.
+
+        It lasts at most eight times the line's longest wait for an answer, however the device behaves; three where it
+        is silent.
+
+        Parameters
+        ----------
+        query : Query
+            The question.
+        doing : str
+            What it is for, for messages.
+
+        Raises
+        ------
+        InstrumentError
+            The device refuses for good.
+        TransientInstrumentError
+            It refuses for now, or did not answer twice.
+        InstrumentLostError
+            The port is gone, or the device did not answer the time before either.
+        """
+        with self._lock, self._losses(doing):
+            self._require_open(doing)
+            if self._behind or self._line.received():
+                self._catch_up_or_fail(doing)
+            try:
+                try:
+                    return self._exchange(query)
+                except NoAnswerError:
+                    self._catch_up(doing)
+                    return self._exchange(query)
+            except NoAnswerError as missing:
+                raise TransientInstrumentError(
+                    self._instrument, doing, f"{missing}, asked twice", "try again; if it stays, check cable and power"
+                ) from missing
+            except RefusedError as refused:
+                kind = TransientInstrumentError if refused.passing else InstrumentError
+                raise kind(self._instrument, doing, refused.meaning, refused.remedy) from refused
+
+    # -- one exchange --------------------------------------------------------------------------
+
+    def _exchange(self, query: Query[Answer]) -> Answer:
+        # Until an answer has come, whatever ends the wait for it, an interrupt too, leaves the place in doubt.
+        self._behind = True
+        self._line.send(query.text)
+        answer = self._line.receive(time.monotonic() + self._line.settings.answer_s)
+        if answer.strip() == query.text.strip() and answer.strip():
+            # The line echoes what is sent over it; the answer comes after that.
+            answer = self._line.receive(time.monotonic() + self._line.settings.answer_s)
+        if self._line.received():
+            raise NoAnswerError(f"more came than the answer {answer!r}")
+        try:
+            read = query.read(answer)
+        except UnreadableError:
+            raise NoAnswerError(f"the answer {answer!r} cannot be read") from None
+        except RefusedError:
+            self._behind = False
+            raise
+        self._behind = False
+        return read
+
+    def _first_readable(self, query: Query[str]) -> str:
+        """The first line that answers a question, whatever comes before it."""
+        deadline_s = time.monotonic() + self._line.settings.answer_s
+        unread = ""
+        while True:
+            try:
+                line = self._line.receive(deadline_s)
+            except NoAnswerError as missing:
+                raise NoAnswerError(f"it answers {unread!r}" if unread else str(missing)) from None
+            try:
+                return query.read(line)
+            except (UnreadableError, RefusedError):
+                unread = line if line.strip() and line.strip() != query.text else unread
+
+    # -- finding the place again -----------------------------------------------------------------
+
+    def _catch_up(self, doing: str) -> None:
+        """Drop all answers up to the marker's.
+
+        Raises
+        ------
+        NoAnswerError
+            The marker's never came.
+        InstrumentError
+            Another device answers, and says so twice.
+        """
+        marker = self._marker
+        if marker is None:
+            raise NoAnswerError("no answer came")
+        # An end alone rounds off a command of which only a part went out.
+        self._line.send("")
+        strangers: list[str] = []
+        for _ in range(2):
+            self._line.send(marker.text)
+            self._markers_due += 1
+            stranger = self._await(marker)
+            if stranger is None:
+                self._behind = False
+                return
+            strangers.append(stranger)
+        if strangers[0] != strangers[1]:
+            raise NoAnswerError(f"the answer {strangers[1]!r} cannot be read")
+        raise InstrumentError(
+            self._instrument,
+            doing,
+            f"another device answers in its place: {strangers[1]!r}, and not {marker.device!r}",
+            "plug in the right device, or correct the rig file, port and identity",
+        )
+
+    def _await(self, marker: Marker) -> str | None:
+        """None once every marker asked for so far is answered; else who answers in its place, if anybody does.
+
+        Where one of several is missing, it was lost: a pause as long as an answer may take tells.
+        """
+        deadline_s = time.monotonic() + self._line.settings.answer_s
+        answered = False
+        stranger: str | None = None
+        while True:
+            try:
+                line = self._line.receive(deadline_s)
+            except NoAnswerError:
+                if time.monotonic() <= deadline_s:
+                    continue  # noise; the answer may still come
+                if stranger is None and not answered:
+                    raise
+                break
+            if marker.marks(line):
+                answered = True
+                self._markers_due -= 1
+                if self._markers_due <= 0:
+                    break
+            else:
+                stranger = marker.stranger(line) or stranger
+        if answered:
+            self._markers_due = 0
+        return None if answered else stranger
+
+    def _catch_up_or_fail(self, doing: str) -> None:
+        """Catch up with a device that did not answer the time before either."""
+        try:
+            self._catch_up(doing)
+        except NoAnswerError as missing:
+            self._behind = True
+            raise InstrumentLostError(
+                self._instrument,
+                doing,
+                f"the device has stopped answering ({missing})",
+                "check its power and its cable",
+            ) from missing
+
+    # -- losing the device -------------------------------------------------------------------------
+
+    def _require_open(self, doing: str) -> None:
+        if not self._line.is_open:
+            raise InstrumentLostError(
+                self._instrument, doing, "the connection is lost", "check power and cable; it must be opened again"
+            )
+
+    @contextmanager
+    def _losses(self, doing: str) -> Iterator[None]:
+        """Close the line where it failed, or where the device has forgotten what it was told."""
+        try:
+            yield
+        except LineFailedError as failure:
+            self._line.close()
+            raise InstrumentLostError(
+                self._instrument, doing, f"the connection broke ({failure})", "plug it in and switch it on"
+            ) from failure
+        except RestartedError as restarted:
+            self._line.close()
+            raise InstrumentLostError(
+                self._instrument, doing, "the device was switched off and on meanwhile", "check its power supply"
+            ) from restarted

@@ -1,0 +1,120 @@
+"""Which serial port a rig file means: a device path, a network address, or a serial number to look for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from drivers.errors import InstrumentError, InstrumentLostError
+
+NETWORK = "socket://"
+BY_SERIAL_NUMBER = "serial-number:"
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPort:
+    """A serial port that the operating system knows.
+
+    Parameters
+    ----------
+    device : str
+        What it is opened by: ``"/dev/ttyUSB0"``, ``"COM3"``.
+    serial_number : str
+        Of its USB interface; empty where it has none.
+    description : str
+        What the operating system calls it.
+    """
+
+    device: str
+    serial_number: str = ""
+    description: str = ""
+
+
+def serial_ports(instrument: str = "serial ports") -> tuple[SerialPort, ...]:
+    """All serial ports that are present now.
+
+    Parameters
+    ----------
+    instrument : str
+        Who asks, for the message.
+
+    Raises
+    ------
+    InstrumentError
+        pyserial is not installed.
+    """
+    try:
+        from serial.tools.list_ports import comports
+    except ImportError as missing:
+        raise pyserial_missing(instrument, "looking for serial ports") from missing
+    return tuple(
+        SerialPort(str(port.device), str(port.serial_number or ""), str(port.description or "")) for port in comports()
+    )
+
+
+def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None = None) -> str:
+    """What to open for a port as a rig file names it; asked afresh at every open, since numbers move.
+
+    Parameters
+    ----------
+    port : str
+        A device path (``"/dev/ttyUSB0"``, ``"COM3"``), ``"socket://host:port"``, or ``"serial-number:ABC123"``.
+    instrument : str
+        Who asks, for the message.
+    present : iterable of SerialPort, optional
+        The ports to choose from; by default those of this computer, now.
+
+    Returns
+    -------
+    str
+        A device path or a ``socket://`` address.
+
+    Raises
+    ------
+    InstrumentLostError
+        No port, or more than one, has the serial number: that can change.
+    InstrumentError
+        The text is none of the three.
+    """
+    if port.startswith(NETWORK):
+        return _network_address(port, instrument)
+    if not port.startswith(BY_SERIAL_NUMBER):
+        if not port.strip():
+            raise InstrumentError(instrument, "opening", "port is empty", "write its path into the rig file, port")
+        return port
+    wanted = port.removeprefix(BY_SERIAL_NUMBER).strip()
+    known = tuple(serial_ports(instrument) if present is None else present)
+    found = [one.device for one in known if wanted and one.serial_number == wanted]
+    if len(found) == 1:
+        return found[0]
+    doing = f"looking for the port with serial number {wanted!r}"
+    if found:
+        raise InstrumentLostError(
+            instrument, doing, f"{' and '.join(found)} both have it", "name one of them in the rig file, port"
+        )
+    numbers = ", ".join(f"{one.serial_number} ({one.device})" for one in known if one.serial_number)
+    raise InstrumentLostError(
+        instrument,
+        doing,
+        f"no port has it; those present: {numbers or 'none with a serial number'}",
+        "plug it in, or correct the rig file, port",
+    )
+
+
+def pyserial_missing(instrument: str, doing: str) -> InstrumentError:
+    """What to say where pyserial is not installed."""
+    return InstrumentError(instrument, doing, "the package pyserial is not installed", "pip install pyserial")
+
+
+def _network_address(port: str, instrument: str) -> str:
+    parts = urlsplit(port)
+    try:
+        number = parts.port
+    except ValueError:
+        number = None
+    if not parts.hostname or number is None or parts.path.strip("/") or parts.query:
+        raise InstrumentError(
+            instrument, "opening", f"port is {port!r}", "write socket://host:port with a port from 1 to 65535"
+        )
+    return port

@@ -1,0 +1,1 @@
+"""The laser vibrometer's controller, where it can be asked for its settings."""

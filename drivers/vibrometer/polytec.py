@@ -1,0 +1,177 @@
+"""Polytec OFV-5000 vibrometer controllers on their RS-232 interface.
+
+Sources: the PLACE laboratory package's driver, made after Polytec's "RS-232 Interface Commands: OFV-5000 User Manual"
+(``Get,VeloDec,1,Range`` -> ``125mm/s/V``, ``Get,VeloDec,1,SignalDelay`` -> ``8.16 us``, ``Get,Controller,0,Name``,
+``Set,Interface,0,Echo,Off`` without an answer; 115200 baud, 8N1, line feed); two further public programs ask
+``Get,SignalLevel,0,Value`` and get a whole number. Which number a decoder has differs from box to box: 1 is the
+VD-09 in those programs.
+
+Not confirmed: the largest signal level, 775 in one of the programs; what the controller answers to a command that it
+does not know (``Not Available`` for a decoder that is not installed).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from drivers.errors import InstrumentError
+from drivers.serial_line.dialogue import Dialogue
+from drivers.serial_line.line import LineSettings, SerialLine
+from drivers.serial_line.question import Marker, Query, RefusedError, UnreadableError
+
+BAUD = 115200
+FULL_SIGNAL_LEVEL = 775
+NUMBER = r"(\d{1,6}(?:\.\d{1,6})?)"
+METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
+SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
+
+
+@dataclass(frozen=True, slots=True)
+class VibrometerReading:
+    """What a vibrometer's controller says of itself.
+
+    Parameters
+    ----------
+    sensitivity_m_s_per_v : float
+        Velocity per volt at its output, > 0.
+    range_text : str
+        The measurement range in the controller's own words.
+    latency_s : float or None
+        How much later its output follows the surface, typically, for this decoder and range; None where it does
+        not say.
+    signal_level : float or None
+        Strength of the reflected light, 0 to 1 (of `FULL_SIGNAL_LEVEL`); None where it does not say.
+    identity : str
+        Controller and velocity decoder.
+    """
+
+    sensitivity_m_s_per_v: float
+    range_text: str
+    latency_s: float | None
+    signal_level: float | None
+    identity: str
+
+
+def read_sensitivity(
+    port: str,
+    *,
+    baud: int | None = None,
+    identity: str | None = None,
+    decoder: int = 1,
+    least_signal_level: float = 0.0,
+    answer_s: float = 1.0,
+) -> VibrometerReading:
+    """Ask a Polytec OFV-5000 for the sensitivity that it is set to, and leave it alone again.
+
+    Parameters
+    ----------
+    port : str
+        A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
+    baud : int, optional
+        Bits per second; by default 115200.
+    identity : str, optional
+        Text that the names of controller and decoder must contain.
+    decoder : int
+        Number of the velocity decoder in use, from 0.
+    least_signal_level : float
+        Smallest signal level that will do, 0 to 1.
+    answer_s : float
+        Longest wait for one answer, in s, > 0.
+
+    Raises
+    ------
+    InstrumentError
+        Another device answers, the decoder is not there, or the signal is too weak.
+    TransientInstrumentError
+        An answer did not come.
+    InstrumentLostError
+        The controller is not there, or does not answer at all.
+    """
+    name = f"vibrometer (polytec-ofv5000 at {port})"
+    dialogue = Dialogue(name, SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s)))
+    dialogue.open()
+    try:
+        # With echo on, the controller repeats every command before its answer.
+        who = dialogue.introduce(Query("Get,Controller,0,Name", _name), 2.0, before="Set,Interface,0,Echo,Off")
+        dialogue.recognise(Marker("Get,Controller,0,Name", who, lambda line: line.endswith(who), _stranger))
+        decoder_name = dialogue.ask(Query(f"Get,VeloDec,{decoder},Name", _name), "reading the decoder's name")
+        known_as = f"{who}, {decoder_name}"
+        if identity is not None and identity not in known_as:
+            raise InstrumentError(
+                name,
+                "asking who it is",
+                f"another device answers: {known_as!r} does not contain {identity!r}",
+                "plug in the right device, or correct the rig file, identity",
+            )
+        range_text = dialogue.ask(Query(f"Get,VeloDec,{decoder},Range", _range), "reading the measurement range")
+        latency_s = _unless_refused(dialogue, Query(f"Get,VeloDec,{decoder},SignalDelay", _delay_s))
+        level = _unless_refused(dialogue, Query("Get,SignalLevel,0,Value", _level))
+    finally:
+        dialogue.close()
+    if level is not None and level < least_signal_level:
+        raise InstrumentError(
+            name,
+            "checking the signal level",
+            f"it is {level:.0%} of full, at least {least_signal_level:.0%} is wanted",
+            "focus the laser; put reflective film on the surface",
+        )
+    return VibrometerReading(_metres_per_second_per_volt(range_text), range_text, latency_s, level, known_as)
+
+
+def _unless_refused(dialogue: Dialogue, query: Query[float]) -> float | None:
+    """The answer, or None from a controller that does not know the question."""
+    try:
+        return dialogue.ask(query, f"asking {query.text}")
+    except InstrumentError as refusal:
+        if isinstance(refusal.__cause__, RefusedError):
+            return None
+        raise
+
+
+def _name(answer: str) -> str:
+    """A device's name: some letters with a number, and no number with a unit, which would be another answer."""
+    name = _given(answer)
+    if not re.fullmatch(r"(?=.*\d)[A-Za-z][A-Za-z0-9 ().+-]{1,40}", name):
+        raise UnreadableError(answer)
+    return name
+
+
+def _stranger(line: str) -> str | None:
+    return line if re.fullmatch(r"OFV-\d{4}[A-Z0-9 -]{0,20}", line.strip()) else None
+
+
+def _range(answer: str) -> str:
+    text = _given(answer)
+    _metres_per_second_per_volt(text)
+    return text
+
+
+def _metres_per_second_per_volt(text: str) -> float:
+    """The sensitivity of a range such as ``125mm/s/V``."""
+    found = re.fullmatch(rf"{NUMBER} ?(nm|um|mm|cm|m)/s/V", text)
+    if found is None or float(found.group(1)) == 0:
+        raise UnreadableError(text)
+    return float(found.group(1)) * METRES[found.group(2)]
+
+
+def _delay_s(answer: str) -> float:
+    found = re.fullmatch(rf"{NUMBER} ?(ns|us|ms|s)", _given(answer))
+    if found is None:
+        raise UnreadableError(answer)
+    return float(found.group(1)) * SECONDS[found.group(2)]
+
+
+def _level(answer: str) -> float:
+    found = re.fullmatch(r"\d{1,4}", _given(answer))
+    if found is None:
+        raise UnreadableError(answer)
+    return min(1.0, int(found.group()) / FULL_SIGNAL_LEVEL)
+
+
+def _given(answer: str) -> str:
+    """The answer, unless it says that there is none."""
+    text = answer.strip()
+    if re.fullmatch(r"(?i)not (available|installed)|error[ -~]*|unknown[ -~]*", text):
+        raise RefusedError(f"the controller answers {text!r}", "check the decoder's number in the rig file")
+    return text

@@ -1,0 +1,267 @@
+"""A device at the far end of a serial line, with faults on order."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from types import TracebackType
+from typing import Protocol
+
+from mocks.wire.faults import WireFault, WireFaultPlan
+from mocks.wire.serial_wires import TcpWire, Wire
+
+IDLE_S = 0.5
+TICK_S = 0.01
+HEARD = 1000
+
+
+class SerialDevice(Protocol):
+    """Answers commands as its manual says."""
+
+    @property
+    def role(self) -> str:
+        """``"mirror"`` or ``"vibrometer"``."""
+        ...
+
+    @property
+    def baud(self) -> int:
+        """Bits per second that it listens at."""
+        ...
+
+    @property
+    def command_end(self) -> str:
+        """The character that ends a command."""
+        ...
+
+    def operation(self, command: str) -> str:
+        """The verb of a command in fault plans: identify, move, park, busy, where, enable, or its own."""
+        ...
+
+    def answer(self, command: str) -> str:
+        """Carry a command out and answer it, line ends included; empty where there is no answer."""
+        ...
+
+    def refusal(self, command: str) -> str:
+        """An error code in place of an answer."""
+        ...
+
+    def impostor(self, command: str) -> str:
+        """What another device would answer to the question who it is."""
+        ...
+
+    def restart(self) -> None:
+        """Forget what power-off makes it forget."""
+        ...
+
+
+def garble(answer: bytes) -> bytes:
+    """An answer as a bad line delivers it: every other byte with its top bit set, the line's end as it was."""
+    body = answer.rstrip(b"\r\n")
+    return bytes(byte | 0x80 if index % 2 == 0 else byte for index, byte in enumerate(body)) + answer[len(body) :]
+
+
+class SerialFarSide:
+    """Serves a device on a wire, in a thread of its own, until it is closed.
+
+    Faults: *silent*: the command is lost on its way. *late*: the answer comes `seconds` late. *truncated*: half of
+    the answer comes, without an end. *garbled*: see `garble`. *stalled*: from then on nothing is read for `seconds`,
+    0 until the next unplugging. *refused*: an error code. *unplugged*: the port vanishes for `seconds`, 0 until
+    :meth:`plug`. *impostor*: another device says who it is.
+
+    Parameters
+    ----------
+    device : SerialDevice
+        What answers.
+    wire : Wire
+        What it hangs on; closed with the far side.
+    faults : WireFaultPlan, optional
+        What goes wrong, by the device's role.
+    garbler : callable
+        Turns an answer into a garbled one.
+    """
+
+    def __init__(
+        self,
+        device: SerialDevice,
+        wire: Wire,
+        faults: WireFaultPlan | None = None,
+        garbler: Callable[[bytes], bytes] = garble,
+    ) -> None:
+        self._device = device
+        self._wire = wire
+        self._faults = faults or WireFaultPlan(device.role)
+        self._garbler = garbler
+        self._thread = threading.Thread(target=self._serve, name=f"{device.role} far side", daemon=True)
+        self._orders: queue.SimpleQueue[tuple[Callable[[], None], threading.Event]] = queue.SimpleQueue()
+        self._bell, self._wake = socket.socketpair()
+        self._wake.setblocking(False)
+        self._stopping = threading.Event()
+        self._plugged = False
+        self._plug_at_s: float | None = None
+        self._read_again_s = 0.0
+        self._input = b""
+        self._heard: deque[str] = deque(maxlen=HEARD)
+
+    @property
+    def address(self) -> str:
+        """What goes into a rig file as port."""
+        return self._wire.address
+
+    @property
+    def heard(self) -> tuple[str, ...]:
+        """The latest commands, as they came in."""
+        return tuple(self._heard)
+
+    def start(self) -> SerialFarSide:
+        """Make the port appear and serve it."""
+        self._wire.plug()
+        self._plugged = True
+        self._thread.start()
+        return self
+
+    def unplug(self) -> None:
+        """Pull the plug: the port vanishes, and what has it open gets errors."""
+        self._order(lambda: self._unplug(0.0))
+
+    def plug(self) -> None:
+        """Plug in again, at the same address; the device starts anew."""
+        self._order(self._plug)
+
+    def close(self) -> None:
+        """Stop serving, and remove the port. Twice does no harm."""
+        if self._stopping.is_set():
+            return
+        self._stopping.set()
+        self._ring()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._wire.unplug()
+        if isinstance(self._wire, TcpWire):
+            self._wire.free()
+        self._bell.close()
+        self._wake.close()
+
+    def __enter__(self) -> SerialFarSide:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # -- in the thread ---------------------------------------------------------------------------
+
+    def _serve(self) -> None:
+        while not self._stopping.is_set():
+            self._obey()
+            now_s = time.monotonic()
+            if self._plug_at_s is not None and now_s >= self._plug_at_s:
+                self._plug()
+            if now_s < self._read_again_s:
+                self._stopping.wait(TICK_S)
+                continue
+            data = self._wire.receive(self._patience_s(now_s), self._wake)
+            self._take(data)
+
+    def _patience_s(self, now_s: float) -> float:
+        return IDLE_S if self._plug_at_s is None else max(0.0, min(IDLE_S, self._plug_at_s - now_s))
+
+    def _take(self, data: bytes) -> None:
+        self._input += data
+        end = self._device.command_end.encode()
+        while end in self._input and self._plugged:
+            command, _, self._input = self._input.partition(end)
+            self._hear(command.strip(b"\r\n").decode("latin-1"))
+
+    def _hear(self, command: str) -> None:
+        self._heard.append(command)
+        if not command:
+            return
+        baud = self._wire.baud()
+        if baud is not None and baud != self._device.baud:
+            self._wire.send(b"\xfe\xe0\xf8")  # what a wrong baud makes of an error code
+            return
+        operation = self._device.operation(command)
+        answer: bytes | None = None
+        due = self._faults.due(operation)
+        for fault in due:
+            if not self._before_answer(fault):
+                return
+            if fault.kind == "refused":
+                answer = self._device.refusal(command).encode()
+            elif fault.kind == "impostor" and operation == "identify":
+                answer = self._device.impostor(command).encode()
+        if answer is None:
+            answer = self._device.answer(command).encode()
+        for fault in due:
+            answer = self._spoilt(answer, fault)
+        if answer and self._plugged:
+            self._wire.send(answer)
+
+    def _before_answer(self, fault: WireFault) -> bool:
+        """Whether the device hears the command at all."""
+        if fault.kind == "stalled":
+            self._read_again_s = time.monotonic() + fault.seconds if fault.seconds else float("inf")
+        elif fault.kind == "unplugged":
+            self._unplug(fault.seconds)
+        return fault.kind not in {"silent", "stalled", "unplugged"}
+
+    def _spoilt(self, answer: bytes, fault: WireFault) -> bytes:
+        if fault.kind == "late":
+            self._pause(fault.seconds)
+        elif fault.kind == "truncated":
+            return answer[: len(answer.rstrip(b"\r\n")) // 2]
+        elif fault.kind == "garbled":
+            return self._garbler(answer)
+        return answer
+
+    def _pause(self, seconds: float) -> None:
+        """Let time pass; orders and the end are still obeyed."""
+        ends_s = time.monotonic() + seconds
+        while not self._stopping.is_set() and self._plugged and (left_s := ends_s - time.monotonic()) > 0:
+            self._stopping.wait(min(left_s, TICK_S))
+            self._obey()
+
+    def _unplug(self, seconds: float) -> None:
+        if not self._plugged:
+            return
+        self._plugged = False
+        self._plug_at_s = time.monotonic() + seconds if seconds else None
+        self._read_again_s = 0.0
+        self._input = b""
+        self._wire.unplug()
+
+    def _plug(self) -> None:
+        if self._plugged:
+            return
+        self._plug_at_s = None
+        self._device.restart()
+        self._wire.plug()
+        self._plugged = True
+
+    # -- from other threads ------------------------------------------------------------------------
+
+    def _order(self, what: Callable[[], None]) -> None:
+        """Have the serving thread do something, and wait until it is done."""
+        done = threading.Event()
+        self._orders.put((what, done))
+        self._ring()
+        while not done.wait(0.1) and self._thread.is_alive():
+            pass
+
+    def _obey(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            self._wake.recv(64)
+        while not self._orders.empty():
+            what, done = self._orders.get()
+            what()
+            done.set()
+
+    def _ring(self) -> None:
+        with contextlib.suppress(OSError):
+            self._bell.send(b"!")

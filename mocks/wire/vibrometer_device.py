@@ -1,0 +1,78 @@
+"""A Polytec OFV-5000 behind its RS-232 interface; sources stand in the driver's module."""
+
+from __future__ import annotations
+
+
+class PolytecDevice:
+    """A controller with one velocity decoder; it echoes commands until it is told not to.
+
+    Parameters
+    ----------
+    range_text : str
+        The measurement range that is set.
+    signal_delay : str
+        What the decoder says of its delay.
+    signal_level : int
+        Strength of the reflected light, 0 to 775.
+    decoder : int
+        Number of the decoder; the others are not installed.
+    echo : bool
+        Whether commands are repeated before they are answered.
+    name : str
+        The controller's.
+    """
+
+    role = "vibrometer"
+    baud = 115200
+    command_end = "\n"
+
+    def __init__(
+        self,
+        range_text: str = "125mm/s/V",
+        *,
+        signal_delay: str = "8.16 us",
+        signal_level: int = 600,
+        decoder: int = 1,
+        echo: bool = True,
+        name: str = "OFV-5000",
+    ) -> None:
+        self._decoder = {"Name": "VD-09", "Range": range_text, "SignalDelay": signal_delay}
+        self._decoder_number = decoder
+        self._signal_level = signal_level
+        self._power_up_echo = self._echo = echo
+        self._name = name
+
+    def operation(self, command: str) -> str:
+        parts = command.split(",")
+        if parts[0] != "Get" or len(parts) != 4:
+            return parts[0].lower()
+        if parts[1] == "Controller":
+            return "identify"
+        return {"Range": "range", "SignalDelay": "delay", "Value": "level"}.get(parts[3], parts[3].lower())
+
+    def answer(self, command: str) -> str:
+        echoed = f"{command}\n" if self._echo else ""
+        answer = self._obey(command.split(","))
+        return echoed + (f"{answer}\n" if answer else "")
+
+    def refusal(self, command: str) -> str:
+        return "Not Available\n"
+
+    def impostor(self, command: str) -> str:
+        return "OFV-2500\n"
+
+    def restart(self) -> None:
+        self._echo = self._power_up_echo
+
+    def _obey(self, parts: list[str]) -> str:
+        if parts[:3] == ["Set", "Interface", "0"] and parts[3:] in (["Echo", "Off"], ["Echo", "On"]):
+            self._echo = parts[4] == "On"
+            return ""
+        if parts == ["Get", "Controller", "0", "Name"]:
+            return self._name
+        if parts == ["Get", "SignalLevel", "0", "Value"]:
+            return str(self._signal_level)
+        if parts[:2] == ["Get", "VeloDec"] and len(parts) == 4:
+            installed = parts[2] == str(self._decoder_number)
+            return self._decoder.get(parts[3], "Not Available") if installed else "Not Available"
+        return "Not Available" if parts[0] == "Get" else ""

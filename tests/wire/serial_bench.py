@@ -1,0 +1,84 @@
+"""A mirror driver and its far side on a real wire."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from drivers.clock import WallClock
+from drivers.mirror.serial_mirror import SerialMirror
+from mocks.wire.faults import WireFault, WireFaultPlan
+from mocks.wire.mirror_devices import mirror_device
+from mocks.wire.motion import MirrorMotion
+from mocks.wire.serial_far_side import SerialDevice, SerialFarSide, garble
+from mocks.wire.serial_wires import PtyWire, TcpWire, Wire
+
+ALL = ("asi-tiger", "mirrorcle-mti", "generic", "optotune-mre2")
+# Pseudo-terminals are a matter of POSIX; elsewhere the same tests run over TCP alone.
+LOCAL = "pty" if os.name == "posix" else "tcp"
+WIRES = tuple(dict.fromkeys((LOCAL, "tcp")))
+LIMIT_MRAD = 250.0
+PARK_MRAD = (-200.0, -200.0)
+# Rounding in the coarsest dialect: 1e-4 of the tangent of 50 degrees.
+ROUNDING_MRAD = 0.07
+
+
+@dataclass
+class MirrorBench:
+    """A far side, and mirrors that are opened on it."""
+
+    dialect: str
+    far: SerialFarSide
+    motion: MirrorMotion
+    device: SerialDevice
+    opened: list[SerialMirror] = field(default_factory=list)
+
+    def mirror(self, **changes: Any) -> SerialMirror:
+        settings: dict[str, Any] = {
+            "settle_s": 0.02,
+            "limit_mrad": LIMIT_MRAD,
+            "park_mrad": PARK_MRAD,
+            "full_scale_mrad": LIMIT_MRAD,
+            "clock": WallClock(),
+            "answer_s": 0.5,
+            "patience_s": 0.5,
+        }
+        port = changes.pop("port", self.far.address)
+        self.opened.append(SerialMirror(self.dialect, port, **{**settings, **changes}))
+        return self.opened[-1]
+
+    def stands_at(self, x_mrad: float, y_mrad: float) -> bool:
+        x, y = self.motion.where_mrad()
+        return not self.motion.busy() and max(abs(x - x_mrad), abs(y - y_mrad)) <= ROUNDING_MRAD
+
+
+def wire(kind: str, folder: Path) -> Wire:
+    return PtyWire(folder / "port") if kind == "pty" else TcpWire()
+
+
+@contextmanager
+def mirror_bench(
+    dialect: str,
+    kind: str,
+    folder: Path,
+    *faults: WireFault,
+    garbler: Callable[[bytes], bytes] = garble,
+    device: Callable[[MirrorMotion], SerialDevice] | None = None,
+    settle_s: float = 0.01,
+    slew_mrad_s: float = math.inf,
+) -> Iterator[MirrorBench]:
+    motion = MirrorMotion(PARK_MRAD, settle_s, slew_mrad_s, LIMIT_MRAD)
+    one = device(motion) if device is not None else mirror_device(dialect, motion, LIMIT_MRAD)
+    far = SerialFarSide(one, wire(kind, folder), WireFaultPlan("mirror", faults), garbler)
+    with far:
+        bench = MirrorBench(dialect, far, motion, one)
+        try:
+            yield bench
+        finally:
+            for mirror in bench.opened:
+                mirror.close()

@@ -1,0 +1,151 @@
+"""Signals at the interface's rate: to -100 dB, sample 0 in its place, and made once."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.audio.band_limited import converted, lead_samples, rate_ratio
+from drivers.audio.signal_shelf import HALF_STEP, BeyondFullScaleError, SignalShelf
+
+RATES_HZ = [(10_000, 48_000), (12_500, 44_100), (48_000, 96_000), (44_100, 48_000), (96_000, 48_000), (50_000, 44_100)]
+
+
+def faded_tone(frequency_hz, rate_hz, seconds=0.2, delay_s=0.0):
+    """A tone under a bell that is below -200 dB at either end, as a function of time."""
+    time_s = np.arange(round(seconds * rate_hz)) / rate_hz - delay_s
+    bell = np.exp(-(((time_s - seconds / 2) / (seconds / 16)) ** 2))
+    return bell * np.sin(2 * np.pi * frequency_hz * (time_s - seconds / 2) + 0.3)
+
+
+@pytest.mark.parametrize(("from_hz", "to_hz"), RATES_HZ)
+@pytest.mark.parametrize("share", [0.003, 0.1, 0.5, 0.8, 0.89])
+def test_given_a_tone_in_the_band_then_it_is_the_same_tone_at_the_other_rate_to_100_db(from_hz, to_hz, share):
+    frequency_hz = share * min(from_hz, to_hz) / 2
+    ratio = rate_ratio(from_hz, to_hz)
+    made, lead = converted(faded_tone(frequency_hz, from_hz), ratio), lead_samples(ratio)
+    meant = faded_tone(frequency_hz, to_hz)
+    body = made[lead : lead + meant.size]
+    assert np.abs(body - meant).max() < 1e-5 * np.abs(meant).max()
+    assert np.abs(np.concatenate([made[:lead], made[lead + meant.size :]])).max() < 1e-5
+
+
+@pytest.mark.parametrize("share", [1.005, 1.2, 1.9])
+def test_given_a_tone_that_the_lower_rate_cannot_hold_then_nothing_is_left_of_it(share):
+    made = converted(faded_tone(share * 24_000, 96_000), Fraction(1, 2))
+    assert np.abs(made).max() < 1e-5
+
+
+@given(st.integers(0, 40), st.sampled_from(RATES_HZ))
+def test_given_a_pulse_then_it_peaks_where_its_sample_was(place, rates_hz):
+    ratio = rate_ratio(*rates_hz)
+    pulse = np.zeros(41)
+    pulse[place] = 1.0
+    made = converted(pulse, ratio)
+    assert abs(np.argmax(np.abs(made)) - lead_samples(ratio) - place * float(ratio)) <= 0.5
+
+
+@given(st.integers(1, 300), st.sampled_from(RATES_HZ))
+def test_given_any_length_then_the_conversion_has_a_place_for_every_sample_and_its_ringing(samples, rates_hz):
+    ratio = rate_ratio(*rates_hz)
+    made = converted(np.ones((2, samples)), ratio)
+    assert made.shape == (2, 2 * lead_samples(ratio) + -(-samples * ratio.numerator // ratio.denominator))
+    assert np.array_equal(made[0], made[1])
+
+
+def test_given_one_rate_then_nothing_is_changed():
+    signal = np.random.default_rng(1).standard_normal(50)
+    assert converted(signal, Fraction(1)) is signal
+    assert lead_samples(Fraction(1)) == 0
+
+
+@pytest.mark.parametrize("from_hz", [10_000.03, 47_999.0, 0.0, -1.0, np.nan, np.inf])
+def test_given_rates_without_a_ratio_then_it_says_so(from_hz):
+    with pytest.raises(ValueError, match="no ratio of whole numbers"):
+        rate_ratio(from_hz, 48_000)
+
+
+def test_given_a_rate_in_fractions_of_a_hertz_then_its_ratio_is_exact():
+    assert rate_ratio(48_000 / 7, 48_000) == 7
+
+
+RATIO = Fraction(24, 5)
+
+
+def test_given_a_signal_again_then_it_is_recognised_and_not_made_again():
+    shelf, signal = SignalShelf(), faded_tone(200, 10_000)
+    first, frames = shelf.find(signal, 2.0, RATIO)
+    again, nothing = shelf.find(signal.copy(), 2.0, RATIO)
+    assert frames is not None
+    assert nothing is None
+    assert again is first
+    assert shelf.made == 1
+
+
+@pytest.mark.parametrize("change", [lambda v: v * 0.5, lambda v: np.where(np.arange(v.size) == 700, 0.1, v)])
+def test_given_another_signal_scale_or_rate_then_it_is_made(change):
+    shelf, signal = SignalShelf(), faded_tone(200, 10_000)
+    numbers = {
+        shelf.find(volts, full_scale_v, ratio)[0].number
+        for volts, full_scale_v, ratio in (
+            (signal, 2.0, RATIO),
+            (change(signal), 2.0, RATIO),
+            (signal, 3.0, RATIO),
+            (signal, 2.0, Fraction(1)),
+        )
+    }
+    assert len(numbers) == 4
+
+
+def test_given_a_signal_that_changed_in_few_samples_then_the_old_one_is_given_up():
+    # 64 of its samples are looked at to find it, all of them to be sure.
+    shelf, signal = SignalShelf(), faded_tone(200, 10_000)
+    old = shelf.find(signal, 2.0, RATIO)[0]
+    signal[7] += 1e-3
+    new = shelf.find(signal, 2.0, RATIO)[0]
+    assert shelf.give_up(needed={new.number}) == [old.number]
+
+
+def test_given_a_full_shelf_then_the_longest_unused_goes_and_what_is_needed_stays():
+    shelf = SignalShelf(largest_frames=2500)
+    one, two, three = (shelf.find(np.full(1000, level), 1.0, Fraction(1))[0].number for level in (0.1, 0.2, 0.3))
+    assert shelf.give_up(needed={one, three}) == [two]
+    assert shelf.give_up(needed={one}) == []
+    assert shelf.find(np.full(1000, 0.1), 1.0, Fraction(1))[1] is None
+    assert shelf.find(np.full(1000, 0.2), 1.0, Fraction(1))[1] is not None
+
+
+def test_given_a_faded_signal_then_nothing_audible_begins_before_it():
+    shelved, frames = SignalShelf().find(faded_tone(200, 10_000), 1.0, RATIO)
+    assert shelved.first == 0
+    assert frames.size == 9600
+
+
+def test_given_a_signal_that_begins_at_once_then_what_rings_before_it_is_played_too():
+    shelved, frames = SignalShelf().find(np.cos(np.arange(1000) / 5), 2.0, RATIO)
+    assert -lead_samples(RATIO) <= shelved.first < -100
+    dropped = converted(np.cos(np.arange(1000) / 5), RATIO)[: lead_samples(RATIO) + shelved.first] / 2.0
+    assert np.abs(dropped).max(initial=0) <= HALF_STEP
+    assert abs(frames[-shelved.first] - 0.5) < 0.2
+
+
+def test_given_silence_then_it_lasts_as_long_as_it_was_given():
+    shelved, frames = SignalShelf().find(np.zeros(1000), 1.0, RATIO)
+    assert (shelved.first, frames.size) == (0, 4800)
+
+
+def test_given_a_jump_at_full_scale_then_its_ringing_is_cut_off_there():
+    _, frames = SignalShelf().find(np.full(10, 3.0), 3.0, RATIO)
+    assert np.abs(frames).max() == 1.0
+
+
+def test_given_a_faded_signal_that_overshoots_between_its_samples_then_it_is_refused_with_how_far():
+    # a quarter of the rate, sampled at 45 degrees: 3 dB between the samples
+    signal = np.sign(np.sin(np.pi / 2 * np.arange(1000) + np.pi / 4)) * np.hanning(1000)
+    with pytest.raises(BeyondFullScaleError) as caught:
+        SignalShelf().find(signal / np.abs(signal).max(), 1.0, RATIO)
+    assert caught.value.reaches == pytest.approx(np.sqrt(2), rel=0.01)

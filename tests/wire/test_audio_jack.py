@@ -1,0 +1,192 @@
+"""Pacing, ends, mutes and underflows, by an audio server that keeps time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack, suppress
+
+import numpy as np
+import pytest
+
+from drivers.audio.band_limited import converted, lead_samples, rate_ratio
+from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.protocols import Player
+from tests.wire.audio_bench import (
+    RATE_HZ,
+    AudioBench,
+    as_played,
+    assert_ends_with,
+    needs_audio_server,
+    noise,
+    sounding,
+    undisturbed,
+)
+
+pytestmark = needs_audio_server
+
+
+@pytest.fixture(scope="module")
+def bench():
+    with ExitStack() as stack:
+        yield AudioBench(stack)
+
+
+@pytest.fixture(scope="module")
+def server(bench):
+    # PortAudio divides periods of more than 1024 frames among several callbacks.
+    return bench.serve(period_frames=2048)
+
+
+@pytest.fixture(scope="module")
+def opened(bench, server):
+    return bench.player(server)
+
+
+@pytest.fixture
+def player(opened):
+    """One player for all tests: each leaves it silent."""
+    yield opened
+    opened.mute()
+
+
+def heard_of(server, player, signals_v, sample_rate_hz=RATE_HZ):
+    """What leaves the outputs between the call of play and the end of wait, nothing disturbing it."""
+
+    def take():
+        asked_ns = time.monotonic_ns()
+        player.play(signals_v, sample_rate_hz)
+        player.wait(30)
+        returned_ns = time.monotonic_ns()
+        first, stop = (int(server.played.frame_at(instant_ns)) for instant_ns in (asked_ns, returned_ns))
+        return server.played.read(first, stop)
+
+    return undisturbed(player, take)
+
+
+def test_given_a_signal_for_every_channel_then_it_has_left_to_the_sample_when_waiting_ends(server, player):
+    signals = noise(9600)
+    for _ in range(3):
+        np.testing.assert_array_equal(sounding(heard_of(server, player, signals)), as_played(signals))
+
+
+def test_given_a_bank_at_another_rate_then_what_is_heard_is_the_band_limited_signal(server, player):
+    time_s = np.arange(3000) / 10_000
+    signal = np.hanning(3000) * np.sin(2 * np.pi * (50 + 1200 * time_s) * time_s)
+    frames = sounding(heard_of(server, player, {2: signal, 20: 0.5 * signal}, 10_000))
+    ratio = rate_ratio(10_000, RATE_HZ)
+    meant = converted(signal, ratio)[lead_samples(ratio) :] / 4.0
+    np.testing.assert_allclose(frames[2], meant[: frames.shape[1]], atol=2e-7)
+    assert np.flatnonzero(frames.any(axis=1)).tolist() == [2, 20]
+
+
+def test_given_a_sweep_played_again_then_it_is_not_converted_again(server, player):
+    before = player.signals_converted
+    sweep = np.hanning(1000) * np.sin(np.arange(1000) / 9)
+    for actuator in (0, 4, 8):  # three outputs of one full scale, and the loopback with the same
+        heard_of(server, player, {actuator: sweep, 12: sweep}, 10_000)
+    assert player.signals_converted == before + 1
+    player.prepare({1: sweep, 5: sweep}, 10_000)
+    assert player.signals_converted == before + 2
+    heard_of(server, player, {5: sweep.copy()}, 10_000)
+    assert player.signals_converted == before + 2
+
+
+def test_given_a_player_then_it_has_the_role_and_says_what_it_is(server, player):
+    assert isinstance(player, Player)
+    said = player.identify()
+    for part in ("wavefocus interface", "JACK Audio Connection Kit", "21 of 24 channels", "48000 Hz", "PortAudio"):
+        assert part in said
+
+
+def test_given_a_player_that_plays_then_another_play_is_refused(player):
+    player.play({0: np.full(RATE_HZ, 0.1)}, RATE_HZ)
+    with pytest.raises(InstrumentError, match="still playing"):
+        player.play({0: np.full(100, 0.1)}, RATE_HZ)
+
+
+def test_given_no_play_then_waiting_and_muting_return_at_once_and_in_any_state(bench, server):
+    player = bench.player(server)
+    player.wait(60)
+    player.mute()
+    player.close()
+    player.mute()
+    player.close()
+    for refused in (player.identify, player.reconnect, lambda: player.wait(1)):
+        with pytest.raises(InstrumentError, match="it is closed"):
+            refused()
+
+
+def test_given_a_rate_without_a_ratio_then_it_is_refused_with_the_way_out(player):
+    with pytest.raises(InstrumentError, match=r"goes evenly into player\.interface_rate_hz"):
+        player.play({0: np.full(100, 0.1)}, 10_000.03)
+
+
+def test_given_a_mute_then_silence_follows_within_two_periods_and_no_click(server, player):
+
+    def take():
+        player.play({0: np.full(5 * RATE_HZ, 0.5)}, RATE_HZ)
+        time.sleep(0.3)
+        asked_ns = time.monotonic_ns()
+        player.mute()
+        returned_ns = time.monotonic_ns()
+        player.wait(1)
+        first = int(server.played.frame_at(asked_ns))
+        return server.played.read(first, int(server.played.frame_at(returned_ns)) + RATE_HZ // 2)[0], returned_ns
+
+    frames, _ = undisturbed(player, take)
+    loud = np.flatnonzero(frames)
+    assert frames[0] == 0.5
+    assert np.abs(np.diff(frames)).max() < 0.02
+    # one period may be under way, and one more is in the buffer
+    assert loud[-1] < 3 * 2048 + 0.05 * RATE_HZ
+    player.play({0: np.full(100, 0.5)}, RATE_HZ)
+
+
+def test_given_a_mute_from_another_thread_then_waiting_ends(player):
+    player.play({0: np.full(60 * RATE_HZ, 0.1)}, RATE_HZ)
+    muting = threading.Timer(0.2, player.mute)
+    muting.start()
+    with suppress(TransientInstrumentError):  # a busy machine may have ended it before
+        player.wait(90)
+    muting.join()
+
+
+def test_given_too_little_time_then_waiting_fails_and_a_mute_makes_room_for_the_next(player):
+    player.play({0: np.full(60 * RATE_HZ, 0.1)}, RATE_HZ)
+    with pytest.raises(TransientInstrumentError):
+        player.wait(0.01)
+    player.mute()
+    player.play({0: np.full(100, 0.1)}, RATE_HZ)
+
+
+def test_given_a_server_that_stood_still_then_waiting_says_underflow_and_the_next_play_is_good(server, player):
+    player.play({0: np.full(20 * RATE_HZ, 0.25)}, RATE_HZ)
+    time.sleep(0.2)
+    server.underflow()
+    with pytest.raises(TransientInstrumentError, match=r"underflow.*void.*repeat it") as caught:
+        player.wait(30)
+    assert caught.value.instrument == "player wavefocus interface"
+    assert caught.value.operation == "playing on channels [0]"
+    with pytest.raises(TransientInstrumentError, match="underflow"):
+        player.wait(30)  # it stays so until something else is played
+    signals = noise(4800)
+    assert_ends_with(heard_of(server, player, signals), signals)
+    assert server.played.interruptions
+
+
+def test_given_an_underflow_while_nothing_plays_then_the_next_play_is_good(server, player):
+    server.underflow()
+    signals = noise(4800)
+    assert_ends_with(heard_of(server, player, signals), signals)
+
+
+def test_given_a_closed_player_then_the_outputs_are_silent_and_free_for_the_next(bench, server):
+    player = bench.player(server)
+    player.play({0: np.full(60 * RATE_HZ, 0.5)}, RATE_HZ)
+    time.sleep(0.3)
+    player.close()
+    now = int(server.played.frame_at(time.monotonic_ns()))
+    assert not server.played.read(now, now + RATE_HZ // 4).any()
+    signals = noise(4800)
+    np.testing.assert_array_equal(sounding(heard_of(server, bench.player(server), signals)), as_played(signals))

@@ -1,0 +1,293 @@
+"""Devices that vanish or hang, parents that die: every call comes back, every process ends, every output is silent."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack, suppress
+
+import numpy as np
+import pytest
+
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from mocks.wire.faults import WireFault
+from tests.wire.audio_bench import (
+    RATE_HZ,
+    ROOT,
+    AudioBench,
+    alive,
+    assert_ends_with,
+    needs_audio_server,
+    noise,
+    run_python,
+    undisturbed,
+    wait_until,
+)
+
+pytestmark = needs_audio_server
+
+PLAYING = """
+import sys, time
+import numpy as np
+from drivers.audio.stream_player import StreamPlayer
+player = StreamPlayer("JACK Audio Connection Kit", "wavefocus interface", channels=21,
+                      channel_full_scale_v=[1.0] * 21, interface_rate_hz=48_000)
+player.play({0: np.full(60 * 48_000, 0.5)}, 48_000)
+print(player.process_id, flush=True)
+"""
+# A program that nobody tidies up: it meets the loss, prints it and ends.
+MEETING_THE_LOSS = (
+    PLAYING
+    + """
+from drivers.errors import InstrumentLostError, TransientInstrumentError
+sys.stdin.readline()
+try:
+    player.wait(90)
+except TransientInstrumentError:
+    pass
+except InstrumentLostError as error:
+    print(error.cause, flush=True)
+time.sleep(1)
+for call in (lambda: player.play({0: np.ones(9)}, 48_000), lambda: player.wait(90), player.reconnect):
+    try:
+        call()
+    except InstrumentLostError as error:
+        print(error.cause, flush=True)
+player.mute()
+player.close()
+print("closed", flush=True)
+"""
+)
+
+
+@pytest.fixture
+def bench():
+    with ExitStack() as stack:
+        yield AudioBench(stack)
+
+
+def start_playing(player):
+    player.play({0: np.full(60 * RATE_HZ, 0.5)}, RATE_HZ)
+    time.sleep(0.2)
+
+
+def loss_of(player):
+    """The error of a player that is about to be lost, underflows of a busy machine apart."""
+    while True:
+        try:
+            player.wait(90)
+            player.play({0: np.full(60 * RATE_HZ, 0.5)}, RATE_HZ)
+        except InstrumentLostError as lost:
+            return lost
+        except TransientInstrumentError as underflow:
+            if "underflow" not in underflow.cause:
+                raise
+            player.mute()
+            with suppress(InstrumentLostError):
+                player.play({0: np.full(60 * RATE_HZ, 0.5)}, RATE_HZ)
+
+
+def test_given_a_server_that_is_killed_in_a_play_then_waiting_says_lost_and_the_player_closes(bench):
+    server = bench.serve()
+    player = bench.player(server)
+    start_playing(player)
+    server.kill()
+    lost = loss_of(player)
+    assert "unplugged, switched off, or its server ended" in lost.cause
+    assert "then reconnect" in lost.remedy
+    assert (lost.instrument, lost.operation) == ("player wavefocus interface", "playing on channels [0]")
+    player.mute()
+    for refused in (lambda: player.play({0: np.full(9, 0.5)}, RATE_HZ), player.identify):
+        with pytest.raises(InstrumentLostError, match="its server ended"):
+            refused()
+    player.close()
+    assert not alive(player.process_id)
+
+
+def test_given_a_server_that_is_killed_while_nothing_plays_then_the_next_play_says_lost(bench):
+    server = bench.serve()
+    player = bench.player(server)
+    server.kill()
+    wait_until(lambda: not alive(player.process_id), "the end of the stream's process")
+    with pytest.raises(InstrumentLostError, match="its server ended"):
+        player.play({0: np.full(9, 0.5)}, RATE_HZ)
+
+
+def test_given_a_server_that_freezes_in_a_play_then_waiting_says_frozen(bench):
+    server = bench.serve()
+    player = bench.player(server)
+    start_playing(player)
+    server.freeze()
+    assert re.search(r"its driver is frozen: it asked for nothing more for \d\.\d s", loss_of(player).cause)
+
+
+def test_given_a_server_that_freezes_then_a_mute_comes_back(bench):
+    server = bench.serve()
+    player = bench.player(server)
+    start_playing(player)
+    server.freeze()
+    player.mute()
+    assert "frozen" in loss_of(player).cause
+
+
+def test_given_an_underflow_on_order_in_a_period_that_sounds_then_that_play_is_void_and_the_next_good(bench):
+    server = bench.serve(faults=[WireFault("player", "underflow", operation="sounding", at_call=5)])
+    player = bench.player(server)
+    start_playing(player)
+    with pytest.raises(TransientInstrumentError, match="underflow"):
+        player.wait(30)
+    undisturbed(player, lambda: (player.play(noise(4800), RATE_HZ), player.wait(30)))
+
+
+def test_given_the_device_is_away_then_reconnecting_says_so_until_it_is_back_and_then_it_plays(bench):
+    server = bench.serve()
+    player = bench.player(server)
+    start_playing(player)
+    server.kill()
+    loss_of(player)
+    for _ in range(2):
+        with pytest.raises(InstrumentLostError, match="there is no host API 'JACK Audio Connection Kit'"):
+            player.reconnect()
+        with pytest.raises(InstrumentLostError):
+            player.play({0: np.full(9, 0.5)}, RATE_HZ)
+    server.restart()
+    player.reconnect()
+    signals = noise(4800)
+
+    def take():
+        asked_ns = time.monotonic_ns()
+        player.play(signals, RATE_HZ)
+        player.wait(30)
+        instants = (asked_ns, time.monotonic_ns())
+        return server.played.read(*(int(server.played.frame_at(instant_ns)) for instant_ns in instants))
+
+    assert_ends_with(undisturbed(player, take), signals)
+
+
+def test_given_a_player_that_is_well_then_reconnecting_mutes_it_and_opens_it_anew(bench):
+    server = bench.serve()
+    player = bench.player(server)
+    start_playing(player)
+    before = player.process_id
+    player.reconnect()
+    player.wait(1)
+    assert player.process_id != before
+    assert not alive(before)
+    assert "wavefocus interface" in player.identify()
+
+
+def test_given_a_server_that_came_back_with_fewer_channels_then_reconnecting_refuses_it(bench):
+    server = bench.serve()
+    player = bench.player(server)
+    server.kill()
+    server.restart(channels=4)
+    with pytest.raises(InstrumentError, match=r"needs 21 channels, 'wavefocus interface' .* 4 channels") as refused:
+        player.reconnect()
+    assert not isinstance(refused.value, InstrumentLostError)
+
+
+def test_given_a_stream_process_that_is_killed_then_waiting_says_so(bench):
+    player = bench.player(bench.serve())
+    start_playing(player)
+    os.kill(player.process_id, signal.SIGKILL)
+    assert "ended with code -9" in loss_of(player).cause
+
+
+def test_given_a_stream_process_that_hangs_then_it_is_killed_and_waiting_says_so(bench):
+    player = bench.player(bench.serve())
+    start_playing(player)
+    os.kill(player.process_id, signal.SIGSTOP)
+    assert "did not answer for 5 s and was killed" in loss_of(player).cause
+    assert not alive(player.process_id)
+
+
+def test_given_a_stream_process_that_hangs_then_a_mute_silences_it_all_the_same(bench):
+    server = bench.serve()
+    player = bench.player(server)
+    start_playing(player)
+    os.kill(player.process_id, signal.SIGSTOP)
+    player.mute()
+    wait_until(lambda: not alive(player.process_id), "the end of the stream's process")
+    assert "and was killed" in loss_of(player).cause
+
+
+@pytest.mark.parametrize("fault", ["kill", "freeze"])
+def test_given_a_loss_then_a_program_gets_its_errors_closes_and_exits(bench, fault):
+    server = bench.serve()
+    with subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", MEETING_THE_LOSS],
+        env={**os.environ, **server.environment, "PYTHONPATH": str(ROOT)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as program:
+        stream_process = int(program.stdout.readline())
+        getattr(server, fault)()
+        output, errors = program.communicate("go\n", timeout=90)
+    assert errors == ""
+    assert program.returncode == 0
+    told = output.strip().splitlines()
+    assert all(("frozen" if fault == "freeze" else "its server ended") in line for line in told[:-2])
+    assert len(told) >= 4
+    assert told[-1] == "closed"
+    assert not alive(stream_process)
+
+
+def test_given_a_loss_then_a_program_that_ignores_it_exits(bench):
+    server = bench.serve()
+    with subprocess.Popen(
+        [sys.executable, "-c", PLAYING + "sys.stdin.readline()"],
+        env={**os.environ, **server.environment, "PYTHONPATH": str(ROOT)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as program:
+        stream_process = int(program.stdout.readline())
+        server.kill()
+        program.communicate("go\n", timeout=60)
+    assert program.returncode == 0
+    wait_until(lambda: not alive(stream_process), "the end of the stream's process")
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
+def test_given_a_parent_that_dies_in_a_play_then_the_stream_ends_and_the_outputs_are_silent(bench, end):
+    server = bench.serve()
+    with subprocess.Popen(
+        [sys.executable, "-c", PLAYING + "time.sleep(60)"],
+        env={**os.environ, **server.environment, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as program:
+        stream_process = int(program.stdout.readline())
+        heard = server.played
+
+        def latest():
+            now = int(heard.frame_at(time.monotonic_ns()))
+            return heard.read(now - 2048, now)
+
+        wait_until(lambda: latest().any(), "sound")
+        program.send_signal(end)
+        program.wait(60)
+        wait_until(lambda: not latest().any(), "silence")
+        wait_until(lambda: not alive(stream_process), "the end of the stream's process")
+    assert not latest().any()
+
+
+def test_given_ctrl_c_on_the_terminal_then_the_stream_goes_on(bench):
+    player = bench.player(bench.serve())
+    start_playing(player)
+    assert os.getpgid(player.process_id) != os.getpgid(0)
+    os.kill(player.process_id, signal.SIGINT)
+    player.mute()
+    player.wait(1)
+
+
+def test_given_a_player_that_is_forgotten_then_the_program_exits_and_its_process_with_it(bench):
+    code, output, _ = run_python(PLAYING, bench.serve().environment)
+    assert code == 0
+    wait_until(lambda: not alive(int(output)), "the end of the stream's process")

@@ -1,0 +1,164 @@
+"""Periods as a stream asks for them: signals in their place, mutes that fade, gaps that are noticed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.audio.playback import FADE_S, MUTED, PLAYED, UNDERFLOW, Play, Playback, Voice
+
+RATE_HZ = 48_000
+PERIOD = 512
+CHANNELS = 3
+
+
+class Host:
+    """Asks for periods as an audio host does, on a clock of its own."""
+
+    def __init__(self, *, latency_s=0.0, pieces=1):
+        self.playback = Playback(RATE_HZ, latency_s)
+        self.heard = np.zeros((0, CHANNELS), dtype=np.float32)
+        self.now_s = 100.0
+        self._pieces = pieces
+
+    def periods(self, count, *, flagged=False, late_s=0.0):
+        self.now_s += late_s
+        for _ in range(count):
+            for _ in range(self._pieces):
+                out = np.full((PERIOD // self._pieces, CHANNELS), np.nan, dtype=np.float32)
+                self.playback.fill(out, self.now_s, flagged=flagged)
+                self.heard = np.concatenate([self.heard, out])
+                self.now_s += 1e-5
+            self.now_s += PERIOD / RATE_HZ - 1e-5 * self._pieces
+
+    def ends(self):
+        ends = []
+        while not self.playback.events.empty():
+            ends.append(self.playback.events.get())
+        return [(end.number, end.outcome) for end in ends]
+
+
+def ramp(frames, channel=0, start=0):
+    return Voice(channel, np.linspace(0.1, 0.9, frames, dtype=np.float32), start)
+
+
+def test_given_nothing_to_play_then_every_period_is_silent():
+    host = Host()
+    host.periods(3)
+    assert not host.heard.any()
+    assert host.playback.callbacks == 3
+
+
+@pytest.mark.parametrize("frames", [1, PERIOD - 1, PERIOD, PERIOD + 1, 5 * PERIOD + 7])
+def test_given_a_play_then_it_begins_with_the_next_period_and_is_whole(frames):
+    host = Host()
+    host.periods(2)
+    voices = (ramp(frames), ramp(frames, channel=2, start=5))
+    host.playback.start(Play(1, voices))
+    host.periods(10)
+    meant = np.zeros_like(host.heard)
+    meant[2 * PERIOD :][:frames, 0] = voices[0].samples
+    meant[2 * PERIOD + 5 :][:frames, 2] = voices[1].samples
+    np.testing.assert_array_equal(host.heard, meant)
+    assert host.ends() == [(1, PLAYED)]
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.05])
+@pytest.mark.parametrize("pieces", [1, 4])
+def test_given_a_latency_then_a_play_has_not_ended_before_its_last_sample_has_left(latency_s, pieces):
+    host = Host(latency_s=latency_s, pieces=pieces)
+    host.periods(2)
+    host.playback.start(Play(1, (ramp(3 * PERIOD),)))
+    host.periods(3)
+    passed = 0
+    while not host.ends():
+        host.periods(1)
+        passed += 1
+    # the period in which it ends has only begun
+    assert passed - 1 >= max(1, latency_s * RATE_HZ / PERIOD)
+    assert passed - 1 <= max(1, latency_s * RATE_HZ / PERIOD) + 1
+
+
+def test_given_a_mute_then_the_next_period_fades_over_two_milliseconds_and_the_rest_is_silent():
+    host = Host()
+    host.playback.start(Play(1, (Voice(1, np.full(9000, 0.5, np.float32), 0),)))
+    host.periods(2)
+    host.playback.mute()
+    host.periods(2)
+    fade = round(FADE_S * RATE_HZ)
+    faded = host.heard[2 * PERIOD :, 1]
+    assert np.all(np.diff(faded[:fade]) < 0)
+    assert np.abs(np.diff(host.heard[PERIOD:, 1])).max() < 0.01
+    assert not faded[fade:].any()
+    assert host.ends() == [(1, MUTED)]
+
+
+def test_given_a_mute_before_the_first_period_then_nothing_sounds():
+    host = Host()
+    host.playback.start(Play(1, (ramp(100),)))
+    host.playback.mute()
+    host.periods(3)
+    assert not host.heard.any()
+    assert host.ends() == [(1, MUTED)]
+
+
+def test_given_a_mute_of_nothing_then_the_next_play_is_whole():
+    host = Host()
+    host.playback.mute()
+    host.playback.start(Play(1, (ramp(100),)))
+    host.periods(4)
+    np.testing.assert_array_equal(host.heard[:100, 0], ramp(100).samples)
+    assert host.ends() == [(1, PLAYED)]
+
+
+@pytest.mark.parametrize("clean_periods", [0, 1, 3, 4])
+def test_given_an_underflow_flag_from_the_first_period_to_after_the_last_then_the_play_is_void(clean_periods):
+    host = Host()
+    host.periods(1)
+    host.playback.start(Play(1, (ramp(3 * PERIOD),)))
+    host.periods(clean_periods)
+    host.periods(1, flagged=True)
+    host.periods(6)
+    assert host.ends() == [(1, UNDERFLOW)]
+    assert not host.heard[-5 * PERIOD :].any()
+
+
+def test_given_an_underflow_between_plays_then_neither_is_void_but_it_is_counted():
+    host = Host()
+    host.playback.start(Play(1, (ramp(PERIOD),)))
+    host.periods(5)
+    host.periods(1, flagged=True)
+    host.playback.start(Play(2, (ramp(PERIOD),)))
+    host.periods(5)
+    assert host.ends() == [(1, PLAYED), (2, PLAYED)]
+    assert host.playback.underflows == 1
+
+
+@pytest.mark.parametrize("pieces", [1, 4])
+def test_given_a_host_that_stood_still_and_does_not_say_so_then_the_play_is_void(pieces):
+    host = Host(pieces=pieces)
+    host.playback.start(Play(1, (ramp(20 * PERIOD),)))
+    host.periods(5)
+    host.periods(15, late_s=0.1)
+    assert host.ends() == [(1, UNDERFLOW)]
+
+
+@pytest.mark.parametrize("pieces", [1, 4])
+def test_given_callbacks_that_come_unevenly_but_in_time_then_the_play_is_good(pieces):
+    host = Host(pieces=pieces)
+    generator = np.random.default_rng(3)
+    host.playback.start(Play(1, (ramp(100 * PERIOD),)))
+    for late_s in generator.uniform(0, PERIOD / RATE_HZ, 110):
+        host.periods(1, late_s=late_s)
+        host.now_s -= late_s
+    assert host.ends() == [(1, PLAYED)]
+
+
+def test_given_a_sound_clock_200_ppm_slow_for_ten_minutes_then_the_play_is_good():
+    host = Host()
+    host.playback.start(Play(1, (Voice(0, np.zeros(600 * RATE_HZ, np.float32), 0),)))
+    out = np.zeros((48_000, CHANNELS), dtype=np.float32)
+    for _ in range(605):
+        host.playback.fill(out, host.now_s, flagged=False)
+        host.now_s += 1.0002
+    assert host.ends() == [(1, PLAYED)]

@@ -1,0 +1,118 @@
+"""Doctor and calibrate through every wire at once: real drivers, emulated instruments, one plate behind them."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calibration.mirror_map import MirrorMap
+from mocks.chain import output_errors
+from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
+from wavefocus.config.calibration_file import CalibrationRecord
+
+SEED, SPREAD_S, SPREAD_DB = 4, 2e-5, 1.0  # the seed is that of the rig's text
+DELAY_S = 1.4e-5  # of the emulated box
+MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.98e-3, -0.005), (1e-4, -5e-5, 1.0))
+FLAWS = f"""
+output_latency_spread_s = {SPREAD_S}
+output_gain_spread_db = {SPREAD_DB}
+mirror_map = {[list(row) for row in MAP]}
+reversed_actuators = [2]
+"""
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    file = tmp_path / "rig.toml"
+    file.write_text(rig_text(tmp_path, f"localhost:{free_port()}") + FLAWS, encoding="utf-8")
+    return file
+
+
+@pytest.fixture
+def sides(rig: Path) -> Iterator[FarSides]:
+    with far_sides(rig) as sides:
+        yield sides
+
+
+def doctor(rig: Path, sides: FarSides) -> tuple[int, dict[str, Any]]:
+    command = [sys.executable, "-m", "wavefocus", "doctor", str(rig), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=sides.environment)
+    assert done.stdout, done.stderr
+    return done.returncode, json.loads(done.stdout)
+
+
+def calibrate(rig: Path, sides: FarSides, *options: str) -> tuple[int, dict[str, Any]]:
+    """Calibrate with a person who plugs what is asked for into the emulated rig's response input."""
+    command = [sys.executable, "-m", "wavefocus", "calibrate", str(rig), "--json", *options]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, env=sides.environment, **pipes) as person:
+        told = []
+        for line in person.stderr:
+            told.append(line)
+            if "press Enter" in line:
+                words = {"both inputs": "both", "summing box": "sum", "the vibrometer": "vibrometer"}
+                found = re.search(r"output \d+|both inputs|summing box|the vibrometer", line)
+                assert found is not None, line
+                word = words.get(found[0], found[0])
+                while f"response input hears: {word}" not in sides.say(f"patch {word}"):
+                    pass  # other lines came between
+                person.stdin.write("\n")
+                person.stdin.flush()
+        out = person.stdout.read()
+    assert out, "".join(told)
+    return person.returncode, json.loads(out)
+
+
+def marks_file(folder: Path) -> Path:
+    lines = ["x_mm,y_mm,x_mrad,y_mrad"]
+    for x_mm, y_mm in [(0, 0), (80, 45), (-80, 45), (-80, -45), (80, -45), (100, 0)]:
+        x_mrad, y_mrad = MirrorMap(MAP).angles_mrad(x_mm, y_mm)
+        lines.append(f"{x_mm},{y_mm},{float(x_mrad)},{float(y_mrad)}")
+    (folder / "marks.csv").write_text("\n".join(lines), encoding="utf-8")
+    return folder / "marks.csv"
+
+
+def test_given_all_wires_then_the_doctor_asks_every_instrument_and_unplugging_one_hides_no_other(
+    rig: Path, sides: FarSides
+) -> None:
+    _, told = doctor(rig, sides)
+    verdicts = {(one["instrument"], one["check"]): one["verdict"] for one in told["findings"]}
+    assert told["good"], told["findings"]
+    for key in (("mirror", "corners"), ("recorder", "record"), ("player", "latency"), ("vibrometer", "response")):
+        assert verdicts[key] == "ok"
+    (corners,) = [one for one in told["findings"] if one["check"] == "corners"]
+    assert "read back within 0.0" in corners["what"]
+    sides.say("unplug mirror")
+    code, told = doctor(rig, sides)
+    assert code == 1
+    bad = [one for one in told["findings"] if one["verdict"] == "fail"]
+    assert [(one["instrument"], one["check"]) for one in bad] == [("mirror", "opening")]
+    verdicts = {(one["instrument"], one["check"]): one["verdict"] for one in told["findings"]}
+    assert verdicts["player", "clock ratio"] == "ok"
+
+
+def test_given_all_wires_then_calibrate_finds_what_stands_behind_them(rig: Path, sides: FarSides) -> None:
+    options = ["--summing-box", "--box-gain", "1", "--fiducials", str(marks_file(rig.parent))]
+    code, told = calibrate(rig, sides, *options)
+    record = CalibrationRecord.model_validate(told["calibration"])
+    assert code == 1
+    assert [problem.split(" (")[0] for problem in told["problems"]] == ["actuators: actuator 2 on output 2 is reversed"]
+    assert record.inputs is not None
+    assert record.inputs.inter_channel_delay_s == pytest.approx(DELAY_S, abs=1e-6)
+    outputs = len(ACTUATORS) + 1
+    late_s, gain = output_errors(outputs, SPREAD_S, SPREAD_DB, SEED)
+    assert record.outputs is not None
+    found = {one.channel: one for one in record.outputs.channel}
+    errors_s = [found[one].latency_s - (late_s[one] - late_s[-1]) for one in range(outputs)]
+    assert np.sqrt(np.mean(np.square(errors_s))) < 1e-6
+    assert max(abs(found[one].full_scale_v / (5.0 * gain[one]) - 1) for one in range(outputs)) < 1e-3
+    assert record.mirror is not None
+    assert record.mirror.residual_rms_mm < 0.05

@@ -1,0 +1,141 @@
+"""A small campaign through every wire at once: serial mirror, gRPC recorder, JACK player, one plate behind them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from mocks.virtual_rig import VirtualRig
+from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
+from wavefocus.config.loading import load_rig
+from wavefocus.virtual_bench import virtual_settings
+
+POSITIONS = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0], [0.0, 4.0]]
+RATE_HZ = 10_000.0
+RUN = """
+rig = "{rig}"
+
+[grid]
+positions_file = "positions.csv"
+
+[sweep]
+duration_s = 0.3
+
+[capture]
+averages = 2
+decay_s = 0.2
+taps = 2000
+"""
+VIRTUAL_RIG = f"""
+[actuators]
+position_mm = {ACTUATORS}
+
+[recorder]
+inter_channel_delay_s = 1.4e-5
+
+[emulation]
+seed = 4
+noise_v = 1e-4
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """A folder with a rig on wires, the same rig as a virtual one, and a run for each."""
+    (tmp_path / "rig.toml").write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
+    (tmp_path / "virtual-rig.toml").write_text(VIRTUAL_RIG, encoding="utf-8")
+    (tmp_path / "run.toml").write_text(RUN.format(rig="rig.toml"), encoding="utf-8")
+    (tmp_path / "virtual-run.toml").write_text(RUN.format(rig="virtual-rig.toml"), encoding="utf-8")
+    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
+    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    return tmp_path
+
+
+def wavefocus(*arguments: object, sides: FarSides | None = None) -> str:
+    """Run a command to its good end; its standard output."""
+    done = subprocess.run(
+        [sys.executable, "-m", "wavefocus", *map(str, arguments)],
+        env=None if sides is None else dict(sides.environment),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def errors_db(bank: Path, rig_file: Path) -> np.ndarray:
+    """In-band relative L2 error of every Green's function against the plate's own, in dB."""
+    plate = VirtualRig(virtual_settings(load_rig(rig_file)))
+    with h5py.File(bank) as file:
+        green, position_mm = file["green"][:].astype(np.float64), file["position_mm"][:]
+    length = 8192
+    frequency_hz = np.fft.rfftfreq(length, 1 / RATE_HZ)
+    band = (frequency_hz >= 25) & (frequency_hz <= 495)
+    errors = []
+    for measured, (x_mm, y_mm) in zip(green, position_mm, strict=True):
+        truth = np.fft.rfft(plate.truth(x_mm, y_mm, green.shape[2]), length)[:, band]
+        difference = np.fft.rfft(measured, length)[:, band] - truth
+        errors.append(np.linalg.norm(difference, axis=1) / np.linalg.norm(truth, axis=1))
+    return 20 * np.log10(np.array(errors))
+
+
+def test_given_emulated_wires_then_the_bank_is_as_good_as_the_in_process_rigs(lab):
+    with far_sides(lab / "rig.toml") as sides:
+        wavefocus("capture", lab / "run.toml", "--bank", lab / "wires.h5", sides=sides)
+    wavefocus("capture", lab / "virtual-run.toml", "--bank", lab / "virtual.h5")
+    wavefocus("check", lab / "wires.h5")
+    through_wires, in_process = (errors_db(lab / name, lab / "virtual-rig.toml") for name in ("wires.h5", "virtual.h5"))
+    assert np.median(in_process) < -45
+    assert np.median(through_wires) <= np.median(in_process) + 1
+
+
+def events(capture: subprocess.Popen[str]) -> Iterator[dict[str, object]]:
+    assert capture.stdout is not None
+    for line in capture.stdout:
+        yield json.loads(line)
+
+
+def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_goes_on_by_itself(lab):
+    with far_sides(lab / "rig.toml") as sides:
+        capture = subprocess.Popen(
+            [
+                sys.executable,
+                "-m",
+                "wavefocus",
+                "capture",
+                str(lab / "run.toml"),
+                "--bank",
+                str(lab / "b.h5"),
+                "--json",
+            ],
+            env=dict(sides.environment),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        to_unplug, away = ["mirror", "recorder", "player"], ""
+        came_back = []
+        for event in events(capture):
+            if event["event"] == "position_committed" and to_unplug and not away:
+                away = to_unplug.pop()
+                sides.say(f"unplug {away}")
+            elif event["event"] == "reconnect_tried" and event["role"] == away:
+                if event["connected"]:
+                    came_back.append(away)
+                    away = ""
+                elif event["number"] == 1:
+                    sides.say(f"plug {away}")
+        _, told = capture.communicate(timeout=60)
+        assert capture.returncode == 0, told
+    assert sorted(came_back) == ["mirror", "player", "recorder"]
+    wavefocus("check", lab / "b.h5")
+    with h5py.File(lab / "b.h5") as bank:
+        assert list(bank["status"]) == [1] * len(POSITIONS)

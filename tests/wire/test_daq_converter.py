@@ -1,0 +1,85 @@
+"""Counts: whatever a converter and its calibration are like, samples come out as whole steps within the range."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.daq.converter import count_scale
+from mocks.wire.ni_products import PRODUCTS, Converter
+
+ranges_v = st.sampled_from([0.2, 1.0, 1.25, 5.0, 10.0, 20.0])
+calibrations = st.tuples(
+    st.sampled_from([12, 13, 14, 16]),
+    st.floats(-20, 20),  # offset in steps
+    st.floats(0.97, 1.06),  # step over its nominal value
+    st.integers(0, 4),  # bits by which codes are shifted in their word
+)
+
+
+def quantised(scale, volts):
+    out = np.empty(volts.shape, dtype=np.float32)
+    return scale.quantise(volts.copy(), out), out
+
+
+@given(ranges_v, calibrations, st.integers(0, 2**32 - 1))
+def test_given_a_calibrated_converter_then_its_codes_come_back_as_counts_without_noise(range_v, calibration, seed):
+    bits, offset, gain, shift = calibration
+    step_v = 2 * range_v / 2**bits * gain
+    codes = np.random.default_rng(seed).integers(-(2 ** (bits - 2)), 2 ** (bits - 2), 1000)
+    coefficients = [offset * step_v, step_v / 2**shift, 0.0, 0.0]
+    volts = coefficients[0] + coefficients[1] * (codes * 2**shift)
+    scale = count_scale(range_v, bits, coefficients)
+    assert scale.step_v == pytest.approx(step_v, rel=1e-12)
+    over_range, out = quantised(scale, volts)
+    assert not over_range
+    counts = np.rint(out.astype(np.float64) / scale.step_v)
+    difference = counts - codes
+    # The same everywhere, but where the offset is half a step and rounding decides.
+    assert difference.max() - difference.min() <= (1 if abs(offset % 1 - 0.5) < 1e-6 else 0)
+    assert np.abs(out - volts).max() <= 0.51 * scale.step_v
+
+
+@given(ranges_v, calibrations, st.floats(1.1, 3.0))
+def test_given_a_signal_beyond_the_range_then_it_is_clipped_there_and_told(range_v, calibration, excess):
+    bits, offset, gain, shift = calibration
+    converter = Converter(range_v, bits, offset * 2 * range_v / 2**bits, 2 * range_v / 2**bits * gain)
+    scale = count_scale(range_v, bits, [converter.offset_v, converter.step_v / 2**shift])
+    tone_v = excess * range_v * np.sin(np.linspace(0, 7, 1000))
+    for volts in (converter.volts(tone_v), converter.volts(np.abs(tone_v)), converter.volts(-np.abs(tone_v))):
+        over_range, out = quantised(scale, volts)
+        assert over_range
+        assert np.abs(out).max() <= range_v * (1 + 1e-6)
+
+
+@given(ranges_v, calibrations)
+def test_given_a_signal_well_within_the_range_then_no_flag_is_up(range_v, calibration):
+    bits, offset, gain, _ = calibration
+    converter = Converter(range_v, bits, offset * 2 * range_v / 2**bits, 2 * range_v / 2**bits * gain)
+    over_range, _ = quantised(
+        count_scale(range_v, bits, [converter.offset_v, converter.step_v]),
+        converter.volts(0.95 * range_v * np.sin(np.linspace(0, 7, 1000))),
+    )
+    assert not over_range
+
+
+@pytest.mark.parametrize(
+    "coefficients", [None, [], [0.0], [0.0, 0.0], [0.0, -1e-3], [0.0, 5.0], [0.0, 4.2e-4, 0.0]], ids=str
+)
+def test_given_no_sensible_calibration_then_the_step_is_the_nominal_one(coefficients):
+    scale = count_scale(10.0, 16, coefficients)
+    assert scale.step_v == 10.0 / 32768
+    assert (scale.lowest, scale.highest) == (-32768, 32767)
+
+
+@pytest.mark.parametrize("product", PRODUCTS.values(), ids=PRODUCTS.keys())
+def test_given_each_product_then_its_codes_cover_its_range(product):
+    for terminal, largest_v in product.ranges_v.items():
+        for range_v in largest_v:
+            converter = product.converter(terminal, range_v, 1, 0)
+            top_v = converter.volts(np.array([100.0]))[0]
+            assert top_v / range_v == pytest.approx(
+                1 + product.spare_codes, rel=2e-2 if product.bits[terminal] < 14 else 2e-3
+            )

@@ -1,0 +1,303 @@
+"""Every row of the fault table: what arrives over the wire becomes a sentence, and the next record is good."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from calibration.timing import ReferenceMissingError, fit_clock
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from mocks.wire.faults import WireFault
+from mocks.wire.ni_server import NiServer
+from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
+
+# No test waits long for an answer that does not come.
+ANSWER_S = 1.0
+PASSING, LOST, FOR_GOOD = TransientInstrumentError, InstrumentLostError, InstrumentError
+
+
+def fault(kind, operation, at_call=2, **more):
+    return (WireFault("recorder", kind, operation, at_call=at_call, **more),)
+
+
+def until_reconnected(recorder):
+    """Try until the device is back, as the engine does; bounded by the test's timeout."""
+    while True:
+        try:
+            return recorder.reconnect()
+        except InstrumentLostError:
+            time.sleep(0.02)
+
+
+@pytest.mark.parametrize(
+    ("kind", "operation", "error", "cause"),
+    [
+        ("overwritten", "ReadAnalogF64", PASSING, "overwritten before they could be read .NI-DAQmx -200279"),
+        ("read_timeout", "ReadAnalogF64", PASSING, "samples are missing.*-200284.; 250 came"),
+        ("short_read", "ReadAnalogF64", PASSING, "only 250 of 500 came"),
+        ("warning", "ReadAnalogF64", PASSING, "NI-DAQmx warns.*ADC_OVERLOADED"),
+        ("wait_timeout", "WaitUntilTaskDone", PASSING, "not finished after 1 s"),
+        ("unplugged", "StartTask", LOST, "cannot be accessed: unplugged.*-201003"),
+        ("unplugged", "WaitUntilTaskDone", LOST, "cannot be accessed: unplugged.*-201003"),
+        ("unplugged", "ReadAnalogF64", LOST, "cannot be accessed: unplugged.*-201003"),
+        ("absent", "StartTask", LOST, "not present .NI-DAQmx -88705"),
+        ("absent", "ReadAnalogF64", LOST, "not present .NI-DAQmx -88705"),
+        ("wrong_name", "StartTask", LOST, "not there any more .NI-DAQmx -200220"),
+        ("in_use", "StartTask", LOST, "reserved, .*-50103"),
+        ("usb_aborted", "StartTask", LOST, "USB transfer was aborted .NI-DAQmx -50405"),
+        ("usb_aborted", "ReadAnalogF64", LOST, "USB transfer was aborted .NI-DAQmx -50405"),
+        ("silent", "StartTask", LOST, "does not answer .StartTask got no answer within 1 s"),
+        ("silent", "WaitUntilTaskDone", LOST, "does not answer .WaitUntilTaskDone got no answer within 2 s"),
+        ("silent", "ReadAnalogF64", LOST, "does not answer .ReadAnalogF64 got no answer within 3 s"),
+        ("silent", "StopTask", LOST, "does not answer .StopTask got no answer"),
+        ("server_dead", "StartTask", LOST, "cannot be reached, or went away"),
+        ("server_dead", "WaitUntilTaskDone", LOST, "cannot be reached, or went away"),
+        ("server_dead", "ReadAnalogF64", LOST, "cannot be reached, or went away"),
+    ],
+    ids=lambda value: value if isinstance(value, str) and " " not in value else "",
+)
+def test_given_a_fault_in_the_second_record_then_it_is_told_and_the_third_is_good(kind, operation, error, cause):
+    seconds = 0.2 if kind in ("unplugged", "server_dead") else 0.0
+    with daq_bench(faults=fault(kind, operation, seconds=seconds)) as bench:
+        recorder = bench.recorder(answer_s=ANSWER_S)
+        check_tone(take_one(recorder))
+        with pytest.raises(InstrumentError, match=cause) as caught:
+            take_one(recorder, timeout_s=1.0)
+        assert isinstance(caught.value, error)
+        assert caught.value.instrument == f"recorder Dev1 at {bench.server.address}"
+        assert str(TAKE) in caught.value.operation
+        assert caught.value.remedy
+        recorder.abort()
+        if error is LOST:
+            until_reconnected(recorder)
+        check_tone(take_one(recorder))
+        recorder.close()
+        # Nothing is left of what failed: the next program can have the device.
+        check_tone(take_one(bench.recorder()))
+
+
+@pytest.mark.parametrize(
+    ("kind", "operation", "error", "cause"),
+    [
+        ("wrong_name", "GetDeviceAttributeString", FOR_GOOD, "there is no device of this name"),
+        ("absent", "GetDeviceAttributeString", LOST, "not present"),
+        ("unplugged", "GetDeviceAttributeString", LOST, "unplugged"),
+        ("silent", "GetSystemInfoAttributeUInt32", LOST, "does not answer .GetSystemInfoAttributeUInt32"),
+        ("silent", "GetDeviceAttributeUInt32", LOST, "does not answer .GetDeviceAttributeUInt32"),
+        ("server_dead", "GetSystemInfoAttributeUInt32", LOST, "cannot be reached"),
+        ("server_dead", "GetPhysicalChanAttributeInt32", LOST, "cannot be reached"),
+    ],
+)
+def test_given_a_fault_while_opening_then_it_is_told_and_nothing_stays_open(kind, operation, error, cause):
+    with daq_bench(faults=fault(kind, operation, at_call=1)) as bench:
+        with pytest.raises(InstrumentError, match=cause) as caught:
+            bench.recorder(answer_s=ANSWER_S)
+        assert type(caught.value) is error
+        assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("operation", "kind", "error"),
+    [
+        ("CreateTask", "usb_aborted", LOST),
+        ("CreateTask", "silent", LOST),
+        ("CreateAIVoltageChan", "wrong_name", LOST),
+        ("CreateAIVoltageChan", "warning", FOR_GOOD),
+        ("CfgSampClkTiming", "usb_aborted", LOST),
+        ("TaskControl", "in_use", FOR_GOOD),
+        ("TaskControl", "warning", FOR_GOOD),
+        ("TaskControl", "silent", LOST),
+    ],
+)
+def test_given_a_fault_while_the_first_task_is_made_then_it_is_told_and_the_next_is_good(operation, kind, error):
+    with daq_bench(faults=fault(kind, operation, at_call=1)) as bench:
+        recorder = bench.recorder(answer_s=ANSWER_S)
+        with pytest.raises(InstrumentError) as caught:
+            recorder.start(ask())
+        assert type(caught.value) is error
+        if error is LOST:
+            recorder.reconnect()
+        check_tone(take_one(recorder))
+
+
+class Sweep:
+    """A sweep in the middle of every record."""
+
+    sweep_v = 0.5 * np.sin(2 * np.pi * np.cumsum(np.linspace(100, 900, 1000)) / RATE_HZ)
+
+    def record(self, start_ns, samples, rate_hz, inputs, channel_delay_s):
+        volts = np.zeros((len(inputs), samples))
+        volts[:, 500:1500] = self.sweep_v
+        return volts
+
+
+def test_given_a_missing_reference_then_the_clock_fit_refuses_the_record():
+    # The recorder cannot know whether anything was played; the estimator can, and the engine rejects the take.
+    with daq_bench(Sweep(), faults=fault("missing_reference", "ReadAnalogF64")) as bench:
+        recorder = bench.recorder()
+        assert fit_clock(take_one(recorder, 2000).volts[0], Sweep.sweep_v).gain == pytest.approx(1, rel=1e-3)
+        with pytest.raises(ReferenceMissingError):
+            fit_clock(take_one(recorder, 2000).volts[0], Sweep.sweep_v)
+
+
+def test_given_an_overloaded_input_then_the_flag_of_that_channel_is_up():
+    with daq_bench(faults=fault("over_range", "ReadAnalogF64", at_call=1)) as bench:
+        recorder = bench.recorder()
+        recording = take_one(recorder)
+        assert recording.over_range == (False, True)
+        assert abs(recording.volts[1]).max() <= RANGE_V[1] * (1 + 1e-6)
+        check_tone(take_one(recorder))
+
+
+def test_given_a_device_that_stays_away_then_reconnecting_says_so_each_time_until_it_is_back():
+    with daq_bench() as bench:
+        recorder = bench.recorder()
+        take_one(recorder)
+        bench.server.unplug()
+        with pytest.raises(LOST, match="unplugged"):
+            recorder.start(ask())
+        for _ in range(3):
+            with pytest.raises(LOST, match="opening: it cannot be accessed: unplugged"):
+                recorder.reconnect()
+        with pytest.raises(LOST, match="it is not connected; reconnect first"):
+            recorder.start(ask())
+        recorder.abort()
+        bench.server.plug()
+        recorder.reconnect()
+        check_tone(take_one(recorder))
+
+
+def test_given_a_cable_that_was_out_between_records_then_the_old_task_is_not_trusted():
+    with daq_bench() as bench:
+        recorder = bench.recorder()
+        take_one(recorder)
+        bench.server.unplug()
+        bench.server.plug()
+        with pytest.raises(LOST):
+            recorder.start(ask())
+        recorder.reconnect()
+        assert bench.calls("ResetDevice") == 1
+        check_tone(take_one(recorder))
+
+
+@pytest.mark.parametrize(("product", "serial_number"), [("USB-6212", 0x01E57A2C), ("USB-6211", 0x0BADCAFE)])
+def test_given_another_device_under_the_same_name_then_reconnecting_refuses_it(product, serial_number):
+    with daq_bench() as bench:
+        recorder = bench.recorder()
+        check_tone(take_one(recorder))
+        bench.server.stop()
+        other = NiServer(Tone(), product, address=bench.server.address, serial_number=serial_number)
+        other.start()
+        try:
+            with pytest.raises(InstrumentError, match=f"{product}, serial number {serial_number:08X} answers instead"):
+                recorder.reconnect()
+            assert not any(call.name == "ResetDevice" for call in other.log)
+        finally:
+            other.stop()
+        bench.server.start()
+        recorder.reconnect()
+        check_tone(take_one(recorder))
+
+
+def test_given_a_server_that_was_restarted_then_reconnecting_goes_on():
+    with daq_bench() as bench:
+        recorder = bench.recorder()
+        check_tone(take_one(recorder))
+        bench.server.stop()
+        for refused in (lambda: recorder.start(ask()), recorder.reconnect, recorder.reconnect):
+            with pytest.raises(LOST, match=r"cannot be reached.*ni_grpc_device_server"):
+                refused()
+        bench.server.start()
+        recorder.reconnect()
+        check_tone(take_one(recorder))
+
+
+def test_given_a_server_that_forgot_the_task_then_it_is_lost_and_comes_back():
+    with daq_bench() as bench:
+        recorder = bench.recorder()
+        check_tone(take_one(recorder))
+        bench.server.stop()
+        bench.server.start()
+        with pytest.raises(LOST):  # the channel's state decides whether it is the call or the task that fails
+            recorder.start(ask())
+        recorder.reconnect()
+        check_tone(take_one(recorder))
+
+
+def test_given_a_silent_server_then_clearing_up_waits_for_no_second_deadline():
+    with daq_bench(faults=fault("silent", "StartTask", count=1000)) as bench:
+        recorder = bench.recorder(answer_s=ANSWER_S)
+        check_tone(take_one(recorder))
+        with pytest.raises(LOST, match="does not answer"):
+            take_one(recorder)
+        silent = len(bench.server.log) + len(bench.server.under_way)
+        recorder.abort()
+        recorder.close()
+        assert len(bench.server.log) + len(bench.server.under_way) == silent
+
+
+def test_given_what_a_dead_session_left_reserved_then_reconnecting_takes_it_back():
+    # The server stays silent while the first recorder clears up, so that its task stays there, committed.
+    silence = fault("silent", "StopTask", at_call=2)
+    with daq_bench(faults=silence) as bench:
+        recorder = bench.recorder(answer_s=ANSWER_S)
+        check_tone(take_one(recorder))
+        with pytest.raises(LOST, match="does not answer"):
+            take_one(recorder)
+        with pytest.raises(InstrumentError, match="another program has reserved it"):
+            bench.recorder().start(ask())
+        recorder.reconnect()
+        check_tone(take_one(recorder))
+        assert bench.calls("ResetDevice") == 1
+
+
+def test_given_a_failure_when_clearing_up_then_the_first_error_carries_it_as_a_note():
+    faults = (*fault("overwritten", "ReadAnalogF64", at_call=1), *fault("usb_aborted", "ClearTask", at_call=1))
+    with daq_bench(faults=faults) as bench:
+        recorder = bench.recorder()
+        with pytest.raises(PASSING, match="overwritten") as caught:
+            take_one(recorder)
+        assert any("could not be cleared" in note and "-50405" in note for note in caught.value.__notes__)
+
+
+@pytest.mark.parametrize(
+    ("operation", "kind"),
+    [
+        ("StopTask", "unplugged"),
+        ("StopTask", "usb_aborted"),
+        ("StopTask", "silent"),
+        ("ClearTask", "usb_aborted"),
+        ("ClearTask", "server_dead"),
+    ],
+)
+def test_given_a_fault_on_the_way_out_then_closing_is_harmless(operation, kind):
+    with daq_bench(faults=fault(kind, operation, at_call=1)) as bench:
+        recorder = bench.recorder(answer_s=ANSWER_S)
+        recorder.start(ask())
+        recorder.abort()
+        recorder.close()
+        recorder.close()
+
+
+def test_given_an_unreachable_address_then_opening_names_it_and_what_to_start():
+    with daq_bench() as bench:
+        address = bench.server.address
+        bench.server.stop()
+        with pytest.raises(LOST, match=f"recorder Dev1 at {address}: .*cannot be reached.*start ni_grpc_device_server"):
+            bench.recorder()
+
+
+def test_given_records_back_to_back_then_a_late_answer_within_its_deadline_is_no_fault():
+    with daq_bench(faults=fault("silent", "ReadAnalogF64", seconds=0.2)) as bench:
+        recorder = bench.recorder(answer_s=30.0)
+        for _ in range(3):
+            check_tone(take_one(recorder))
+
+
+def test_given_a_warning_about_the_device_then_it_is_told_as_a_fault_that_no_repeat_cures():
+    with daq_bench(faults=fault("warning", "TaskControl", at_call=1)) as bench:
+        recorder = bench.recorder()
+        with pytest.raises(InstrumentError, match=r"warns.*DEV_NOT_SELF_CALIBRATED.*put right what it warns of"):
+            recorder.start(ask())

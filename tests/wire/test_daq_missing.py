@@ -1,0 +1,62 @@
+"""What is not installed is a sentence of its own, and costs nothing until a recorder is opened."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from ctypes.util import find_library
+from pathlib import Path
+
+import pytest
+
+from drivers.daq.ni_recorder import NiRecorder
+from drivers.errors import InstrumentError
+
+ROOT = Path(__file__).parents[2]
+# A process of its own, in which the import of some packages fails as if they were not installed.
+OPENING = """
+import sys
+for name in {missing!r}:
+    sys.modules[name] = None
+from drivers.daq.ni_recorder import NiRecorder
+from drivers.errors import InstrumentError
+assert not any(name in sys.modules for name in {unneeded!r}), "imported before it is needed"
+try:
+    NiRecorder("Dev1", address={address!r}, reference_input="ai0", response_input="ai1", terminal="rse", trigger=None)
+except InstrumentError as error:
+    print(error.instrument, error.operation, error.cause, error.remedy, sep="|")
+"""
+
+
+def opened_without(missing, address):
+    unneeded = [name for name in ("nidaqmx", "grpc", "google.protobuf") if name not in missing]
+    script = OPENING.format(missing=missing, address=address, unneeded=unneeded)
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip().split("|")
+
+
+@pytest.mark.parametrize("address", [None, "localhost:31763"])
+def test_given_no_nidaqmx_package_then_it_says_how_to_install_it(address):
+    instrument, operation, cause, remedy = opened_without(["nidaqmx"], address)
+    assert instrument == ("recorder Dev1" if address is None else "recorder Dev1 at localhost:31763")
+    assert operation == "opening"
+    assert "the Python package nidaqmx is missing" in cause
+    assert remedy == 'install it: pip install "nidaqmx[grpc]"'
+
+
+@pytest.mark.parametrize("missing", ["grpc", "google.protobuf"])
+def test_given_an_address_without_grpc_then_it_says_what_to_install(missing):
+    _, _, cause, remedy = opened_without([missing], "localhost:31763")
+    assert "what the nidaqmx package needs for an address is missing" in cause
+    assert missing in cause
+    assert remedy == 'install it: pip install "nidaqmx[grpc]"'
+
+
+@pytest.mark.may_skip("NI-DAQmx is on this computer")
+@pytest.mark.skipif(sys.platform == "win32" or find_library("nidaqmx") is not None, reason="NI-DAQmx may be here")
+def test_given_no_driver_on_this_computer_then_it_names_the_driver_and_the_way_over_the_network():
+    with pytest.raises(InstrumentError, match="the NI-DAQmx driver is not on this computer") as caught:
+        NiRecorder("Dev1", address=None, reference_input="ai0", response_input="ai1", terminal="rse", trigger=None)
+    assert caught.value.instrument == "recorder Dev1"
+    assert "install NI-DAQmx from ni.com, or give address of [recorder]" in caught.value.remedy

@@ -1,0 +1,259 @@
+"""The NI recorder through the real nidaqmx package, over gRPC, without faults."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from drivers.errors import InstrumentError, TransientInstrumentError
+from mocks.wire.ni_products import DIFFERENTIAL, PRODUCTS, RSE
+from tests.wire.daq_bench import RATE_HZ, TAKE, Tone, Wires, ask, check_tone, daq_bench, take_one
+
+
+@pytest.fixture
+def bench():
+    with daq_bench() as bench:
+        yield bench
+
+
+@pytest.mark.parametrize("samples", [1, 2, 1999, 2000])
+def test_given_a_length_then_both_channels_have_it_and_reading_takes_it(bench, samples):
+    recorder = bench.recorder()
+    before_s = time.monotonic()
+    assert take_one(recorder, samples).volts.shape == (2, samples)
+    assert time.monotonic() - before_s >= 0.99 * samples / RATE_HZ
+
+
+def test_given_what_is_played_then_it_arrives_with_its_voltages_where_it_was_in_time():
+    wires = Wires()
+    tone_v = 0.5 * np.sin(2 * np.pi * 200 * np.arange(2000) / RATE_HZ)
+    with daq_bench(wires) as bench:
+        recorder = bench.recorder()
+        recorder.start(ask(10_000))
+        time.sleep(0.02)
+        wires.play({0: tone_v, 1: -4 * tone_v}, RATE_HZ)
+        volts = recorder.read(10.0).volts.astype(np.float64)
+    first = np.argmax(np.abs(volts) > 0.1, axis=1)
+    assert min(first) >= 0.02 * RATE_HZ
+    np.testing.assert_allclose(np.square(volts).sum(axis=1), np.square(tone_v).sum() * np.array([1, 16]), rtol=0.02)
+    # One converter serves both: the response is 14 us late.
+    rising = slice(first[0] + 100, first[0] + 1100)
+    tone = volts[:, rising]
+    reference, late = tone[0], -tone[1] / 4
+    shifted = np.interp(np.arange(1000) + 14e-6 * RATE_HZ, np.arange(1000), reference)
+    assert np.std((late - shifted)[:-1]) < 0.2 * np.std((late - reference)[:-1])
+
+
+def test_given_a_device_then_it_tells_product_serial_number_driver_address_and_inputs(bench):
+    name = bench.recorder().identify()
+    for part in ("USB-6211", "01E57A2C", "NI-DAQmx 24.5.0", bench.server.address, "Dev1", "ai0 and ai1 differential"):
+        assert part in name
+
+
+def test_given_records_of_one_kind_then_a_start_is_one_call(bench):
+    recorder = bench.recorder()
+    check_tone(take_one(recorder))
+    for record in range(3):
+        before = len(bench.server.log)
+        recorder.start(ask())
+        assert [call.name for call in bench.server.log[before:]] == ["StartTask"], record
+        check_tone(recorder.read(10.0))
+        names = [call.name for call in bench.server.log[before:]]
+        assert names == ["StartTask", "WaitUntilTaskDone", "ReadAnalogF64", "StopTask"]
+    assert bench.calls("CreateTask") == 1
+
+
+@pytest.mark.parametrize("change", [{"samples": 400}, {"rate_hz": 20_000.0}, {"range_v": (5.0, 10.0)}])
+def test_given_a_record_of_another_kind_then_it_gets_a_task_of_its_own(bench, change):
+    recorder = bench.recorder()
+    take_one(recorder)
+    check_tone(take_one(recorder, **change), change.get("samples", 500))
+    assert bench.calls("CreateTask") == 2
+    assert bench.calls("ClearTask") == 1
+
+
+def test_given_a_closed_recorder_then_the_device_is_free_for_the_next_one(bench):
+    first = bench.recorder()
+    take_one(first)
+    first.close()
+    check_tone(take_one(bench.recorder()))
+
+
+def test_given_another_program_on_the_device_then_starting_says_so_and_does_not_reset_it(bench):
+    take_one(bench.recorder())
+    with pytest.raises(InstrumentError, match=r"another program has reserved it.*close that program") as caught:
+        bench.recorder().start(ask())
+    assert type(caught.value) is InstrumentError
+    assert bench.calls("ResetDevice") == 0
+
+
+@pytest.mark.parametrize("product", PRODUCTS.values(), ids=PRODUCTS.keys())
+def test_given_each_product_then_its_fastest_rate_and_all_its_ranges_record_whole_counts(product):
+    # Faster than real time: the figures of a USB-6008 would take its time.
+    with daq_bench(Tone(noise_v=0.01), product.name, speed=50.0) as bench:
+        for terminal, ranges_v in product.ranges_v.items():
+            recorder = bench.recorder(terminal=terminal)
+            for range_v in ranges_v:
+                recording = take_one(recorder, 300, product.aggregate_hz / 2, (range_v, ranges_v[-1]))
+                for volts, step_v, limit_v in zip(
+                    recording.volts, recording.volts_per_count, (range_v, ranges_v[-1]), strict=True
+                ):
+                    counts = volts.astype(np.float64) / step_v
+                    assert np.abs(counts - np.rint(counts)).max() < 0.01
+                    assert np.abs(volts).max() <= limit_v * (1 + 1e-6)
+                    nominal_v = 2 * limit_v / 2 ** product.bits[terminal]
+                    assert step_v == pytest.approx(nominal_v * (1 + product.spare_codes), rel=1e-3)
+                assert recording.over_range[0] == (range_v < 0.5)
+            recorder.close()
+
+
+@pytest.mark.parametrize("product", PRODUCTS.values(), ids=PRODUCTS.keys())
+def test_given_a_rate_beyond_the_product_then_the_refusal_names_the_limit(product):
+    with daq_bench(product=product.name) as bench:
+        recorder = bench.recorder()
+        with pytest.raises(InstrumentError, match=f"{product.name} does not sample two inputs") as caught:
+            recorder.start(ask(rate_hz=product.aggregate_hz / 2 + 1, range_v=(10.0, 10.0)))
+        assert f"to {product.aggregate_hz / 2:g} Hz as sample_rate_hz" in caught.value.remedy
+        assert bench.calls("CreateTask") == 0
+
+
+@pytest.mark.parametrize(("range_v", "named"), [((2.0, 10.0), "2 V"), ((1.0, 20.0), "20 V")])
+def test_given_a_range_between_those_of_the_device_then_the_refusal_names_them(bench, range_v, named):
+    recorder = bench.recorder()
+    with pytest.raises(InstrumentError, match=f"USB-6211 has no range of {named}; choose 0.2, 1, 5 or 10 V"):
+        recorder.start(ask(range_v=range_v))
+    check_tone(take_one(recorder))
+
+
+def test_given_a_range_that_only_other_terminals_have_then_the_refusal_names_what_there_is():
+    with daq_bench(product="USB-6009") as bench:
+        recorder = bench.recorder(terminal="rse")
+        with pytest.raises(InstrumentError, match="ai0 has no range of 2 V as a rse input; choose 10 V"):
+            recorder.start(ask(range_v=(2.0, 10.0)))
+        check_tone(take_one(recorder, range_v=(10.0, 10.0)))
+
+
+def test_given_a_rate_that_the_clock_cannot_divide_to_then_the_refusal_names_the_nearest(bench):
+    recorder = bench.recorder()
+    with pytest.raises(InstrumentError, match=r"no sample rate of 99900 Hz; .* 100000 Hz"):
+        recorder.start(ask(rate_hz=99_900.0))
+    # 20 MHz / 2857 is 50 ppm off: the clocks of two devices differ by as much.
+    assert take_one(recorder, rate_hz=7000.0).volts.shape == (2, 500)
+
+
+@pytest.mark.parametrize(
+    ("changes", "cause", "remedy"),
+    [
+        ({"reference_input": "ai16"}, "no input 'ai16'", "ai0, ai1, .*ai14 or ai15 into reference_input"),
+        ({"response_input": "ao0"}, "no input 'ao0'", "into response_input"),
+        ({"response_input": "ai0"}, "ai0 is both inputs", "two inputs"),
+        ({"terminal": "floating"}, "'floating' is no terminal configuration", "differential, rse, nrse or"),
+        ({"terminal": "pseudodifferential"}, "cannot be a pseudodifferential", "differential, rse or nrse"),
+        ({"response_input": "ai9"}, "ai9 of USB-6211 cannot be a differential", "rse or nrse into terminal"),
+        ({"trigger": "PFI4"}, "no digital input 'PFI4'", "PFI0, PFI1, PFI2 or PFI3 into trigger"),
+    ],
+)
+def test_given_wiring_that_the_device_has_not_then_opening_names_what_it_has(bench, changes, cause, remedy):
+    with pytest.raises(InstrumentError, match=f"{cause}.*; .*{remedy}"):
+        bench.recorder(**changes)
+
+
+def test_given_a_wrong_name_then_opening_names_the_devices_that_there_are(bench):
+    with pytest.raises(InstrumentError, match=r"recorder Dev7 at .*: opening: there is no device.*Dev1") as caught:
+        bench.recorder("Dev7")
+    assert type(caught.value) is InstrumentError
+
+
+def test_given_single_ended_wiring_then_the_task_has_it():
+    with daq_bench(product="USB-6218") as bench:
+        check_tone(take_one(bench.recorder(terminal="nrse", reference_input="ai31", response_input="ai8")))
+
+
+def test_given_one_converter_then_the_response_is_sampled_later_by_its_convert_clock():
+    wires = Wires()
+    with daq_bench(wires) as bench:
+        take_one(bench.recorder(), rate_hz=10_000.0)
+    assert wires.asked[0][3] == ("ai0", "ai1")
+    assert wires.asked[0][4] == pytest.approx(1 / 250e3 + 10e-6)
+
+
+@pytest.mark.parametrize(
+    ("product", "rate_hz", "delay_s"),
+    [("USB-6211", 10e3, 14e-6), ("USB-6211", 125e3, 4e-6), ("USB-6212", 10e3, 12.5e-6), ("USB-6001", 10e3, 50e-6)],
+)
+def test_given_a_rate_then_conversions_are_as_close_as_settling_allows(product, rate_hz, delay_s):
+    assert PRODUCTS[product].channel_delay_s(rate_hz, 2) == pytest.approx(delay_s)
+
+
+@pytest.mark.parametrize("terminal", [DIFFERENTIAL, RSE])
+def test_given_a_signal_beyond_one_range_then_that_flag_alone_is_up(bench, terminal):
+    recorder = bench.recorder(terminal=terminal)
+    assert take_one(recorder, range_v=(0.2, 1.0)).over_range == (True, False)
+    assert take_one(recorder, range_v=(1.0, 0.2)).over_range == (False, True)
+
+
+def test_given_a_trigger_then_the_record_starts_at_its_edge():
+    wires = Wires()
+    with daq_bench(wires) as bench:
+        recorder = bench.recorder(trigger="PFI0")
+        recorder.start(ask())
+        with pytest.raises(TransientInstrumentError, match=r"not finished.*rising edge reaches PFI0"):
+            recorder.read(0.05)
+        bench.server.edge("PFI1")
+        with pytest.raises(TransientInstrumentError, match="not finished"):
+            recorder.read(0.1)
+        bench.server.edge("PFI0")
+        assert recorder.read(10.0).volts.shape == (2, 500)
+        assert len(wires.asked) == 1
+
+
+def test_given_two_long_records_worth_of_samples_then_they_come_in_one_piece():
+    # 6.4 MB: beyond the 4 MB that gRPC takes by default.
+    with daq_bench(speed=100.0) as bench:
+        assert take_one(bench.recorder(), 400_000, 100_000.0).volts.shape == (2, 400_000)
+
+
+@pytest.mark.parametrize("way_out", ["abort", "close"])
+def test_given_another_thread_that_ends_the_record_then_a_waiting_read_fails_at_once(way_out):
+    with daq_bench() as bench:
+        recorder = bench.recorder(trigger="PFI0")  # whose edge never comes
+        recorder.start(ask())
+        failures = []
+
+        def read():
+            try:
+                recorder.read(600.0)
+            except InstrumentError as failure:
+                failures.append(failure)
+
+        reader = threading.Thread(target=read)
+        reader.start()
+        bench.until_under_way("WaitUntilTaskDone")
+        getattr(recorder, way_out)()
+        reader.join()
+        assert [str(TAKE) in str(failure) and "aborted" in str(failure) for failure in failures] == [True]
+        if way_out == "abort":
+            recorder.start(ask())
+            bench.server.edge("PFI0")
+            check_tone(recorder.read(10.0))
+
+
+def test_given_a_good_connection_then_reconnecting_goes_on_with_the_same_device(bench):
+    recorder = bench.recorder()
+    named = recorder.identify()
+    recorder.start(ask())
+    recorder.reconnect()
+    assert recorder.identify() == named
+    check_tone(take_one(recorder))
+
+
+def test_given_a_closed_recorder_then_nothing_but_closing_works(bench):
+    recorder = bench.recorder()
+    recorder.close()
+    recorder.abort()
+    for call in (recorder.identify, recorder.reconnect, lambda: recorder.read(0.1), lambda: recorder.start(ask())):
+        with pytest.raises(InstrumentError, match="it is closed"):
+            call()

@@ -1,0 +1,259 @@
+"""Each dialect over each wire, without faults: what every mirror must do, and what each one says on the line."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+import tests.contract.test_mirror_contract as contract
+from drivers.clock import WallClock
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from mocks.wire.asi_device import AsiTigerDevice
+from mocks.wire.mirrorcle_device import MirrorcleDevice
+from tests.wire.serial_bench import ALL, LIMIT_MRAD, LOCAL, PARK_MRAD, WIRES, mirror_bench
+
+CONTRACT = [test for name, test in vars(contract).items() if name.startswith("test_")]
+
+
+@pytest.fixture(params=[f"{dialect}/{kind}" for dialect in ALL for kind in WIRES])
+def bench(request, tmp_path):
+    dialect, kind = request.param.split("/")
+    with mirror_bench(dialect, kind, tmp_path) as bench:
+        yield bench
+
+
+@pytest.mark.parametrize("expectation", CONTRACT, ids=lambda test: test.__name__.removeprefix("test_"))
+@pytest.mark.parametrize(("dialect", "kind"), [*((dialect, LOCAL) for dialect in ALL), ("generic", "tcp")])
+def test_every_serial_mirror_does_what_every_mirror_must(dialect, kind, expectation, tmp_path):
+    with mirror_bench(dialect, kind, tmp_path) as bench:
+        known = SimpleNamespace(
+            instruments=SimpleNamespace(mirror=bench.mirror(), clock=WallClock()),
+            reachable_mrad=(40.0, -25.0),
+            unreachable_mrad=(2000.0, 0.0),
+            settle_timeout_s=10.0,
+        )
+        expectation(known)
+
+
+def test_given_a_move_then_the_beam_stands_there_when_the_driver_says_so(bench):
+    mirror = bench.mirror()
+    for target in ((40.0, -25.0), (-249.9, 0.0), (0.0, LIMIT_MRAD)):
+        mirror.move_to(*target)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(*target)
+
+
+def test_given_the_way_out_then_the_beam_is_parked_and_stays_so_after_closing(bench):
+    mirror = bench.mirror()
+    mirror.move_to(10.0, 20.0)
+    mirror.park()
+    mirror.wait_settled(10.0)
+    mirror.close()
+    mirror.park()
+    assert bench.stands_at(*PARK_MRAD)
+
+
+def test_given_a_closed_mirror_then_the_port_is_free_for_the_next_one(bench):
+    bench.mirror().close()
+    mirror = bench.mirror()
+    mirror.move_to(5.0, 5.0)
+    mirror.wait_settled(10.0)
+    assert bench.stands_at(5.0, 5.0)
+
+
+def test_given_a_mirror_in_use_then_reconnecting_goes_on_with_the_same_device(bench):
+    mirror = bench.mirror()
+    named = mirror.identify()
+    mirror.move_to(5.0, 5.0)
+    mirror.reconnect()
+    assert mirror.identify() == named
+    with pytest.raises(TransientInstrumentError, match="sent nowhere"):
+        mirror.wait_settled(10.0)
+    mirror.move_to(6.0, 6.0)
+    mirror.wait_settled(10.0)
+    assert bench.stands_at(6.0, 6.0)
+
+
+def test_given_another_identity_in_the_rig_file_then_the_device_is_refused_by_name(bench):
+    with pytest.raises(InstrumentError, match=r"another device answers.*does not contain 'SN 4711'") as caught:
+        bench.mirror(identity="SN 4711")
+    assert not isinstance(caught.value, InstrumentLostError)
+
+
+@pytest.mark.parametrize("kind", WIRES)
+@pytest.mark.parametrize("dialect", ["asi-tiger", "generic"])
+def test_given_a_dialect_with_read_back_then_it_says_where_the_mirror_points(dialect, kind, tmp_path):
+    with mirror_bench(dialect, kind, tmp_path) as bench:
+        mirror = bench.mirror()
+        mirror.move_to(12.5, -7.25)
+        mirror.wait_settled(10.0)
+        assert mirror.where_mrad() == pytest.approx((12.5, -7.25), abs=0.01)
+
+
+@pytest.mark.parametrize("dialect", ["mirrorcle-mti", "optotune-mre2"])
+def test_given_a_dialect_without_read_back_then_it_says_that_it_does_not_know(dialect, tmp_path):
+    with mirror_bench(dialect, LOCAL, tmp_path) as bench:
+        assert bench.mirror().where_mrad() is None
+
+
+@pytest.mark.parametrize("dialect", ["asi-tiger", "generic"])
+def test_given_a_slow_mirror_then_the_driver_waits_until_it_is_idle(dialect, tmp_path):
+    with mirror_bench(dialect, LOCAL, tmp_path, settle_s=0.05, slew_mrad_s=1000.0) as bench:
+        mirror = bench.mirror(settle_s=0.0)
+        mirror.move_to(100.0, 100.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(100.0, 100.0)
+
+
+@pytest.mark.parametrize("dialect", ["asi-tiger", "generic"])
+def test_given_a_mirror_that_is_held_elsewhere_then_waiting_says_where_it_stands(dialect, tmp_path):
+    with mirror_bench(dialect, LOCAL, tmp_path) as bench:
+        mirror = bench.mirror()
+        mirror.move_to(10.0, 10.0)
+        bench.motion.start(50.0, 10.0)
+        with pytest.raises(TransientInstrumentError, match=r"standing at \(50\.0.*not at \(10\.0"):
+            mirror.wait_settled(0.3)
+
+
+# -- what each family says on the line -----------------------------------------------------------------
+
+
+def test_given_units_per_degree_then_asi_moves_by_half_the_beam_angle_in_those_units(tmp_path):
+    def device(motion):
+        return AsiTigerDevice(motion, ("P", "Q"), units_per_degree=500.0)
+
+    with mirror_bench("asi-tiger", LOCAL, tmp_path, device=device) as bench:
+        bench.mirror().move_to(2000 * math.radians(1.0), 0.0)
+        assert bench.far.heard[-1] == "M P=500.000 Q=0.000"
+
+
+def test_given_a_scanner_whose_degrees_are_the_beams_then_the_factor_is_one(tmp_path):
+    with mirror_bench("asi-tiger", LOCAL, tmp_path) as bench:
+        bench.mirror(beam_per_mirror=1.0, axes=("X", "Y")).move_to(1000 * math.radians(1.0), 0.0)
+        assert bench.far.heard[-1] == "M X=1000.000 Y=0.000"
+
+
+def test_given_a_scanner_on_its_analog_inputs_then_it_is_refused_and_the_command_named(tmp_path):
+    def device(motion):
+        return AsiTigerDevice(motion, external_input=True)
+
+    with (
+        mirror_bench("asi-tiger", LOCAL, tmp_path, device=device) as bench,
+        pytest.raises(InstrumentError, match="analog input; send PM X=0"),
+    ):
+        bench.mirror()
+
+
+def test_given_old_firmware_without_input_modes_then_asi_goes_on(tmp_path):
+    class Older(AsiTigerDevice):
+        def answer(self, command):
+            return ":N-1\r\n" if command.startswith("PM") else super().answer(command)
+
+    with mirror_bench("asi-tiger", LOCAL, tmp_path, device=Older) as bench:
+        bench.mirror().move_to(1.0, 1.0)
+
+
+@pytest.mark.parametrize("answer", [":A X=1000", ":X=1000.000000 A", "X=1000 :A"])
+def test_given_each_way_in_which_firmware_tells_a_setting_then_asi_reads_it(answer, tmp_path):
+    class Firmware(AsiTigerDevice):
+        def answer(self, command):
+            axis = command[3:4]
+            return f"{answer.replace('X', axis)}\r\n" if command.startswith("UM") else super().answer(command)
+
+    with mirror_bench("asi-tiger", LOCAL, tmp_path, device=Firmware) as bench:
+        mirror = bench.mirror()
+        mirror.move_to(40.0, -25.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(40.0, -25.0)
+
+
+def test_given_full_scale_then_mirrorcle_gets_parts_of_it(tmp_path):
+    with mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench:
+        bench.mirror(setup=("MTI+VB 80", "MTI+VD 135", "MTI+BW 120")).move_to(125.0, -62.5)
+        assert bench.far.heard[:2] == ("MTI+EX", "$MTI$")
+        assert bench.far.heard[-5:] == (
+            "MTI+VB 80",
+            "MTI+VD 135",
+            "MTI+BW 120",
+            "MTI+EN",
+            "MTI+GT 0.5000 -0.2500 0",
+        )
+
+
+def test_given_a_setup_that_the_controller_refuses_then_it_says_which_command(tmp_path):
+    with mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench:
+        with pytest.raises(InstrumentError, match=r"setting up \(MTI\+VB 500\).*MTI-ERR InvalidParameter"):
+            bench.mirror(setup=("MTI+VB 500",))
+        bench.mirror().move_to(0.0, 0.0)
+
+
+def test_given_tangents_then_optotune_gets_them_over_that_of_fifty_degrees(tmp_path):
+    with mirror_bench("optotune-mre2", LOCAL, tmp_path) as bench:
+        bench.mirror().move_to(200.0, -100.0)
+        x, y = (math.tan(angle) / math.tan(math.radians(50)) for angle in (0.2, -0.1))
+        assert bench.far.heard[-1] == f"xy={x:.4f};{y:.4f}"
+
+
+def test_given_a_controller_that_restarted_unnoticed_then_mirrorcle_is_lost_and_enabled_again(tmp_path):
+    # Its high voltage is off then, and nothing on the line would say that it points nowhere.
+    class Controller(MirrorcleDevice):
+        def operation(self, command):
+            if command.startswith("MTI+GT 0.4"):
+                self.restart()
+            return super().operation(command)
+
+    def device(motion):
+        return Controller(motion, LIMIT_MRAD)
+
+    with mirror_bench("mirrorcle-mti", LOCAL, tmp_path, device=device) as bench:
+        mirror = bench.mirror()
+        with pytest.raises(InstrumentLostError, match="switched off and on"):
+            mirror.move_to(100.0, 0.0)
+        mirror.reconnect()
+        mirror.move_to(75.0, 0.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(75.0, 0.0)
+
+
+# -- wrong settings ------------------------------------------------------------------------------------
+
+
+def test_given_no_full_scale_then_mirrorcle_asks_for_it(tmp_path):
+    with (
+        mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench,
+        pytest.raises(InstrumentError, match="full_scale_mrad is missing"),
+    ):
+        bench.mirror(full_scale_mrad=None)
+
+
+def test_given_a_limit_beyond_full_scale_then_it_is_refused(tmp_path):
+    with (
+        mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench,
+        pytest.raises(InstrumentError, match="limit_mrad is 250, the device's full scale 100"),
+    ):
+        bench.mirror(full_scale_mrad=100.0)
+
+
+def test_given_an_unknown_dialect_then_the_known_ones_are_named(tmp_path):
+    with mirror_bench("generic", LOCAL, tmp_path) as bench:
+        bench.dialect = "piezo"
+        with pytest.raises(InstrumentError, match="no dialect 'piezo'; choose from asi-tiger"):
+            bench.mirror()
+
+
+def test_given_a_park_direction_out_of_reach_then_it_is_refused_before_it_is_needed(tmp_path):
+    with (
+        mirror_bench("generic", LOCAL, tmp_path) as bench,
+        pytest.raises(InstrumentError, match="beyond the limit"),
+    ):
+        bench.mirror(park_mrad=(300.0, 0.0))
+
+
+@pytest.mark.parametrize("target", [(math.nan, 0.0), (0.0, math.inf)])
+def test_given_an_angle_that_is_none_then_it_is_refused(target, tmp_path):
+    with mirror_bench("generic", LOCAL, tmp_path) as bench:
+        mirror = bench.mirror()
+        with pytest.raises(InstrumentError, match="beyond the limit"):
+            mirror.move_to(*target)

@@ -1,0 +1,335 @@
+"""Each row of the serial fault table, on each dialect and each wire: what is retried, what is told, what goes on."""
+
+from __future__ import annotations
+
+import socket
+import threading
+
+import pytest
+
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from mocks.wire.faults import WireFault
+from mocks.wire.generic_device import GenericMirrorDevice
+from tests.wire.serial_bench import ALL, LOCAL, PARK_MRAD, WIRES, mirror_bench
+
+TALKING = [f"{dialect}/{kind}" for dialect in ALL for kind in WIRES]
+KNOWN = [one for one in TALKING if not one.startswith("optotune")]
+# Long enough that a busy machine answers in time where it shall, short enough to wait for where it shall not.
+ANSWER_S = 0.3
+
+
+def move_fault(kind, count=1, **more):
+    return WireFault("mirror", kind, "move", at_call=1, count=count, **more)
+
+
+def moves(bench):
+    # Each dialect's command for a move has what the others of its commands have not.
+    marks = {"asi-tiger": "M X=", "mirrorcle-mti": "MTI+GT", "generic": "XY=", "optotune-mre2": "xy="}
+    return [command for command in bench.far.heard if command.startswith(marks[bench.dialect])]
+
+
+@pytest.mark.parametrize("kind", ["silent", "late", "truncated", "garbled"])
+@pytest.mark.parametrize("where", TALKING)
+def test_given_one_answer_that_cannot_be_had_then_the_move_is_said_once_more_and_done(where, kind, tmp_path):
+    dialect, wire = where.split("/")
+    fault = move_fault(kind, seconds=1.5 * ANSWER_S if kind == "late" else 0.0)
+    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        mirror.move_to(40.0, -25.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(40.0, -25.0)
+        assert len(moves(bench)) == 2
+        mirror.move_to(-40.0, 25.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(-40.0, 25.0)
+
+
+@pytest.mark.parametrize(
+    ("where", "kind"),
+    [
+        *((f"{dialect}/{LOCAL}", kind) for dialect in ALL for kind in ("silent", "truncated", "garbled")),
+        *((f"{dialect}/tcp", "silent") for dialect in ALL),
+    ],
+)
+def test_given_two_answers_that_cannot_be_had_then_the_attempt_fails_and_the_next_one_works(where, kind, tmp_path):
+    dialect, wire = where.split("/")
+    with mirror_bench(dialect, wire, tmp_path, move_fault(kind, count=2)) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        with pytest.raises(TransientInstrumentError, match="asked twice") as caught:
+            mirror.move_to(40.0, -25.0)
+        assert f"({dialect} at " in caught.value.instrument
+        assert "moving to (40.000, -25.000) mrad" in caught.value.operation
+        assert len(moves(bench)) == 2
+        with pytest.raises(TransientInstrumentError, match="latest move failed"):
+            mirror.wait_settled(10.0)
+        mirror.move_to(40.0, -25.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(40.0, -25.0)
+
+
+@pytest.mark.parametrize("where", [*(f"{dialect}/{LOCAL}" for dialect in ALL), "generic/tcp"])
+def test_given_an_answer_later_than_all_patience_then_it_is_not_taken_for_the_next_one(where, tmp_path):
+    dialect, wire = where.split("/")
+    with mirror_bench(dialect, wire, tmp_path, move_fault("late", seconds=6 * ANSWER_S)) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        with pytest.raises(TransientInstrumentError):
+            mirror.move_to(40.0, -25.0)
+        for _ in range(10):
+            try:
+                mirror.move_to(-40.0, 25.0)
+                break
+            except (InstrumentLostError, TransientInstrumentError):
+                continue
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(-40.0, 25.0)
+
+
+@pytest.mark.parametrize("where", TALKING)
+def test_given_a_refusal_then_its_code_is_told_and_the_next_attempt_works(where, tmp_path):
+    dialect, wire = where.split("/")
+    codes = {
+        "asi-tiger": ":N-5: the operation failed",
+        "mirrorcle-mti": "MTI-ERR DeviceBusy",
+        "generic": "ERR 5 not ready",
+        "optotune-mre2": "answers NO",
+    }
+    with mirror_bench(dialect, wire, tmp_path, move_fault("refused")) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        with pytest.raises(TransientInstrumentError, match=codes[dialect]):
+            mirror.move_to(40.0, -25.0)
+        assert len(moves(bench)) == 1
+        mirror.move_to(40.0, -25.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(40.0, -25.0)
+
+
+@pytest.mark.parametrize(("dialect", "code"), [("asi-tiger", ":N-4"), ("generic", "ERR 3")])
+def test_given_an_angle_that_the_device_does_not_reach_then_no_new_attempt_is_made(dialect, code, tmp_path):
+    with mirror_bench(dialect, LOCAL, tmp_path) as bench:
+        mirror = bench.mirror(limit_mrad=400.0)
+        with pytest.raises(InstrumentError, match=f"{code}.*limit_mrad in the rig file") as caught:
+            mirror.move_to(300.0, 0.0)
+        assert not isinstance(caught.value, TransientInstrumentError)
+
+
+@pytest.mark.parametrize("where", TALKING)
+def test_given_a_device_that_stops_reading_then_it_is_lost_in_bounded_time_and_found_again_after_replugging(
+    where, tmp_path
+):
+    dialect, wire = where.split("/")
+    with mirror_bench(dialect, wire, tmp_path, move_fault("stalled")) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        with pytest.raises(TransientInstrumentError):
+            mirror.move_to(40.0, -25.0)
+        with pytest.raises(InstrumentLostError, match="stopped answering"):
+            mirror.move_to(40.0, -25.0)
+        bench.far.unplug()
+        bench.far.plug()
+        mirror.reconnect()
+        mirror.move_to(40.0, -25.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(40.0, -25.0)
+
+
+@pytest.mark.parametrize(
+    ("where", "operation"),
+    [
+        *((where, "move") for where in TALKING),
+        *((f"{dialect}/{LOCAL}", operation) for dialect in ALL for operation in ("identify", "park")),
+        *((f"{dialect}/{LOCAL}", "wait") for dialect in ("asi-tiger", "generic")),
+    ],
+)
+def test_given_an_unplugged_device_then_it_is_lost_until_it_is_back_at_the_same_place(where, operation, tmp_path):
+    dialect, wire = where.split("/")
+    with mirror_bench(dialect, wire, tmp_path) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S, settle_s=0.0 if dialect in {"asi-tiger", "generic"} else 5.0)
+        port = bench.far.address
+        mirror.move_to(40.0, -25.0)
+        bench.far.unplug()
+        actions = {
+            "move": lambda: mirror.move_to(0.0, 0.0),
+            "wait": lambda: mirror.wait_settled(10.0),
+            "identify": mirror.identify,
+            "park": mirror.park,
+        }
+        with pytest.raises(InstrumentLostError, match=r"connection broke|no such port|nothing there"):
+            actions[operation]()
+        with pytest.raises(InstrumentLostError, match=r"there is no such port now|nothing there accepts"):
+            mirror.reconnect()
+        with pytest.raises(InstrumentLostError, match="connection is lost"):
+            mirror.move_to(0.0, 0.0)
+        bench.far.plug()
+        assert bench.far.address == port
+        mirror.reconnect()
+        mirror.move_to(-40.0, 25.0)
+        while not bench.stands_at(-40.0, 25.0):
+            pass
+        mirror.park()
+        while not bench.stands_at(*PARK_MRAD):
+            pass
+
+
+@pytest.mark.parametrize("where", TALKING)
+def test_given_a_plug_that_falls_out_and_is_put_back_by_itself_then_reconnecting_is_tried_until_it_works(
+    where, tmp_path
+):
+    dialect, wire = where.split("/")
+    fault = WireFault("mirror", "unplugged", "move", at_call=2, seconds=0.5)
+    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        mirror.move_to(40.0, -25.0)
+        with pytest.raises(InstrumentLostError):
+            mirror.move_to(10.0, 10.0)
+        back = False
+        while not back:
+            try:
+                mirror.reconnect()
+                back = True
+            except InstrumentLostError:
+                threading.Event().wait(0.05)
+        mirror.move_to(10.0, 10.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(10.0, 10.0)
+
+
+@pytest.mark.parametrize("where", TALKING)
+def test_given_a_connection_that_broke_and_is_back_then_parking_finds_it(where, tmp_path):
+    dialect, wire = where.split("/")
+    with mirror_bench(dialect, wire, tmp_path) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        mirror.move_to(40.0, -25.0)
+        bench.far.unplug()
+        bench.far.plug()
+        mirror.park()
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(*PARK_MRAD)
+
+
+@pytest.mark.parametrize("where", KNOWN)
+def test_given_another_device_at_the_same_place_then_reconnecting_refuses_it_for_good(where, tmp_path):
+    dialect, wire = where.split("/")
+    # On opening it is asked twice; all after that is another's.
+    fault = WireFault("mirror", "impostor", "identify", at_call=3, count=100)
+    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        bench.far.unplug()
+        bench.far.plug()
+        with pytest.raises(InstrumentError, match="another device answers in its place") as caught:
+            mirror.reconnect()
+        assert not isinstance(caught.value, InstrumentLostError)
+
+
+@pytest.mark.parametrize("where", KNOWN)
+def test_given_another_device_on_the_line_then_identifying_tells_both_names(where, tmp_path):
+    dialect, wire = where.split("/")
+    fault = WireFault("mirror", "impostor", "identify", at_call=3, count=100)
+    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        with pytest.raises(InstrumentError, match=r"another device answers in its place: .*, and not "):
+            mirror.identify()
+
+
+@pytest.mark.parametrize("where", KNOWN)
+def test_given_one_answer_with_another_name_then_it_is_asked_again_before_it_is_believed(where, tmp_path):
+    dialect, wire = where.split("/")
+    fault = WireFault("mirror", "impostor", "identify", at_call=3)
+    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S)
+        assert mirror.identify()
+
+
+@pytest.mark.parametrize("where", TALKING)
+def test_given_a_port_that_is_in_use_then_a_second_driver_is_told_so(where, tmp_path):
+    dialect, wire = where.split("/")
+    with mirror_bench(dialect, wire, tmp_path) as bench:
+        first = bench.mirror(answer_s=ANSWER_S)
+        sentence = "another program has the port open" if wire != "tcp" else "one program at a time"
+        with pytest.raises(InstrumentLostError, match=sentence):
+            bench.mirror(answer_s=ANSWER_S)
+        first.move_to(3.0, 4.0)
+        first.wait_settled(10.0)
+        assert bench.stands_at(3.0, 4.0)
+
+
+@pytest.mark.parametrize("dialect", ALL)
+def test_given_a_device_that_never_answers_then_opening_ends_with_what_to_check(dialect, tmp_path):
+    fault = WireFault("mirror", "silent", "any", at_call=1, count=1000)
+    with (
+        mirror_bench(dialect, LOCAL, tmp_path, fault) as bench,
+        pytest.raises(InstrumentLostError, match=r"asking who it is: no answer came; switch it on.*driver and baud"),
+    ):
+        bench.mirror(answer_s=ANSWER_S)
+
+
+@pytest.mark.may_skip("a TCP connection has no baud")
+@pytest.mark.skipif(LOCAL == "tcp", reason="a TCP connection has no baud")
+@pytest.mark.parametrize("dialect", ["asi-tiger", "mirrorcle-mti", "generic"])
+def test_given_the_wrong_baud_then_opening_says_that_what_comes_is_no_text(dialect, tmp_path):
+    with (
+        mirror_bench(dialect, LOCAL, tmp_path) as bench,
+        pytest.raises(InstrumentLostError, match=r"answer broke off after b'\\x.*driver and baud in the rig file"),
+    ):
+        bench.mirror(baud=9600, answer_s=ANSWER_S)
+
+
+@pytest.mark.parametrize(("dialect", "other"), [("asi-tiger", "generic"), ("generic", "asi-tiger")])
+def test_given_the_wrong_dialect_then_opening_says_that_the_answers_do_not_fit(dialect, other, tmp_path):
+    with mirror_bench(dialect, LOCAL, tmp_path) as bench:
+        bench.dialect = other
+        with pytest.raises(InstrumentLostError, match="driver and baud in the rig file"):
+            bench.mirror(answer_s=ANSWER_S)
+
+
+def test_given_a_board_that_starts_when_the_port_opens_then_it_is_waited_for(tmp_path):
+    fault = WireFault("mirror", "silent", "any", at_call=1, count=3)
+    with mirror_bench("generic", LOCAL, tmp_path, fault) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S, patience_s=10.0)
+        mirror.move_to(1.0, 2.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(1.0, 2.0)
+
+
+def test_given_lines_that_nobody_asked_for_then_they_are_not_taken_for_answers(tmp_path):
+    class Chatty(GenericMirrorDevice):
+        """Reports its motion on its own, in the very words of answers."""
+
+        def answer(self, command):
+            return super().answer(command) + ("0*30\r\n1*31\r\n" if command.startswith("XY=") else "")
+
+    with mirror_bench("generic", LOCAL, tmp_path, device=Chatty, settle_s=0.2) as bench:
+        mirror = bench.mirror(settle_s=0.0, answer_s=ANSWER_S)
+        for target in ((10.0, 0.0), (20.0, 0.0)):
+            try:
+                mirror.move_to(*target)
+                mirror.wait_settled(10.0)
+            except TransientInstrumentError:
+                continue
+            assert bench.stands_at(*target)
+
+
+def test_given_a_peer_that_never_stops_sending_then_opening_ends(tmp_path):
+    stop = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def babble():
+            client, _ = server.accept()
+            with client:
+                client.settimeout(0.1)
+                while not stop.is_set():
+                    try:
+                        client.send(b"wavefocus " * 100)
+                    except TimeoutError:
+                        continue
+                    except OSError:
+                        return
+
+        thread = threading.Thread(target=babble)
+        thread.start()
+        with mirror_bench("generic", LOCAL, tmp_path) as bench:
+            port = f"socket://127.0.0.1:{server.getsockname()[1]}"
+            try:
+                with pytest.raises(InstrumentLostError, match="no end of the line"):
+                    bench.mirror(port=port, answer_s=ANSWER_S)
+            finally:
+                stop.set()
+                thread.join()

@@ -1,0 +1,173 @@
+"""The far sides by themselves, as a person at a terminal would meet them."""
+
+from __future__ import annotations
+
+import math
+import re
+import socket
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from mocks.wire.asi_device import AsiTigerDevice
+from mocks.wire.faults import WireFault, WireFaultPlan
+from mocks.wire.generic_device import GenericMirrorDevice
+from mocks.wire.mirror_devices import mirror_device
+from mocks.wire.mirrorcle_device import MirrorcleDevice
+from mocks.wire.motion import MirrorMotion
+from mocks.wire.optotune_device import OptotuneDevice
+from mocks.wire.serial_far_side import SerialFarSide
+from mocks.wire.serial_wires import TcpWire
+from mocks.wire.vibrometer_device import PolytecDevice
+from tests.wire.serial_bench import WIRES, wire
+
+REFERENCE = Path(__file__).parents[2] / "docs/reference/generic-mirror.md"
+
+
+def motion():
+    return MirrorMotion((-200.0, -200.0), 0.0, math.inf, 250.0)
+
+
+@contextmanager
+def terminal(device, *faults):
+    """A person's terminal: sends lines and reads lines."""
+    with SerialFarSide(device, TcpWire(), WireFaultPlan(device.role, faults)) as far:
+        parts = urlsplit(far.address)
+        with socket.create_connection((parts.hostname, parts.port), timeout=30) as line, line.makefile("rb") as answers:
+
+            def ask(command, end=device.command_end):
+                line.sendall((command + end).encode())
+                return answers.readline().decode()
+
+            yield ask
+
+
+def test_given_asi_then_each_mistake_has_its_code():
+    with terminal(AsiTigerDevice(motion(), ("A", "B"))) as ask:
+        assert ask("BU") == "TIGER_COMM\r\n"
+        assert ask("M A=1000 B=-500") == ":A \r\n"
+        assert ask("W B A") == ":A 1000.0 -500.0 \r\n"  # in the order of the hardware
+        assert ask("um a? b?") == ":A A=1000.000 B=1000.000\r\n"
+        assert ask("/") == "N\r\n"
+        assert ask("JUMP") == ":N-1\r\n"
+        assert ask("M X=1") == ":N-2\r\n"
+        assert ask("M A") == ":N-3\r\n"
+        assert ask("M") == ":N-3\r\n"
+        assert ask("M A=1e9") == ":N-3\r\n"
+        assert ask("M A=20000") == ":N-4\r\n"
+        assert ask("W A") == ":A 1000.0 \r\n"
+
+
+def test_given_mirrorcle_then_it_is_deaf_outside_command_mode_and_flat_without_high_voltage():
+    mirror = motion()
+    with terminal(MirrorcleDevice(mirror, 250.0)) as ask:
+        # The first of the two is not answered at all.
+        assert ask("MTI+EN\n$MTI$") == "MTI-Device MTI-MZ-2.3.113:USB Ready in Command Mode\r\n"
+        assert ask("$MTI$") == "MTI-ERR InvalidCommand\r\n"
+        assert ask("MTI+GT 0.5 0.5 0") == "MTI-OK\r\n"
+        assert mirror.where_mrad() == (-200.0, -200.0)
+        assert ask("MTI+EN") == "MTI-OK\r\n"
+        assert mirror.where_mrad() == (125.0, 125.0)
+        assert ask("MTI+GT 1.5 0 0") == "MTI-ERR InvalidParameter\r\n"
+        assert ask("MTI+GT 0.5 0.5") == "MTI-ERR InvalidCommand\r\n"
+        assert ask("MTI+BW 20") == "MTI-ERR InvalidParameter\r\n"
+        assert ask("MTI+DI") == "MTI-OK\r\n"
+        assert mirror.where_mrad() == (0.0, 0.0)
+        assert ask("MTI+EX") == "MTI-Device Exit Command Mode\r\n"
+
+
+def test_given_optotune_then_both_spellings_of_its_move_work():
+    with terminal(OptotuneDevice(motion())) as ask:
+        assert ask("start", "\r\n") == "OK\r\n"
+        assert ask("status", "\r\n") == "0000000000\r\n"
+        assert ask("xy=0.1000;-0.1000", "\r\n") == "OK\r\n"
+        assert ask("xy= 0.1000; -0.1000", "\r\n") == "OK\r\n"
+        assert ask("xy=1.5;0", "\r\n") == "NO\r\n"
+        assert ask("xy=up", "\r\n") == "NO\r\n"
+
+
+def test_given_the_generic_mirror_then_it_can_be_typed_to_by_hand():
+    with terminal(GenericMirrorDevice(motion())) as ask:
+        assert ask("*IDN?") == "wavefocus,generic mirror,0001,1.0\r\n"
+        assert ask("LIMIT?", "\r\n") == "250.0000\r\n"
+        assert ask("X=12.5") == "OK\r\n"
+        assert ask("Y=-3") == "OK\r\n"
+        assert ask("XY?") == "12.5000,-3.0000\r\n"
+        assert ask("X?") == "12.5000\r\n"
+        assert ask("Y?") == "-3.0000\r\n"
+        assert ask("BUSY?") == "0\r\n"
+        assert ask("PARK=1,2") == "OK\r\n"
+        assert ask("PARK") == "OK\r\n"
+        assert ask("XY?") == "1.0000,2.0000\r\n"
+        assert ask("JUMP").startswith("ERR 1")
+        assert ask("X=left").startswith("ERR 2")
+        assert ask("XY=1").startswith("ERR 2")
+        assert ask("X=1,2").startswith("ERR 2")
+        assert ask("X=300").startswith("ERR 3")
+        assert ask("X=1*00").startswith("ERR 4")
+
+
+def test_given_the_reference_page_then_the_device_holds_the_conversation_in_it():
+    block = re.search(r"## A conversation\n\n```\n(.*?)```", REFERENCE.read_text(encoding="utf-8"), re.DOTALL)
+    lines = [line for line in block.group(1).splitlines() if line]
+    exchanges = [(said[2:], heard[2:]) for said, heard in zip(lines[::2], lines[1::2], strict=True)]
+    assert all(said.startswith("> ") for said in lines[::2])
+    with terminal(GenericMirrorDevice(MirrorMotion((0.0, 0.0), 0.0, math.inf, 200.0))) as ask:
+        for said, heard in exchanges:
+            answer = ask(said).strip()
+            # Its mirror jumps, so it is never busy.
+            assert answer == ("0*30" if said.startswith("BUSY?") else heard)
+
+
+def test_given_polytec_then_it_echoes_until_it_is_told_not_to():
+    with terminal(PolytecDevice()) as ask:
+        assert ask("Get,VeloDec,1,Range") == "Get,VeloDec,1,Range\n"
+        assert ask("Set,Interface,0,Echo,Off") == "125mm/s/V\n"
+        assert ask("") == "Set,Interface,0,Echo,Off\n"
+        assert ask("Get,VeloDec,0,Range") == "Not Available\n"
+        assert ask("Get,VeloDec,1,SignalDelay") == "8.16 us\n"
+        assert ask("Get,SignalLevel,0,Value") == "600\n"
+        assert ask("Get,Laser,0,Colour") == "Not Available\n"
+
+
+def test_given_an_unknown_dialect_then_there_is_no_device():
+    with pytest.raises(ValueError, match="no mirror dialect 'piezo'"):
+        mirror_device("piezo", motion())
+
+
+def test_given_a_second_terminal_then_it_is_hung_up_on_and_the_first_goes_on():
+    with SerialFarSide(GenericMirrorDevice(motion()), TcpWire()) as far:
+        at = (urlsplit(far.address).hostname, urlsplit(far.address).port)
+        with socket.create_connection(at, timeout=30) as first, socket.create_connection(at, timeout=30) as second:
+            first.sendall(b"BUSY?\n")
+            assert first.recv(10) == b"0\r\n"
+            assert second.recv(10) == b""
+
+
+@pytest.mark.parametrize("kind", WIRES)
+def test_given_plugs_pulled_and_put_back_at_will_then_the_address_stays(kind, tmp_path):
+    far = SerialFarSide(GenericMirrorDevice(motion()), wire(kind, tmp_path))
+    address = far.address
+    with far:
+        for _ in range(3):
+            far.unplug()
+            far.unplug()
+            assert kind == "tcp" or not Path(address).exists()
+            far.plug()
+            far.plug()
+            assert kind == "tcp" or Path(address).exists()
+        assert far.address == address
+    far.close()
+    assert kind == "tcp" or not Path(address).is_symlink()
+
+
+def test_given_a_far_side_that_was_never_started_then_closing_it_is_harmless():
+    SerialFarSide(GenericMirrorDevice(motion()), TcpWire()).close()
+
+
+def test_given_a_fault_at_a_time_then_it_strikes_by_the_clock():
+    with terminal(GenericMirrorDevice(motion()), WireFault("mirror", "refused", "busy", at_s=0.0)) as ask:
+        assert ask("BUSY?").startswith("ERR 5")
+        assert ask("BUSY?") == "0\r\n"

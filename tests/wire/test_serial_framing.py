@@ -1,0 +1,231 @@
+"""Whatever comes over a line, a position is right or it is an error; arbitrary bytes are never one."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import socket
+import time
+from collections.abc import Callable
+from contextlib import closing, contextmanager
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import InstrumentError, InstrumentLostError
+from drivers.mirror.generic import checksum
+from drivers.mirror.serial_mirror import SerialMirror
+from drivers.serial_line.line import LineSettings, NoAnswerError, SerialLine
+from mocks.wire.faults import WireFault
+from tests.wire.serial_bench import LOCAL, WIRES, mirror_bench
+
+Bytes = Callable[[bytes], bytes]
+TARGET_MRAD = (40.0, -25.0)
+ALWAYS = tuple(
+    WireFault("mirror", "garbled", operation, at_call=1, count=10**9) for operation in ("where", "busy", "move")
+)
+
+
+class Garbler:
+    """Passes answers on until it is given something else to do with them."""
+
+    def __init__(self):
+        self.change: Bytes = lambda answer: answer
+
+    def __call__(self, answer):
+        return self.change(answer)
+
+
+@contextmanager
+def garbled_mirror(dialect, folder):
+    """A mirror at `TARGET_MRAD`, and what garbles its answers."""
+    garbler = Garbler()
+    with mirror_bench(dialect, LOCAL, folder, *ALWAYS, garbler=garbler, settle_s=0.0, slew_mrad_s=math.inf) as bench:
+        mirror = bench.mirror(answer_s=0.05, settle_s=0.0)
+        mirror.move_to(*TARGET_MRAD)
+        yield bench, mirror, garbler
+
+
+def in_touch(mirror: SerialMirror):
+    """Leave no fault behind for the next example."""
+    for _ in range(50):
+        try:
+            mirror.identify()
+        except InstrumentLostError:
+            time.sleep(0.02)
+        else:
+            return
+    raise AssertionError("the mirror was not found again")
+
+
+@pytest.fixture(scope="module", params=["asi-tiger", "generic"])
+def garbled(request, tmp_path_factory):
+    with garbled_mirror(request.param, tmp_path_factory.mktemp("port")) as all_:
+        yield all_
+
+
+@pytest.fixture(scope="module")
+def checked(tmp_path_factory):
+    with garbled_mirror("generic", tmp_path_factory.mktemp("port")) as all_:
+        yield all_
+
+
+def where(mirror):
+    try:
+        return mirror.where_mrad()
+    except InstrumentError:
+        return None
+
+
+@settings(max_examples=25)
+@given(garbage=st.binary(max_size=40))
+def test_given_arbitrary_bytes_for_an_answer_then_they_are_an_error_and_never_a_position(garbled, garbage):
+    _, mirror, garbler = garbled
+    garbler.change = lambda answer: garbage
+    found = where(mirror)
+    garbler.change = lambda answer: answer
+    in_touch(mirror)
+    assert found is None
+    assert mirror.where_mrad() == pytest.approx(TARGET_MRAD, abs=0.01)
+
+
+@settings(max_examples=30)
+@given(garbage=st.binary(max_size=40), before=st.booleans())
+def test_given_arbitrary_bytes_around_an_answer_then_it_is_right_or_an_error(garbled, garbage, before):
+    _, mirror, garbler = garbled
+    garbler.change = lambda answer: garbage + answer if before else answer + garbage
+    found = where(mirror)
+    garbler.change = lambda answer: answer
+    in_touch(mirror)
+    assert found is None or found == pytest.approx(TARGET_MRAD, abs=0.01)
+
+
+@settings(max_examples=60)
+@given(at=st.integers(0, 30), to=st.integers(0, 255))
+def test_given_a_changed_byte_then_a_line_with_a_checksum_is_right_or_an_error(checked, at, to):
+    _, mirror, garbler = checked
+    garbler.change = lambda answer: answer[: at % len(answer)] + bytes([to]) + answer[at % len(answer) + 1 :]
+    found = where(mirror)
+    garbler.change = lambda answer: answer
+    in_touch(mirror)
+    assert found is None or found == pytest.approx(TARGET_MRAD, abs=0.01)
+
+
+@settings(max_examples=40)
+@given(
+    x_mrad=st.floats(-200, 200),
+    at=st.integers(0, 30),
+    to=st.sampled_from([*b"0123456789-. :ABNXYOK*\r\n", 0, 0xFF]),
+    every=st.integers(1, 3),
+)
+def test_given_answers_changed_at_will_then_waiting_ends_well_only_where_the_beam_stands(
+    garbled, x_mrad, at, to, every
+):
+    bench, mirror, garbler = garbled
+    count = 0
+
+    def change(answer):
+        nonlocal count
+        count += 1
+        if count % every:
+            return answer
+        return answer[: at % len(answer)] + bytes([to]) + answer[at % len(answer) + 1 :]
+
+    garbler.change = change
+    try:
+        mirror.move_to(x_mrad, 10.0)
+        mirror.wait_settled(0.1)
+        settled = True
+    except InstrumentError:
+        settled = False
+    garbler.change = lambda answer: answer
+    in_touch(mirror)
+    assert not settled or bench.motion.where_mrad() == pytest.approx((x_mrad, 10.0), abs=0.5)
+
+
+# -- lines out of bytes ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def wired():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        line = SerialLine("line", f"socket://127.0.0.1:{server.getsockname()[1]}", LineSettings(115200, "\n", 5.0))
+        line.open()
+        client, _ = server.accept()
+        with client, closing(line):
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            yield line, client
+
+
+TEXT = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=30)
+
+
+@settings(max_examples=50)
+@given(
+    texts=st.lists(TEXT, min_size=1, max_size=4),
+    end=st.sampled_from([b"\n", b"\r\n"]),
+    sizes=st.lists(st.integers(1, 20), min_size=1),
+)
+def test_given_lines_cut_anywhere_then_they_arrive_whole_and_in_order(wired, texts, end, sizes):
+    line, client = wired
+    sent = b"".join(text.encode() + end for text in texts)
+    for size in itertools.cycle(sizes):
+        client.sendall(sent[:size])
+        sent = sent[size:]
+        if not sent:
+            break
+    assert [line.receive(time.monotonic() + 30) for _ in texts] == texts
+    assert not line.received()
+
+
+def test_given_half_a_line_then_the_wait_ends_and_what_came_is_told(wired):
+    line, client = wired
+    client.sendall(b"12.3")
+    with pytest.raises(NoAnswerError, match=r"broke off after b'12\.3'"):
+        line.receive(time.monotonic() + 0.2)
+    client.sendall(b"4\n")
+    assert line.receive(time.monotonic() + 30) == "12.34"
+
+
+def test_given_bytes_that_are_no_text_then_they_are_told_as_bytes(wired):
+    line, client = wired
+    client.sendall(b"\xff1\n")
+    with pytest.raises(NoAnswerError, match="no text"):
+        line.receive(time.monotonic() + 30)
+
+
+def test_given_input_that_is_dropped_then_the_next_line_is_the_next_one(wired):
+    line, client = wired
+    client.sendall(b"old\nold")
+    while not line.received():
+        time.sleep(0.01)
+    time.sleep(0.05)
+    line.discard()
+    client.sendall(b"new\n")
+    assert line.receive(time.monotonic() + 30) == "new"
+
+
+@pytest.mark.parametrize("kind", WIRES)
+def test_given_a_peer_that_does_not_read_then_sending_ends(kind, tmp_path):
+    stall = WireFault("mirror", "stalled", "any", at_call=1)
+    with mirror_bench("generic", kind, tmp_path, stall) as bench:
+        line = SerialLine("line", bench.far.address, LineSettings(115200, "\n", 0.3))
+        line.open()
+
+        def flood():
+            for _ in range(1000):
+                line.send("x" * 100_000)
+
+        with closing(line):
+            line.send("*IDN?")
+            with pytest.raises(NoAnswerError, match=r"did not take the command within 0\.3 s"):
+                flood()
+
+
+# -- the checksum of the generic mirror --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("text", "sum_"), [("*IDN?", "56"), ("BUSY?", "22"), ("XY=40.0000,-25.0000", "3E")])
+def test_given_the_examples_of_the_reference_then_the_checksums_are_those(text, sum_):
+    assert checksum(text) == sum_

@@ -1,0 +1,178 @@
+"""Ports by path, by address and by serial number; each way of not opening one has its own sentence."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy
+import pytest
+
+from drivers.errors import InstrumentError, InstrumentLostError
+from drivers.serial_line.line import LineSettings, SerialLine
+from drivers.serial_line.opening import open_failure
+from drivers.serial_line.ports import SerialPort, find_port, serial_ports
+
+REPOSITORY = Path(__file__).parents[2]
+PRESENT = (
+    SerialPort("/dev/ttyUSB0", "A1", "adapter"),
+    SerialPort("/dev/ttyUSB1", "B2", "adapter"),
+    SerialPort("/dev/ttyUSB2", "B2", "adapter"),
+    SerialPort("/dev/ttyS0"),
+)
+
+
+def line(port):
+    return SerialLine("mirror", port, LineSettings(115200, "\n", 0.5))
+
+
+@pytest.mark.parametrize("port", ["/dev/ttyUSB0", "COM3", "socket://localhost:4001", "socket://[::1]:4001"])
+def test_given_a_path_or_an_address_then_it_is_opened_as_it_stands(port):
+    assert find_port(port, "mirror", PRESENT) == port
+
+
+def test_given_a_serial_number_then_its_port_is_found():
+    assert find_port("serial-number:A1", "mirror", PRESENT) == "/dev/ttyUSB0"
+
+
+def test_given_a_serial_number_that_is_absent_then_those_present_are_named():
+    with pytest.raises(InstrumentLostError, match=r"'C3': no port has it; those present: A1 \(/dev/ttyUSB0\), B2"):
+        find_port("serial-number:C3", "mirror", PRESENT)
+
+
+def test_given_no_ports_at_all_then_that_is_said():
+    with pytest.raises(InstrumentLostError, match="none with a serial number"):
+        find_port("serial-number:C3", "mirror", ())
+
+
+def test_given_a_serial_number_that_two_ports_have_then_both_are_named():
+    with pytest.raises(InstrumentLostError, match="/dev/ttyUSB1 and /dev/ttyUSB2 both have it"):
+        find_port("serial-number:B2", "mirror", PRESENT)
+
+
+def test_given_an_empty_serial_number_then_no_port_is_taken_for_it():
+    with pytest.raises(InstrumentLostError, match="no port has it"):
+        find_port("serial-number:", "mirror", PRESENT)
+
+
+@pytest.mark.parametrize(
+    "port", ["", "socket://", "socket://host", "socket://host:name", "socket://host:70000", "socket://host:1/x"]
+)
+def test_given_a_port_that_names_nothing_then_the_right_form_is_told(port):
+    with pytest.raises(InstrumentError, match=r"rig file, port|write socket://host:port"):
+        find_port(port, "mirror", PRESENT)
+
+
+def test_given_this_computer_then_its_ports_can_be_listed():
+    assert all(one.device for one in serial_ports())
+
+
+# -- opening -------------------------------------------------------------------------------------------
+
+
+def test_given_no_such_port_then_the_plug_is_asked_for(tmp_path):
+    with pytest.raises(InstrumentLostError, match=r"opening .*/nowhere: there is no such port now; plug the device in"):
+        line(str(tmp_path / "nowhere")).open()
+
+
+def test_given_a_file_then_it_is_said_to_be_no_serial_port(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("no port")
+    with pytest.raises(InstrumentLostError, match=r"no serial port|no such port"):
+        line(str(path)).open()
+
+
+def test_given_an_address_where_nobody_listens_then_that_is_said():
+    with socket.socket() as reserved:
+        reserved.bind(("127.0.0.1", 0))
+        with pytest.raises(InstrumentLostError, match="nothing there accepts connections; switch the device"):
+            line(f"socket://127.0.0.1:{reserved.getsockname()[1]}").open()
+
+
+def test_given_a_baud_that_no_port_has_then_the_rig_file_is_named(tmp_path):
+    with pytest.raises(InstrumentError, match="rig file"):
+        SerialLine("mirror", str(tmp_path / "port"), LineSettings(-1, "\n")).open()
+
+
+@pytest.mark.may_skip("POSIX permissions")
+@pytest.mark.skipif(os.name != "posix", reason="POSIX permissions")
+def test_given_a_port_that_this_user_may_not_open_then_the_group_is_named(tmp_path):
+    port = tmp_path / "port"
+    port.touch(mode=0)
+    # Root may open everything, so the attempt is made by nobody, by a process that has imported all before.
+    program = (
+        "import os, sys, serial\n"
+        "from drivers.serial_line.line import LineSettings, SerialLine\n"
+        "os.chdir(sys.argv[1])\n"
+        "if os.getuid() == 0:\n"
+        "    os.setgid(65534), os.setuid(65534)\n"
+        "SerialLine('mirror', 'port', LineSettings(115200, 'x')).open()\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "this user may not open the port; join the group" in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            "could not open port 'COM3': FileNotFoundError(2, 'The system cannot find the file', None, 2)",
+            "no such port",
+        ),
+        ("could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)", "another program"),
+        ("could not open port 'COM3': OSError(22, 'The semaphore timeout period has expired.')", "cannot be opened"),
+    ],
+)
+def test_given_what_windows_says_then_it_is_told_in_the_same_sentences(text, sentence):
+    assert sentence in open_failure("COM3", OSError(text))[0]
+
+
+@pytest.mark.parametrize(
+    ("number", "sentence"),
+    [
+        (errno.EAGAIN, "another program"),
+        (errno.EACCES, "may not open"),
+        (errno.ENXIO, "no such port"),
+        (errno.ENOTTY, "no serial port"),
+    ],
+)
+def test_given_an_error_number_of_posix_then_it_has_its_sentence(number, sentence):
+    assert sentence in open_failure("/dev/ttyUSB0", OSError(number, "text"))[0]
+
+
+@pytest.mark.parametrize(("number", "sentence"), [(errno.EHOSTUNREACH, "cannot be reached"), (errno.EPIPE, "no conn")])
+def test_given_a_network_that_does_not_carry_then_it_has_its_sentence(number, sentence):
+    assert sentence in open_failure("socket://10.0.0.1:1", OSError(number, "text"))[0]
+
+
+def test_given_no_pyserial_then_the_drivers_import_and_opening_says_what_to_install(tmp_path):
+    # A Python that has numpy and this project, and nothing else.
+    packages = Path(numpy.__file__).parents[1]
+    for name in ("numpy", "numpy.libs"):
+        if (packages / name).exists():
+            (tmp_path / name).symlink_to(packages / name, target_is_directory=True)
+    program = (
+        "from drivers.clock import WallClock\n"
+        "from drivers.mirror.serial_mirror import SerialMirror\n"
+        "from drivers.vibrometer.polytec import read_sensitivity\n"
+        "SerialMirror('generic', '/dev/ttyUSB0', settle_s=0, limit_mrad=1, park_mrad=(0, 0), clock=WallClock())\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-S", "-c", program],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY), str(tmp_path)])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "InstrumentError: mirror (generic at /dev/ttyUSB0): opening /dev/ttyUSB0" in run.stderr
+    assert "the package pyserial is not installed; pip install pyserial" in run.stderr

@@ -1,0 +1,120 @@
+"""A USB reset, asked for by a person, through the real pyusb on a virtual bus."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+
+import pytest
+import usb.core
+
+from drivers.errors import InstrumentError, InstrumentLostError
+from drivers.usb.devices import list_devices
+from drivers.usb.matching import ExpectedUsbDevice
+from drivers.usb.reset import reset_device
+from mocks.clocks import VirtualClock
+from mocks.wire.faults import WireFault
+from mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
+
+DAQ = VirtualUsbDevice(0x3923, 0x7179, "01A2B3C4", "National Instruments", "USB-6211", port_path=(1, 2))
+OTHER = VirtualUsbDevice(0x0403, 0x6001, "A50285BI", "FTDI", "FT232R USB UART", port_path=(1, 3))
+EXPECTED = (ExpectedUsbDevice("recorder", 0x3923, 0x7179), ExpectedUsbDevice("mirror", 0x0403, 0x6001))
+
+
+def bus_with(**changes: object) -> VirtualUsb:
+    return VirtualUsb([dataclasses.replace(DAQ, **changes), OTHER])
+
+
+def test_given_a_device_that_keeps_its_address_then_it_is_reset_and_found():
+    bus = bus_with(after_reset="stays")
+    before = list_devices(bus)
+    assert reset_device("recorder", EXPECTED, backend=bus) == before[0]
+    assert bus.open_handles == 0
+
+
+@pytest.mark.parametrize("away_s", [0.0, 0.3])
+def test_given_a_device_that_re_enumerates_then_it_is_found_under_its_new_address(away_s):
+    bus = bus_with(after_reset="re-enumerates", away_s=away_s)
+    before = list_devices(bus)[0]
+    after = reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0)
+    assert after.address > before.address
+    assert dataclasses.replace(after, address=before.address) == before
+    assert bus.open_handles == 0
+
+
+def test_given_a_device_that_re_enumerates_then_pyusb_says_not_found_which_is_a_success():
+    with pytest.raises(usb.core.USBError, match="Entity not found") as caught:
+        usb.core.find(backend=bus_with(after_reset="re-enumerates"), idVendor=0x3923).reset()
+    assert caught.value.errno == errno.ENOENT
+
+
+def test_given_a_device_without_a_serial_number_then_its_socket_tells_that_it_is_the_same():
+    bus = VirtualUsb([dataclasses.replace(DAQ, serial_number="")])
+    assert reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0).port_path == (1, 2)
+
+
+def test_given_a_reset_then_no_other_device_is_touched():
+    bus = bus_with(after_reset="re-enumerates")
+    other = list_devices(bus)[1]
+    reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0)
+    assert other in list_devices(bus)
+
+
+def test_given_a_device_that_does_not_come_back_then_the_waiting_ends_with_what_to_do():
+    bus, clock = bus_with(after_reset="stays away"), VirtualClock()
+    with pytest.raises(InstrumentLostError, match="not back after 15 s") as caught:
+        reset_device("recorder", EXPECTED, backend=bus, clock=clock)
+    assert "recorder (USB 3923:7179)" in caught.value.instrument
+    assert "plug it in again" in caught.value.remedy
+    assert clock.now_s() == pytest.approx(15.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("after_reset", "cause", "remedy"),
+    [("refuses", "Input/Output Error", "unplug it"), ("busy", "another program holds it", "close that program")],
+)
+def test_given_a_reset_that_fails_then_it_says_why_and_what_to_do(after_reset, cause, remedy):
+    bus = bus_with(after_reset=after_reset)
+    with pytest.raises(InstrumentError, match=cause) as caught:
+        reset_device("recorder", EXPECTED, backend=bus)
+    assert remedy in caught.value.remedy
+    assert bus.open_handles == 0
+
+
+def test_given_no_permission_then_the_remedy_is_how_to_permit_it():
+    bus = VirtualUsb([DAQ], (WireFault("usb", "no_permission", "open", at_call=1, count=1000),))
+    with pytest.raises(InstrumentError, match="no permission to open it") as caught:
+        reset_device("recorder", EXPECTED, backend=bus)
+    assert caught.value.remedy
+
+
+def test_given_a_system_that_cannot_reset_then_the_hand_can():
+    class Without(VirtualUsb):
+        def reset_device(self, dev_handle):
+            raise NotImplementedError("Operation not supported or unimplemented on this platform")
+
+    with pytest.raises(InstrumentError, match="this system cannot do it") as caught:
+        reset_device("recorder", EXPECTED, backend=Without([DAQ]))
+    assert "unplug it" in caught.value.remedy
+
+
+def test_given_a_device_unplugged_in_the_reset_then_it_is_waited_for():
+    bus = VirtualUsb([DAQ], (WireFault("usb", "unplugged", "reset", at_call=1, seconds=0.2),))
+    back = reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0)
+    assert (back.serial_number, back.address) == ("01A2B3C4", 2)
+
+
+def test_given_a_device_that_is_not_there_or_not_alone_then_nothing_is_reset():
+    twin = dataclasses.replace(DAQ, serial_number="2", port_path=(1, 5))
+    with pytest.raises(InstrumentError, match="it is not plugged in"):
+        reset_device("recorder", EXPECTED, backend=VirtualUsb([OTHER]))
+    both = VirtualUsb([DAQ, twin])
+    before = list_devices(both)
+    with pytest.raises(InstrumentError, match="2 such devices are plugged in"):
+        reset_device("recorder", EXPECTED, backend=both)
+    assert list_devices(both) == before
+
+
+def test_given_a_role_that_the_rig_does_not_know_by_usb_then_it_is_told_what_to_write():
+    with pytest.raises(InstrumentError, match=r"\[\[usb\]\] table"):
+        reset_device("player", EXPECTED, backend=VirtualUsb([DAQ]))

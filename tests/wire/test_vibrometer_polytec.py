@@ -1,0 +1,166 @@
+"""The vibrometer's sensitivity, read over both wires, with every row of the serial fault table."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.vibrometer.polytec import read_sensitivity
+from mocks.wire.faults import WireFault, WireFaultPlan
+from mocks.wire.serial_far_side import SerialFarSide
+from mocks.wire.vibrometer_device import PolytecDevice
+from tests.wire.serial_bench import LOCAL, WIRES, wire
+
+ANSWER_S = 0.3
+
+
+@contextmanager
+def controller(kind, folder, *faults, **settings_):
+    device = PolytecDevice(**settings_)
+    with SerialFarSide(device, wire(kind, folder), WireFaultPlan("vibrometer", faults)) as far:
+        yield far
+
+
+def read(far, **settings_):
+    return read_sensitivity(far.address, **{"answer_s": ANSWER_S, **settings_})
+
+
+def fault(kind, operation="range", count=1, **more):
+    return WireFault("vibrometer", kind, operation, at_call=1, count=count, **more)
+
+
+@pytest.mark.parametrize("echo", [False, True])
+@pytest.mark.parametrize("kind", WIRES)
+def test_given_a_controller_then_it_tells_its_sensitivity_delay_and_signal_level(kind, echo, tmp_path):
+    with controller(kind, tmp_path, echo=echo, signal_level=620) as far:
+        reading = read(far)
+    assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
+    assert reading.range_text == "125mm/s/V"
+    assert reading.latency_s == pytest.approx(8.16e-6)
+    assert reading.signal_level == pytest.approx(0.8)
+    assert reading.identity == "OFV-5000, VD-09"
+
+
+@pytest.mark.parametrize(
+    ("text", "sensitivity_m_s_per_v"),
+    [("5mm/s/V", 5e-3), ("1 m/s/V", 1.0), ("0.1mm/s/V", 1e-4), ("20um/s/V", 2e-5), ("1000mm/s/V", 1.0)],
+)
+def test_given_a_range_then_its_unit_is_read_too(text, sensitivity_m_s_per_v, tmp_path):
+    with controller(LOCAL, tmp_path, range_text=text) as far:
+        assert read(far).sensitivity_m_s_per_v == pytest.approx(sensitivity_m_s_per_v)
+
+
+@pytest.mark.parametrize("text", ["125", "125mm/V", "0mm/s/V", "125mm/s", "125 km/s/V", "-5mm/s/V", "1e3mm/s/V"])
+def test_given_a_range_that_cannot_be_read_then_it_is_no_sensitivity(text, tmp_path):
+    with (
+        controller(LOCAL, tmp_path, range_text=text) as far,
+        pytest.raises(TransientInstrumentError, match=r"reading the measurement range: .*cannot be read"),
+    ):
+        read(far)
+
+
+def test_given_a_decoder_that_is_not_there_then_its_number_is_asked_for(tmp_path):
+    with (
+        controller(LOCAL, tmp_path, decoder=0) as far,
+        pytest.raises(InstrumentError, match=r"Not Available.*decoder's number in the rig file"),
+    ):
+        read(far)
+
+
+def test_given_its_number_then_the_other_decoder_is_read(tmp_path):
+    with controller(LOCAL, tmp_path, decoder=0) as far:
+        assert read(far, decoder=0).range_text == "125mm/s/V"
+
+
+def test_given_a_controller_that_does_not_know_delay_and_level_then_they_are_unknown(tmp_path):
+    with controller(LOCAL, tmp_path, fault("refused", "delay"), fault("refused", "level")) as far:
+        reading = read(far)
+    assert reading.latency_s is None
+    assert reading.signal_level is None
+
+
+def test_given_too_little_light_then_focus_is_asked_for(tmp_path):
+    with (
+        controller(LOCAL, tmp_path, signal_level=100) as far,
+        pytest.raises(InstrumentError, match=r"13% of full, at least 50% is wanted; focus the laser"),
+    ):
+        read(far, least_signal_level=0.5)
+
+
+def test_given_another_identity_in_the_rig_file_then_the_device_is_refused_by_name(tmp_path):
+    with (
+        controller(LOCAL, tmp_path) as far,
+        pytest.raises(InstrumentError, match=r"'OFV-5000, VD-09' does not contain 'VD-02'"),
+    ):
+        read(far, identity="VD-02")
+
+
+@pytest.mark.parametrize("kind", WIRES)
+def test_given_another_controller_then_it_is_refused(kind, tmp_path):
+    with (
+        controller(kind, tmp_path, fault("impostor", "identify", count=100)) as far,
+        pytest.raises(InstrumentError, match="'OFV-2500, VD-09' does not contain 'OFV-5000'"),
+    ):
+        read(far, identity="OFV-5000")
+
+
+@pytest.mark.parametrize("name", ["silent", "late", "truncated", "garbled"])
+@pytest.mark.parametrize("kind", WIRES)
+def test_given_one_answer_that_cannot_be_had_then_it_is_asked_for_once_more(kind, name, tmp_path):
+    with controller(kind, tmp_path, fault(name, seconds=1.5 * ANSWER_S)) as far:
+        assert read(far).sensitivity_m_s_per_v == pytest.approx(0.125)
+        assert sum(command.endswith("Range") for command in far.heard) == 2
+
+
+@pytest.mark.parametrize("name", ["silent", "truncated", "garbled", "stalled"])
+def test_given_two_answers_that_cannot_be_had_then_the_attempt_fails_and_a_new_one_works(name, tmp_path):
+    seconds = 4 * ANSWER_S if name == "stalled" else 0.0
+    with controller(LOCAL, tmp_path, fault(name, count=2 - (name == "stalled"), seconds=seconds)) as far:
+        with pytest.raises(TransientInstrumentError, match="asked twice"):
+            read(far)
+        reading = None
+        while reading is None:
+            try:
+                reading = read(far)
+            except InstrumentError:
+                continue
+        assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
+
+
+@pytest.mark.parametrize("kind", WIRES)
+def test_given_a_refused_range_then_it_is_told(kind, tmp_path):
+    with controller(kind, tmp_path, fault("refused")) as far:
+        with pytest.raises(InstrumentError, match="Not Available"):
+            read(far)
+        assert read(far).range_text == "125mm/s/V"
+
+
+@pytest.mark.parametrize("kind", WIRES)
+def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back(kind, tmp_path):
+    with controller(kind, tmp_path, fault("unplugged")) as far:
+        with pytest.raises(InstrumentLostError, match="connection broke"):
+            read(far)
+        with pytest.raises(InstrumentLostError, match=r"no such port now|nothing there accepts"):
+            read(far)
+        far.plug()
+        assert read(far).sensitivity_m_s_per_v == pytest.approx(0.125)
+
+
+@pytest.mark.parametrize("kind", WIRES)
+def test_given_a_reading_then_the_port_is_free_again(kind, tmp_path):
+    with controller(kind, tmp_path) as far:
+        assert read(far) == read(far)
+
+
+@settings(max_examples=15)
+@given(text=st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=12))
+def test_given_arbitrary_text_for_a_range_then_it_is_an_error(tmp_path_factory, text):
+    with (
+        controller(LOCAL, tmp_path_factory.mktemp("port"), range_text=text) as far,
+        pytest.raises(InstrumentError),
+    ):
+        read(far, answer_s=0.1)
