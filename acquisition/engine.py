@@ -10,12 +10,16 @@ from acquisition.attempt import Attempt, AttemptResult, Recorded, commit_attempt
 from acquisition.errors import DriftError
 from acquisition.events import SessionEnded, State, Subscriber
 from acquisition.plan import Plan, sentinel_of
+from acquisition.pointing import point_at, start_move
 from acquisition.quality import Status
 from acquisition.record import take_record
+from acquisition.recovery import Recovery
+from acquisition.roles import names_of
 from acquisition.sentinel import compare_sentinel
 from acquisition.session import Session
 from acquisition.setup import Setup
-from acquisition.stopping import StopRequest
+from acquisition.states import Lifecycle
+from acquisition.stopping import StoppedWhileWaitingError, StopRequest
 from calibration.bank_writer import BankWriter
 from calibration.blas import one_blas_thread
 from calibration.estimator import Estimator
@@ -24,6 +28,8 @@ from drivers.protocols import Float64Array, Recording, Take
 
 # As many positions in a row without one good record mean a broken instrument, not a bad spot.
 FAILED_IN_A_ROW = 3
+# A record is repeated so often before the whole attempt is given up for a passing fault.
+RECORD_REPEATS = 2
 
 
 class Campaign:
@@ -31,7 +37,8 @@ class Campaign:
 
     While a position is recorded, the estimate, the judgement and the commit of the
     one before run in a second thread; the mirror moves on as soon as the last sample of
-    a position is in.
+    a position is in. An instrument that is lost is waited for, and the attempt that it interrupted
+    is taken again from its first record, as if nothing had been.
 
     Parameters
     ----------
@@ -51,7 +58,9 @@ class Campaign:
         self._plan = plan
         self._setup = setup
         self._bank = bank
-        self._session = Session(plan, setup, bank, publish)
+        self._life = Lifecycle(setup.instruments.clock, publish)
+        self._session = Session(plan, setup, bank, self._life, publish)
+        self._recovery = Recovery(setup, self._life, publish, stop)
         self._stop = stop
         self._signal_v = plan.excitation.signal_v()
         with one_blas_thread():
@@ -60,7 +69,7 @@ class Campaign:
                 plan.taps,
                 reference_gain=setup.reference_gain,
                 response_per_volt=setup.response_per_volt,
-                inter_channel_delay_s=setup.inter_channel_delay_s,
+                inter_channel_delay_s=setup.response_delay_s,
             )
         self._queue: deque[Attempt] = deque()
         self._pending: Future[AttemptResult] | None = None
@@ -88,19 +97,22 @@ class Campaign:
         DriftError
             The sentinel position is not what the bank holds; nothing was added.
         InstrumentError
-            An instrument failed for good; all that was committed is safe.
+            An instrument failed, or was gone, for good; all that was committed is safe.
         """
         rows = self._plan.to_do(self._bank.status) if positions is None else positions
         self._queue = deque(Attempt(int(row), int(self._bank.attempts[row]) + 1, 1) for row in rows)
-        self._session.start(len(rows))
         state, reason = State.FINISHED, "every position is committed"
         try:
+            names = self._recovery.until_done(lambda: names_of(self._setup.instruments))
+            self._session.start(len(rows), names)
             with one_blas_thread():
-                if len(rows):
+                if self._queue and not self._stop.requested:
                     self._check_sentinel(accept_drift)
                     self._measure_queue()
             if self._stop.requested and self._queue:
                 state, reason = State.STOPPED, "stopped by the user after the position"
+        except StoppedWhileWaitingError as stopped:
+            state, reason = State.STOPPED, str(stopped)
         except KeyboardInterrupt:
             state, reason = State.STOPPED, "stopped by the user at once"
         except BaseException as failure:
@@ -128,43 +140,54 @@ class Campaign:
         return bool(self._queue) and (not self._stop.requested or self._queue[0].of_session > 1)
 
     def _record_attempt(self, attempt: Attempt) -> Recorded:
-        """Record all actuators at one position; an instrument's passing fault costs the attempt."""
+        """Record all actuators at one position; a passing fault that no repeated record cures costs the attempt."""
         self._session.begin(attempt)
-        recordings: list[Recording] = []
         try:
-            self._point_at(attempt.position)
-            for actuator, channel in enumerate(self._setup.actuator_channels):
-                recordings.append(self._record(channel, Take(attempt.position, attempt.number, actuator)))
-                if self._pending is not None and self._pending.done():
-                    self._collect()
+            recordings = self._recovery.until_done(
+                lambda: self._record_position(attempt, "capture"), attempt.position, attempt.number
+            )
         except TransientInstrumentError as fault:
             self._last_fault = fault
-            retried = attempt.of_session < self._plan.quality.max_attempts
-            self._session.fault(fault, attempt, retried=retried)
+            self._session.fault(fault, attempt, retried=attempt.of_session < self._plan.quality.max_attempts)
+            self._recovery.renew_if_repeated(fault)
             return Recorded(attempt, (), str(fault))
         except InstrumentError as fault:
             self._session.fault(fault, attempt, retried=False)
             raise
         if self._queue:
-            self._start_move(self._queue[0].position)
-        return Recorded(attempt, tuple(recordings), "")
+            self._set_out_for(self._queue[0])
+        return Recorded(attempt, recordings, "")
 
-    def _record(self, channel: int, take: Take) -> Recording:
-        signals_v: dict[int, Float64Array] = {
-            channel: self._signal_v,
-            self._setup.loopback_channel: self._signal_v,
-        }
+    def _record_position(self, attempt: Attempt, purpose: str) -> tuple[Recording, ...]:
+        """Point at a position and take one record per actuator."""
+        point_at(self._setup, *self._plan.position_mm[attempt.position])
+        recordings: list[Recording] = []
+        for actuator, channel in enumerate(self._setup.actuator_channels):
+            signals_v: dict[int, Float64Array] = {
+                channel: self._signal_v,
+                self._setup.loopback_channel: self._signal_v,
+            }
+            take = Take(attempt.position, attempt.number, actuator, purpose)
+            recordings.append(self._take_record(signals_v, take, attempt))
+            if self._pending is not None and self._pending.done():
+                self._collect()
+        return tuple(recordings)
+
+    def _take_record(self, signals_v: dict[int, Float64Array], take: Take, attempt: Attempt) -> Recording:
+        """Take one record, and take it again after a passing fault: an underflow voids a record, not a position."""
+        for _ in range(RECORD_REPEATS):
+            try:
+                return take_record(self._setup, signals_v, self._plan.excitation.sample_rate_hz, take)
+            except TransientInstrumentError as fault:
+                self._session.fault(fault, attempt, retried=True)
         return take_record(self._setup, signals_v, self._plan.excitation.sample_rate_hz, take)
 
-    def _start_move(self, position: int) -> None:
-        x_mm, y_mm = self._plan.position_mm[position]
-        x_mrad, y_mrad = self._setup.mirror_map.angles_mrad(x_mm, y_mm)
-        self._setup.instruments.mirror.move_to(float(x_mrad), float(y_mrad))
-
-    def _point_at(self, position: int) -> None:
-        """Point at a position; where the move is under way already, this only waits for it."""
-        self._start_move(position)
-        self._setup.instruments.mirror.wait_settled(self._setup.settle_timeout_s)
+    def _set_out_for(self, attempt: Attempt) -> None:
+        """Let the mirror set out for the next position; when it fails, pointing there will meet that again."""
+        try:
+            start_move(self._setup, *self._plan.position_mm[attempt.position])
+        except InstrumentError as fault:
+            self._session.fault(fault, attempt, retried=True)
 
     # -- judging and committing ----------------------------------------------------------------
 
@@ -220,13 +243,7 @@ class Campaign:
         position = sentinel_of(self._plan, self._bank.status)
         if position is None:
             return
-        self._point_at(position)
-        recordings = [
-            self._record(channel, Take(position, 1, actuator, "sentinel"))
-            for actuator, channel in enumerate(self._setup.actuator_channels)
-        ]
-        recorded = Recorded(Attempt(position, 1, 1), tuple(recordings), "")
-        result = evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality)
+        result = self._measure_sentinel(Attempt(position, 1, 1))
         if result.estimate is None:
             raise DriftError(
                 f"sentinel position {position} could not be measured: {result.judgement.reason}; "
@@ -241,3 +258,22 @@ class Campaign:
                 "the mirror or a level has changed, and nothing was added; put it right and resume, start a new "
                 "bank, or go on with --accept-drift"
             )
+
+    def _measure_sentinel(self, attempt: Attempt) -> AttemptResult:
+        """Measure the sentinel position, again after passing faults as any other."""
+        try:
+            recordings = self._recovery.until_done(
+                lambda: self._record_position(attempt, "sentinel"), attempt.position, attempt.number
+            )
+        except TransientInstrumentError as fault:
+            retried = attempt.of_session < self._plan.quality.max_attempts
+            self._session.fault(fault, attempt, retried=retried)
+            if not retried:
+                raise
+            self._recovery.renew_if_repeated(fault)
+            return self._measure_sentinel(attempt.next())
+        recorded = Recorded(attempt, recordings, "")
+        result = evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality)
+        if result.estimate is None and attempt.of_session < self._plan.quality.max_attempts:
+            return self._measure_sentinel(attempt.next())
+        return result

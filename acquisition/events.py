@@ -10,9 +10,11 @@ from enum import StrEnum
 
 
 class State(StrEnum):
-    """Where a campaign stands."""
+    """Where a campaign stands; which follows which is in `acquisition.states`."""
 
+    IDLE = "idle"
     RUNNING = "running"
+    RECOVERING = "recovering"
     STOPPED = "stopped"
     FINISHED = "finished"
     FAILED = "failed"
@@ -101,15 +103,36 @@ class Progress(Event):
 
 @dataclass(frozen=True, slots=True)
 class Fault(Event):
-    """An instrument failed; `retried` says whether the engine tries again by itself."""
+    """An instrument failed; `retried` says whether the engine tries again by itself.
+
+    `position` and `attempt` are None where no position was being measured.
+    """
 
     instrument: str
     operation: str
     cause: str
     remedy: str
-    position: int
-    attempt: int
+    position: int | None
+    attempt: int | None
     retried: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ReconnectTried(Event):
+    """A lost instrument was asked for a fresh connection.
+
+    `number` counts the tries since it last did its work; `connected` says whether this one succeeded and
+    `outcome` what happened. `next_try_s` and `gives_up_s` are the seconds until the next try and until the
+    campaign gives up; None once it is connected, `next_try_s` also when this was the last try.
+    """
+
+    role: str
+    instrument: str
+    number: int
+    connected: bool
+    outcome: str
+    next_try_s: float | None
+    gives_up_s: float | None
 
 
 @dataclass(frozen=True, slots=True)

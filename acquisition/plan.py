@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.quality import QualityLimits
-from acquisition.record import record_samples
-from acquisition.setup import Setup
+from acquisition.record import Rolls, record_samples
 from calibration.sweeps import Excitation
 from drivers.protocols import Float64Array
 
@@ -62,11 +61,11 @@ class Plan:
         left: NDArray[np.int64] = self.order[status[self.order] == 0]
         return left
 
-    def position_s(self, setup: Setup) -> float:
+    def position_s(self, rolls: Rolls) -> float:
         """Seconds that one position takes: a record per actuator and the overhead around them."""
         rate = self.excitation.sample_rate_hz
         signal_samples = self.excitation.averages * self.excitation.period_samples
-        record_s = record_samples(setup, signal_samples, rate) / rate
+        record_s = record_samples(rolls, signal_samples, rate) / rate
         return self.actuators * record_s + POSITION_OVERHEAD_S
 
 

@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
+from acquisition.roles import as_lost, asking, silence
 from acquisition.setup import Setup
+from drivers.errors import TransientInstrumentError
 from drivers.protocols import Float64Array, Recording, RecordRequest, Take
 
 # A driver that has not answered this long after the record should have ended is not going to.
 ANSWER_MARGIN_S = 5.0
 
 
-def record_samples(setup: Setup, signal_samples: int, sample_rate_hz: float) -> int:
+class Rolls(Protocol):
+    """How long a record is before and after its signal; a `Setup` says so, and so does a rig's configuration."""
+
+    @property
+    def pre_roll_s(self) -> float:
+        """Recording before the player starts."""
+        ...
+
+    @property
+    def post_roll_s(self) -> float:
+        """Recording after it should have ended."""
+        ...
+
+
+def record_samples(rolls: Rolls, signal_samples: int, sample_rate_hz: float) -> int:
     """Samples per channel of a record around a signal, pre-roll and post-roll included."""
-    return round((setup.pre_roll_s + setup.post_roll_s) * sample_rate_hz) + signal_samples
+    return round((rolls.pre_roll_s + rolls.post_roll_s) * sample_rate_hz) + signal_samples
 
 
 def take_record(setup: Setup, signals_v: Mapping[int, Float64Array], sample_rate_hz: float, take: Take) -> Recording:
@@ -42,7 +59,9 @@ def take_record(setup: Setup, signals_v: Mapping[int, Float64Array], sample_rate
     Raises
     ------
     InstrumentError
-        Of the instrument that failed; the player is muted and the recorder stopped.
+        Of the instrument that failed, with its role; the player is muted and the recorder
+        stopped. An instrument that cannot even be silenced after a passing failure counts
+        as lost.
     """
     signal_samples = len(next(iter(signals_v.values())))
     request = RecordRequest(
@@ -54,12 +73,17 @@ def take_record(setup: Setup, signals_v: Mapping[int, Float64Array], sample_rate
     timeout_s = request.duration_s + ANSWER_MARGIN_S
     player, recorder = setup.instruments.player, setup.instruments.recorder
     try:
-        recorder.start(request)
+        with asking("recorder"):
+            recorder.start(request)
         setup.instruments.clock.sleep(setup.pre_roll_s)
-        player.play(signals_v, sample_rate_hz)
-        player.wait(timeout_s)
-        return recorder.read(timeout_s)
-    except BaseException:
-        player.mute()
-        recorder.abort()
+        with asking("player"):
+            player.play(signals_v, sample_rate_hz)
+            player.wait(timeout_s)
+        with asking("recorder"):
+            return recorder.read(timeout_s)
+    except BaseException as failure:
+        for also in silence(setup.instruments):
+            if isinstance(failure, TransientInstrumentError):
+                raise as_lost(also, also.cause) from failure
+            failure.add_note(str(also))
         raise

@@ -30,11 +30,15 @@ class Setup:
         DAQ volts on the reference channel per volt of drive.
     inter_channel_delay_s : float
         How much later the response channel is sampled than the reference channel.
+    vibrometer_latency_s : float
+        How much later the vibrometer's voltage is than the velocity that it stands for.
     pre_roll_s, post_roll_s : float
         Recording before the player starts, and after it should have ended; the
         post-roll covers the player's unknown latency.
     settle_timeout_s : float
         Longest wait for the mirror to stand still.
+    recovery_s : float
+        How long a lost instrument is waited for before the session ends, >= 0.
     """
 
     instruments: Instruments
@@ -45,9 +49,16 @@ class Setup:
     response_per_volt: float
     reference_gain: float = 1.0
     inter_channel_delay_s: float = 0.0
+    vibrometer_latency_s: float = 0.0
     pre_roll_s: float = 0.02
     post_roll_s: float = 0.1
     settle_timeout_s: float = 5.0
+    recovery_s: float = 600.0
+
+    @property
+    def response_delay_s(self) -> float:
+        """How much later than the reference the surface is, as the response channel shows it."""
+        return self.inter_channel_delay_s - self.vibrometer_latency_s
 
     def close(self) -> None:
         """Mute the player, park the mirror and release every instrument, whatever fails on the way.
@@ -56,8 +67,11 @@ class Setup:
         ------
         ExceptionGroup
             Of all that failed, after everything was tried.
+        KeyboardInterrupt
+            An impatient Ctrl-C; it cut one step short, and the others were tried.
         """
         failures: list[Exception] = []
+        interrupt: KeyboardInterrupt | None = None
         roles = self.instruments
         for step in (
             roles.player.mute,
@@ -71,5 +85,11 @@ class Setup:
                 step()
             except Exception as failure:
                 failures.append(failure)
+            except KeyboardInterrupt as impatience:
+                interrupt = impatience
+        if interrupt is not None:
+            for also in failures:
+                interrupt.add_note(str(also))
+            raise interrupt
         if failures:
             raise ExceptionGroup("the instruments could not all be put to rest", failures)

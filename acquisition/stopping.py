@@ -9,6 +9,10 @@ from contextlib import contextmanager
 from types import FrameType
 
 
+class StoppedWhileWaitingError(Exception):
+    """A person asked for a stop while an instrument was waited for; there is no position to finish."""
+
+
 class StopRequest:
     """Shared between the engine and whoever may stop it."""
 

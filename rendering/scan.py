@@ -11,9 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.events import State, Subscriber
+from acquisition.pointing import point_at
 from acquisition.quality import Status
 from acquisition.record import take_record
+from acquisition.recovery import Recovery
 from acquisition.setup import Setup
+from acquisition.states import Lifecycle
+from acquisition.stopping import StopRequest
 from calibration.blas import one_blas_thread
 from calibration.errors import InputError
 from calibration.timing import ReferenceMissingError
@@ -120,13 +125,14 @@ def scan(
     bank: GreenSource,
     *,
     on_progress: Callable[[int, int], None] | None = None,
+    publish: Subscriber = lambda event: None,
 ) -> Scan:
     """Play a drive on the rig and record its field at the planned positions.
 
     Beside the drive a marker sweep plays on the loopback channel; it tells where in each
     record the drive starts and how fast the two clocks run. While a record is taken, one
-    worker thread brings the previous one to the playback clock. The caller closes `setup`,
-    which mutes the player and parks the mirror.
+    worker thread brings the previous one to the playback clock. A lost instrument is waited
+    for, as in a campaign. The caller closes `setup`, which mutes the player and parks the mirror.
 
     Parameters
     ----------
@@ -140,6 +146,8 @@ def scan(
         Positions, taps and response unit.
     on_progress : callable, optional
         Called with the positions done and the positions planned.
+    publish : callable, optional
+        Receives the events of faults and of waiting for a lost instrument.
 
     Returns
     -------
@@ -151,9 +159,12 @@ def scan(
     InputError
         A position that the bank does not have, a drive that the rig cannot play.
     InstrumentError, ReferenceMissingError
-        An instrument failed for good, or five positions in a row had to be given up.
+        An instrument failed, or was gone, for good, or five positions in a row had to be given up.
     """
-    return _ScanRun(plan, setup, drive, bank, on_progress).run()
+    life = Lifecycle(setup.instruments.clock, publish)
+    recovery = Recovery(setup, life, publish, StopRequest())
+    life.enter(State.RUNNING, f"{len(plan.position)} positions to scan")
+    return _ScanRun(plan, setup, drive, bank, recovery, on_progress).run()
 
 
 class _ScanRun:
@@ -165,9 +176,11 @@ class _ScanRun:
         setup: Setup,
         drive: Drive,
         bank: GreenSource,
+        recovery: Recovery,
         on_progress: Callable[[int, int], None] | None,
     ) -> None:
         self._plan, self._setup, self._bank, self._on_progress = plan, setup, bank, on_progress
+        self._recovery = recovery
         rows = _planned_rows(plan, len(bank.position_mm))
         samples = drive.drive_v.shape[1] + bank.taps - 1
         self._signals_v = scan_signals(setup, drive, samples)
@@ -206,8 +219,9 @@ class _ScanRun:
 
     def _visit(self, visit: _Visit, worker: ThreadPoolExecutor) -> _Pending | None:
         try:
-            recording = self._record(visit)
+            recording = self._recovery.until_done(lambda: self._record(visit), visit.row, visit.attempt)
         except TransientInstrumentError as failure:
+            self._recovery.renew_if_repeated(failure)
             self._try_again(visit, failure)
             return None
         clipped = any(recording.over_range)
@@ -219,10 +233,7 @@ class _ScanRun:
 
     def _record(self, visit: _Visit) -> Recording:
         x_mm, y_mm = (float(value) for value in self._bank.position_mm[visit.row])
-        mirror = self._setup.instruments.mirror
-        x_mrad, y_mrad = self._setup.mirror_map.angles_mrad(x_mm, y_mm)
-        mirror.move_to(float(x_mrad), float(y_mrad))
-        mirror.wait_settled(self._setup.settle_timeout_s)
+        point_at(self._setup, x_mm, y_mm)
         take = Take(position=visit.row, attempt=visit.attempt, record=0, purpose="scan")
         return take_record(self._setup, self._signals_v, self._scan.sample_rate_hz, take)
 

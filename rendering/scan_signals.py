@@ -113,7 +113,7 @@ class Alignment:
         self._samples = marker_v.size
         self._clock = ClockFitter(marker_v)
         # The response channel is sampled later, so its samples of an instant come earlier in the record.
-        self._delay_samples = -setup.inter_channel_delay_s * rate_hz
+        self._delay_samples = -setup.response_delay_s * rate_hz
         drive_v = [signals_v[channel] for channel in setup.actuator_channels]
         self._dropouts = DropoutCheck(drive_v, rate_hz, band_hz)
 

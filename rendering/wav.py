@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import soundfile
 from numpy.typing import NDArray
-from scipy.signal import firwin, resample_poly
 
 from calibration.errors import InputError
-
-# 100 dB of stop-band and a transition of 4 % of the lower rate: the band of a bank ends far below it.
-_STOP_BAND_BETA = 10.06
-_HALF_LENGTH = 160
+from drivers.audio.band_limited import converted, lead_samples, rate_ratio
 
 
 def write_wav(
@@ -48,13 +43,13 @@ def write_wav(
     InputError
         The drive is beyond full scale, or the rates have no ratio of small whole numbers.
     """
-    ratio = Fraction(interface_rate_hz) / Fraction(sample_rate_hz).limit_denominator(1000)
-    if max(ratio.numerator, ratio.denominator) > 1000:
-        raise InputError(
-            f"{path}: the rates {sample_rate_hz:g} Hz and {interface_rate_hz} Hz have no ratio of whole numbers "
-            "up to 1000; choose a capture rate that goes evenly into the interface's"
-        )
-    played_v = resampled(drive_v, ratio)
+    try:
+        ratio = rate_ratio(sample_rate_hz, interface_rate_hz)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; choose a capture rate that goes evenly into the interface's") from error
+    lead = lead_samples(ratio)
+    reached_v = converted(drive_v, ratio)
+    played_v = reached_v[:, lead : reached_v.shape[1] - lead]
     peak_v = float(np.max(np.abs(played_v), initial=0.0))
     if peak_v > full_scale_v:
         raise InputError(
@@ -63,14 +58,3 @@ def write_wav(
         )
     samples = (played_v / full_scale_v).astype(np.float32).T
     soundfile.write(path, samples, interface_rate_hz, subtype="FLOAT", format="WAV")
-
-
-def resampled(signals: NDArray[np.float64], ratio: Fraction) -> NDArray[np.float64]:
-    """Signals at `ratio` times their rate, band-limited, along the last axis."""
-    up, down = ratio.numerator, ratio.denominator
-    if up == down:
-        return signals
-    longest = max(up, down)
-    window = firwin(2 * _HALF_LENGTH * longest + 1, 0.96 / longest, window=("kaiser", _STOP_BAND_BETA))
-    converted = resample_poly(signals, up, down, axis=-1, window=window)  # type: ignore[call-overload]  # stub gap
-    return np.asarray(converted, dtype=np.float64)

@@ -10,6 +10,7 @@ from acquisition.events import (
     PositionKept,
     PositionRepeated,
     Progress,
+    ReconnectTried,
     SessionEnded,
     SessionStarted,
 )
@@ -52,6 +53,8 @@ class CampaignView:
             case Fault():
                 then = "trying again" if event.retried else "not tried again"
                 say(f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})")
+            case ReconnectTried():
+                say(_reconnect_line(event))
             case Drift():
                 say(
                     f"sentinel position {event.position}: level {event.level_db:+.2f} dB, "
@@ -74,3 +77,13 @@ class CampaignView:
         if rig_s <= 0 or abs(rig_s - wall_s) < _SAME_CLOCK * rig_s:
             return ""
         return f"(rig's clock: {hours(rig_s)} left, finished {finish_clock(rig_s)})"
+
+
+def _reconnect_line(event: ReconnectTried) -> str:
+    """One try for a fresh connection, and when the next one is."""
+    if event.connected:
+        return f"{event.instrument}: connected again (try {event.number})"
+    line = f"{event.instrument}: try {event.number} to connect again failed: {event.outcome}"
+    if event.next_try_s is None or event.gives_up_s is None:
+        return line
+    return f"{line}; next try in {hours(event.next_try_s)}, {hours(event.gives_up_s)} until giving up"

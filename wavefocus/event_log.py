@@ -77,26 +77,35 @@ class EventLog:
         self._file.close()
 
 
-# The newest progress is among the last lines; an event is under 400 bytes.
-_TAIL_BYTES = 65536
+# The newest progress is among the last lines; an event is under 500 bytes.
+_BLOCK_BYTES = 65536
 
 
 def last_events(bank: Path) -> Iterator[dict[str, object]]:
     """The latest events of a bank's log, newest first; nothing when there is no log.
 
-    A torn last line (the machine lost power) is passed over.
+    The log is read backwards and no further than asked for. A torn last line (the machine lost
+    power) is passed over.
     """
-    path = log_path(bank)
-    if not path.is_file():
-        return
-    with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(0, size - _TAIL_BYTES))
-        lines = file.read().split(b"\n")
-    for line in reversed(lines[1:] if size > _TAIL_BYTES else lines):
+    for line in _lines_backwards(log_path(bank)):
         try:
             record = json.loads(line)
         except ValueError:
             continue
         if isinstance(record, dict):
             yield record
+
+
+def _lines_backwards(path: Path) -> Iterator[bytes]:
+    """The lines of a file from the last to the first, as it was when asked first."""
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        start = file.seek(0, os.SEEK_END)
+        rest = b""
+        while start > 0:
+            size = min(start, _BLOCK_BYTES)
+            start = file.seek(start - size)
+            rest, *lines = (file.read(size) + rest).split(b"\n")
+            yield from reversed(lines)
+        yield rest

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from acquisition.engine import Campaign
@@ -14,6 +15,7 @@ from calibration.bank_creation import create_bank
 from calibration.bank_writer import BankWriter
 from calibration.errors import InputError
 from calibration.network_mount import is_network_mount
+from drivers.errors import InstrumentError
 from wavefocus.campaign_view import CampaignView
 from wavefocus.compose import Blueprint, blueprint_from_bank, blueprint_from_files, open_setup
 from wavefocus.console import progress, say
@@ -68,11 +70,13 @@ def _session(
     stop = StopRequest()
     plan = blueprint.plan
     with (
+        _told_how_to_go_on(bank),
         BankWriter.open(bank, plan_sha256=plan.sha256) as writer,
+        # Outside of the instruments, so that no impatient Ctrl-C keeps them from being put to rest.
+        stop_on_signals(stop),
         open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
         EventLog(bank) as log,
         progress("capture", plan.positions) as report,
-        stop_on_signals(stop),
     ):
         subscribers: list[Subscriber] = [log, CampaignView(report)]
         if as_json:
@@ -83,9 +87,20 @@ def _session(
                 subscriber(event)
 
         ended = Campaign(plan, setup, writer, publish, stop).run(rows, accept_drift=accept_drift)
-    if ended.state is State.STOPPED:
-        say(f"nothing measured is lost; go on with: wavefocus resume {bank}")
-        return Exit.STOPPED
+        if ended.state is State.STOPPED:
+            say(f"nothing measured is lost; go on with: wavefocus resume {bank}")
+            # From in here, so that an instrument that cannot be put to rest is told and does not hide the stop.
+            raise KeyboardInterrupt
     if poor := sum(ended.counts[word] for word in ("poor", "over-range", "failed")):
         say(f"{poor} positions are not valid; measure them again with: wavefocus remeasure {bank}")
     return Exit.DONE
+
+
+@contextmanager
+def _told_how_to_go_on(bank: Path) -> Iterator[None]:
+    """Let an instrument's last word end with the command that goes on with the campaign."""
+    try:
+        yield
+    except InstrumentError as failure:
+        remedy = f"{failure.remedy}; nothing measured is lost; then go on with: wavefocus resume {bank}"
+        raise type(failure)(failure.instrument, failure.operation, failure.cause, remedy) from failure

@@ -19,6 +19,7 @@ from rendering.metrics import grid_spacing_mm
 from rendering.report import build_report
 from rendering.scan import ScanPlan, scan
 from rendering.verification import Check, Tolerances, compare
+from wavefocus.campaign_view import CampaignView
 from wavefocus.commands.render import rendered
 from wavefocus.compose import bank_configuration, open_setup
 from wavefocus.config.loading import Configuration, load_rig
@@ -51,7 +52,7 @@ def verify(scene_file: Path, bank: Path, rig_file: Path, out: Path, positions: s
         with open_setup(rig, configuration.run) as setup, progress("scan", len(prediction.field)) as report:
             started_s = setup.instruments.clock.now_s()
             plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
-            measured = scan(plan, setup, drive, view, on_progress=report)
+            measured = scan(plan, setup, drive, view, on_progress=report, publish=CampaignView(report))
             scan_s = setup.instruments.clock.now_s() - started_s
         write_field(out / "scan.h5", measured.as_field())
         with progress("compare and report", 2) as report:
@@ -119,10 +120,10 @@ def _line(check: Check) -> str:
 def _check_level(drive: Drive, rig: RigConfig, scene_file: Path) -> None:
     """Refuse a drive that the rig is not meant to play; only the scene's author may scale it."""
     peak_v = float(np.abs(drive.drive_v).max(initial=0.0))
-    if peak_v > rig.player.limit_v:
+    if peak_v > rig.player.largest_v:
         raise InputError(
-            f"{scene_file}: the drive reaches {peak_v:.3g} V; the rig's player.limit_v is {rig.player.limit_v:g}: set "
-            "output.limit_v in the scene"
+            f"{scene_file}: the drive reaches {peak_v:.3g} V; the rig's actuators may get {rig.player.largest_v:g} V "
+            "(player.limit_v, or the full scale of the weakest output): set output.limit_v in the scene"
         )
 
 

@@ -1,0 +1,294 @@
+"""Instruments that go away in the middle of a campaign or a scan, through the commands on the virtual rig."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import pytest
+
+from calibration.bank_creation import create_bank
+from tests.system.conftest import with_faults
+from wavefocus.__main__ import run
+from wavefocus.compose import blueprint_from_files
+
+
+def _events(text: str, kind: str) -> list[dict[str, object]]:
+    return [event for event in map(json.loads, text.splitlines()) if event["event"] == kind]
+
+
+def _states(text: str) -> list[object]:
+    return [event["state"] for event in _events(text, "state_changed")]
+
+
+def _empty_bank(lab: Path, name: str) -> Path:
+    """A bank of the lab's run as it is now; faults put into the run file later leave no trace in it."""
+    create_bank(lab / name, blueprint_from_files(lab / "run.toml").bank_header())
+    return lab / name
+
+
+def _capture(lab: Path, bank: Path) -> int:
+    return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"])
+
+
+class _Listener(io.TextIOBase):
+    """Standard output that does something once, while the words that it waits for are being told."""
+
+    def __init__(self, words: str, act: Callable[[], None]) -> None:
+        self._words, self._act = words, act
+        self.told = ""
+
+    def write(self, text: str) -> int:
+        self.told += text
+        if self._words in text:
+            self._words = "nothing more"
+            self._act()
+        return len(text)
+
+
+UNPLUGGED = {
+    "recorder before a record": 'role = "recorder"\noperation = "start"\nposition = 2\nrecord = 1',
+    "recorder in a record": 'role = "recorder"\noperation = "read"\nposition = 2\nrecord = 2',
+    "player before it plays": 'role = "player"\noperation = "play"\nposition = 0\nrecord = 0',
+    "player while it plays": 'role = "player"\noperation = "wait"\nposition = 5\nrecord = 1',
+    "mirror before a move": 'role = "mirror"\noperation = "move_to"\nat_call = 5',
+    "mirror on its way": 'role = "mirror"\noperation = "wait_settled"\nat_call = 4',
+    "player asked for its name": 'role = "player"\noperation = "identify"\nat_call = 1',
+}
+
+
+@pytest.mark.parametrize("fault", UNPLUGGED.values(), ids=UNPLUGGED.keys())
+def test_given_an_instrument_unplugged_and_plugged_in_then_the_bank_is_that_of_a_quiet_night(
+    lab: Path, fault: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quiet, disturbed = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "disturbed.h5")
+    assert _capture(lab, quiet) == 0
+    with_faults(lab, f'{fault}\nkind = "unplugged"\ntries = 3')
+    capsys.readouterr()
+    assert _capture(lab, disturbed) == 0
+    told = capsys.readouterr().out
+    tries = _events(told, "reconnect_tried")
+    assert [one["number"] for one in tries] == [1, 2, 3, 4]
+    assert [one["next_try_s"] for one in tries] == [1.0, 2.0, 4.0, None]
+    assert [one["connected"] for one in tries] == [False, False, False, True]
+    assert "recovering" in _states(told)
+    assert _states(told)[-2:] == ["running", "finished"]
+    assert _events(told, "fault")[0]["retried"] is True
+    assert disturbed.read_bytes() == quiet.read_bytes()
+    assert run(["check", str(disturbed)]) == 0
+
+
+def test_given_a_hub_unplugged_then_both_instruments_on_it_come_back(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(
+        lab,
+        'role = "recorder"\noperation = "read"\nkind = "unplugged"\nposition = 1\nrecord = 0',
+        'role = "player"\noperation = "mute"\nkind = "unplugged"\nat_call = 1\ntries = 2',
+    )
+    assert _capture(lab, lab / "plate.h5") == 0
+    back = [one["role"] for one in _events(capsys.readouterr().out, "reconnect_tried") if one["connected"]]
+    assert sorted(back) == ["player", "recorder"]
+    with h5py.File(lab / "plate.h5", "r") as bank:
+        assert list(bank["status"]) == [1] * 6
+        assert list(bank["quality/attempts"]) == [1] * 6
+
+
+def test_given_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_on(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
+    assert _capture(lab, quiet) == 0
+    sound = (lab / "run.toml").read_text(encoding="utf-8")
+    with_faults(lab, 'role = "mirror"\noperation = "move_to"\nkind = "lost"\nat_call = 6')
+    capsys.readouterr()
+    assert _capture(lab, bank) == 3
+    told = capsys.readouterr()
+    last = told.err.splitlines()[-1]
+    assert "mirror" in last
+    assert "not back within 10 min 00 s" in last
+    assert "check its cable and its power" in last
+    assert last.endswith(f"go on with: wavefocus resume {bank}")
+    assert "Traceback" not in told.err
+    waits = [one["next_try_s"] for one in _events(told.out, "reconnect_tried")]
+    assert waits[:7] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
+    assert waits[-1] is None
+    assert _events(told.out, "session_ended")[0]["state"] == "failed"
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    assert _capture(lab, bank) == 0
+    assert bank.read_bytes() == quiet.read_bytes()
+
+
+def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(
+        lab,
+        'role = "player"\noperation = "play"\nkind = "lost"\nposition = 1\nrecord = 0',
+        'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1',
+    )
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 3
+    told = capsys.readouterr().err
+    assert "on the way out: virtual player: muting" in told
+    assert "on the way out: virtual mirror: parking" in told
+    assert "player" in told.splitlines()[-1]
+
+
+def test_given_a_record_that_fails_once_then_it_alone_is_taken_again_and_the_bank_is_the_same(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quiet, disturbed = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "disturbed.h5")
+    assert _capture(lab, quiet) == 0
+    capsys.readouterr()
+    with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "underflow"\nat_call = 8')
+    assert _capture(lab, disturbed) == 0
+    faults = _events(capsys.readouterr().out, "fault")
+    assert [(one["instrument"], one["position"], one["retried"]) for one in faults] == [("virtual player", 2, True)]
+    assert disturbed.read_bytes() == quiet.read_bytes()
+
+
+def test_given_an_instrument_that_keeps_failing_passingly_then_it_gets_a_fresh_connection(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "timeout"\nat_call = 7\ncount = 6')
+    assert _capture(lab, lab / "plate.h5") == 0
+    tries = _events(capsys.readouterr().out, "reconnect_tried")
+    assert [(one["role"], one["connected"]) for one in tries] == [("recorder", True)]
+    with h5py.File(lab / "plate.h5", "r") as bank:
+        assert list(bank["status"]) == [1] * 6
+        assert list(bank["quality/attempts"]) == [1, 1, 2, 2, 1, 1]
+
+
+def test_given_a_record_that_cannot_be_silenced_after_a_passing_fault_then_the_player_is_connected_afresh(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(
+        lab,
+        'role = "recorder"\noperation = "read"\nkind = "short_read"\nposition = 2\nrecord = 0\nattempt = 1',
+        'role = "player"\noperation = "mute"\nkind = "timeout"\nat_call = 1',
+        'role = "recorder"\noperation = "reconnect"\nkind = "lost"\nat_call = 1',
+    )
+    # The short read strikes each time that attempt 1 is taken: after the player is back, as a fault of its own.
+    assert _capture(lab, lab / "plate.h5") == 0
+    back = [one["role"] for one in _events(capsys.readouterr().out, "reconnect_tried")]
+    assert back == ["player"]
+
+
+def test_given_passing_faults_at_the_sentinel_then_it_is_measured_again(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lost = 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"'
+    sentinel = 'role = "recorder"\noperation = "read"\npurpose = "sentinel"\nattempt = 1\nrecord = 1\n'
+    with_faults(lab, lost, f'{sentinel}kind = "unplugged"\ntries = 2', f'{sentinel}kind = "short_read"')
+    bank = lab / "plate.h5"
+    assert _capture(lab, bank) == 3
+    capsys.readouterr()
+    # The lost recorder strikes again, but not before the sentinel has been measured.
+    assert run(["resume", str(bank), "--json"]) == 3
+    told = capsys.readouterr().out
+    assert [one["connected"] for one in _events(told, "reconnect_tried")][:3] == [False, False, True]
+    assert [one["verdict"] for one in _events(told, "drift")] == ["steady"]
+    faults = [one["operation"] for one in _events(told, "fault")]
+    assert faults[:2] == [f"recording sentinel of position 0, attempt 1, record {1}"] * 2
+
+
+def test_given_status_while_an_instrument_is_waited_for_then_it_says_so_since_when_and_which(lab: Path) -> None:
+    with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "unplugged"\nposition = 2\nrecord = 0\ntries = 2')
+    bank = lab / "plate.h5"
+    answers: list[subprocess.CompletedProcess[str]] = []
+
+    def ask() -> None:
+        for more in (["--json"], []):
+            command = [sys.executable, "-m", "wavefocus", "status", str(bank), *more]
+            answers.append(subprocess.run(command, capture_output=True, text=True, check=True))
+
+    listener = _Listener('"event": "reconnect_tried"', ask)
+    with contextlib.redirect_stdout(listener):
+        assert _capture(lab, bank) == 0
+    facts = json.loads(answers[0].stdout)
+    assert facts["state"] == "recovering"
+    recovering = next(one for one in _events(listener.told, "state_changed") if one["state"] == "recovering")
+    assert facts["state_since"][:19] == str(recovering["at"])[:19]
+    assert facts["recovering"]["instrument"] == "virtual player"
+    assert facts["recovering"]["tries"] == 1
+    assert facts["recovering"]["next_try_s"] == 1.0
+    assert facts["recovering"]["gives_up_s"] == 600.0
+    assert "is recovering since" in answers[1].stderr
+    assert "virtual player" in answers[1].stderr
+
+
+def test_given_status_before_the_first_try_has_ended_then_it_names_the_instrument(lab: Path) -> None:
+    with_faults(lab, 'role = "mirror"\noperation = "wait_settled"\nkind = "unplugged"\nat_call = 2')
+    bank = lab / "plate.h5"
+    answers: list[str] = []
+
+    def ask() -> None:
+        command = [sys.executable, "-m", "wavefocus", "status", str(bank), "--json"]
+        answers.append(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+    listener = _Listener('"state": "recovering"', ask)
+    with contextlib.redirect_stdout(listener):
+        assert _capture(lab, bank) == 0
+    facts = json.loads(answers[0])
+    assert facts["state"] == "recovering"
+    assert facts["recovering"]["instrument"] == "virtual mirror"
+    assert facts["recovering"]["tries"] is None
+
+
+def test_given_status_of_a_finished_campaign_then_it_is_idle(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bank = lab / "plate.h5"
+    assert _capture(lab, bank) == 0
+    capsys.readouterr()
+    assert run(["status", str(bank), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["state"], facts["recovering"]) == ("idle", None)
+
+
+@pytest.mark.parametrize("interrupts", [1, 2])
+def test_given_ctrl_c_while_an_instrument_is_waited_for_then_it_stops_at_once_and_can_be_resumed(
+    lab: Path, interrupts: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
+    assert _capture(lab, quiet) == 0
+    sound = (lab / "run.toml").read_text(encoding="utf-8")
+    with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 2\nrecord = 1')
+
+    def press() -> None:
+        for _ in range(interrupts):
+            signal.raise_signal(signal.SIGINT)
+
+    listener = _Listener('"event": "reconnect_tried"', press)
+    with contextlib.redirect_stdout(listener):
+        assert _capture(lab, bank) == 130
+    assert len(_events(listener.told, "reconnect_tried")) == 1
+    assert _events(listener.told, "session_ended")[0]["state"] == "stopped"
+    assert f"wavefocus resume {bank}" in capsys.readouterr().err
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    assert _capture(lab, bank) == 0
+    assert bank.read_bytes() == quiet.read_bytes()
+
+
+def test_given_an_instrument_unplugged_during_a_scan_then_verification_goes_on_and_passes(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_faults(
+        lab,
+        'role = "player"\noperation = "play"\nkind = "unplugged"\nposition = 3\npurpose = "scan"\ntries = 2',
+        'role = "recorder"\noperation = "read"\nkind = "unplugged"\nposition = 4\npurpose = "scan"\ntries = 0',
+    )
+    bank = lab / "plate.h5"
+    assert _capture(lab, bank) == 0
+    capsys.readouterr()
+    verify = ["verify", lab / "scene.toml", "--bank", bank, "--rig", lab / "rig.toml", "--out", lab / "verify"]
+    assert run([str(word) for word in verify]) == 0
+    told = capsys.readouterr().err
+    assert "virtual player: try 1 to connect again failed" in told
+    assert "virtual player: connected again (try 3)" in told
+    assert "virtual recorder: connected again (try 1)" in told

@@ -1,0 +1,242 @@
+"""Waiting for lost instruments: how long, how often, and who may end it."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import threading
+from collections.abc import Callable
+
+import pytest
+
+from acquisition.events import Event, ReconnectTried, State, StateChanged
+from acquisition.pointing import point_at
+from acquisition.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
+from acquisition.roles import names_of
+from acquisition.setup import Setup
+from acquisition.states import FOLLOWS, IllegalStateError, Lifecycle
+from acquisition.stopping import StoppedWhileWaitingError, StopRequest, stop_on_signals
+from calibration.mirror_map import MirrorMap
+from drivers.clock import WallClock
+from drivers.errors import InstrumentError, InstrumentLostError
+from drivers.protocols import Clock, Instruments
+from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+
+LOST = Fault("mirror", "move_to", "lost", at_call=1)
+
+
+def setup_of(*faults: Fault, clock: Clock | None = None, recovery_s: float = 600.0) -> Setup:
+    rig = VirtualRig(VirtualSettings(fault_plan=faults))
+    instruments = rig.instruments if clock is None else dataclasses.replace(rig.instruments, clock=clock)
+    return Setup(
+        instruments=instruments,
+        mirror_map=MirrorMap.straight(1000.0),
+        actuator_channels=(0,),
+        loopback_channel=20,
+        range_v=(10.0, 10.0),
+        response_per_volt=0.125,
+        recovery_s=recovery_s,
+    )
+
+
+def lost(role: str = "mirror") -> InstrumentLostError:
+    failure = InstrumentLostError(role, "working", "it is gone", "plug it in")
+    failure.role = role
+    return failure
+
+
+class Watched:
+    """A recovery with all that it tells."""
+
+    def __init__(self, setup: Setup, on_event: Callable[[Event], None] = lambda event: None) -> None:
+        self.events: list[Event] = []
+        self.stop = StopRequest()
+        self._on_event = on_event
+        self.life = Lifecycle(setup.instruments.clock, self._listen)
+        self.recovery = Recovery(setup, self.life, self._listen, self.stop)
+        self.life.enter(State.RUNNING, "for the test")
+
+    def _listen(self, event: Event) -> None:
+        self.events.append(event)
+        self._on_event(event)
+
+    @property
+    def tries(self) -> list[ReconnectTried]:
+        return [event for event in self.events if isinstance(event, ReconnectTried)]
+
+    @property
+    def states(self) -> list[State]:
+        return [event.state for event in self.events if isinstance(event, StateChanged)]
+
+
+def test_given_try_after_try_then_the_waits_grow_to_half_a_minute_and_no_further():
+    assert [back_off_s(number) for number in range(9)] == [0, 1, 2, 4, 8, 16, 30, 30, 30]
+    assert back_off_s(5000) == 30
+
+
+def test_given_an_instrument_that_comes_back_then_the_interrupted_work_is_done_again():
+    setup = setup_of(Fault("mirror", "move_to", "unplugged", at_call=2, tries=2))
+    watched = Watched(setup)
+    done = []
+
+    def measure() -> str:
+        for x_mm in (1.0, 2.0):
+            point_at(setup, x_mm, 0.0)
+            done.append(x_mm)
+        return "measured"
+
+    assert watched.recovery.until_done(measure, 7, 1) == "measured"
+    assert done == [1.0, 1.0, 2.0]
+    assert watched.states == [State.RUNNING, State.RECOVERING, State.RUNNING]
+    assert [one.connected for one in watched.tries] == [False, False, True]
+    assert watched.life.time_s() - watched.life.working_s()[0] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("recovery_s", "waits"), [(10.0, [1.0, 2.0, 4.0, 3.0, None]), (0.5, [0.5, None]), (0.0, [None])]
+)
+def test_given_an_instrument_that_stays_away_then_the_last_try_is_when_the_time_is_over(recovery_s, waits):
+    setup = setup_of(LOST, recovery_s=recovery_s)
+    watched = Watched(setup)
+    with pytest.raises(InstrumentLostError, match=f"not back within .*, {len(waits)} tries") as caught:
+        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+    assert "mirror: moving to" in str(caught.value)
+    assert "check its cable" in caught.value.remedy
+    assert [one.next_try_s for one in watched.tries] == pytest.approx(waits)
+    assert watched.tries[-1].gives_up_s == 0.0
+    assert setup.instruments.clock.now_s() == pytest.approx(recovery_s)
+
+
+def test_given_an_instrument_that_is_lost_again_and_again_then_it_is_not_connected_for_ever():
+    setup = setup_of()
+    watched = Watched(setup)
+
+    def measure() -> None:
+        raise lost("player")
+
+    with pytest.raises(InstrumentLostError, match=f"also after {LOSSES_IN_A_ROW} fresh connections in a row"):
+        watched.recovery.until_done(measure)
+    assert len(watched.tries) == LOSSES_IN_A_ROW
+    # Each is waited for longer than the one before, so that nothing spins.
+    assert setup.instruments.clock.now_s() == pytest.approx(sum(map(back_off_s, range(LOSSES_IN_A_ROW))))
+
+
+def test_given_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_an_end():
+    mute = Fault("player", "mute", "timeout", at_call=1, count=10**6)
+    setup = setup_of(Fault("mirror", "move_to", "unplugged", at_call=1, tries=0), mute, recovery_s=60.0)
+    watched = Watched(setup)
+    with pytest.raises(InstrumentLostError, match=r"player: muting: .*not cured within"):
+        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+    assert 60.0 <= setup.instruments.clock.now_s() < 120.0
+
+
+def test_given_a_loss_that_nobody_owns_then_it_is_passed_on():
+    watched = Watched(setup_of())
+
+    def measure() -> None:
+        raise InstrumentLostError("somebody", "working", "it is gone", "look for it")
+
+    with pytest.raises(InstrumentLostError, match="somebody"):
+        watched.recovery.until_done(measure)
+    assert watched.tries == []
+
+
+@pytest.mark.parametrize("role", ["mirror", "recorder", "player"])
+def test_given_an_instrument_that_does_not_say_its_name_then_it_is_connected_afresh(role):
+    setup = setup_of(Fault(role, "identify", "timeout", at_call=1))
+    watched = Watched(setup)
+    assert len(watched.recovery.until_done(lambda: names_of(setup.instruments))) == 3
+    assert [(one.role, one.connected) for one in watched.tries] == [(role, True)]
+
+
+def test_given_a_measurement_between_two_losses_then_the_waits_begin_anew():
+    faults = [Fault("mirror", "move_to", "unplugged", at_call=call, tries=1) for call in (1, 3)]
+    setup = setup_of(*faults)
+    watched = Watched(setup)
+    for _ in range(2):
+        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+    assert [one.number for one in watched.tries] == [1, 2, 1, 2]
+
+
+def test_given_another_device_in_its_place_then_nobody_waits_for_it():
+    class Impostor:
+        def reconnect(self) -> None:
+            raise InstrumentError("mirror", "connecting", "it says it is a printer", "plug the mirror in")
+
+    setup = setup_of()
+    odd = dataclasses.replace(setup, instruments=dataclasses.replace(setup.instruments, mirror=Impostor()))
+    watched = Watched(odd)
+
+    def measure() -> None:
+        raise lost()
+
+    with pytest.raises(InstrumentError, match="it says it is a printer"):
+        watched.recovery.until_done(measure)
+    assert [(one.connected, one.next_try_s) for one in watched.tries] == [(False, None)]
+
+
+def test_given_a_stop_while_an_instrument_is_waited_for_then_the_waiting_ends():
+    setup = setup_of(LOST, clock=WallClock(), recovery_s=1e9)
+
+    def stop_soon(event: Event) -> None:
+        if isinstance(event, ReconnectTried) and event.number == 2:
+            threading.Thread(target=watched.stop.finish_position).start()
+
+    watched = Watched(setup, stop_soon)
+    with pytest.raises(StoppedWhileWaitingError, match="virtual mirror was gone"):
+        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+    # The next try, two seconds later, was not waited for.
+    assert len(watched.tries) == 2
+
+
+def test_given_a_signal_to_end_while_an_instrument_is_waited_for_then_it_is_heard_at_once():
+    setup = setup_of(LOST, clock=WallClock(), recovery_s=1e9)
+
+    def end_soon(event: Event) -> None:
+        if isinstance(event, ReconnectTried) and event.number == 2:
+            threading.Thread(target=signal.raise_signal, args=(signal.SIGTERM,)).start()
+
+    watched = Watched(setup, end_soon)
+    with stop_on_signals(watched.stop), pytest.raises(KeyboardInterrupt):
+        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+    assert len(watched.tries) == 2
+
+
+def test_given_a_stop_asked_for_before_then_a_lost_instrument_is_not_waited_for():
+    setup = setup_of(LOST)
+    watched = Watched(setup)
+    watched.stop.finish_position()
+    with pytest.raises(StoppedWhileWaitingError):
+        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+    assert watched.tries == []
+
+
+def test_given_a_state_that_cannot_follow_then_it_is_a_defect_and_told_as_one():
+    life = Lifecycle(WallClock(), lambda event: None)
+    life.enter(State.RUNNING, "begins")
+    life.enter(State.FINISHED, "ends")
+    with pytest.raises(IllegalStateError, match="running cannot follow finished"):
+        life.enter(State.RUNNING, "again")
+
+
+def test_given_the_table_of_states_then_every_state_is_in_it_and_what_ends_a_session_ends_it():
+    assert set(FOLLOWS) == set(State)
+    assert {state for state in State if not FOLLOWS[state]} == {State.STOPPED, State.FINISHED, State.FAILED}
+
+
+def test_given_ctrl_c_on_the_way_out_then_one_step_is_cut_short_and_the_others_are_tried():
+    rig = VirtualRig(VirtualSettings())
+
+    class Hanging:
+        def mute(self) -> None:
+            raise KeyboardInterrupt
+
+        def close(self) -> None:
+            pass
+
+    instruments: Instruments = dataclasses.replace(rig.instruments, player=Hanging())
+    setup = dataclasses.replace(setup_of(), instruments=instruments)
+    with pytest.raises(KeyboardInterrupt):
+        setup.close()
+    with pytest.raises(InstrumentError, match="closed"):
+        rig.instruments.mirror.move_to(0.0, 0.0)
