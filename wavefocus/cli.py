@@ -24,6 +24,7 @@ class RigKind(StrEnum):
 
     VIRTUAL = "virtual"
     TEMPLATE = "template"
+    EMULATED = "emulated"
 
 
 class Method(StrEnum):
@@ -38,11 +39,16 @@ class Benchmark(StrEnum):
 
     RENDER = "render"
     ESTIMATE = "estimate"
+    INTERPOLATION = "interpolation"
+    FOCUSING = "focusing"
+    PAPER = "paper"
+    WIRES = "wires"
     ALL = "all"
 
 
 BankArgument = Annotated[Path, typer.Argument(metavar="BANK.h5", help="The bank file.")]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")]
+RigArgument = Annotated[Path, typer.Argument(metavar="RIG.toml", help="The rig file.")]
 SceneArgument = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene file.")]
 BankOption = Annotated[Path, typer.Option("--bank", metavar="BANK.h5", help="The bank file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
@@ -70,14 +76,82 @@ def wavefocus(
 @app.command()
 def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to write; made when missing.")],
-    rig: Annotated[RigKind, typer.Option("--rig", help="A virtual rig, or a template of your own.")] = (
-        RigKind.VIRTUAL
-    ),
+    rig: Annotated[
+        RigKind, typer.Option("--rig", help="A virtual rig, a template of your own, or real drivers for `emulate`.")
+    ] = (RigKind.VIRTUAL),
 ) -> None:
     """Write rig.toml, run.toml and scene.toml with every key explained."""
     from wavefocus.commands import init as command
 
     command.init(folder, rig.value)
+
+
+@app.command()
+def doctor(
+    rig: RigArgument,
+    json: JsonOption = False,
+    no_play: Annotated[bool, typer.Option("--no-play", help="Play nothing.")] = False,
+) -> None:
+    """Find, identify and exercise every instrument; say what is wrong and what to do about it."""
+    from wavefocus.commands import doctor as command
+
+    raise typer.Exit(command.doctor(rig, as_json=json, play=not no_play))
+
+
+@app.command()
+def calibrate(
+    rig: RigArgument,
+    only: Annotated[
+        str, typer.Option("--only", help="Which: inputs, outputs, mirror, actuators; commas between several.")
+    ] = "",
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="By default calibration-DATE.toml beside RIG.toml.")
+    ] = None,
+    fiducials: Annotated[
+        Path | None,
+        typer.Option("--fiducials", metavar="FILE.csv", help="Marks: x_mm,y_mm to jog to, with x_mrad,y_mrad not."),
+    ] = None,
+    limit_mm: Annotated[float, typer.Option("--limit-mm", min=1e-6, help="Largest residual of the mirror map.")] = 1.0,
+    summing_box: Annotated[
+        bool, typer.Option("--summing-box", help="All outputs for actuators are in one box, none is plugged singly.")
+    ] = False,
+    box_gain: Annotated[
+        float | None, typer.Option("--box-gain", min=1e-6, help="The box's gain; without it no full scale is measured.")
+    ] = None,
+    amplitude_v: Annotated[
+        float | None, typer.Option("--amplitude-v", help="Peak of what is played; by default well below the limit.")
+    ] = None,
+    distance_mm: Annotated[
+        float | None, typer.Option("--distance-mm", min=1e-6, help="From each actuator to where it is listened to.")
+    ] = None,
+    sample_rate_hz: Annotated[
+        float, typer.Option("--sample-rate-hz", min=2_000, max=1e6, help="Rate of the records.")
+    ] = 10_000.0,
+    json: JsonOption = False,
+) -> None:
+    """Measure mirror map, latencies, delays, levels and polarities, into a calibration file."""
+    from wavefocus.calibration_request import Request
+    from wavefocus.commands import calibrate as command
+
+    request = Request(
+        parts=command.parts_named(only),
+        fiducials=fiducials,
+        limit_mm=limit_mm,
+        summing_box=summing_box,
+        box_gain=box_gain,
+        amplitude_v=amplitude_v,
+        distance_mm=distance_mm,
+        sample_rate_hz=sample_rate_hz,
+    )
+    raise typer.Exit(command.calibrate(rig, request, out, as_json=json))
+
+
+@app.command()
+def emulate(rig: RigArgument, json: JsonOption = False) -> None:
+    """Stand in for a rig's instruments at the far ends of their wires, until it is told quit."""
+    from wavefocus.commands import emulate as command
+
+    raise typer.Exit(command.emulate(rig, as_json=json))
 
 
 @app.command()
@@ -136,6 +210,21 @@ def check(bank: BankArgument, json: JsonOption = False) -> None:
     from wavefocus.commands import check as command
 
     raise typer.Exit(command.check(bank, as_json=json))
+
+
+@app.command()
+def estimate(
+    raw: Annotated[Path, typer.Argument(metavar="RAW.h5", help="The file of raw recordings.")],
+    bank: BankOption,
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, max=256, help="Threads; by default one per processor.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Green's functions from kept recordings; goes on where a stopped estimate left off."""
+    from wavefocus.commands import estimate as command
+
+    command.estimate(raw, bank, workers, as_json=json)
 
 
 def _method_name(method: Method) -> Literal["sampled", "exact"]:

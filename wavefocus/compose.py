@@ -19,15 +19,25 @@ from calibration.errors import InputError
 from calibration.mirror_map import MirrorMap
 from calibration.sweeps import Excitation
 from drivers.errors import InstrumentError
-from drivers.protocols import Instruments
-from mocks.faults import Fault
-from mocks.geometry import MirrorGeometry
-from mocks.settings import VirtualSettings
-from mocks.virtual_rig import VirtualRig
+from wavefocus.calibration_care import calibration_warnings, names_known
+from wavefocus.config.calibration_merge import calibrated
 from wavefocus.config.loading import Configuration, configuration_from_json, load_run
 from wavefocus.config.rig import RigConfig
-from wavefocus.config.run import RunConfig, Virtual
+from wavefocus.config.run import RunConfig
 from wavefocus.console import say
+from wavefocus.instruments import OpenedRig, open_rig, openers
+from wavefocus.virtual_bench import virtual_rig
+
+__all__ = [
+    "Blueprint",
+    "bank_configuration",
+    "blueprint_from_bank",
+    "blueprint_from_files",
+    "open_setup",
+    "put_to_rest",
+    "setup_of",
+    "virtual_rig",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,27 +129,6 @@ def _blueprint(configuration: Configuration) -> Blueprint:
     return Blueprint(configuration, plan)
 
 
-def virtual_rig(rig: RigConfig, virtual: Virtual) -> VirtualRig:
-    """Build the virtual rig that a configuration describes; its laser stands where the mirror map says."""
-    settings = VirtualSettings(
-        seed=virtual.seed,
-        noise_v=VirtualSettings().noise_v if virtual.noise_v is None else virtual.noise_v,
-        actuator_mm=rig.actuators.position_mm,
-        actuator_channels=rig.player.channels,
-        loopback_channel=rig.player.loopback_channel,
-        surface_mm=(rig.surface.length_mm, rig.surface.width_mm),
-        mirror=MirrorGeometry(matrix=rig.mirror.matrix),
-        settle_s=rig.mirror.settle_s,
-        limit_mrad=rig.mirror.limit_mrad,
-        park_mrad=rig.mirror.park_mrad,
-        full_scale_v=rig.player.full_scale_v,
-        sensitivity_m_s_per_v=rig.vibrometer.sensitivity_m_s_per_v,
-        inter_channel_delay_s=rig.recorder.inter_channel_delay_s,
-        fault_plan=tuple(Fault(**fault.model_dump()) for fault in virtual.fault_plan),
-    )
-    return VirtualRig(settings)
-
-
 @contextmanager
 def open_setup(rig: RigConfig, run: RunConfig) -> Iterator[Setup]:
     """Open the instruments of a rig; on the way out they are muted, parked and released.
@@ -149,21 +138,44 @@ def open_setup(rig: RigConfig, run: RunConfig) -> Iterator[Setup]:
     InstrumentError
         An instrument cannot be opened, or could not be put to rest.
     """
-    instruments: Instruments = virtual_rig(rig, run.virtual or Virtual()).instruments
-    setup = Setup(
-        instruments=instruments,
+    setup = setup_of(rig, open_rig(openers(rig, run.virtual)))
+    with put_to_rest(setup):
+        if rig.calibration.measured is not None:
+            say(f"{rig.calibration.file}: {calibrated(rig.calibration.measured)}, in place of the rig file's")
+            for warning in calibration_warnings(rig, names_known(setup.instruments)):
+                say(f"warning: {warning}")
+        yield setup
+
+
+def setup_of(rig: RigConfig, opened: OpenedRig) -> Setup:
+    """Open instruments with the wiring and the calibration of their rig."""
+    return Setup(
+        instruments=opened.instruments,
         mirror_map=MirrorMap(rig.mirror.matrix),
         actuator_channels=rig.player.channels,
         loopback_channel=rig.player.loopback_channel,
         range_v=(rig.recorder.reference_range_v, rig.recorder.response_range_v),
-        response_per_volt=rig.vibrometer.sensitivity_m_s_per_v,
+        response_per_volt=opened.sensitivity_m_s_per_v,
         reference_gain=rig.recorder.reference_gain,
         inter_channel_delay_s=rig.recorder.inter_channel_delay_s,
+        vibrometer_latency_s=opened.vibrometer_latency_s,
         pre_roll_s=rig.recorder.pre_roll_s,
         post_roll_s=rig.recorder.post_roll_s,
+        recovery_s=rig.recovery.give_up_after_s,
     )
+
+
+@contextmanager
+def put_to_rest(setup: Setup) -> Iterator[None]:
+    """Mute, park and release the instruments on the way out, whatever happens before.
+
+    Raises
+    ------
+    InstrumentError
+        One of them could not be put to rest, and nothing else had failed.
+    """
     try:
-        yield setup
+        yield
     except BaseException:
         # The first failure is the one to act on; what else fails on the way out is told and does not hide it.
         try:

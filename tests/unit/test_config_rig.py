@@ -68,7 +68,44 @@ MISTAKES = [
         "[actuators]\nposition_mm = [[1, 2], [0, 0], [1, 2]]",
         "actuators.position_mm[2] = [1.0, 2.0]: is already the place of actuator 0",
     ),
-    ("[mirror]\ndriver = 'asi-tiger'", 'mirror.driver = "asi-tiger": must be "virtual"'),
+    ("[mirror]\ndriver = 'asi'", 'mirror.driver = "asi": must be "virtual", "asi-tiger", "mirrorcle-mti"'),
+    ("[mirror]\ndriver = 'asi-tiger'", 'mirror.port: is missing; driver "asi-tiger" needs it, such as "/dev/ttyUSB0"'),
+    (
+        "[mirror]\nport = 'COM3'",
+        'mirror.port = "COM3": belongs to driver "asi-tiger", "mirrorcle-mti", "generic" or "optotune-mre2"; '
+        'the driver here is "virtual"',
+    ),
+    (
+        "[mirror]\ndriver = 'asi-tiger'\nport = 'COM3'\nfull_scale_mrad = 100",
+        'mirror.full_scale_mrad = 100.0: belongs to driver "mirrorcle-mti"; the driver here is "asi-tiger"',
+    ),
+    (
+        "[mirror]\ndriver = 'mirrorcle-mti'\nport = 'COM3'",
+        'mirror.full_scale_mrad: is missing; driver "mirrorcle-mti" needs the optical angle at full scale in mrad',
+    ),
+    (
+        "[mirror]\ndriver = 'generic'\nport = 'socket://somewhere'",
+        'mirror.port = "socket://somewhere": must be socket://HOST:PORT',
+    ),
+    (
+        "[mirror]\ndriver = 'generic'\nport = 'serial-number:'",
+        'mirror.port = "serial-number:": must be serial-number: and the number itself',
+    ),
+    ("[mirror]\ndriver = 'generic'\nport = 'COM3'\nbaud = 100", "mirror.baud = 100: must be at least 300"),
+    (
+        "[mirror]\ndriver = 'generic'\nport = 'COM3'",
+        'recorder.driver = "virtual": a rig\'s instruments are all virtual or all real, and mirror.driver is "generic"',
+    ),
+    (
+        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'",
+        'recorder.driver = "nidaqmx": a rig\'s instruments are all virtual or all real, and mirror.driver is "virtual"',
+    ),
+    (
+        "[vibrometer]\ndriver = 'polytec-ofv5000'\nport = 'COM4'",
+        'vibrometer.driver = "polytec-ofv5000": a rig\'s instruments are all virtual or all real, and these are virt',
+    ),
+    ("[vibrometer]\nport = 'COM4'", 'vibrometer.port = "COM4": belongs to driver "polytec-ofv5000"; the driver'),
+    ("[vibrometer]\ndriver = 'polytec-ofv5000'", "vibrometer.port: is missing; driver"),
     ("[mirror]\nmap = [[1, 0], [0, 1]]", "mirror.map[0][2]: is missing"),
     (
         "[mirror]\nmap = [[1, 0, 0], [0, 1, 0], [1, 1, 0]]",
@@ -80,7 +117,61 @@ MISTAKES = [
     ),
     ("[mirror]\npark_mrad = [0, 300]", "mirror.park_mrad = [0.0, 300.0]: must be within limit_mrad = 250"),
     ("[mirror]\nlimit_deg = 3", "mirror.limit_deg = 3: unknown key; did you mean limit_mrad?"),
-    ("[recorder]\ndriver = 'nidaqmx'", 'recorder.driver = "nidaqmx": must be "virtual"'),
+    (
+        "[recorder]\ndriver = 'nidaqmx'",
+        'recorder.device: is missing; driver "nidaqmx" needs the name that NI MAX shows',
+    ),
+    (
+        "[recorder]\ntrigger = 'PFI0'",
+        'recorder.trigger = "PFI0": belongs to driver "nidaqmx"; the driver here is "virtual"',
+    ),
+    (
+        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\nreference_input = 'ai1'",
+        'recorder.response_input = "ai1": is already the reference_input',
+    ),
+    (
+        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\nresponse_input = 'Dev1/ai1'",
+        'recorder.response_input = "Dev1/ai1": must be "ai0", "ai1" and so on',
+    ),
+    (
+        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\nterminal = 'single'",
+        'recorder.terminal = "single": must be "differential", "rse", "nrse" or "pseudodifferential"',
+    ),
+    (
+        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\naddress = 'localhost'",
+        'recorder.address = "localhost": must be HOST:PORT of a gRPC Device Server',
+    ),
+    ("[player]\ndriver = 'sounddevice'", "player.device: is missing; driver"),
+    ("[player]\nblock_frames = 64", 'player.block_frames = 64: belongs to driver "sounddevice"; the driver here is'),
+    (
+        "[player]\nchannel_full_scale_v = [5.0, 5.0]",
+        "player.channel_full_scale_v = [5.0, 5.0]: must have one entry per output from 0 to the highest used, 21 in",
+    ),
+    ("[recovery]\ngive_up_after_s = -1", "recovery.give_up_after_s = -1: must be at least 0"),
+    ("[calibration]\nfile = 'nowhere.toml'", 'calibration.file = "nowhere.toml": must be a file; none found from'),
+    ("[calibration]\nstale_after_days = 0", "calibration.stale_after_days = 0: must be above 0"),
+    ("[calibration]\nmeasured = {}", "calibration.measured: comes from the file that calibration.file names"),
+    ("[[usb]]\nrole = 'camera'\nvendor_id = 1\nproduct_id = 1", 'usb[0].role = "camera": must be "mirror", "recorder"'),
+    ("[[usb]]\nrole = 'mirror'\nvendor_id = 0x10000", "usb[0].vendor_id = 65536: must be at most 65535"),
+    ("[usb]\nrole = 'mirror'", "usb: must be a list of tables, each under [[usb]]"),
+    ("[emulation]\nclock_ppm = 2000", "emulation.clock_ppm = 2000: must be at most 1000"),
+    (
+        "[emulation]\ndead_actuators = [20]",
+        "emulation.dead_actuators[0] = 20: must be below 20, the number of actuators",
+    ),
+    ("[emulation]\nreversed_outputs = [0, 21]", "emulation.reversed_outputs[1] = 21: must be below 21, the number of"),
+    (
+        "[emulation]\ndead_actuators = [1]\nweak_actuators = [3, 1]",
+        "emulation.weak_actuators[1] = 1: is already one of dead_actuators",
+    ),
+    (
+        "[[emulation.fault_plan]]\nrole = 'player'\nkind = 'silent'\nat_call = 1",
+        "emulation.fault_plan[0] = { role, kind, at_call }: fault kind of the player is 'silent'; allowed: underflow",
+    ),
+    (
+        "[[emulation.fault_plan]]\nrole = 'player'\nkind = 'lost'\nposition = 1\nat_call = 1",
+        "emulation.fault_plan[0].position = 1: unknown key; ",
+    ),
     ("[recorder]\nresponse_range_v = 0", "recorder.response_range_v = 0: must be above 0"),
     (
         "[recorder]\ninter_channel_delay_us = 5",
@@ -122,3 +213,56 @@ def test_channel_used_twice_names_both_actuators(tmp_path: Path) -> None:
     file.write_text("[actuators]\nposition_mm = [[0, 0], [1, 1]]\n[player]\nchannels = [4, 4]")
     with pytest.raises(InputError, match=r"player\.channels\[1\] = 4: is already the channel of actuator 0"):
         load_rig(file)
+
+
+REAL = """
+[mirror]
+driver = "asi-tiger"
+port = "serial-number:A9"
+
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+trigger = ""
+
+[player]
+driver = "sounddevice"
+device = "interface"
+
+[vibrometer]
+driver = "polytec-ofv5000"
+port = "COM4"
+
+[[usb]]
+role = "recorder"
+vendor_id = 0x3923
+product_id = 0x7179
+"""
+
+
+def real(tmp_path: Path, text: str = "") -> RigConfig:
+    file = tmp_path / "rig.toml"
+    file.write_text(REAL + text)
+    return load_rig(file)
+
+
+def test_real_rig_says_outright_what_its_drivers_take_where_they_are_told_nothing(tmp_path: Path) -> None:
+    rig = real(tmp_path)
+    assert not rig.is_virtual
+    assert (rig.mirror.baud, rig.mirror.beam_per_mirror, rig.mirror.tolerance_mrad) == (None, 2.0, 0.5)
+    recorder = rig.recorder
+    assert (recorder.reference_input, recorder.response_input, recorder.terminal) == ("ai0", "ai1", "differential")
+    assert recorder.trigger is None
+    assert (rig.player.block_frames, rig.player.outputs) == (0, 21)
+    assert rig.player.output_full_scale_v == (5.0,) * 21
+    assert (rig.vibrometer.decoder, rig.vibrometer.sensitivity_m_s_per_v) == (1, None)
+    assert rig.usb[0].vendor_id == 0x3923
+    assert rig.recovery.give_up_after_s == 600
+    assert RigConfig.model_validate_json(rig.model_dump_json()) == rig
+
+
+def test_weakest_output_limits_what_may_be_asked_of_an_actuator() -> None:
+    volts = [4.0, 3.0, 5.0, 1.0]
+    player = {"channels": [0, 1, 2], "loopback_channel": 3, "channel_full_scale_v": volts}
+    rig = RigConfig.model_validate({"actuators": {"position_mm": [[0, 0], [1, 0], [2, 0]]}, "player": player})
+    assert rig.player.largest_v == 3.0

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from pydantic import BaseModel
 
 from calibration.errors import InputError
 from wavefocus.config.loading import Configuration, load_rig, load_run
-from wavefocus.config.rig import default_rig
+from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.run import Virtual, default_run
 from wavefocus.config.scene import load_scene
 from wavefocus.config.templates import write_templates
@@ -22,12 +25,33 @@ def test_virtual_templates_are_the_defaults(tmp_path: Path) -> None:
     assert written.plan_sha256 == defaults.plan_sha256
 
 
-def test_rig_to_fill_in_is_the_default_under_another_name(tmp_path: Path) -> None:
+def test_rig_to_fill_in_has_real_instruments_around_the_default_plate(tmp_path: Path) -> None:
     write_templates(tmp_path, "template")
     rig = load_rig(tmp_path / "rig.toml")
-    assert rig.rig.name == "my plate"
-    assert rig.model_copy(update={"rig": default_rig().rig}) == default_rig()
+    assert (rig.rig.name, rig.is_virtual) == ("my plate", False)
+    assert (rig.surface, rig.actuators) == (default_rig().surface, default_rig().actuators)
+    assert (rig.mirror.driver, rig.recorder.driver, rig.player.driver) == ("asi-tiger", "nidaqmx", "sounddevice")
     assert load_run(tmp_path / "run.toml").rig == rig
+
+
+def test_rig_to_emulate_has_real_drivers_and_something_to_find_out(tmp_path: Path) -> None:
+    write_templates(tmp_path, "emulated")
+    rig = load_rig(tmp_path / "rig.toml")
+    assert not rig.is_virtual
+    assert not rig.emulation.is_flawless
+    assert load_run(tmp_path / "run.toml").rig == rig
+
+
+@pytest.mark.parametrize("kind", ["template", "virtual", "emulated"])
+def test_every_line_that_is_commented_out_is_a_key_that_the_file_may_have(tmp_path: Path, kind: str) -> None:
+    write_templates(tmp_path, kind)
+    rig, table = load_rig(tmp_path / "rig.toml"), ""
+    models = {name: type(getattr(rig, name)) for name in ("mirror", "recorder", "player", "vibrometer", "emulation")}
+    for line in (tmp_path / "rig.toml").read_text(encoding="utf-8").splitlines():
+        if heading := re.match(r"#? ?\[+(\w+)\]+ ", f"{line} "):
+            table = heading[1]
+        elif (key := re.match(r"# (\w+) = ", line)) and table in models:
+            assert key[1] in models[table].model_fields, line
 
 
 def test_template_scene_moves_on_a_circle_for_about_two_seconds(tmp_path: Path) -> None:
@@ -37,7 +61,7 @@ def test_template_scene_moves_on_a_circle_for_about_two_seconds(tmp_path: Path) 
     assert 1.5 < field_s < 2.5
 
 
-@pytest.mark.parametrize("kind", ["virtual", "template"])
+@pytest.mark.parametrize("kind", ["virtual", "template", "emulated"])
 def test_every_key_of_every_template_is_explained(tmp_path: Path, kind: str) -> None:
     for path in write_templates(tmp_path, kind):
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -64,3 +88,13 @@ def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file"):
         write_templates(tmp_path / "file", "virtual")
+
+
+def test_every_key_of_the_rig_file_is_in_its_reference_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "rig-file.md").read_text(encoding="utf-8")
+    for name, field in RigConfig.model_fields.items():
+        annotations = (field.annotation, *get_args(field.annotation))
+        model = next(one for one in annotations if isinstance(one, type) and issubclass(one, BaseModel))
+        assert f"[{name}]" in page
+        for key in model.model_fields:
+            assert f"`{key}`" in page or (name, key) == ("calibration", "measured"), f"{name}.{key}"

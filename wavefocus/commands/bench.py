@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import json
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from wavefocus.console import people, say
 
+BENCHMARKS = {
+    "estimate": "estimators side by side",
+    "render": "renderers side by side",
+    "interpolation": "the bank between its positions",
+    "focusing": "focusing methods on one scene",
+    "paper": "the paper's figures on the virtual rig",
+    "wires": "production drivers on emulated wires, in real time",
+}
+"""Modules of `benchmarks` by the name that the command line knows, and what they measure."""
+
+ON_REQUEST = ("paper", "wires")
+"""Not part of ``all``: one measures a bank for minutes, the other needs an audio server."""
+
 
 def bench(what: str, out: Path, *, quick: bool) -> None:
-    """Run the benchmarks and write their figures as JSON beside the printed tables."""
+    """Run one benchmark, or all, and write their figures as JSON beside the printed tables."""
     out.mkdir(parents=True, exist_ok=True)
-    if what in ("estimate", "all"):
-        from benchmarks.estimate import run as estimate
-
-        with people.status("estimators side by side ..."):
-            figures = estimate(quick=quick)
-        _keep(out / "estimate.json", figures)
-    if what in ("render", "all"):
-        from benchmarks.render import run as render
-
-        with people.status("renderers side by side ..."):
-            figures = render(out, quick=quick)
-        _keep(out / "render.json", figures)
-
-
-def _keep(path: Path, figures: dict[str, object]) -> None:
-    path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    say(f"wrote {path}")
+    for name in [one for one in BENCHMARKS if one not in ON_REQUEST] if what == "all" else [what]:
+        module = import_module(f"benchmarks.{name}")
+        with people.status(f"{BENCHMARKS[name]} ..."):
+            figures: dict[str, Any] = module.run(out, quick=quick)
+        path = out / f"{name}.json"
+        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        say(f"wrote {path}")

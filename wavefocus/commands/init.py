@@ -12,4 +12,10 @@ def init(folder: Path, rig: str) -> None:
     """Write rig.toml, run.toml and scene.toml into `folder`; existing files are never touched."""
     for path in write_templates(folder, rig):
         say(f"wrote {path}")
-    say(f"next: wavefocus plan {folder / 'run.toml'}")
+    rig_file = folder / "rig.toml"
+    nexts = {
+        "virtual": f"wavefocus plan {folder / 'run.toml'}",
+        "template": f"fill in {rig_file}, then wavefocus doctor {rig_file}",
+        "emulated": f"wavefocus emulate {rig_file}, and wavefocus doctor {rig_file} in another terminal",
+    }
+    say(f"next: {nexts[rig]}")

@@ -8,7 +8,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from acquisition.durations import hours
+from acquisition.roles import names_of
 from wavefocus.compose import blueprint_from_files, open_setup
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.run import RunConfig
 from wavefocus.console import say
 
 
@@ -16,10 +19,9 @@ def plan(run_file: Path, *, as_json: bool) -> None:
     """Walk the plan without playing anything and tell what it would take."""
     blueprint = blueprint_from_files(run_file)
     the_plan = blueprint.plan
-    with open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup:
-        duration_s = the_plan.positions * the_plan.position_s(setup)
-        instruments = [role.identify() for role in (setup.instruments.mirror, setup.instruments.recorder)]
-        instruments.append(setup.instruments.player.identify())
+    rig = blueprint.configuration.rig
+    duration_s = the_plan.positions * the_plan.position_s(rig.recorder)
+    instruments = _instruments(rig, blueprint.configuration.run)
     size = blueprint.bank_header().file_bytes
     free = shutil.disk_usage(run_file.resolve().parent).free
     finish = datetime.now().astimezone() + timedelta(seconds=duration_s)
@@ -52,3 +54,18 @@ def plan(run_file: Path, *, as_json: bool) -> None:
     for instrument in instruments:
         say(f"instrument  {instrument}")
     say(f"plan        {the_plan.sha256[:16]}; within all limits")
+
+
+def _instruments(rig: RigConfig, run: RunConfig) -> list[str]:
+    """Names of the instruments: virtual ones are asked; real ones are left alone, for a dry run needs none."""
+    if not rig.is_virtual:
+        mirror, recorder, player = rig.mirror, rig.recorder, rig.player
+        where = f", gRPC Device Server {recorder.address}" if recorder.address else ""
+        return [
+            f"mirror {mirror.driver} at {mirror.port}, not asked",
+            f"recorder {recorder.driver} {recorder.device}{where}, not asked",
+            f"player {player.driver} {player.device}, {player.outputs} outputs, not asked",
+            "wavefocus doctor asks them all",
+        ]
+    with open_setup(rig, run) as setup:
+        return list(names_of(setup.instruments))

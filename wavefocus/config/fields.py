@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, StrictBool
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, StrictBool
 from pydantic_core import PydanticCustomError
 
 # Strict: "20" and true are no numbers in TOML, and guessing would hide a slip of the pen.
@@ -37,3 +38,22 @@ def mistake(key: str, value: object, allowed: str) -> PydanticCustomError:
     """
     context: dict[str, Any] = {"key": key, "value": value, "allowed": allowed}
     return PydanticCustomError("mistake", "{allowed}", context)
+
+
+def like(pattern: str, allowed: str) -> AfterValidator:
+    """Let a text pass that matches a pattern as a whole; others are told what is allowed, not the pattern.
+
+    Parameters
+    ----------
+    pattern : str
+        A regular expression.
+    allowed : str
+        What the text may be, as the end of a sentence.
+    """
+
+    def check(text: str) -> str:
+        if not re.fullmatch(pattern, text):
+            raise mistake("", text, allowed)
+        return text
+
+    return AfterValidator(check)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import tomllib
 from dataclasses import dataclass
@@ -16,9 +15,11 @@ from pydantic import BaseModel, ValidationError
 from acquisition.grid import read_positions_file, stadium_grid
 from acquisition.text_file import read_text
 from calibration.errors import InputError
+from wavefocus.config.calibration_file import FORMAT, FORMAT_VERSION, CalibrationRecord
 from wavefocus.config.mistakes import one_line, printable, shown
+from wavefocus.config.plan_hash import plan_sha256
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.config.run import FaultFile, RunConfig, Virtual
+from wavefocus.config.run import FaultFile, RunConfig
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -95,7 +96,35 @@ def load_rig(path: Path) -> RigConfig:
     InputError
         Anything in the file is wrong.
     """
-    return validated(RigConfig, read_toml(path), str(path))
+    data = read_toml(path)
+    care = data.get("calibration")
+    if isinstance(care, dict):
+        if "measured" in care:
+            raise InputError(f"{path}: calibration.measured: comes from the file that calibration.file names")
+        if isinstance(care.get("file"), str):
+            record = load_calibration(named_file(path, "calibration.file", care["file"]))
+            data["calibration"] = {**care, "measured": record.model_dump()}
+    return validated(RigConfig, data, str(path))
+
+
+def load_calibration(path: Path) -> CalibrationRecord:
+    """Read a calibration file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, as `wavefocus calibrate` writes it.
+
+    Raises
+    ------
+    InputError
+        Anything in the file is wrong, or it is of another format or version.
+    """
+    data = read_toml(path)
+    if data.get("format") == FORMAT and data.get("format_version") != FORMAT_VERSION:
+        version = shown(data.get("format_version"))
+        raise InputError(f"{path}: format_version = {version}: must be {FORMAT_VERSION}; a newer wavefocus wrote it")
+    return validated(CalibrationRecord, data, str(path))
 
 
 def configuration_from_json(
@@ -144,50 +173,14 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     if amplitude_v > rig.player.limit_v:
         allowed = f"must be at most player.limit_v = {rig.player.limit_v:g} of the rig"
         raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
+    weakest_v = min(rig.player.output_full_scale_v[one] for one in (*rig.player.channels, rig.player.loopback_channel))
+    if amplitude_v > weakest_v:
+        allowed = f"must be at most {weakest_v:g}, the full scale of the rig's weakest output"
+        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
     loudest_v = rig.recorder.reference_range_v / rig.recorder.reference_gain
     if amplitude_v > loudest_v:
         allowed = f"must be at most {loudest_v:g} (the rig's recorder.reference_range_v / reference_gain)"
         raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
-
-
-def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> str:
-    """Hash all that a resume must not change, so that no bank mixes two plans.
-
-    Positions, actuators, sweep, capture, wiring, ranges, calibration, quality limits and the virtual rig's
-    seed and noise count. Names, file paths, safety limits, settling time, verification tolerances and fault
-    plans do not: they can change without making the rows of one bank differ in kind.
-
-    Parameters
-    ----------
-    rig, run : RigConfig, RunConfig
-        The validated configuration.
-    position_mm : float64 array, shape (positions, 2)
-        The grid.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits: SHA-256 of canonical JSON.
-    """
-    virtual = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
-    capture = {"averages", "decay_s", "excitation", "taps", "sample_rate_hz"}
-    essence = {
-        "position_mm": (position_mm + 0.0).tolist(),
-        "actuator_mm": rig.actuators.position_mm,
-        "surface": rig.surface.model_dump(),
-        "mirror": {"driver": rig.mirror.driver, "matrix": rig.mirror.matrix},
-        "recorder": rig.recorder.model_dump(),
-        "player": rig.player.model_dump(exclude={"limit_v", "interface_rate_hz"}),
-        "vibrometer": rig.vibrometer.model_dump(),
-        "sweep": run.sweep.model_dump(),
-        "capture": run.capture.model_dump(
-            include=capture | ({"stagger_s"} if run.capture.excitation == "staggered" else set())
-        ),
-        "quality": run.quality.model_dump(),
-        "virtual": virtual if rig.is_virtual else None,
-    }
-    text = json.dumps(essence, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -10,17 +9,16 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from acquisition.grid import inside_stadium, stadium_rim
-from calibration.mirror_map import MirrorMap
-from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
-
-Driver = Literal["virtual"]
-"""Names of the drivers that this version has; each is a line here and a factory where rigs are composed."""
+from wavefocus.config.calibration_merge import with_calibration
+from wavefocus.config.fields import PointMm, Positive, Table, Text, mistake
+from wavefocus.config.rig_care import CalibrationSection, RecoverySection, UsbDevice
+from wavefocus.config.rig_emulation import Emulation
+from wavefocus.config.rig_mirror import MirrorSection
+from wavefocus.config.rig_player import PlayerSection
+from wavefocus.config.rig_recorder import RecorderSection, VibrometerSection
 
 DEFAULT_ACTUATORS = 20
 DEFAULT_INSET_MM = 6.0
-DEFAULT_DISTANCE_MM = 1000.0
-Row = tuple[Finite, Finite, Finite]
-Matrix = tuple[Row, Row, Row]
 
 
 class RigSection(Table):
@@ -49,94 +47,6 @@ class Actuators(Table):
     position_mm: Annotated[tuple[PointMm, ...], Field(min_length=1, max_length=1024)]
 
 
-class MirrorSection(Table):
-    """The scanning mirror and the map from the surface to its angles."""
-
-    driver: Driver = "virtual"
-    distance_mm: Positive = DEFAULT_DISTANCE_MM
-    map: Matrix | None = None
-    settle_s: NonNegative = 0.005
-    limit_mrad: Annotated[Positive, Field(lt=1000 * math.pi / 2)] = 250.0
-    park_mrad: tuple[Finite, Finite] = (-240.0, -240.0)
-
-    @property
-    def matrix(self) -> Matrix:
-        """The projective map H of ``(tan x, tan y, 1) ~ H (x_mm, y_mm, 1)``."""
-        if self.map is not None:
-            return self.map
-        return ((1 / self.distance_mm, 0.0, 0.0), (0.0, 1 / self.distance_mm, 0.0), (0.0, 0.0, 1.0))
-
-    def angles_mrad(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Mirror angles of surface points, as the engine will command them.
-
-        Parameters
-        ----------
-        points_mm : float64 array, shape (points, 2)
-            x and y in millimetres.
-
-        Raises
-        ------
-        InputError
-            A place that no angle can reach.
-        """
-        return np.column_stack(MirrorMap(self.matrix).angles_mrad(points_mm[:, 0], points_mm[:, 1]))
-
-    @model_validator(mode="after")
-    def _possible(self) -> MirrorSection:
-        if self.map is not None:
-            if self.distance_mm != DEFAULT_DISTANCE_MM:
-                raise mistake("distance_mm", self.distance_mm, "must be left out where map is given")
-            rows = np.array(self.map)
-            scale = np.linalg.norm(rows, axis=1)
-            if not scale.all() or abs(np.linalg.det(rows / scale[:, np.newaxis])) < 1e-12:
-                raise mistake("map", self.map, "must be a matrix that can be inverted")
-        if max(map(abs, self.park_mrad)) > self.limit_mrad:
-            raise mistake("park_mrad", self.park_mrad, f"must be within limit_mrad = {self.limit_mrad:g}")
-        return self
-
-
-class RecorderSection(Table):
-    """The two-channel DAQ: reference (loopback) and response (vibrometer)."""
-
-    driver: Driver = "virtual"
-    reference_range_v: Positive = 10.0
-    response_range_v: Positive = 10.0
-    reference_gain: Positive = 1.0
-    inter_channel_delay_s: Annotated[Finite, Field(ge=0, le=0.001)] = 5e-6
-    pre_roll_s: Annotated[NonNegative, Field(le=10)] = 0.02
-    post_roll_s: Annotated[NonNegative, Field(le=10)] = 0.1
-
-
-class PlayerSection(Table):
-    """The multichannel audio interface that drives the actuators."""
-
-    driver: Driver = "virtual"
-    channels: tuple[Annotated[Whole, Field(ge=0, le=4095)], ...]
-    loopback_channel: Annotated[Whole, Field(ge=0, le=4095)]
-    interface_rate_hz: Annotated[Whole, Field(ge=8_000, le=768_000)] = 48_000
-    full_scale_v: Positive = 5.0
-    limit_v: Positive = 5.0
-
-    @model_validator(mode="after")
-    def _wired_once(self) -> PlayerSection:
-        for actuator, channel in enumerate(self.channels):
-            if channel in self.channels[:actuator]:
-                other = self.channels.index(channel)
-                raise mistake(f"channels.[{actuator}]", channel, f"is already the channel of actuator {other}")
-        if self.loopback_channel in self.channels:
-            other = self.channels.index(self.loopback_channel)
-            raise mistake("loopback_channel", self.loopback_channel, f"is already the channel of actuator {other}")
-        if self.limit_v > self.full_scale_v:
-            raise mistake("limit_v", self.limit_v, f"must be at most full_scale_v = {self.full_scale_v:g}")
-        return self
-
-
-class VibrometerSection(Table):
-    """The laser vibrometer's calibration."""
-
-    sensitivity_m_s_per_v: Positive = 0.125
-
-
 class RigConfig(Table):
     """A validated rig file; with no argument, the built-in virtual rig."""
 
@@ -147,6 +57,10 @@ class RigConfig(Table):
     recorder: RecorderSection = RecorderSection()
     player: PlayerSection
     vibrometer: VibrometerSection = VibrometerSection()
+    recovery: RecoverySection = RecoverySection()
+    calibration: CalibrationSection = CalibrationSection()
+    usb: Annotated[tuple[UsbDevice, ...], Field(max_length=64)] = ()
+    emulation: Emulation = Emulation()
 
     @property
     def actuator_mm(self) -> NDArray[np.float64]:
@@ -156,8 +70,7 @@ class RigConfig(Table):
     @property
     def is_virtual(self) -> bool:
         """Whether every instrument is virtual."""
-        drivers: set[str] = {self.mirror.driver, self.recorder.driver, self.player.driver}
-        return drivers == {"virtual"}
+        return self.mirror.driver == "virtual"  # validation has seen to it that the others are like it
 
     @model_validator(mode="before")
     @classmethod
@@ -176,10 +89,11 @@ class RigConfig(Table):
             if isinstance(player["channels"], list | tuple):
                 player.setdefault("loopback_channel", len(player["channels"]))
             data["player"] = player
-        return data
+        return with_calibration(data)
 
     @model_validator(mode="after")
     def _fits_together(self) -> RigConfig:
+        self._check_of_one_kind()
         surface, points = self.surface, self.actuators.position_mm
         outside = np.flatnonzero(~inside_stadium(points, surface.length_mm, surface.width_mm))
         if len(outside):
@@ -194,7 +108,26 @@ class RigConfig(Table):
         if len(self.player.channels) != len(points):
             allowed = f"must have one entry per actuator, {len(points)} in all, has {len(self.player.channels)}"
             raise mistake("player.channels", self.player.channels, allowed)
+        for key in ("dead_actuators", "weak_actuators", "reversed_actuators"):
+            for index, actuator in enumerate(getattr(self.emulation, key)):
+                if actuator >= len(points):
+                    allowed = f"must be below {len(points)}, the number of actuators"
+                    raise mistake(f"emulation.{key}.[{index}]", actuator, allowed)
+        for index, output in enumerate(self.emulation.reversed_outputs):
+            if output >= self.player.outputs:
+                allowed = f"must be below {self.player.outputs}, the number of outputs"
+                raise mistake(f"emulation.reversed_outputs.[{index}]", output, allowed)
         return self
+
+    def _check_of_one_kind(self) -> None:
+        """A virtual plate cannot be heard by a real recorder, nor the other way round."""
+        one_world = "a rig's instruments are all virtual or all real"
+        for name in ("recorder", "player"):
+            driver = getattr(self, name).driver
+            if (driver == "virtual") != self.is_virtual:
+                raise mistake(f"{name}.driver", driver, f'{one_world}, and mirror.driver is "{self.mirror.driver}"')
+        if self.is_virtual and self.vibrometer.driver != "fixed":
+            raise mistake("vibrometer.driver", self.vibrometer.driver, f"{one_world}, and these are virtual")
 
 
 def _default_actuators(surface: Any) -> list[list[float]]:

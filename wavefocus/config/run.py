@@ -101,6 +101,7 @@ class Fault(Table):
     purpose: Literal["capture", "sentinel", "scan"] | None = None
     count: Annotated[Whole, Field(ge=1)] = 1
     level_db: Finite = -3.0
+    tries: Annotated[Whole, Field(ge=0)] = 1
 
     @model_validator(mode="after")
     def _known_to_the_virtual_instruments(self) -> Fault:

@@ -165,7 +165,7 @@ class RegularisationTable(Table):
 class OutputTable(Table):
     """Between grid points, and at the amplifier."""
 
-    interpolation: Literal["nearest", "bilinear"] = "nearest"
+    interpolation: Literal["nearest", "bilinear", "bicubic", "kernel"] = "nearest"
     limit_v: Positive | None = None
 
 

@@ -16,8 +16,8 @@ def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
     ----------
     folder : Path
         Where to write; made when missing.
-    rig : {"virtual", "template"}
-        The virtual rig, or a rig of one's own to fill in.
+    rig : {"virtual", "template", "emulated"}
+        The virtual rig, a rig of one's own to fill in, or real drivers for emulated instruments.
 
     Returns
     -------
@@ -39,7 +39,9 @@ def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
         folder.mkdir(parents=True, exist_ok=True)
         for name, template in named.items():
             with (folder / name).open("x", encoding="utf-8", newline="\n") as file:
-                file.write((templates / template).read_text(encoding="utf-8"))
+                text = (templates / template).read_text(encoding="utf-8")
+                # Real instruments, emulated or not, take no orders from a run's [virtual] table.
+                file.write(text if rig == "virtual" else text.partition("\n[virtual]")[0])
     except OSError as error:
         raise InputError(printable(f"{error.filename or folder}: cannot be written: {error.strerror}")) from None
     return tuple(folder / name for name in named)

@@ -1,0 +1,150 @@
+"""Polarity and drive level of the actuators: the surface's answer at the same distance from each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.calibration_procedures.probe import TRIES, NotMeasuredError
+from acquisition.pointing import point_at
+from acquisition.record import take_record
+from acquisition.setup import Setup
+from calibration.actuator_comparison import DEAD_SNR_DB, ActuatorComparison, Verdict, compare_actuators
+from calibration.estimator import Estimate, Estimator
+from calibration.sweeps import Excitation
+from calibration.timing import ReferenceMissingError
+from drivers.errors import TransientInstrumentError
+from drivers.protocols import Take
+
+REMEDIES: dict[Verdict, str] = {
+    "dead": "check its cable, its amplifier channel and its coil, and that the beam meets the surface near it",
+    "weak": "check its glue, its coil's gap and its amplifier's gain",
+    "reversed": "swap the two wires of its coil, or leave it: a bank measured with it is right all the same",
+    "unlike": "check the mirror map, its place in the rig file, its glue, and what touches the surface near it",
+}
+# Enough to tell sign and level, in the middle of the campaign's band.
+BAND_HZ = (40.0, 400.0)
+DURATION_S, DECAY_S = 0.5, 0.2
+RESPONSE_S = 0.08  # the first waves; what comes back from the edge differs from place to place
+# A record that fits worse was spoilt on the way, by speckle for instance.
+POOR_RESIDUAL_DB = -20.0
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorsTask:
+    """Where and how loudly the actuators are checked.
+
+    Parameters
+    ----------
+    position_mm : float64 array, shape (actuators, 2)
+        Where each is listened to.
+    amplitude_v : float
+        Peak of the sweep in volts.
+    sample_rate_hz : float
+        Rate of the records.
+    """
+
+    position_mm: NDArray[np.float64]
+    amplitude_v: float
+    sample_rate_hz: float
+
+
+def listening_places(actuator_mm: NDArray[np.float64], distance_mm: float) -> NDArray[np.float64]:
+    """Places at one distance from each actuator, on the way to the surface's centre.
+
+    Parameters
+    ----------
+    actuator_mm : float64 array, shape (actuators, 2)
+        Where the actuators are.
+    distance_mm : float
+        Distance from each, > 0.
+
+    Returns
+    -------
+    float64 array, shape (actuators, 2)
+    """
+    from_centre_mm = np.hypot(*actuator_mm.T)[:, np.newaxis]
+    outwards = np.where(from_centre_mm > 0, actuator_mm / np.maximum(from_centre_mm, 1e-9), [[-1.0, 0.0]])
+    return np.asarray(actuator_mm - distance_mm * outwards)
+
+
+def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int, int], None]) -> ActuatorComparison:
+    """Listen to each actuator at the same distance and compare them.
+
+    Parameters
+    ----------
+    task : ActuatorsTask
+        Where and how loudly.
+    setup : Setup
+        The rig, the vibrometer plugged into its response input.
+    progress : callable
+        Called with the actuators done and the actuators there are.
+
+    Raises
+    ------
+    NotMeasuredError
+        The loopback is not heard, or a response is too loud for its input.
+    InstrumentError
+        Of the instrument that failed for good.
+    """
+    excitation = Excitation(
+        sample_rate_hz=task.sample_rate_hz,
+        start_hz=BAND_HZ[0],
+        stop_hz=BAND_HZ[1],
+        duration_s=DURATION_S,
+        decay_s=DECAY_S,
+        amplitude_v=task.amplitude_v,
+        averages=1,
+    )
+    estimator = Estimator(
+        excitation,
+        round(RESPONSE_S * task.sample_rate_hz),
+        reference_gain=setup.reference_gain,
+        response_per_volt=setup.response_per_volt,
+        inter_channel_delay_s=setup.response_delay_s,
+    )
+    heard: list[Estimate] = []
+    for actuator, (x_mm, y_mm) in enumerate(task.position_mm):
+        progress(actuator, len(task.position_mm))
+        point_at(setup, float(x_mm), float(y_mm))
+        heard.append(_best_of(setup, excitation, estimator, actuator))
+    progress(len(task.position_mm), len(task.position_mm))
+    green = np.stack([one.green[0] for one in heard])
+    return compare_actuators(green, np.array([one.snr_db[0] for one in heard]), task.sample_rate_hz)
+
+
+def _best_of(setup: Setup, excitation: Excitation, estimator: Estimator, actuator: int) -> Estimate:
+    """The best of a few records of one actuator; the first that is good enough ends it."""
+    best: Estimate | None = None
+    for attempt in range(1, TRIES + 1):
+        try:
+            estimate = _once(setup, excitation, estimator, Take(actuator, attempt, 0, "calibration"))
+        except TransientInstrumentError:
+            if attempt == TRIES and best is None:
+                raise
+            continue
+        if best is None or estimate.residual_db[0] < best.residual_db[0]:
+            best = estimate
+        if best.residual_db[0] < POOR_RESIDUAL_DB and best.snr_db[0] > DEAD_SNR_DB:
+            break
+    assert best is not None  # the last attempt raises where none succeeded
+    return best
+
+
+def _once(setup: Setup, excitation: Excitation, estimator: Estimator, take: Take) -> Estimate:
+    signal_v = excitation.signal_v()
+    channel = setup.actuator_channels[take.position]
+    signals_v = {channel: signal_v, setup.loopback_channel: signal_v}
+    recording = take_record(setup, signals_v, excitation.sample_rate_hz, take)
+    if any(recording.over_range):
+        raise NotMeasuredError(
+            f"actuator {take.position} at {excitation.amplitude_v:g} V reaches the end of an input's range: lower "
+            "--amplitude-v, or raise the ranges in the rig file"
+        )
+    try:
+        return estimator.estimate(recording.volts[:1], recording.volts[1:], range_v=setup.range_v)
+    except ReferenceMissingError as missing:
+        raise NotMeasuredError(f"the loopback is not heard at the reference input ({missing})") from None

@@ -1,0 +1,141 @@
+"""Latency, full scale and polarity of the player's outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from acquisition.calibration_procedures.operator import SUM, Operator, output
+from acquisition.calibration_procedures.probe import Figures, Probe, check_loopback
+from calibration.channel_comparison import ResponseMissingError
+from calibration.timing import ReferenceMissingError
+
+
+@dataclass(frozen=True, slots=True)
+class OutputFigures:
+    """One output of the player.
+
+    Parameters
+    ----------
+    channel : int
+        The output.
+    latency_s : float
+        How much later it is than the loopback output.
+    full_scale_v : float, optional
+        Volts at full scale, by the recorder; None where the gain on the way is not known.
+    polarity : int
+        -1 where its wires are crossed.
+    spread_s : float
+        Largest less smallest latency over the records.
+    """
+
+    channel: int
+    latency_s: float
+    full_scale_v: float | None
+    polarity: Literal[1, -1]
+    spread_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class OutputsTask:
+    """What is known before the outputs are measured.
+
+    Parameters
+    ----------
+    channels : tuple of int
+        The outputs to measure, the loopback not among them.
+    loopback_channel : int
+        The loopback output.
+    full_scale_v : sequence of float
+        Volts at full scale of every output from 0, as the rig believes.
+    reference_gain : float
+        Volts at the reference input per volt of the loopback output.
+    inter_channel_delay_s : float
+        How much later the response input is sampled.
+    summing_box : bool
+        All outputs are plugged into the response input at once, through a box.
+    box_gain : float, optional
+        Its gain, where it is known.
+    """
+
+    channels: tuple[int, ...]
+    loopback_channel: int
+    full_scale_v: Sequence[float]
+    reference_gain: float
+    inter_channel_delay_s: float
+    summing_box: bool = False
+    box_gain: float | None = None
+
+
+def measure_outputs(
+    task: OutputsTask, probe: Probe, operator: Operator, progress: Callable[[int, int], None]
+) -> tuple[OutputFigures, ...]:
+    """Compare each output with the loopback output.
+
+    Parameters
+    ----------
+    task : OutputsTask
+        What is known.
+    probe : Probe
+        What plays.
+    operator : Operator
+        Plugs the response input into each output in turn, or into the summing box.
+    progress : callable
+        Called with the outputs done and the outputs there are.
+
+    Returns
+    -------
+    tuple of OutputFigures
+        The loopback's own first; an output that the operator gave up is left out.
+
+    Raises
+    ------
+    NotMeasuredError
+        The loopback itself is not heard, or the probe is too loud.
+    InstrumentError
+        Of the instrument that failed for good.
+    """
+    if task.summing_box:
+        operator.connect(SUM)
+    measured: list[OutputFigures] = []
+    loopback: OutputFigures | None = None
+    for done, channel in enumerate(task.channels):
+        progress(done, len(task.channels))
+        figures = _heard(task, channel, probe, operator)
+        if figures is None:
+            continue
+        measured.append(_of_output(task, channel, figures))
+        if loopback is None:
+            full_scale_v = task.full_scale_v[task.loopback_channel] * abs(figures.reference_gain) / task.reference_gain
+            sign: Literal[1, -1] = -1 if figures.reference_gain < 0 else 1
+            loopback = OutputFigures(task.loopback_channel, 0.0, full_scale_v, sign, 0.0)
+    progress(len(task.channels), len(task.channels))
+    return (*(() if loopback is None else (loopback,)), *measured)
+
+
+def _heard(task: OutputsTask, channel: int, probe: Probe, operator: Operator) -> Figures | None:
+    """An output compared with the loopback, as often as the operator tries; None when it is given up."""
+    while True:
+        if not task.summing_box:
+            operator.connect(output(channel))
+        try:
+            return probe.compare(channel)
+        except ResponseMissingError as missing:
+            if not operator.again(f"output {channel} is not heard at the response input ({missing})"):
+                return None
+        except ReferenceMissingError as missing:
+            raise check_loopback(missing) from None
+
+
+def _of_output(task: OutputsTask, channel: int, found: Figures) -> OutputFigures:
+    gain = task.box_gain if task.summing_box else 1.0
+    full_scale_v = None if gain is None else task.full_scale_v[channel] * abs(found.response_gain) / gain
+    # The response input is sampled later, so all on it seems earlier.
+    return OutputFigures(
+        channel=channel,
+        latency_s=found.late_s + task.inter_channel_delay_s,
+        full_scale_v=full_scale_v,
+        polarity=-1 if found.response_gain < 0 else 1,
+        spread_s=found.spread_s,
+    )

@@ -1,0 +1,297 @@
+"""Production drivers on emulated wires: what a position costs beyond its records, and how well clocks are recovered.
+
+Run as ``python -m benchmarks.wires``. The far sides (serial mirror, gRPC Device Server, JACK server on a dummy driver)
+run in processes of their own; everything is in real time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.engine import Campaign
+from acquisition.events import Event, Fault, PositionCommitted, PositionStarted
+from acquisition.plan import Plan
+from acquisition.record import record_samples, take_record
+from acquisition.setup import Setup
+from acquisition.stopping import StopRequest
+from calibration.bank_creation import create_bank
+from calibration.bank_header import BankHeader
+from calibration.bank_writer import BankWriter
+from calibration.mirror_map import MirrorMap
+from calibration.sweeps import Excitation
+from calibration.timing import ClockFitter
+from drivers.audio.band_limited import converted, lead_samples, rate_ratio
+from drivers.audio.signal_shelf import HALF_STEP
+from drivers.audio.stream_player import StreamPlayer
+from drivers.clock import WallClock
+from drivers.daq.ni_recorder import NiRecorder
+from drivers.errors import TransientInstrumentError
+from drivers.mirror.serial_mirror import SerialMirror
+from drivers.protocols import Float64Array, Instruments, Take
+from mocks.settings import VirtualSettings
+
+MARK_OVERHEAD_S = 0.150
+MARK_RATIO_PPM = 0.1
+MARK_OFFSET_SAMPLES = 0.01
+ACTUATOR_MM = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (20.0, -60.0))
+SWEEP_V = 1.0
+# 60 dB below the rms of a sweep of 1 V peak.
+REFERENCE_NOISE_V = SWEEP_V / np.sqrt(2) / 1000
+RATE_HZ = 10_000.0
+INTERFACE_RATE_HZ = 48_000
+TAPS = 2000
+FULL_SCALE_V = 5.0
+
+
+def settings() -> VirtualSettings:
+    """The plate behind the wires."""
+    return VirtualSettings(actuator_mm=ACTUATOR_MM, reference_noise_v=REFERENCE_NOISE_V, dropout_probability=0.0)
+
+
+def excitation(sweep_s: float, averages: int) -> Excitation:
+    """What each record plays."""
+    return Excitation(
+        sample_rate_hz=RATE_HZ,
+        start_hz=20.0,
+        stop_hz=500.0,
+        duration_s=sweep_s,
+        decay_s=0.2,
+        amplitude_v=SWEEP_V,
+        averages=averages,
+    )
+
+
+# -- the far sides ------------------------------------------------------------------------------------------------
+
+
+def serve_far_sides() -> None:
+    """Be the far sides until standard input ends; a line asks for the starts that were heard since the last."""
+    from mocks.wire.emulated_rig import EmulatedRig, Wiring
+
+    virtual = settings()
+    wiring = Wiring(
+        mirror_dialect="asi-tiger",
+        mirror_port="socket://127.0.0.1:0",
+        ni_product="USB-6211",
+        ni_device="Dev1",
+        ni_address="localhost:0",
+        full_scale_v=(FULL_SCALE_V,) * virtual.player_channels,
+        interface_rate_hz=INTERFACE_RATE_HZ,
+    )
+    with EmulatedRig(virtual, wiring) as sides:
+        places = {"mirror": sides.mirror.address, "recorder": sides.recorder.address}
+        print(json.dumps({**places, "environment": sides.audio.environment}), flush=True)
+        for _ in sys.stdin:
+            print(json.dumps(list(sides.bench.heard)), flush=True)
+            sides.bench.heard.clear()
+
+
+class FarSides:
+    """The far sides in a process of their own."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.wires", "--far-sides"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._keyboard, self._screen = self._process.stdin, self._process.stdout
+        told = json.loads(self._screen.readline())
+        self.mirror, self.recorder, self.environment = told["mirror"], told["recorder"], told["environment"]
+
+    def heard(self) -> list[float]:
+        """At which sample the sound began in each record since the last question."""
+        self._keyboard.write("heard\n")
+        self._keyboard.flush()
+        starts: list[float] = json.loads(self._screen.readline())
+        return starts
+
+    def close(self) -> None:
+        """End them."""
+        self._keyboard.close()
+        self._process.wait(30)
+        self._screen.close()
+
+
+@contextmanager
+def opened(sides: FarSides) -> Iterator[Setup]:
+    """Production drivers on the far sides."""
+    virtual, clock = settings(), WallClock()
+    mirror = SerialMirror(
+        "asi-tiger",
+        sides.mirror,
+        baud=None,
+        identity=None,
+        settle_s=0.0,
+        limit_mrad=virtual.limit_mrad,
+        park_mrad=virtual.park_mrad,
+        clock=clock,
+    )
+    recorder = NiRecorder(
+        "Dev1",
+        address=sides.recorder,
+        reference_input="ai0",
+        response_input="ai1",
+        terminal="differential",
+        trigger=None,
+    )
+    player = StreamPlayer(
+        "JACK Audio Connection Kit",
+        "wavefocus interface",
+        channels=virtual.player_channels,
+        channel_full_scale_v=(FULL_SCALE_V,) * virtual.player_channels,
+        interface_rate_hz=INTERFACE_RATE_HZ,
+        environment=sides.environment,
+    )
+    setup = Setup(
+        instruments=Instruments(mirror, recorder, player, clock),
+        mirror_map=MirrorMap.straight(1000.0),
+        actuator_channels=virtual.channel_of_actuator,
+        loopback_channel=virtual.channel_of_loopback,
+        range_v=(5.0, 10.0),
+        response_per_volt=virtual.sensitivity_m_s_per_v,
+        inter_channel_delay_s=1.4e-5,
+        post_roll_s=0.4,
+    )
+    try:
+        yield setup
+    finally:
+        setup.close()
+
+
+# -- what is measured ---------------------------------------------------------------------------------------------
+
+
+def overheads_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArray[np.float64], int]:
+    """Seconds from one position's start to the next beyond their records, and how many records were repeated."""
+    position_mm = np.column_stack([4.0 * np.arange(positions), np.zeros(positions)])
+    plan = Plan(position_mm, np.array(ACTUATOR_MM), np.arange(positions), sweep, TAPS, "0" * 64)
+    header = BankHeader(
+        sample_rate_hz=RATE_HZ,
+        taps=TAPS,
+        band_hz=sweep.band_hz,
+        position_mm=plan.position_mm,
+        actuator_mm=plan.actuator_mm,
+        rig_json="{}",
+        run_json="{}",
+        plan_sha256=plan.sha256,
+        software="wavefocus benchmark",
+    )
+    starts: dict[int, float] = {}
+    disturbed: set[int] = set()
+    committed = 0
+
+    def note(event: Event) -> None:
+        nonlocal committed
+        match event:
+            case PositionStarted(position=position):
+                starts[position] = time.monotonic()
+            case Fault(position=position) if position is not None:
+                disturbed.add(position)
+            case PositionCommitted():
+                committed += 1
+
+    with tempfile.TemporaryDirectory() as folder:
+        bank = Path(folder) / "bank.h5"
+        create_bank(bank, header)
+        with BankWriter.open(bank, plan_sha256=plan.sha256) as writer:
+            Campaign(plan, setup, writer, note, StopRequest()).run()
+    samples = record_samples(setup, sweep.averages * sweep.period_samples, RATE_HZ)
+    records_s = len(ACTUATOR_MM) * samples / RATE_HZ
+    # The last position has no next; one with a repeated record says nothing of the overhead.
+    quiet = [row for row in range(positions - 1) if row not in disturbed and row + 1 in starts]
+    return np.array([starts[row + 1] - starts[row] - records_s for row in quiet]), len(disturbed)
+
+
+def clock_errors(setup: Setup, sides: FarSides, records: int, sweep: Excitation) -> tuple[Float64Array, Float64Array]:
+    """Errors of the clock ratio in ppm and of the start offset in samples, of each record."""
+    signal_v = sweep.signal_v()
+    fitter = ClockFitter(signal_v)
+    # The far sides hear the first frame that the player does not leave out as silence; it lies beside sample 0.
+    ratio = rate_ratio(RATE_HZ, INTERFACE_RATE_HZ)
+    frames = np.flatnonzero(np.abs(converted(signal_v, ratio).astype(np.float32)) > HALF_STEP * FULL_SCALE_V)
+    first = (frames[0] - lead_samples(ratio)) / INTERFACE_RATE_HZ * RATE_HZ * settings().clock_ratio
+    ratio_ppm: list[float] = []
+    offset: list[float] = []
+    sides.heard()
+    while len(offset) < records:
+        signals_v = {setup.actuator_channels[0]: signal_v, setup.loopback_channel: signal_v}
+        try:
+            recording = take_record(setup, signals_v, RATE_HZ, Take(0, 1, len(offset)))
+        except TransientInstrumentError:
+            sides.heard()
+            continue
+        fit = fitter.fit(recording.volts[0].astype(np.float64))
+        ratio_ppm.append(1e6 * (fit.ratio - settings().clock_ratio))
+        offset.append(fit.offset_samples + first - sides.heard()[-1])
+    return np.array(ratio_ppm), np.array(offset)
+
+
+def run(out: Path | None = None, *, quick: bool = False) -> dict[str, object]:
+    """Measure, print the table, return the figures.
+
+    Parameters
+    ----------
+    out : Path, optional
+        Not used: there are no pictures.
+    quick : bool
+        Few records and short sweeps, to see that it works.
+    """
+    positions, records, averages, sweep_s = (3, 2, 1, 0.3) if quick else (13, 12, 3, 1.0)
+    with closing(FarSides()) as sides, opened(sides) as setup:
+        beyond_s, repeated = overheads_s(setup, positions, excitation(0.3, 1))
+        ratio_ppm, offset = clock_errors(setup, sides, records, excitation(sweep_s, averages))
+    figures: dict[str, object] = {
+        "overhead_s": {"median": float(np.median(beyond_s)), "worst": float(beyond_s.max()), "mark": MARK_OVERHEAD_S},
+        "positions_with_a_repeated_record": repeated,
+        "clock_ratio_ppm": {"rms": _rms(ratio_ppm), "worst": float(np.abs(ratio_ppm).max()), "mark": MARK_RATIO_PPM},
+        "start_offset_samples": {
+            "rms": _rms(offset),
+            "worst": float(np.abs(offset).max()),
+            "mark": MARK_OFFSET_SAMPLES,
+        },
+    }
+    print(
+        f"production drivers on emulated wires, {positions} positions x {len(ACTUATOR_MM)} actuators, {records} records"
+    )
+    print(f"{'':44}{'measured':>12}{'worst':>12}{'mark':>10}")
+    for words, scale, values, mark in (
+        ("a position beyond its records, median, ms", 1e3, beyond_s, MARK_OVERHEAD_S),
+        ("clock ratio at 60 dB, rms error, ppm", 1.0, ratio_ppm, MARK_RATIO_PPM),
+        ("start offset at 60 dB, rms error, samples", 1.0, offset, MARK_OFFSET_SAMPLES),
+    ):
+        typical = float(np.median(values)) if "median" in words else _rms(values)
+        print(f"{words:44}{scale * typical:12.4g}{scale * float(np.abs(values).max()):12.4g}{scale * mark:10.4g}")
+    print(f"positions of which a record was repeated (the audio server ran dry): {repeated}")
+    return figures
+
+
+def _rms(values: Float64Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--far-sides", action="store_true", help="be the far sides; used by the benchmark itself")
+    asked = parser.parse_args()
+    if asked.far_sides:
+        serve_far_sides()
+    else:
+        run(quick=asked.quick)

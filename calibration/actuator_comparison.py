@@ -1,0 +1,99 @@
+"""Actuators held against each other: sign and level of their responses at the same distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+Verdict = Literal["good", "weak", "dead", "reversed", "unlike"]
+
+# A response this far below the median is none, and one with so little signal above its noise is none either.
+DEAD_DB = -20.0
+DEAD_SNR_DB = 6.0
+# Half the voltage: coils of one kind, glued alike, are well within it of each other.
+WEAK_DB = -6.0
+# Responses at one distance are alike, but for the shape of the plate around them.
+UNLIKE = 0.5
+# A magnet glued a few millimetres off is this much earlier or later, at some metres a second.
+MOST_LAG_S = 1e-3
+# Floor of a level, for a response of nothing at all.
+FLOOR_DB = -200.0
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorComparison:
+    """Each actuator against the others.
+
+    Parameters
+    ----------
+    level_db : float64 array, shape (actuators,)
+        Energy of the response over the median's.
+    likeness : float64 array, shape (actuators,)
+        Correlation with the common response, -1 to 1; negative where the actuator moves the other way.
+    verdict : tuple of str
+        ``"good"``, ``"weak"``, ``"dead"``, ``"reversed"`` or ``"unlike"``, for each.
+    """
+
+    level_db: NDArray[np.float64]
+    likeness: NDArray[np.float64]
+    verdict: tuple[Verdict, ...]
+
+    @property
+    def polarity(self) -> tuple[Literal[1, -1], ...]:
+        """The sign of each, as far as it can be told: 1 for all that are not reversed."""
+        return tuple(-1 if word == "reversed" else 1 for word in self.verdict)
+
+
+def compare_actuators(
+    green: NDArray[np.floating], snr_db: NDArray[np.floating], sample_rate_hz: float
+) -> ActuatorComparison:
+    """Compare the responses of all actuators, each measured at the same distance from its actuator.
+
+    The common response is the first singular vector of all that are not dead, each scaled to the same energy.
+    The sign that most actuators share counts as positive.
+
+    Parameters
+    ----------
+    green : float array, shape (actuators, taps)
+        Response per volt of drive.
+    snr_db : float array, shape (actuators,)
+        Signal-to-noise ratio of each.
+    sample_rate_hz : float
+        Rate of the responses.
+    """
+    responses = np.asarray(green, dtype=np.float64)
+    energy = np.sum(responses**2, axis=1)
+    heard = (np.asarray(snr_db) >= DEAD_SNR_DB) & (energy > 0)
+    usual = float(np.median(energy[heard])) if heard.any() else 1.0
+    level_db = 10 * np.log10(np.maximum(energy / usual, 10 ** (FLOOR_DB / 10)))
+    alive = heard & (level_db >= DEAD_DB)
+    likeness = np.zeros(len(responses))
+    if alive.any():
+        shapes = responses[alive] / np.sqrt(energy[alive])[:, np.newaxis]
+        common = np.linalg.svd(shapes, full_matrices=False)[2][0]
+        found = _correlations(shapes, common, round(MOST_LAG_S * sample_rate_hz))
+        likeness[alive] = found if np.count_nonzero(found < 0) <= len(found) / 2 else -found
+    verdicts = tuple(_verdict(*one) for one in zip(alive, level_db, likeness, strict=True))
+    return ActuatorComparison(level_db, likeness, verdicts)
+
+
+def _verdict(alive: np.bool_, level_db: float, likeness: float) -> Verdict:
+    if not alive:
+        return "dead"
+    if abs(likeness) < UNLIKE:
+        return "unlike"
+    if likeness < 0:
+        return "reversed"
+    return "weak" if level_db < WEAK_DB else "good"
+
+
+def _correlations(shapes: NDArray[np.float64], common: NDArray[np.float64], most_lag: int) -> NDArray[np.float64]:
+    """The largest correlation in magnitude of each shape with the common one, over small lags."""
+    length = scipy.fft.next_fast_len(shapes.shape[1] + most_lag, real=True)
+    spectra = scipy.fft.rfft(shapes, length, axis=1) * scipy.fft.rfft(common, length).conj()
+    lagged = np.roll(scipy.fft.irfft(spectra, length, axis=1), most_lag, axis=1)[:, : 2 * most_lag + 1]
+    return np.asarray(lagged[np.arange(len(lagged)), np.abs(lagged).argmax(axis=1)])

@@ -1,0 +1,325 @@
+"""Calibration through the real command: a person's lines on standard input, a file, and what becomes of it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calibration.bank import open_bank
+from calibration.mirror_map import MirrorMap
+from mocks.chain import output_errors
+from wavefocus.__main__ import run
+from wavefocus.config.calibration_file import CalibrationRecord
+from wavefocus.config.loading import load_calibration, load_rig
+
+SEED, SPREAD_S, SPREAD_DB, DELAY_S = 7, 20e-6, 1.0, 8.3e-6
+MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))
+ACTUATORS = [[110.0, 0.0], [40.0, 66.0], [-40.0, 66.0], [-110.0, 0.0], [-40.0, -66.0], [40.0, -66.0]]
+OUTPUTS = len(ACTUATORS) + 1
+RIG = f"""
+[rig]
+name = "practice"
+
+[actuators]
+position_mm = {ACTUATORS}
+
+[player]
+limit_v = 4.0
+
+[emulation]
+seed = {SEED}
+clock_ppm = 41.0
+inter_channel_delay_s = {DELAY_S}
+output_latency_spread_s = {SPREAD_S}
+output_gain_spread_db = {SPREAD_DB}
+mirror_map = {[list(row) for row in MAP]}
+"""
+TRUE = MirrorMap(MAP)
+TRUE_LATE_S, TRUE_GAIN = output_errors(OUTPUTS, SPREAD_S, SPREAD_DB, SEED)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    return tmp_path / "rig.toml"
+
+
+def calibrate(rig: Path, *options: object, lines: list[str] | None = None, code: int = 0) -> tuple[dict[str, Any], str]:
+    """Run the command with a person who types, and return its JSON and what the person was told."""
+    command = [sys.executable, "-m", "wavefocus", "calibrate", str(rig), "--json", *map(str, options)]
+    typed = "\n" * 50 if lines is None else "".join(f"{line}\n" for line in lines)
+    done = subprocess.run(command, input=typed, capture_output=True, text=True, check=False)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    return json.loads(done.stdout) if done.stdout else {}, done.stderr
+
+
+def marks_file(folder: Path, sigma_mm: float = 0.1) -> Path:
+    """Marks, and the angles at which a person who errs a little found the beam on them."""
+    rng = np.random.default_rng(0)
+    lines = ["x_mm,y_mm,x_mrad,y_mrad"]
+    for x_mm, y_mm in [(0, 0), (80, 45), (-80, 45), (-80, -45), (80, -45), (100, 0), (-100, 0)]:
+        x_mrad, y_mrad = TRUE.angles_mrad(x_mm + rng.normal(0, sigma_mm), y_mm + rng.normal(0, sigma_mm))
+        lines.append(f"{x_mm},{y_mm},{float(x_mrad)},{float(y_mrad)}")
+    file = folder / "marks.csv"
+    file.write_text("\n".join(lines), encoding="utf-8")
+    return file
+
+
+def beam_error_mm(map_rows: object) -> float:
+    """How far from where it should be the beam falls, rms over the surface."""
+    x_mm, y_mm = np.meshgrid(np.linspace(-100, 100, 9), np.linspace(-50, 50, 5))
+    found = MirrorMap(tuple(tuple(row) for row in map_rows))
+    there = TRUE.surface_mm(*found.angles_mrad(x_mm, y_mm))
+    return float(np.sqrt(np.mean((there[0] - x_mm) ** 2 + (there[1] - y_mm) ** 2)))
+
+
+def record_of(told: dict[str, Any]) -> CalibrationRecord:
+    return CalibrationRecord.model_validate(told["calibration"])
+
+
+def name_in(rig: Path, file: Path) -> None:
+    rig.write_text(f'{RIG}\n[calibration]\nfile = "{file.name}"\n', encoding="utf-8")
+
+
+def test_given_a_rig_then_calibrate_finds_what_it_is_really_like(rig: Path) -> None:
+    told, people = calibrate(rig, "--fiducials", marks_file(rig.parent))
+    file = rig.parent / f"calibration-{date.today().isoformat()}.toml"
+    assert told["file"] == str(file)
+    assert told["measured"] == ["inputs", "outputs", "mirror", "actuators"]
+    assert told["problems"] == []
+    assert f'[calibration] file = "{file.name}"' in people
+    record = load_calibration(file)
+    assert record == record_of(told)
+    assert record.inputs is not None
+    assert record.inputs.inter_channel_delay_s == pytest.approx(DELAY_S, abs=1e-7)
+    assert record.outputs is not None
+    found = {one.channel: one for one in record.outputs.channel}
+    relative_s = TRUE_LATE_S - TRUE_LATE_S[-1]
+    late_s = np.array([found[channel].latency_s for channel in range(OUTPUTS)]) - relative_s
+    assert np.sqrt(np.mean(late_s**2)) < 1e-6
+    full_scale_v = np.array([found[channel].full_scale_v for channel in range(OUTPUTS)])
+    assert np.abs(full_scale_v / (5.0 * TRUE_GAIN) - 1).max() < 1e-3
+    assert record.mirror is not None
+    assert record.mirror.residual_rms_mm < 0.3
+    assert beam_error_mm(record.mirror.map) < 0.2
+    assert record.actuators is not None
+    assert {one.verdict for one in record.actuators.actuator} == {"good"}
+
+
+def test_given_a_person_who_jogs_then_the_map_is_as_good_as_their_eye(rig: Path) -> None:
+    marks = [(-80, -40), (80, -40), (80, 40), (-80, 40), (0, 0)]
+    file = rig.parent / "marks.csv"
+    file.write_text("# corners\nx_mm,y_mm\n" + "".join(f"{x},{y}\n" for x, y in marks), encoding="utf-8")
+    lines = []
+    for x_mm, y_mm in marks:
+        x_mrad, y_mrad = (float(angle) for angle in TRUE.angles_mrad(x_mm, y_mm))
+        lines += ["what?", "1000 0", "0.5 -0.5", f"= {x_mrad - 1:.4f} {y_mrad + 2:.4f}", "1, -2", ""]
+    told, people = calibrate(rig, "--only", "mirror", "--fiducials", file, lines=lines)
+    record = record_of(told)
+    assert record.mirror is not None
+    assert record.mirror.residual_rms_mm < 1e-3
+    assert beam_error_mm(record.mirror.map) < 1e-3
+    assert record.inputs is record.outputs is record.actuators is None
+    assert people.count("'what?' is not understood") == 5
+    assert people.count("beyond the limit of 250 mrad: not moved") == 5
+    # The fifth mark is approached with the map through the first four, so the beam is there already.
+    (last,) = [line for line in people.splitlines() if line.startswith("mark 5 of 5")][:1]
+    assert last.endswith(
+        f"mirror at ({float(TRUE.angles_mrad(0, 0)[0]):.3f}, {float(TRUE.angles_mrad(0, 0)[1]):.3f}) mrad"
+    )
+
+
+def test_given_no_marks_of_their_own_then_seven_good_places_are_offered(rig: Path) -> None:
+    told, people = calibrate(rig, "--only", "mirror", lines=[""] * 7)
+    record = record_of(told)
+    assert "mark 7 of 7 at (-100, 0) mm" in people
+    assert record.mirror is not None
+    # Whoever accepts every place as it is confirms the first guess.
+    np.testing.assert_allclose(record.mirror.map, load_rig(rig).mirror.matrix, atol=1e-9)
+
+
+def test_given_a_mark_that_is_off_then_the_map_is_refused_and_nothing_is_written(rig: Path) -> None:
+    file = marks_file(rig.parent)
+    rows = file.read_text(encoding="utf-8").splitlines()
+    x_mm, *rest = rows[4].split(",")
+    file.write_text("\n".join([*rows[:4], ",".join([str(float(x_mm) + 12), *rest]), *rows[5:]]), encoding="utf-8")
+    told, people = calibrate(rig, "--only", "mirror", "--fiducials", file, code=1)
+    assert told["file"] is None
+    assert "most likely mark 4 is wrong" in people
+    assert not list(rig.parent.glob("calibration-*"))
+    told, _ = calibrate(rig, "--only", "mirror", "--fiducials", file, "--limit-mm", 20)
+    assert told["problems"] == []
+
+
+def test_given_a_summing_box_then_nobody_plugs_output_by_output(rig: Path) -> None:
+    told, people = calibrate(rig, "--only", "inputs,outputs", "--summing-box", "--box-gain", 1, lines=["", "", ""])
+    record = record_of(told)
+    assert record.outputs is not None
+    assert people.count("press Enter") == 3
+    found = {one.channel: one for one in record.outputs.channel}
+    relative_s = TRUE_LATE_S - TRUE_LATE_S[-1]
+    assert max(abs(found[channel].latency_s - relative_s[channel]) for channel in range(OUTPUTS)) < 1e-6
+    assert found[2].full_scale_v == pytest.approx(5.0 * TRUE_GAIN[2], rel=1e-3)
+
+
+def test_given_a_box_of_unknown_gain_then_full_scales_are_left_to_the_rig_file(rig: Path) -> None:
+    told, _ = calibrate(rig, "--only", "outputs", "--summing-box")
+    record = record_of(told)
+    assert record.outputs is not None
+    unknown = [one.channel for one in record.outputs.channel if one.full_scale_v is None]
+    assert unknown == list(range(OUTPUTS - 1))
+
+
+def test_given_flaws_then_each_is_named_with_what_to_do(rig: Path) -> None:
+    flaws = "dead_actuators = [1]\nweak_actuators = [2]\nreversed_actuators = [3]\nreversed_outputs = [5]\n"
+    rig.write_text(RIG + flaws, encoding="utf-8")
+    told, _ = calibrate(rig, "--only", "outputs,mirror,actuators", "--fiducials", marks_file(rig.parent), code=1)
+    problems = "\n".join(told["problems"])
+    assert "outputs: output 5 is reversed: swap its two wires" in problems
+    assert "actuator 1 on output 1 is dead" in problems
+    assert "check its cable, its amplifier channel and its coil" in problems
+    assert "actuator 2 on output 2 is weak (-1" in problems
+    assert "actuator 3 on output 3 is reversed" in problems
+    assert len(told["problems"]) == 5
+    record = record_of(told)
+    assert record.actuators is not None
+    assert [one.polarity for one in record.actuators.actuator] == [1, 1, 1, -1, 1, -1]
+
+
+def test_given_a_calibration_then_its_values_win_and_another_one_finds_nothing_more(rig: Path) -> None:
+    told, _ = calibrate(rig, "--fiducials", marks_file(rig.parent))
+    name_in(rig, Path(str(told["file"])))
+    first = record_of(told)
+    assert first.mirror is not None
+    assert load_rig(rig).mirror.map == first.mirror.map
+    told, people = calibrate(rig, "--only", "outputs", "--out", rig.parent / "second.toml")
+    second = record_of(told)
+    assert (second.mirror, second.inputs, second.actuators) == (first.mirror, first.inputs, first.actuators)
+    assert first.outputs is not None
+    assert second.outputs is not None
+    for before, after in zip(first.outputs.channel, second.outputs.channel, strict=True):
+        assert after.full_scale_v == pytest.approx(before.full_scale_v, rel=1e-3)
+    assert 'file = "second.toml"' in people
+
+
+def test_given_a_second_calibration_on_one_day_then_neither_file_is_lost(rig: Path) -> None:
+    first, _ = calibrate(rig, "--only", "inputs")
+    second, _ = calibrate(rig, "--only", "inputs")
+    assert Path(str(first["file"])).is_file()
+    assert str(second["file"]).endswith("-2.toml")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--only", "lenses"], "--only: 'lenses' is not known; allowed: inputs, outputs, mirror, actuators"),
+        (["--amplitude-v", "4.5"], "--amplitude-v 4.5: must be above 0 and at most 4"),
+        (["--amplitude-v", "0"], "--amplitude-v 0: must be above 0"),
+        (["--distance-mm", "300"], "--distance-mm 300: leaves the surface at actuator 0"),
+        (["--fiducials", "nowhere.csv"], "nowhere.csv: no such file"),
+        (["--only", "inputs", "--out", "rig.toml"], "rig.toml: is there already and is not overwritten"),
+    ],
+)
+def test_given_a_wrong_request_then_it_is_one_line_and_exit_2(rig: Path, options: list[str], told: str) -> None:
+    options = [str(rig) if option == "rig.toml" else option for option in options]
+    _, people = calibrate(rig, *options, code=2)
+    assert told in people
+    assert people.count("\n") == 1
+
+
+def test_given_nobody_at_the_keyboard_then_it_ends_at_once_and_says_why(rig: Path) -> None:
+    _, people = calibrate(rig, "--only", "inputs", lines=[], code=2)
+    assert "standard input: ended before a cable was plugged" in people
+    assert "the response input is not on the vibrometer" in people
+
+
+def test_given_a_person_who_leaves_half_way_then_what_was_measured_is_kept(rig: Path) -> None:
+    _, people = calibrate(rig, lines=[""] * (1 + OUTPUTS - 1), code=2)
+    assert "standard input: ended before a cable was plugged" in people
+    (file,) = rig.parent.glob("calibration-*.toml")
+    record = load_calibration(file)
+    assert record.inputs is not None
+    assert record.outputs is not None
+    assert record.mirror is None
+
+
+def test_given_marks_on_a_line_then_they_are_refused(rig: Path) -> None:
+    file = rig.parent / "line.csv"
+    file.write_text("x_mm,y_mm,x_mrad,y_mrad\n" + "".join(f"{x},0,{x},0\n" for x in range(5)), encoding="utf-8")
+    _, people = calibrate(rig, "--only", "mirror", "--fiducials", file, code=2)
+    assert "the marks lie (nearly) on a line" in people
+
+
+def test_given_a_probe_too_loud_for_an_input_then_it_says_which_and_what_to_do(rig: Path) -> None:
+    rig.write_text(f"{RIG}\n[recorder]\nresponse_range_v = 0.5\n", encoding="utf-8")
+    told, _ = calibrate(rig, "--only", "inputs", "--amplitude-v", "2", code=1)
+    assert "reaches the end of the response input's range of 0.5 V" in str(told["problems"])
+    assert told["file"] is None
+
+
+RUN = """
+rig = "rig.toml"
+[grid]
+positions_file = "positions.csv"
+[sweep]
+duration_s = 0.3
+amplitude_v = 0.5
+[capture]
+averages = 2
+decay_s = 0.1
+taps = 1000
+"""
+
+
+def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(
+    rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told, _ = calibrate(rig, "--only", "inputs,outputs,mirror", "--fiducials", marks_file(rig.parent, 0.01))
+    file = Path(str(told["file"]))
+    name_in(rig, file)
+    (rig.parent / "run.toml").write_text(RUN, encoding="utf-8")
+    (rig.parent / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
+    bank = rig.parent / "plate.h5"
+    capsys.readouterr()
+    assert run(["capture", str(rig.parent / "run.toml"), "--bank", str(bank)]) == 0
+    people = capsys.readouterr().err
+    assert f"{file.name}: mirror map (residual 0.01 mm), inter-channel delay 8.30 us, full scale of 7 outputs" in people
+    assert "warning" not in people
+    with open_bank(bank) as view:
+        held = json.loads(str(view.rig_json))
+    assert held["calibration"]["measured"]["outputs"]["channel"][0]["channel"] == OUTPUTS - 1
+    file.unlink()
+    rig.unlink()
+    assert run(["remeasure", str(bank), "--positions", "1"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            ("stale_after_days = 90", "stale_after_days = 1e-9"),
+            "warning: {file}: inputs measured 0 days ago",
+        ),
+        (('device = "virtual recorder', 'device = "other recorder'), "measured on another device (other recorder"),
+    ],
+)
+def test_given_a_calibration_too_old_or_of_another_device_then_capture_warns_and_goes_on(
+    rig: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], told: str
+) -> None:
+    out = rig.parent / "cal.toml"
+    calibrate(rig, "--only", "inputs", "--out", out)
+    out.write_text(out.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
+    care = '\n[calibration]\nfile = "cal.toml"\nstale_after_days = 90\n'.replace(*change)
+    rig.write_text(RIG + care, encoding="utf-8")
+    (rig.parent / "run.toml").write_text(RUN, encoding="utf-8")
+    (rig.parent / "positions.csv").write_text("x_mm,y_mm\n0,0\n", encoding="utf-8")
+    assert run(["capture", str(rig.parent / "run.toml"), "--bank", str(rig.parent / "plate.h5")]) == 0
+    assert told.format(file=out.name) in capsys.readouterr().err

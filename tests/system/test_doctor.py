@@ -1,0 +1,130 @@
+"""The doctor through the real command: findings for people and programs, and exit codes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from wavefocus.__main__ import run
+
+RIG = """
+[actuators]
+position_mm = [[110, 0], [0, 60], [-110, 10]]
+"""
+ABSENT = """
+[actuators]
+position_mm = [[110, 0], [0, 60], [-110, 10]]
+[mirror]
+driver = "generic"
+port = "{folder}/no-such-port"
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+address = "localhost:1"
+[player]
+driver = "sounddevice"
+device = "no such interface"
+"""
+KEYS = {"rig", "name", "good", "counts", "findings", "versions"}
+
+
+def doctor(rig: Path, *options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any], str]:
+    capsys.readouterr()
+    code = run(["doctor", str(rig), *options])
+    told = capsys.readouterr()
+    return code, json.loads(told.out) if told.out else {}, told.err
+
+
+def written(folder: Path, text: str) -> Path:
+    (folder / "rig.toml").write_text(text, encoding="utf-8")
+    return folder / "rig.toml"
+
+
+def test_given_a_sound_rig_then_exit_0_and_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, told, _ = doctor(written(tmp_path, RIG), "--json", capsys=capsys)
+    assert code == 0
+    assert set(told) == KEYS
+    assert told["good"] is True
+    assert told["counts"]["fail"] == 0
+    checks = {(one["instrument"], one["check"]) for one in told["findings"]}
+    assert {
+        ("mirror", "corners"),
+        ("player", "clock ratio"),
+        ("vibrometer", "response"),
+        ("disk", "free space"),
+    } <= checks
+    assert {"python", "numpy", "pyserial", "nidaqmx", "sounddevice"} <= set(told["versions"])
+
+
+def test_given_people_then_they_get_a_table_and_nothing_on_standard_output(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, told, people = doctor(written(tmp_path, RIG), "--no-play", capsys=capsys)
+    assert (code, told) == (0, {})
+    for word in ("instrument", "mirror", "corners", "skipped", "nothing was to be played", "findings"):
+        assert word in people
+
+
+@pytest.mark.parametrize(
+    ("flaw", "failing"),
+    [
+        ("noise_v = 0.5", "response"),
+        ("output_gain_spread_db = 20\nseed = 6", "loopback level"),
+        ("dead_actuators = [0, 1, 2]", "response"),
+        ("dead_actuators = [1]", "actuator"),
+    ],
+)
+def test_given_something_not_good_enough_then_exit_1_and_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], flaw: str, failing: str
+) -> None:
+    code, told, people = doctor(written(tmp_path, f"{RIG}[emulation]\n{flaw}\n"), "--json", capsys=capsys)
+    assert code == 1
+    assert told["good"] is False
+    bad = [one for one in told["findings"] if one["verdict"] == "fail"]
+    assert [one["check"] for one in bad] == [failing]
+    assert all(one["remedy"] for one in bad)
+    assert "1 not good enough" in people
+
+
+def test_given_real_instruments_that_are_not_there_then_each_is_a_finding_with_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, told, _ = doctor(written(tmp_path, ABSENT.format(folder=tmp_path)), "--json", capsys=capsys)
+    assert code == 1
+    bad = {one["instrument"]: one for one in told["findings"] if one["verdict"] == "fail"}
+    assert set(bad) == {"mirror", "recorder", "player"}
+    for one in bad.values():
+        assert one["check"] == "opening"
+        assert one["remedy"]
+    assert {one["instrument"] for one in told["findings"] if one["verdict"] == "skipped"} >= {"mirror", "player"}
+
+
+def test_given_a_usb_device_that_is_not_plugged_in_then_it_is_missed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    usb = '[[usb]]\nrole = "recorder"\nvendor_id = 0x3923\nproduct_id = 0x7179\nserial_number = "none has this"\n'
+    code, told, _ = doctor(written(tmp_path, RIG + usb), "--json", "--no-play", capsys=capsys)
+    assert code == 1
+    (bad,) = [one for one in told["findings"] if one["verdict"] == "fail"]
+    assert bad["instrument"] == "usb"
+    assert bad["remedy"]
+
+
+def test_given_a_wrong_rig_file_then_exit_2_and_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, people = doctor(written(tmp_path, "[mirror]\nlimit_deg = 3\n"), capsys=capsys)
+    assert code == 2
+    assert people.count("\n") == 1
+    assert "mirror.limit_deg = 3: unknown key" in people
+
+
+def test_given_a_rig_file_with_square_brackets_in_its_name_then_the_table_shows_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "lab [red]"
+    folder.mkdir()
+    code, _, people = doctor(written(folder, RIG), "--no-play", capsys=capsys)
+    assert code == 0
+    assert "[red]" in people.replace("\n", "")

@@ -1,0 +1,99 @@
+"""Rigs with real drivers, at the front door: dry runs need no instrument, and what is missing is named."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.errors import InstrumentError
+from mocks.wire.serial_far_side import SerialFarSide
+from mocks.wire.serial_wires import TcpWire
+from mocks.wire.vibrometer_device import PolytecDevice
+from wavefocus.__main__ import run
+from wavefocus.config.rig import RigConfig
+from wavefocus.instruments import openers
+
+RIG = """
+[actuators]
+position_mm = [[110, 0], [0, 60], [-110, 10]]
+[mirror]
+driver = "generic"
+port = "{folder}/no-such-port"
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+address = "localhost:1"
+[player]
+driver = "sounddevice"
+device = "no such interface"
+"""
+
+
+@pytest.fixture
+def real_lab(tmp_path: Path) -> Path:
+    (tmp_path / "rig.toml").write_text(RIG.format(folder=tmp_path.as_posix()), encoding="utf-8")
+    (tmp_path / "run.toml").write_text('rig = "rig.toml"\n[grid]\npositions_file = "p.csv"\n', encoding="utf-8")
+    (tmp_path / "p.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
+    return tmp_path
+
+
+def test_given_real_instruments_then_the_dry_run_asks_none_of_them(
+    real_lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["plan", str(real_lab / "run.toml"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["records"] == 6
+    assert facts["duration_s"] == pytest.approx(2 * (3 * (3 * 1.2 + 0.12) + 0.05))
+    assert facts["instruments"][0] == f"mirror generic at {real_lab.as_posix()}/no-such-port, not asked"
+    assert "player sounddevice no such interface, 4 outputs, not asked" in facts["instruments"]
+
+
+def test_given_a_mirror_that_is_not_there_then_capture_names_it_and_ends_with_3(
+    real_lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["capture", str(real_lab / "run.toml"), "--bank", str(real_lab / "plate.h5")]) == 3
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith("wavefocus: mirror (generic at ")
+    assert "no-such-port" in told
+
+
+@pytest.fixture
+def vibrometer() -> Iterator[SerialFarSide]:
+    with SerialFarSide(PolytecDevice("25mm/s/V"), TcpWire()) as far_side:
+        yield far_side
+
+
+def with_vibrometer(port: str, **more: object) -> RigConfig:
+    return RigConfig.model_validate(
+        {
+            "mirror": {"driver": "generic", "port": "COM3"},
+            "recorder": {"driver": "nidaqmx", "device": "Dev1"},
+            "player": {"driver": "sounddevice", "device": "interface"},
+            "vibrometer": {"driver": "polytec-ofv5000", "port": port, **more},
+        }
+    )
+
+
+@pytest.mark.parametrize("configured", [{}, {"sensitivity_m_s_per_v": 0.025}])
+def test_given_a_vibrometer_that_can_be_asked_then_its_sensitivity_is_its_own(
+    vibrometer: SerialFarSide, configured: dict[str, float]
+) -> None:
+    found = openers(with_vibrometer(vibrometer.address, **configured)).vibrometer()
+    assert found.sensitivity_m_s_per_v == pytest.approx(0.025)
+    assert "OFV-5000, VD-09" in found.identity
+    assert found.signal_level == pytest.approx(600 / 775)
+
+
+def test_given_two_sensitivities_that_differ_then_the_rig_is_refused(vibrometer: SerialFarSide) -> None:
+    ways = openers(with_vibrometer(vibrometer.address, sensitivity_m_s_per_v=0.125))
+    with pytest.raises(InstrumentError, match=r"it is set to 25mm/s/V, the rig file says 0\.125 m/s per V") as told:
+        ways.vibrometer()
+    assert "correct vibrometer.sensitivity_m_s_per_v" in told.value.remedy
+
+
+def test_given_too_little_light_then_the_vibrometer_is_refused(vibrometer: SerialFarSide) -> None:
+    with pytest.raises(InstrumentError, match="focus the laser"):
+        openers(with_vibrometer(vibrometer.address, least_signal_level=0.9)).vibrometer()

@@ -1,0 +1,194 @@
+"""The procedures with a person at the bench: cables forgotten, outputs given up, marks that stick out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition.calibration_procedures.actuators import ActuatorsTask, listening_places, measure_actuators
+from acquisition.calibration_procedures.fiducials import read_fiducials
+from acquisition.calibration_procedures.inputs import measure_inputs
+from acquisition.calibration_procedures.mirror import default_marks_mm, fitted_marks
+from acquisition.calibration_procedures.operator import Here, Jog, JogView
+from acquisition.calibration_procedures.outputs import OutputFigures, OutputsTask, measure_outputs
+from acquisition.calibration_procedures.probe import NotMeasuredError, Probe
+from acquisition.grid import inside_stadium
+from acquisition.setup import Setup
+from calibration.errors import InputError
+from calibration.mirror_map import MirrorMap
+from drivers.errors import InstrumentLostError
+from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+
+RATE_HZ = 10_000.0
+ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))
+
+
+class Hands:
+    """A person who forgets some cables, and tries so often before giving up."""
+
+    def __init__(self, rig: VirtualRig, *, forgets: tuple[str, ...] = (), patience: int = 5) -> None:
+        self._bay, self._forgets, self._patience = rig.patch_bay, list(forgets), patience
+        self.plugged: list[str] = []
+        self.problems: list[str] = []
+
+    def tell(self, line: str) -> None:
+        pass
+
+    def connect(self, source: str) -> None:
+        self.plugged.append(source)
+        if source in self._forgets:
+            self._forgets.remove(source)
+            return
+        self._bay.connect(source)
+
+    def jog(self, view: JogView) -> Jog:
+        return Here()
+
+    def again(self, problem: str) -> bool:
+        self.problems.append(problem)
+        self._patience -= 1
+        return self._patience > 0
+
+
+def bench(**changes: object) -> tuple[VirtualRig, Setup, Probe]:
+    rig = VirtualRig(replace(VirtualSettings(actuator_mm=ACTUATORS, dropout_probability=0.0), **changes))
+    settings = rig.settings
+    setup = Setup(
+        rig.instruments,
+        MirrorMap.straight(1000.0),
+        settings.channel_of_actuator,
+        settings.channel_of_loopback,
+        (10.0, 10.0),
+        settings.sensitivity_m_s_per_v,
+    )
+    return rig, setup, Probe(setup, RATE_HZ, 1.0)
+
+
+def outputs(probe: Probe, hands: Hands) -> tuple[OutputFigures, ...]:
+    task = OutputsTask((0, 1, 2), 3, (5.0,) * 4, 1.0, 5e-6)
+    return measure_outputs(task, probe, hands, lambda done, total: None)
+
+
+def test_given_both_inputs_on_one_cable_then_their_delay_is_found() -> None:
+    rig, _, probe = bench(inter_channel_delay_s=-7.3e-6, clock_ppm=-80.0)
+    found = measure_inputs(probe, Hands(rig))
+    assert found.late_s == pytest.approx(-7.3e-6, abs=1e-7)
+    assert found.clock_ppm == pytest.approx(-80.0, abs=0.2)
+
+
+def test_given_a_cable_forgotten_then_the_person_is_asked_and_the_second_try_counts() -> None:
+    rig, _, probe = bench()
+    hands = Hands(rig, forgets=("both",))
+    assert measure_inputs(probe, hands).late_s == pytest.approx(5e-6, abs=1e-7)
+    assert hands.plugged == ["both", "both"]
+    assert "not heard at the response input" in hands.problems[0]
+
+
+def test_given_a_person_who_gives_up_then_the_inputs_are_not_measured() -> None:
+    rig, _, probe = bench()
+    with pytest.raises(NotMeasuredError, match="needs the loopback on both inputs"):
+        measure_inputs(probe, Hands(rig, forgets=("both",), patience=1))
+
+
+def test_given_an_input_that_hears_the_same_cable_more_softly_then_the_inputs_are_refused() -> None:
+    rig, _, probe = bench(fault_plan=(Fault("recorder", "read", "drift", at_call=1, count=3, level_db=-3.0),))
+    with pytest.raises(NotMeasuredError, match=r"the same cable -29\.\d % apart: check cables and terminal"):
+        measure_inputs(probe, Hands(rig))
+
+
+def test_given_no_loopback_then_nothing_is_measured_and_it_says_why() -> None:
+    rig, _, probe = bench(output_gain=(1.0, 1.0, 1.0, 0.0))
+    with pytest.raises(NotMeasuredError, match="the loopback is not heard at the reference input"):
+        measure_inputs(probe, Hands(rig))
+    with pytest.raises(NotMeasuredError, match="the loopback is not heard at the reference input"):
+        outputs(probe, Hands(rig))
+
+
+def test_given_an_output_given_up_then_the_others_are_measured() -> None:
+    rig, _, probe = bench(output_gain=(1.0, 0.0, -0.9, 1.1))
+    hands = Hands(rig, patience=2)
+    found = {one.channel: one for one in outputs(probe, hands)}
+    assert sorted(found) == [0, 2, 3]
+    assert hands.plugged == ["output 0", "output 1", "output 1", "output 2"]
+    assert all("output 1 is not heard" in problem for problem in hands.problems)
+    assert (found[2].polarity, found[0].polarity, found[3].polarity) == (-1, 1, 1)
+    assert found[2].full_scale_v == pytest.approx(4.5, rel=1e-3)
+    assert found[3].full_scale_v == pytest.approx(5.5, rel=1e-3)
+
+
+def test_given_a_passing_fault_then_the_record_is_taken_again() -> None:
+    faults = (Fault("player", "wait", "underflow", at_call=2), Fault("recorder", "read", "short_read", at_call=4))
+    rig, _, probe = bench(fault_plan=faults)
+    assert measure_inputs(probe, Hands(rig)).late_s == pytest.approx(5e-6, abs=1e-7)
+
+
+def test_given_an_instrument_that_is_lost_then_the_procedure_ends_with_its_name() -> None:
+    rig, _, probe = bench(fault_plan=(Fault("recorder", "read", "lost", at_call=2),))
+    with pytest.raises(InstrumentLostError, match="virtual recorder"):
+        measure_inputs(probe, Hands(rig))
+
+
+def test_given_speckle_in_a_record_then_the_actuator_is_heard_again() -> None:
+    fault = Fault("recorder", "read", "dropout", position=1, attempt=1)
+    _, setup, _ = bench(fault_plan=(fault,))
+    task = ActuatorsTask(listening_places(np.array(ACTUATORS), 30.0), 1.0, RATE_HZ)
+    found = measure_actuators(task, setup, lambda done, total: None)
+    assert found.verdict == ("good",) * 3
+    assert np.abs(found.level_db).max() < 2 * 2.0
+
+
+def test_given_a_response_too_loud_then_the_actuator_is_named() -> None:
+    _, setup, _ = bench()
+    task = ActuatorsTask(listening_places(np.array(ACTUATORS), 30.0), 1.0, RATE_HZ)
+    with pytest.raises(NotMeasuredError, match="actuator 0 at 1 V reaches the end of an input's range"):
+        measure_actuators(task, replace(setup, range_v=(10.0, 0.02)), lambda done, total: None)
+
+
+def test_given_actuators_then_they_are_heard_at_one_distance_inwards() -> None:
+    actuator_mm = np.array([*ACTUATORS, (0.0, 0.0), (0.0, -5.0)])
+    places = listening_places(actuator_mm, 30.0)
+    np.testing.assert_allclose(np.hypot(*(places - actuator_mm).T), 30.0)
+    assert inside_stadium(places, 250.0, 150.0).all()
+
+
+@pytest.mark.parametrize(("length_mm", "width_mm"), [(250.0, 150.0), (150.0, 150.0), (1000.0, 50.0)])
+def test_given_any_surface_then_the_marks_offered_lie_on_it_and_decide_a_map(length_mm: float, width_mm: float) -> None:
+    marks = default_marks_mm(length_mm, width_mm)
+    assert inside_stadium(marks, length_mm, width_mm).all()
+    angles = np.column_stack(MirrorMap.straight(1000.0).angles_mrad(*np.array(marks).T))
+    assert fitted_marks(marks, angles.tolist()).fit.rms_mm < 1e-6
+
+
+@pytest.mark.parametrize("off", range(7))
+def test_given_one_mark_that_is_off_then_it_is_the_one_suspected(off: int) -> None:
+    marks = default_marks_mm(250.0, 150.0)
+    rng = np.random.default_rng(off)
+    there = np.array(marks) + rng.normal(0, 0.1, (7, 2))
+    there[off] += (9.0, 6.0)
+    angles = np.column_stack(MirrorMap.straight(1000.0).angles_mrad(*there.T))
+    found = fitted_marks(marks, angles.tolist())
+    assert found.suspect() == off
+    assert found.worst_mm > 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "line 1: must be the header x_mm,y_mm or x_mm,y_mm,x_mrad,y_mrad"),
+        ("x,y\n0,0\n", "line 1: must be the header"),
+        ("x_mm,y_mm\n0,0\n1,1\n2,0\n", "has 3 marks; a mirror map needs at least 4"),
+        ("# c\n\nx_mm,y_mm\n0,0\n1,1\n2,0\n3\n", "line 7: '3': must be 2 finite numbers"),
+        ("x_mm,y_mm,x_mrad,y_mrad\n0,0,0,0\n1,1,1,1\n2,0,2,0\n3,3,3,inf\n", "line 5: '3,3,3,inf': must be 4 finite"),
+    ],
+)
+def test_given_a_spoilt_file_of_marks_then_it_is_one_line_with_file_and_line(
+    tmp_path_factory: pytest.TempPathFactory, text: str, told: str
+) -> None:
+    file = tmp_path_factory.mktemp("marks") / "marks.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_fiducials(file)
+    assert str(refused.value).startswith(f"{file}: ")
+    assert told in str(refused.value)

@@ -1,0 +1,280 @@
+"""The calibration file: written, read, taken into the rig, and refused where it contradicts it."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calibration.errors import InputError
+from wavefocus.config.calibration_file import (
+    ActuatorMeasured,
+    ActuatorsMeasured,
+    CalibrationRecord,
+    Fiducial,
+    InputsMeasured,
+    MirrorMeasured,
+    OutputMeasured,
+    OutputsMeasured,
+)
+from wavefocus.config.calibration_toml import write_calibration
+from wavefocus.config.loading import load_calibration, load_rig, plan_sha256
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.config.run import default_run
+from wavefocus.virtual_bench import virtual_settings
+
+AT = datetime(2026, 11, 21, 22, 10, tzinfo=UTC)
+MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.98e-3, -0.005), (1e-4, -5e-5, 1.0))
+POSITIONS = np.array([[0.0, 0.0], [4.0, 0.0]])
+HASH_BEFORE_THERE_WERE_REAL_RIGS = "fd5cb9503f715f528a87b1c7f1451c2af657d52b55da4733262932bab4281f35"
+RIG = """
+[actuators]
+position_mm = [[0, 0], [10, 0]]
+[player]
+limit_v = 3.0
+[calibration]
+file = "cal.toml"
+"""
+
+
+def measured(**changes: object) -> CalibrationRecord:
+    marks = [Fiducial(place_mm=(x, y), angles_mrad=(x, y), residual_mm=0.1) for x, y in np.eye(4, 2).tolist()]
+    parts: dict[str, object] = {
+        "mirror": MirrorMeasured(at=AT, device="m", map=MAP, residual_rms_mm=0.1, fiducial=tuple(marks)),
+        "inputs": InputsMeasured(at=AT, device="r", inter_channel_delay_s=7.5e-6),
+        "outputs": OutputsMeasured(
+            at=AT,
+            device="p",
+            loopback_channel=2,
+            channel=(
+                OutputMeasured(channel=2, latency_s=0.0, full_scale_v=4.9, polarity=1),
+                OutputMeasured(channel=0, latency_s=1e-6, full_scale_v=5.1, polarity=-1),
+                OutputMeasured(channel=1, latency_s=-1e-6, polarity=1),
+            ),
+        ),
+        "actuators": ActuatorsMeasured(
+            at=AT,
+            device="p",
+            distance_mm=30.0,
+            actuator=tuple(
+                ActuatorMeasured(actuator=one, channel=one, polarity=1, level_db=0.5, verdict="good") for one in (0, 1)
+            ),
+        ),
+        **changes,
+    }
+    return CalibrationRecord.model_validate(
+        {
+            "format": "wavefocus-calibration",
+            "format_version": 1,
+            "made": AT,
+            "software": "wavefocus 0.1.0",
+            "rig": "two coils",
+            **parts,
+        }
+    )
+
+
+def lab(tmp_path: Path, record: CalibrationRecord, rig: str = RIG) -> Path:
+    write_calibration(tmp_path / "cal.toml", record)
+    (tmp_path / "rig.toml").write_text(rig)
+    return tmp_path / "rig.toml"
+
+
+def test_given_a_record_then_its_file_reads_back_equal(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "cal.toml", measured())
+    assert load_calibration(tmp_path / "cal.toml") == measured()
+
+
+@given(st.text(min_size=1, max_size=50))
+def test_given_any_device_name_then_its_file_reads_back_equal(
+    tmp_path_factory: pytest.TempPathFactory, name: str
+) -> None:
+    folder = tmp_path_factory.mktemp("cal")
+    record = measured(inputs=InputsMeasured(at=AT, device=name, inter_channel_delay_s=-1.25e-7))
+    write_calibration(folder / "cal.toml", record)
+    assert load_calibration(folder / "cal.toml") == record
+
+
+def test_given_a_file_that_is_there_then_it_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "cal.toml").write_text("mine")
+    with pytest.raises(InputError, match=r"cal\.toml: is there already and is not overwritten"):
+        write_calibration(tmp_path / "cal.toml", measured())
+    assert (tmp_path / "cal.toml").read_text() == "mine"
+
+
+def test_given_a_calibration_then_what_it_measured_wins_over_the_rig_file(tmp_path: Path) -> None:
+    rig = load_rig(
+        lab(tmp_path, measured(), RIG + "[mirror]\ndistance_mm = 900\n[recorder]\ninter_channel_delay_s = 5e-6\n")
+    )
+    assert rig.mirror.matrix == MAP
+    assert rig.recorder.inter_channel_delay_s == 7.5e-6
+    assert rig.player.channel_full_scale_v == (5.1, 5.0, 4.9)
+    assert rig.player.largest_v == 3.0
+    assert rig.calibration.measured == measured()
+
+
+def test_given_a_part_that_was_not_measured_then_the_rig_file_holds(tmp_path: Path) -> None:
+    record = measured(mirror=None, outputs=None, actuators=None)
+    rig = load_rig(lab(tmp_path, record, RIG + "[mirror]\ndistance_mm = 900\n"))
+    assert rig.mirror.distance_mm == 900
+    assert rig.player.channel_full_scale_v is None
+    assert rig.recorder.inter_channel_delay_s == 7.5e-6
+
+
+def test_given_a_calibrated_rig_then_its_json_alone_says_all_of_it(tmp_path: Path) -> None:
+    rig = load_rig(lab(tmp_path, measured()))
+    (tmp_path / "cal.toml").unlink()
+    assert RigConfig.model_validate_json(rig.model_dump_json()) == rig
+
+
+@pytest.mark.parametrize(
+    ("rig", "told"),
+    [
+        (
+            RIG + "[mirror]\nmap = [[0.001, 0, 0], [0, 0.001, 0], [0, 0, 1]]",
+            "mirror.map = [[0.001, 0, 0], [0, 0.001, 0], [0, 0, 1]]: contradicts the calibration file",
+        ),
+        (
+            RIG.replace("limit_v", "channel_full_scale_v = [1.0, 1.0, 1.0]\nlimit_v"),
+            "player.channel_full_scale_v = [1.0, 1.0, 1.0]: contradicts the calibration file",
+        ),
+        (
+            RIG.replace("limit_v", "loopback_channel = 5\nlimit_v"),
+            "player.loopback_channel = 5: must be 2, as in the calibration file, or that was measured with another",
+        ),
+        (
+            RIG.replace("limit_v", "channels = [1, 0]\nlimit_v"),
+            "player.channels = [1, 0]: must have actuator 0 on output 0, as in the calibration file, or that",
+        ),
+    ],
+)
+def test_given_a_contradiction_then_it_is_refused_in_one_line(tmp_path: Path, rig: str, told: str) -> None:
+    file = lab(tmp_path, measured(), rig)
+    with pytest.raises(InputError) as refused:
+        load_rig(file)
+    assert str(refused.value).startswith(f"{file}: {told}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("format_version = 1", "format_version = 2", "format_version = 2: must be 1; a newer wavefocus wrote it"),
+        ('"wavefocus-calibration"', '"wavefocus-bank"', 'format = "wavefocus-bank": must be "wavefocus-calibration"'),
+        (
+            "latency_s = 1e-06",
+            "latency_us = 1.0",
+            "latency_us = 1.0: unknown key; did you mean latency_s?",
+        ),
+        ("polarity = -1", "polarity = 0", "outputs.channel[1].polarity = 0: must be 1 or -1"),
+        ("channel = 1,", "channel = 0,", "outputs.channel[2].channel = 0: is there already"),
+        ("7.5e-06", "nan", "inputs.inter_channel_delay_s = nan: must be a finite number"),
+        ("made = 2026", "made = ", "not TOML"),
+    ],
+)
+def test_given_a_spoilt_calibration_file_then_it_is_told_in_one_line(
+    tmp_path: Path, old: str, new: str, told: str
+) -> None:
+    write_calibration(tmp_path / "good.toml", measured())
+    text = (tmp_path / "good.toml").read_text()
+    assert old in text
+    (tmp_path / "cal.toml").write_text(text.replace(old, new, 1))
+    (tmp_path / "rig.toml").write_text(RIG)
+    with pytest.raises(InputError) as refused:
+        load_rig(tmp_path / "rig.toml")
+    assert told in str(refused.value)
+    assert str(refused.value).startswith(str(tmp_path / "cal.toml"))
+
+
+def sha256(rig: RigConfig) -> str:
+    return plan_sha256(rig, default_run(), POSITIONS)
+
+
+def test_given_the_default_rig_then_its_plan_has_the_hash_that_banks_of_earlier_versions_hold() -> None:
+    assert sha256(default_rig()) == HASH_BEFORE_THERE_WERE_REAL_RIGS
+
+
+def test_given_a_calibration_then_what_it_measured_is_in_the_plans_hash(tmp_path: Path) -> None:
+    calibrated = load_rig(lab(tmp_path, measured()))
+    (tmp_path / "rig.toml").write_text(RIG.replace('file = "cal.toml"', ""))
+    assert sha256(calibrated) != sha256(load_rig(tmp_path / "rig.toml"))
+
+
+def test_given_only_another_date_latency_or_level_then_the_plans_hash_stays(tmp_path: Path) -> None:
+    hashes = set()
+    record = json.loads(measured().model_dump_json())
+    for name, changes in (("a", {}), ("b", {"made": "2027-01-01T00:00:00Z"}), ("c", {"actuators": None})):
+        (tmp_path / name).mkdir()
+        changed = CalibrationRecord.model_validate({**record, **changes})
+        hashes.add(sha256(load_rig(lab(tmp_path / name, changed))))
+    assert len(hashes) == 1
+
+
+REAL = {
+    "mirror": {"driver": "generic", "port": "COM3"},
+    "recorder": {"driver": "nidaqmx", "device": "Dev1"},
+    "player": {"driver": "sounddevice", "device": "interface"},
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "changes", "same"),
+    [
+        ("mirror", {"port": "COM4", "baud": 9600, "identity": "G", "tolerance_mrad": 2.0}, True),
+        ("mirror", {"driver": "asi-tiger"}, False),
+        ("mirror", {"driver": "mirrorcle-mti", "full_scale_mrad": 300.0}, False),
+        ("recorder", {"device": "Dev2", "address": "box:31763", "trigger": "PFI0"}, True),
+        ("recorder", {"response_input": "ai2"}, False),
+        ("recorder", {"terminal": "rse"}, False),
+        ("player", {"device": "other", "host_api": "ASIO", "block_frames": 512, "limit_v": 1.0}, True),
+        ("player", {"channel_full_scale_v": [4.0] * 21}, False),
+        ("vibrometer", {"driver": "polytec-ofv5000", "port": "COM5", "sensitivity_m_s_per_v": 0.125}, True),
+        ("vibrometer", {"sensitivity_m_s_per_v": 0.025}, False),
+        ("emulation", {"seed": 5, "clock_ppm": 3.0, "dead_actuators": [1]}, True),
+        ("recovery", {"give_up_after_s": 5.0}, True),
+        ("usb", [{"role": "player", "vendor_id": 1, "product_id": 2}], True),
+    ],
+)
+def test_given_a_real_rig_then_its_hash_changes_with_what_makes_rows_differ_in_kind(
+    table: str, changes: object, same: bool
+) -> None:
+    before = RigConfig.model_validate(REAL)
+    merged = {**REAL.get(table, {}), **changes} if isinstance(changes, dict) else changes
+    after = RigConfig.model_validate({**REAL, table: merged})
+    assert (sha256(before) == sha256(after)) is same
+
+
+def test_given_a_virtual_rig_then_what_it_is_like_is_in_the_hash_and_its_faults_are_not() -> None:
+    def hashed(**emulation: object) -> str:
+        return sha256(RigConfig.model_validate({"emulation": emulation}))
+
+    fault = {"role": "player", "kind": "lost", "at_call": 1}
+    assert hashed(fault_plan=[fault], period_frames=64) == HASH_BEFORE_THERE_WERE_REAL_RIGS
+    assert hashed(clock_ppm=31.0) != HASH_BEFORE_THERE_WERE_REAL_RIGS
+
+
+def test_given_a_calibrated_virtual_rig_then_what_calibration_found_is_gone(tmp_path: Path) -> None:
+    emulation = "[emulation]\noutput_gain_spread_db = 1.0\nreversed_outputs = [1]\n"
+    emulation += "mirror_map = [[1, 0, 0], [0, 1, 0], [0, 0, 900]]\n"
+    (tmp_path / "rig.toml").write_text(RIG.replace('file = "cal.toml"', "") + emulation)
+    before = virtual_settings(load_rig(tmp_path / "rig.toml"))
+    assert before.output_gain is not None
+    true_v = [5.0 * abs(gain) for gain in before.output_gain]
+    outputs = OutputsMeasured(
+        at=AT,
+        device="p",
+        loopback_channel=2,
+        channel=tuple(
+            OutputMeasured(channel=channel, latency_s=0.0, full_scale_v=volts, polarity=1)
+            for channel, volts in enumerate(true_v)
+        ),
+    )
+    write_calibration(tmp_path / "cal.toml", measured(outputs=outputs))
+    (tmp_path / "rig.toml").write_text(RIG + emulation)
+    after = virtual_settings(load_rig(tmp_path / "rig.toml"))
+    assert after.output_gain == pytest.approx([1.0, -1.0, 1.0])
+    assert after.mirror.matrix == before.mirror.matrix == ((1, 0, 0), (0, 1, 0), (0, 0, 900))

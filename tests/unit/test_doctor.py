@@ -1,0 +1,247 @@
+"""The doctor: every instrument is examined, whatever the others do."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition.doctor import Patient, examine
+from acquisition.doctor_findings import Finding, Findings, HungError, bounded
+from calibration.mirror_map import MirrorMap
+from drivers.errors import InstrumentError, TransientInstrumentError
+from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.instruments import Vibrometer
+
+CORNERS = ((90.0, 50.0), (-90.0, 50.0), (-90.0, -50.0), (90.0, -50.0))
+
+
+def patient(rig: VirtualRig, **changes: object) -> Patient:
+    roles = rig.instruments
+    settings = rig.settings
+    sound = Patient(
+        clock=roles.clock,
+        mirror=lambda: roles.mirror,
+        recorder=lambda: roles.recorder,
+        player=lambda: roles.player,
+        vibrometer=lambda: Vibrometer(settings.sensitivity_m_s_per_v, "decoder", None),
+        mirror_map=MirrorMap.straight(1000.0),
+        corners_mm=CORNERS,
+        limit_mrad=250.0,
+        actuator_channels=settings.channel_of_actuator,
+        loopback_channel=settings.channel_of_loopback,
+        range_v=(10.0, 10.0),
+        reference_gain=1.0,
+        inter_channel_delay_s=settings.inter_channel_delay_s,
+        pre_roll_s=0.02,
+        post_roll_s=0.1,
+        amplitude_v=1.0,
+        sample_rate_hz=10_000.0,
+    )
+    return replace(sound, **changes)
+
+
+def examined(one: Patient, *, play: bool = True) -> list[Finding]:
+    findings: list[Finding] = []
+    examine(one, findings.append, play=play)
+    return findings
+
+
+def verdicts(findings: list[Finding]) -> dict[tuple[str, str], str]:
+    return {(one.instrument, one.check): one.verdict for one in findings}
+
+
+def failed(findings: list[Finding]) -> set[tuple[str, str]]:
+    return {(one.instrument, one.check) for one in findings if one.verdict == "fail"}
+
+
+def absent(name: str) -> Callable[[], object]:
+    def refuse() -> object:
+        raise InstrumentError(name, "opening", "it is not there", "plug it in")
+
+    return refuse
+
+
+SOUND = VirtualSettings(dropout_probability=0.0)
+
+
+def test_given_a_sound_rig_then_all_is_well_and_everything_was_looked_at() -> None:
+    findings = examined(patient(VirtualRig(SOUND)))
+    assert {one.verdict for one in findings} == {"ok"}
+    assert not any(one.remedy for one in findings)
+    told = verdicts(findings)
+    for key in (
+        ("mirror", "corners"),
+        ("recorder", "record"),
+        ("recorder", "response noise"),
+        ("player", "outputs"),
+        ("player", "loopback level"),
+        ("player", "latency"),
+        ("player", "clock ratio"),
+        ("vibrometer", "response"),
+    ):
+        assert key in told
+
+
+def test_given_nothing_may_be_played_then_nothing_is_and_the_rest_is_looked_at() -> None:
+    findings = examined(patient(VirtualRig(SOUND)), play=False)
+    told = verdicts(findings)
+    assert told["player", "loopback"] == told["vibrometer", "response"] == "skipped"
+    assert told["mirror", "corners"] == told["recorder", "record"] == "ok"
+
+
+@pytest.mark.parametrize("missing", ["vibrometer", "mirror", "recorder", "player"])
+def test_given_one_that_is_not_there_then_the_others_are_still_examined(missing: str) -> None:
+    findings = examined(patient(VirtualRig(SOUND), **{missing: absent(missing)}))
+    told = verdicts(findings)
+    assert failed(findings) == {(missing, "opening")}
+    (finding,) = [one for one in findings if one.verdict == "fail"]
+    assert (finding.what, finding.remedy) == ("opening: it is not there", "plug it in")
+    for other in {"vibrometer", "mirror", "recorder", "player"} - {missing}:
+        assert told[other, "identity"] == "ok"
+    if missing != "mirror":
+        assert told["mirror", "corners"] == "ok"
+    if missing not in ("recorder", "player"):
+        assert told["player", "loopback level"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("fault", "failing"),
+    [
+        (Fault("mirror", "move_to", "lost", at_call=3), {("mirror", "corners")}),
+        (Fault("recorder", "read", "lost", at_call=1), {("recorder", "record")}),
+        (Fault("recorder", "identify", "lost", at_call=1), {("recorder", "identity"), ("recorder", "record")}),
+        (Fault("player", "play", "lost", at_call=1), {("player", "loopback")}),
+        (Fault("recorder", "read", "missing_reference", at_call=2), {("player", "loopback level")}),
+        (Fault("player", "identify", "lost", at_call=1), {("player", "identity"), ("player", "loopback")}),
+    ],
+)
+def test_given_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed(
+    fault: Fault, failing: set[tuple[str, str]]
+) -> None:
+    findings = examined(patient(VirtualRig(replace(SOUND, fault_plan=(fault,)))))
+    at_rest = {key for key in failed(findings) if key[1] == "putting it to rest"}
+    assert failed(findings) - at_rest == failing
+    assert {name for name, _ in failed(findings)} == {fault.role if fault.kind == "lost" else "player"}
+    assert all(one.remedy for one in findings if one.verdict in ("warn", "fail"))
+
+
+def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told() -> None:
+    fault = Fault("recorder", "read", "short_read", at_call=1)
+    findings = examined(patient(VirtualRig(replace(SOUND, fault_plan=(fault,)))))
+    told = [one for one in findings if one.verdict != "ok"]
+    assert [(one.instrument, one.check, one.verdict) for one in told] == [("recorder", "record", "warn")]
+    assert told[0].what.startswith("only at the second try")
+
+
+@pytest.mark.parametrize(
+    ("settings", "changes", "check", "verdict"),
+    [
+        ({"clock_ppm": 300.0}, {}, ("player", "clock ratio"), "warn"),
+        ({"latency_s": (0.09, 0.09)}, {}, ("player", "latency"), "warn"),
+        ({"latency_s": (0.3, 0.3)}, {}, ("player", "loopback level"), "fail"),
+        ({"reference_noise_v": 0.05}, {}, ("player", "loopback purity"), "warn"),
+        ({"output_gain": (*[1.0] * 20, 0.8)}, {}, ("player", "loopback level"), "warn"),
+        ({"output_gain": (*[1.0] * 20, -1.0)}, {}, ("player", "loopback level"), "warn"),
+        ({"output_gain": (*[1.0] * 20, 0.1)}, {}, ("player", "loopback level"), "fail"),
+        ({"output_gain": (*[1.0] * 20, 0.0)}, {}, ("player", "loopback level"), "fail"),
+        ({"noise_v": 0.5}, {}, ("vibrometer", "response"), "fail"),
+        ({"noise_v": 1e-2}, {}, ("vibrometer", "response"), "warn"),
+        ({"actuator_strength": (0.0, *[1.0] * 19)}, {}, ("vibrometer", "actuator"), "fail"),
+        ({}, {"range_v": (0.5, 10.0)}, ("player", "loopback level"), "fail"),
+        ({}, {"range_v": (10.0, 0.05)}, ("vibrometer", "response"), "fail"),
+        ({}, {"limit_mrad": 50.0}, ("mirror", "corners"), "fail"),
+        ({}, {"actuator_channels": tuple(range(30)), "loopback_channel": 20}, ("player", "outputs"), "fail"),
+        ({}, {"vibrometer": lambda: Vibrometer(0.125, "decoder", 0.05)}, ("vibrometer", "signal level"), "warn"),
+        ({"noise_v": 0.0, "reference_noise_v": 0.0}, {}, ("recorder", "reference noise"), "warn"),
+    ],
+)
+def test_given_something_not_good_enough_then_it_is_told_with_what_to_do(
+    settings: dict[str, object], changes: dict[str, object], check: tuple[str, str], verdict: str
+) -> None:
+    findings = examined(patient(VirtualRig(replace(SOUND, **settings)), **changes))
+    assert verdicts(findings)[check] == verdict
+    assert all(one.remedy for one in findings if one.verdict in ("warn", "fail"))
+
+
+class ReadingMirror:
+    """A mirror that stands a little off where it is sent, and says so."""
+
+    def __init__(self, rig: VirtualRig, off_mrad: float | None) -> None:
+        self._mirror, self._off_mrad = rig.instruments.mirror, off_mrad
+        self._at_mrad = (0.0, 0.0)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._mirror, name)
+
+    def move_to(self, x_mrad: float, y_mrad: float) -> None:
+        self._at_mrad = (x_mrad, y_mrad)
+        self._mirror.move_to(x_mrad, y_mrad)
+
+    def where_mrad(self) -> tuple[float, float] | None:
+        if self._off_mrad is None:
+            return None
+        return (self._at_mrad[0], self._at_mrad[1] - self._off_mrad)
+
+
+@pytest.mark.parametrize(
+    ("off_mrad", "verdict", "told"),
+    [(0.02, "ok", "read back within 0.020 mrad"), (3.0, "fail", "within 3.000"), (None, "ok", "not read back")],
+)
+def test_given_a_mirror_that_reads_back_then_it_must_stand_where_it_was_sent(
+    off_mrad: float | None, verdict: str, told: str
+) -> None:
+    rig = VirtualRig(SOUND)
+    findings = examined(patient(rig, mirror=lambda: ReadingMirror(rig, off_mrad)))
+    (finding,) = [one for one in findings if one.check == "corners"]
+    assert finding.verdict == verdict
+    assert told in finding.what
+
+
+def test_given_a_driver_that_never_comes_back_then_it_is_a_finding_and_is_not_asked_again() -> None:
+    let_go = threading.Event()
+    findings: list[Finding] = []
+    collected = Findings(findings.append)
+    assert collected.ask("player", "opening", let_go.wait, 0.05) is None
+    assert collected.ask("player", "identity", lambda: "a name", 60.0) is None
+    assert collected.ask("mirror", "identity", lambda: "a name", 60.0) == "a name"
+    let_go.set()
+    assert [(one.instrument, one.verdict) for one in findings] == [("player", "fail"), ("player", "skipped")]
+    assert "did not come back within 0.05 s" in findings[0].what
+
+
+def test_given_a_defect_of_a_driver_then_it_is_a_finding_too() -> None:
+    findings: list[Finding] = []
+    assert Findings(findings.append).ask("recorder", "record", lambda: np.zeros(1)[3], 60.0) is None
+    assert findings[0].what.startswith("IndexError: ")
+    assert "report" in findings[0].remedy
+
+
+def test_given_two_passing_faults_in_a_row_then_it_failed() -> None:
+    def fail() -> None:
+        raise TransientInstrumentError("recorder", "reading", "a short read", "try again")
+
+    findings: list[Finding] = []
+    assert Findings(findings.append).ask("recorder", "record", fail, 60.0) is None
+    assert [(one.verdict, one.what) for one in findings] == [("fail", "reading: a short read")]
+
+
+def test_given_an_answer_in_time_then_it_comes_through_and_so_does_an_error() -> None:
+    assert bounded("mirror", "asking", lambda: 42, 60.0) == 42
+    with pytest.raises(ZeroDivisionError):
+        bounded("mirror", "asking", lambda: 1 // 0, 60.0)
+    let_go = threading.Event()
+    with pytest.raises(HungError, match="mirror: asking: it did not come back"):
+        bounded("mirror", "asking", let_go.wait, 0.01)
+    let_go.set()
+
+
+def test_given_an_examination_then_everything_is_released_and_the_beam_parked() -> None:
+    rig = VirtualRig(SOUND)
+    examined(patient(rig))
+    for role in (rig.instruments.mirror, rig.instruments.recorder, rig.instruments.player):
+        with pytest.raises(InstrumentError, match="it is closed"):
+            role.identify()

@@ -1,0 +1,72 @@
+"""Opening a rig: in order, and never half."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from drivers.errors import InstrumentError
+from drivers.protocols import Mirror
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.instruments import Openers, open_rig, openers
+
+REAL = {
+    "mirror": {"driver": "generic", "port": "/nowhere/at/all"},
+    "recorder": {"driver": "nidaqmx", "device": "Dev1", "address": "localhost:1"},
+    "player": {"driver": "sounddevice", "device": "no such interface"},
+}
+
+
+def absent(name: str) -> Callable[[], Mirror]:
+    def refuse() -> Mirror:
+        raise InstrumentError(name, "opening", "it is not there", "plug it in")
+
+    return refuse
+
+
+def test_given_the_virtual_rig_then_its_instruments_and_its_cables_are_there() -> None:
+    opened = open_rig(openers(default_rig()))
+    assert opened.patch_bay is not None
+    assert opened.sensitivity_m_s_per_v == 0.125
+    assert opened.instruments.player.channels == 21
+
+
+@pytest.mark.parametrize("missing", ["vibrometer", "mirror", "recorder", "player"])
+def test_given_one_that_cannot_be_opened_then_those_before_it_are_released(missing: str) -> None:
+    ways = openers(default_rig())
+    roles = ("mirror", "recorder", "player")
+    before = {name: getattr(ways, name)() for name in roles}
+    broken: Openers = replace(ways, **{missing: absent(missing)})
+    with pytest.raises(InstrumentError, match=f"{missing}: opening: it is not there; plug it in"):
+        open_rig(broken)
+    opened_before = () if missing == "vibrometer" else roles[: roles.index(missing)]
+    for name, role in before.items():
+        if name in opened_before:
+            with pytest.raises(InstrumentError, match="it is closed"):
+                role.identify()
+        else:
+            assert role.identify()
+
+
+def test_given_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_released() -> None:
+    rig = RigConfig.model_validate({"emulation": {"seed": 2}})
+    ways = openers(rig)
+    mirror = ways.mirror()
+    mirror.move_to(10.0, 10.0)
+    with pytest.raises(InstrumentError):
+        open_rig(replace(ways, recorder=absent("recorder")))
+    now_s = ways.clock.now_s()
+    (_, place_mm) = mirror.places_mm(round((now_s + 1) * 1e9), round((now_s + 2) * 1e9))[-1]  # type: ignore[attr-defined]
+    assert place_mm is None
+
+
+@pytest.mark.parametrize("role", ["mirror", "recorder", "player"])
+def test_given_a_real_rig_with_nothing_plugged_in_then_each_opener_says_who_what_why_and_what_to_do(role: str) -> None:
+    ways = openers(RigConfig.model_validate(REAL))
+    with pytest.raises(InstrumentError) as told:
+        getattr(ways, role)()
+    error = told.value
+    assert role in error.instrument
+    assert all(text.strip() for text in (error.operation, error.cause, error.remedy))

@@ -1,0 +1,107 @@
+"""``wavefocus doctor``: every instrument found, identified and exercised, and what to do about each fault."""
+
+from __future__ import annotations
+
+import json
+import math
+from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.table import Table
+
+from acquisition.doctor import Patient, examine
+from acquisition.doctor_findings import Finding
+from calibration.mirror_map import MirrorMap
+from wavefocus.config.loading import load_rig
+from wavefocus.config.rig import RigConfig
+from wavefocus.console import people, say
+from wavefocus.exits import Exit
+from wavefocus.instruments import openers
+from wavefocus.levels import safe_amplitude_v
+from wavefocus.surroundings import check_surroundings, versions
+
+SAMPLE_RATE_HZ = 10_000.0
+# Corners of a stadium: at 45 degrees on its ends, so far from the middle of the end towards the outline.
+CORNER_SHARE = 0.95
+STYLES = {"ok": "green", "warn": "yellow", "fail": "bold red", "skipped": "dim"}
+
+
+def doctor(rig_file: Path, *, as_json: bool, play: bool) -> Exit:
+    """Examine a rig; exit code 1 when something is not good enough, whatever it is."""
+    rig = load_rig(rig_file)
+    folder = rig_file.resolve().parent
+    findings: list[Finding] = []
+    with people.status("examining") if people.is_terminal else nullcontext() as status:
+
+        def publish(finding: Finding) -> None:
+            findings.append(finding)
+            if status is not None:
+                status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
+
+        examine(_patient(rig), publish, play=play)
+        names = {one.instrument: one.what for one in findings if one.check == "identity"}
+        check_surroundings(rig, folder, names, publish)
+    failed = sum(one.verdict == "fail" for one in findings)
+    if as_json:
+        facts = {
+            "rig": str(rig_file),
+            "name": rig.rig.name,
+            "good": failed == 0,
+            "counts": {word: sum(one.verdict == word for one in findings) for word in STYLES},
+            "findings": [asdict(one) for one in findings],
+            "versions": versions(),
+        }
+        print(json.dumps(facts))
+    else:
+        _show(findings)
+        say(", ".join(f"{package} {number}" for package, number in versions().items()))
+    warned = sum(one.verdict == "warn" for one in findings)
+    say(f"{rig_file}: {failed} not good enough, {warned} to look at, {len(findings)} findings")
+    return Exit.NOT_GOOD_ENOUGH if failed else Exit.DONE
+
+
+def _patient(rig: RigConfig) -> Patient:
+    ways = openers(rig)
+    recorder, player, surface = rig.recorder, rig.player, rig.surface
+    radius_mm = CORNER_SHARE * surface.width_mm / 2 * math.sqrt(0.5)
+    x_mm, y_mm = (surface.length_mm - surface.width_mm) / 2 + radius_mm, radius_mm
+    return Patient(
+        clock=ways.clock,
+        mirror=ways.mirror,
+        recorder=ways.recorder,
+        player=ways.player,
+        vibrometer=ways.vibrometer,
+        mirror_map=MirrorMap(rig.mirror.matrix),
+        corners_mm=((x_mm, y_mm), (-x_mm, y_mm), (-x_mm, -y_mm), (x_mm, -y_mm)),
+        limit_mrad=rig.mirror.limit_mrad,
+        actuator_channels=player.channels,
+        loopback_channel=player.loopback_channel,
+        range_v=(recorder.reference_range_v, recorder.response_range_v),
+        reference_gain=recorder.reference_gain,
+        inter_channel_delay_s=recorder.inter_channel_delay_s,
+        pre_roll_s=recorder.pre_roll_s,
+        post_roll_s=recorder.post_roll_s,
+        amplitude_v=safe_amplitude_v(rig),
+        sample_rate_hz=SAMPLE_RATE_HZ,
+    )
+
+
+def _show(findings: list[Finding]) -> None:
+    """A table for people; what there is to do stands below what was found."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("", "instrument", "check", "found"):
+        table.add_column(heading, overflow="fold")
+    for one in findings:
+        found = f"{one.what}\n-> {one.remedy}" if one.remedy else one.what
+        table.add_row(_styled(one.verdict), one.instrument, one.check, _plain(found))
+    people.print(table)
+
+
+def _styled(verdict: str) -> str:
+    return f"[{STYLES[verdict]}]{verdict}[/]"
+
+
+def _plain(text: str) -> str:
+    """Square brackets are text, not markup."""
+    return text.replace("[", r"\[")

@@ -1,0 +1,81 @@
+"""The hash of a plan: all that the rows of one bank must have in common."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.run import RunConfig, Virtual
+
+
+def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> str:
+    """Hash all that a resume must not change, so that no bank mixes two plans.
+
+    Positions, actuators, sweep, capture, wiring, inputs, ranges, calibration, quality limits and what a virtual
+    rig is like count. Names, file paths, addresses, ports, device names, safety limits, settling time,
+    time-outs, verification tolerances, fault plans and what an emulation is like do not: they can change
+    without making the rows of one bank differ in kind.
+
+    Parameters
+    ----------
+    rig, run : RigConfig, RunConfig
+        The validated configuration.
+    position_mm : float64 array, shape (positions, 2)
+        The grid.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits: SHA-256 of canonical JSON.
+    """
+    capture = {"averages", "decay_s", "excitation", "taps", "sample_rate_hz"}
+    essence = {
+        "position_mm": (position_mm + 0.0).tolist(),
+        "actuator_mm": rig.actuators.position_mm,
+        "surface": rig.surface.model_dump(),
+        **_rig_essence(rig),
+        "sweep": run.sweep.model_dump(),
+        "capture": run.capture.model_dump(
+            include=capture | ({"stagger_s"} if run.capture.excitation == "staggered" else set())
+        ),
+        "quality": run.quality.model_dump(),
+        "virtual": _virtual_essence(rig, run),
+    }
+    text = json.dumps(essence, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def _rig_essence(rig: RigConfig) -> dict[str, object]:
+    """What of the instruments makes the rows of one bank differ in kind.
+
+    Keys that a rig does not use are left out, so that banks keep their hash when new keys come.
+    """
+    recorder = {"driver", "reference_range_v", "response_range_v", "reference_gain", "inter_channel_delay_s",
+                "pre_roll_s", "post_roll_s"}  # fmt: skip
+    of_driver = {"reference_input", "response_input", "terminal"}
+    player = {"driver", "channels", "loopback_channel", "full_scale_v"}
+    units = {"full_scale_mrad", "beam_per_mirror", "axes"}
+    return {
+        "mirror": {"driver": rig.mirror.driver, "matrix": rig.mirror.matrix}
+        | rig.mirror.model_dump(include=units, exclude_none=True),
+        "recorder": rig.recorder.model_dump(include=recorder)
+        | rig.recorder.model_dump(include=of_driver, exclude_none=True),
+        "player": rig.player.model_dump(include=player)
+        | rig.player.model_dump(include={"channel_full_scale_v"}, exclude_none=True),
+        "vibrometer": rig.vibrometer.model_dump(include={"sensitivity_m_s_per_v"})
+        | rig.vibrometer.model_dump(include={"latency_s"}, exclude_none=True),
+    }
+
+
+def _virtual_essence(rig: RigConfig, run: RunConfig) -> dict[str, object] | None:
+    """What makes a virtual rig's rows what they are; nothing for real instruments, emulated or not."""
+    if not rig.is_virtual:
+        return None
+    essence: dict[str, object] = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
+    if not rig.emulation.is_flawless:
+        essence["emulation"] = rig.emulation.truth()
+    return essence

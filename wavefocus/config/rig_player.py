@@ -1,0 +1,71 @@
+"""The multichannel audio interface of a rig file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from wavefocus.config.driver_keys import check_driver_keys, with_driver_defaults
+from wavefocus.config.fields import Positive, Table, Text, Whole, mistake
+
+PlayerDriver = Literal["virtual", "sounddevice"]
+Channel = Annotated[Whole, Field(ge=0, le=4095)]
+
+SOUNDDEVICE = ("sounddevice",)
+DRIVERS_OF = {"host_api": SOUNDDEVICE, "device": SOUNDDEVICE, "block_frames": SOUNDDEVICE}
+NEEDED = {"device": "the interface's name, or a part of it that no other has"}
+DEFAULTS = {"sounddevice": {"block_frames": 0}}
+
+
+class PlayerSection(Table):
+    """The multichannel audio interface that drives the actuators."""
+
+    driver: PlayerDriver = "virtual"
+    host_api: Text | None = None
+    device: Text | None = None
+    block_frames: Annotated[Whole, Field(ge=0, le=1_000_000)] | None = None
+    channels: tuple[Channel, ...]
+    loopback_channel: Channel
+    interface_rate_hz: Annotated[Whole, Field(ge=8_000, le=768_000)] = 48_000
+    full_scale_v: Positive = 5.0
+    channel_full_scale_v: tuple[Positive, ...] | None = None
+    limit_v: Positive = 5.0
+
+    @property
+    def outputs(self) -> int:
+        """How many outputs the rig needs: up to the highest that is wired."""
+        return 1 + max((*self.channels, self.loopback_channel))
+
+    @property
+    def output_full_scale_v(self) -> tuple[float, ...]:
+        """Volts at full scale of every output from 0 to the highest that is wired."""
+        return self.channel_full_scale_v or (self.full_scale_v,) * self.outputs
+
+    @property
+    def largest_v(self) -> float:
+        """Largest voltage that may be asked of any actuator: the limit, or what the weakest output can put out."""
+        return min(self.limit_v, *(self.output_full_scale_v[channel] for channel in self.channels))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _driver_defaults(cls, data: Any) -> Any:
+        return with_driver_defaults(data, "virtual", DEFAULTS)
+
+    @model_validator(mode="after")
+    def _wired_once(self) -> PlayerSection:
+        check_driver_keys(self, DRIVERS_OF, NEEDED)
+        for actuator, channel in enumerate(self.channels):
+            if channel in self.channels[:actuator]:
+                other = self.channels.index(channel)
+                raise mistake(f"channels.[{actuator}]", channel, f"is already the channel of actuator {other}")
+        if self.loopback_channel in self.channels:
+            other = self.channels.index(self.loopback_channel)
+            raise mistake("loopback_channel", self.loopback_channel, f"is already the channel of actuator {other}")
+        if self.limit_v > self.full_scale_v:
+            raise mistake("limit_v", self.limit_v, f"must be at most full_scale_v = {self.full_scale_v:g}")
+        each = self.channel_full_scale_v
+        if each is not None and self.channels and len(each) != self.outputs:
+            wanted = f"must have one entry per output from 0 to the highest used, {self.outputs} in all"
+            raise mistake("channel_full_scale_v", each, f"{wanted}, has {len(each)}")
+        return self

@@ -1,0 +1,222 @@
+"""From a rig's configuration to its instruments: which driver opens each, and in what order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from drivers.clock import WallClock
+from drivers.errors import InstrumentError
+from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder
+from mocks.patch_bay import PatchBay
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.run import Virtual
+from wavefocus.virtual_bench import virtual_rig
+
+# A decoder's range is a round number; what differs by more is another range.
+SAME_SENSITIVITY = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Vibrometer:
+    """What is known of the vibrometer.
+
+    Parameters
+    ----------
+    sensitivity_m_s_per_v : float
+        Typed in, or read from the device.
+    identity : str
+        Its name.
+    latency_s : float
+        How much later its voltage is than the velocity.
+    signal_level : float, optional
+        Strength of the reflected light, 0 to 1, where the device says so.
+    """
+
+    sensitivity_m_s_per_v: float
+    identity: str
+    latency_s: float
+    signal_level: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Openers:
+    """How each instrument of a rig is opened, one independent of the others.
+
+    Parameters
+    ----------
+    clock : Clock
+        The time that they live by.
+    mirror, recorder, player : callable
+        Open the instrument, or raise InstrumentError.
+    vibrometer : callable
+        Gives its sensitivity, read from the device where its driver can.
+    patch_bay : PatchBay, optional
+        Where the virtual rig's cables are plugged; real ones are plugged by hand.
+    """
+
+    clock: Clock
+    mirror: Callable[[], Mirror]
+    recorder: Callable[[], Recorder]
+    player: Callable[[], Player]
+    vibrometer: Callable[[], Vibrometer]
+    patch_bay: PatchBay | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedRig:
+    """The instruments of a rig, all open.
+
+    Parameters
+    ----------
+    instruments : Instruments
+        Mirror, recorder, player and clock.
+    sensitivity_m_s_per_v : float
+        Of the vibrometer.
+    vibrometer_latency_s : float
+        How much later its voltage is than the velocity.
+    patch_bay : PatchBay, optional
+        As of `Openers`.
+    """
+
+    instruments: Instruments
+    sensitivity_m_s_per_v: float
+    vibrometer_latency_s: float
+    patch_bay: PatchBay | None
+
+
+def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
+    """Find the driver of each instrument; nothing is opened yet.
+
+    Parameters
+    ----------
+    rig : RigConfig
+        The rig.
+    virtual : Virtual, optional
+        What the run says of a virtual rig.
+    """
+    if rig.is_virtual:
+        bench = virtual_rig(rig, virtual)
+        roles = bench.instruments
+        return Openers(
+            roles.clock,
+            lambda: roles.mirror,
+            lambda: roles.recorder,
+            lambda: roles.player,
+            lambda: _vibrometer(rig),
+            bench.patch_bay,
+        )
+    clock = WallClock()
+    return Openers(
+        clock,
+        lambda: _serial_mirror(rig, clock),
+        lambda: _ni_recorder(rig),
+        lambda: _stream_player(rig),
+        lambda: _vibrometer(rig),
+    )
+
+
+def open_rig(ways: Openers) -> OpenedRig:
+    """Open every instrument, one after the other; when one fails, those before it are put to rest.
+
+    Parameters
+    ----------
+    ways : Openers
+        How each is opened.
+
+    Raises
+    ------
+    InstrumentError
+        An instrument cannot be opened.
+    """
+    with ExitStack() as opened:
+        vibrometer = ways.vibrometer()
+        mirror = ways.mirror()
+        opened.callback(mirror.close)
+        opened.callback(mirror.park)
+        recorder = ways.recorder()
+        opened.callback(recorder.close)
+        player = ways.player()
+        opened.pop_all()  # from here on they are put to rest by whoever opened the rig
+    instruments = Instruments(mirror, recorder, player, ways.clock)
+    return OpenedRig(instruments, vibrometer.sensitivity_m_s_per_v, vibrometer.latency_s, ways.patch_bay)
+
+
+def _serial_mirror(rig: RigConfig, clock: Clock) -> Mirror:
+    from drivers.mirror.serial_mirror import SerialMirror
+
+    mirror = rig.mirror
+    return SerialMirror(
+        mirror.driver,
+        mirror.port or "",
+        baud=mirror.baud,
+        identity=mirror.identity,
+        settle_s=mirror.settle_s,
+        limit_mrad=mirror.limit_mrad,
+        park_mrad=mirror.park_mrad,
+        full_scale_mrad=mirror.full_scale_mrad,
+        clock=clock,
+        axes=mirror.axes,
+        setup=mirror.setup or (),
+        **{
+            key: value
+            for key, value in (("beam_per_mirror", mirror.beam_per_mirror), ("tolerance_mrad", mirror.tolerance_mrad))
+            if value is not None
+        },
+    )
+
+
+def _ni_recorder(rig: RigConfig) -> Recorder:
+    from drivers.daq.ni_recorder import NiRecorder
+
+    recorder = rig.recorder
+    return NiRecorder(
+        recorder.device or "",
+        address=recorder.address,
+        reference_input=recorder.reference_input or "",
+        response_input=recorder.response_input or "",
+        terminal=recorder.terminal or "",
+        trigger=recorder.trigger,
+    )
+
+
+def _stream_player(rig: RigConfig) -> Player:
+    from drivers.audio.stream_player import StreamPlayer
+
+    player = rig.player
+    return StreamPlayer(
+        player.host_api,
+        player.device or "",
+        channels=player.outputs,
+        channel_full_scale_v=player.output_full_scale_v,
+        interface_rate_hz=player.interface_rate_hz,
+        block_frames=player.block_frames or 0,
+    )
+
+
+def _vibrometer(rig: RigConfig) -> Vibrometer:
+    """Sensitivity and name of the vibrometer, the two sensitivities held against each other where there are two."""
+    vibrometer = rig.vibrometer
+    configured = vibrometer.sensitivity_m_s_per_v
+    if vibrometer.port is None:
+        return Vibrometer(configured or 0.0, "vibrometer, its sensitivity typed in", vibrometer.latency_s or 0.0, None)
+    from drivers.vibrometer.polytec import read_sensitivity
+
+    reading = read_sensitivity(
+        vibrometer.port,
+        baud=vibrometer.baud,
+        identity=vibrometer.identity,
+        decoder=vibrometer.decoder or 0,
+        least_signal_level=vibrometer.least_signal_level or 0.0,
+    )
+    read = reading.sensitivity_m_s_per_v
+    if configured is not None and abs(read / configured - 1) > SAME_SENSITIVITY:
+        raise InstrumentError(
+            f"vibrometer ({vibrometer.driver} at {vibrometer.port})",
+            "reading its sensitivity",
+            f"it is set to {reading.range_text}, the rig file says {configured:g} m/s per V",
+            "set the range that the campaign needs, or correct vibrometer.sensitivity_m_s_per_v",
+        )
+    latency_s = reading.latency_s if vibrometer.latency_s is None else vibrometer.latency_s
+    return Vibrometer(read, f"{reading.identity}, {reading.range_text}", latency_s or 0.0, reading.signal_level)

@@ -1,0 +1,16 @@
+"""How loudly a rig is tried out."""
+
+from __future__ import annotations
+
+from wavefocus.config.rig import RigConfig
+
+MOST_AMPLITUDE_V = 1.0
+# An output that puts out four times what the rig believes is still within the limit.
+SAFE_SHARE = 0.25
+
+
+def safe_amplitude_v(rig: RigConfig) -> float:
+    """A peak voltage well below the rig's limit and below the ends of the recorder's ranges."""
+    recorder = rig.recorder
+    half_range_v = min(recorder.reference_range_v / recorder.reference_gain, recorder.response_range_v) / 2
+    return min(MOST_AMPLITUDE_V, SAFE_SHARE * rig.player.largest_v, half_range_v)

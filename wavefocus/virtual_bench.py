@@ -1,0 +1,82 @@
+"""The virtual bench that a rig file describes: what its tables believe, and what its emulation says is true."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mocks.chain import output_errors
+from mocks.faults import Fault
+from mocks.geometry import MirrorGeometry
+from mocks.settings import VirtualSettings
+from mocks.virtual_rig import VirtualRig
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.rig_emulation import Emulation, strength
+from wavefocus.config.run import Virtual
+
+
+def virtual_rig(rig: RigConfig, virtual: Virtual | None = None) -> VirtualRig:
+    """Build the virtual rig that a configuration describes.
+
+    Parameters
+    ----------
+    rig : RigConfig
+        The rig; where its emulation says nothing, everything is as its own tables say.
+    virtual : Virtual, optional
+        What the run says of the virtual rig, which is stronger than the rig's emulation.
+    """
+    return VirtualRig(virtual_settings(rig, virtual))
+
+
+def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualSettings:
+    """What the bench behind a rig is like, for the virtual rig and for emulated wires.
+
+    Parameters
+    ----------
+    rig, virtual
+        As of `virtual_rig`.
+    """
+    emulation, defaults = rig.emulation, VirtualSettings()
+    seed = emulation.seed if virtual is None else virtual.seed
+    noise_v = emulation.noise_v if virtual is None or virtual.noise_v is None else virtual.noise_v
+    delay_s = emulation.inter_channel_delay_s
+    latency_s, gain = _outputs(rig, emulation)
+    return VirtualSettings(
+        seed=seed,
+        noise_v=defaults.noise_v if noise_v is None else noise_v,
+        reference_noise_v=(
+            defaults.reference_noise_v if emulation.reference_noise_v is None else emulation.reference_noise_v
+        ),
+        clock_ppm=emulation.clock_ppm,
+        actuator_mm=rig.actuators.position_mm,
+        actuator_channels=rig.player.channels,
+        loopback_channel=rig.player.loopback_channel,
+        output_latency_s=latency_s,
+        output_gain=gain,
+        actuator_strength=strength(emulation, len(rig.actuators.position_mm)),
+        surface_mm=(rig.surface.length_mm, rig.surface.width_mm),
+        mirror=MirrorGeometry(matrix=emulation.mirror_map or rig.mirror.matrix),
+        settle_s=rig.mirror.settle_s,
+        limit_mrad=rig.mirror.limit_mrad,
+        park_mrad=rig.mirror.park_mrad,
+        full_scale_v=rig.player.full_scale_v,
+        sensitivity_m_s_per_v=rig.vibrometer.sensitivity_m_s_per_v or defaults.sensitivity_m_s_per_v,
+        inter_channel_delay_s=(rig.recorder.inter_channel_delay_s if delay_s is None else delay_s),
+        vibrometer_latency_s=rig.vibrometer.latency_s or 0.0,
+        fault_plan=() if virtual is None else tuple(Fault(**fault.model_dump()) for fault in virtual.fault_plan),
+    )
+
+
+def _outputs(rig: RigConfig, emulation: Emulation) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+    """Latency of each output, and its volts per volt asked for; None where there is nothing to find.
+
+    Volts are asked for by the full scale that the rig believes in, so what a calibration has found is gone.
+    """
+    latency_spread_s, gain_spread_db = emulation.output_latency_spread_s, emulation.output_gain_spread_db
+    late_s, factor = output_errors(rig.player.outputs, latency_spread_s, gain_spread_db, emulation.seed)
+    factor[list(emulation.reversed_outputs)] *= -1
+    gain = factor * rig.player.full_scale_v / np.array(rig.player.output_full_scale_v)
+    uneven = bool((gain != 1.0).any())
+    return (
+        tuple(late_s.tolist()) if latency_spread_s else None,
+        tuple(gain.tolist()) if uneven else None,
+    )
