@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from calibration.drive_file import Drive
 from calibration.errors import InputError
 from rendering.accumulate import Accumulated, accumulate
+from rendering.between_positions import scene_interpolation
 from rendering.green_source import GreenSource
-from rendering.interpolation import interpolation
+from rendering.interpolation_errors import interpolation_errors, judge_interpolation
 from rendering.limits import scale_to_limit
 from rendering.omission import relative_bound, row_norms
 from rendering.regularisation import BankRows
 from rendering.render_report import RenderReport, RenderWarning, report_render
 from rendering.sampling import Method, SampledSource, sample_source
 from rendering.scene import Scene
-from rendering.snapping import PositionGrid
 
 Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
@@ -35,10 +35,18 @@ def render(
     *,
     method: Method | None = None,
     tolerance_db: float | None = None,
+    interpolation_tolerance: float | None = None,
     on_progress: OnProgress | None = None,
 ) -> Drive:
     """Render a scene; warnings are issued as `RenderWarning`. See `render_with_report`."""
-    drive, report = render_with_report(scene, bank, method=method, tolerance_db=tolerance_db, on_progress=on_progress)
+    drive, report = render_with_report(
+        scene,
+        bank,
+        method=method,
+        tolerance_db=tolerance_db,
+        interpolation_tolerance=interpolation_tolerance,
+        on_progress=on_progress,
+    )
     for text in report.warnings:
         warnings.warn(text, RenderWarning, stacklevel=2)
     return drive
@@ -50,6 +58,7 @@ def render_with_report(
     *,
     method: Method | None = None,
     tolerance_db: float | None = None,
+    interpolation_tolerance: float | None = None,
     on_progress: OnProgress | None = None,
 ) -> tuple[Drive, RenderReport]:
     """Render a scene into the drives of all actuators.
@@ -69,6 +78,9 @@ def render_with_report(
     tolerance_db : float, optional
         Allows leaving out frequency bins as long as the proved bound on the relative L2 error of the drives
         stays below it, < 0. Without it all is computed, to 1e-12 of direct evaluation.
+    interpolation_tolerance : float, optional
+        Largest relative error of the Green's functions between the bank's positions, > 0: the median along the
+        paths, in every band that the scene makes use of. Without it an error above 5 % is warned about.
     on_progress : callable, optional
         Told blocks done and blocks in all.
 
@@ -83,19 +95,22 @@ def render_with_report(
     ------
     InputError
         The scene does not fit the bank: a path off the grid, an unmeasured row on it, an empty signal, a
-        drive that does not fit into float64.
+        drive that does not fit into float64, an interpolation beyond its tolerance.
     """
     if method not in (None, "sampled", "exact"):
         raise InputError(f"method is {method!r}; allowed are 'sampled' and 'exact'")
     tolerance = _tolerance(tolerance_db)
     per_point = all(source.emission == "per_point" for source in scene.sources)
     chosen: Method = method or ("sampled" if per_point else "exact")
-    kind = interpolation(scene.output.interpolation, PositionGrid(bank.position_mm))
+    kind = scene_interpolation(scene, bank)
     sources = [
         sample_source(source, index, kind, sample_rate_hz=bank.sample_rate_hz, taps=bank.taps, method=chosen)
         for index, source in enumerate(scene.sources)
     ]
-    rows = BankRows(bank, scene.regularisation)
+    signals = [source.signal for source in sources]
+    errors = interpolation_errors(scene, bank, kind, signals, thorough=interpolation_tolerance is not None)
+    remarks = judge_interpolation(errors, interpolation_tolerance)
+    rows = BankRows(kind.rows_of(bank), scene.regularisation)
     samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
     try:
         drive_v, accumulated, bound = _accumulated(sources, rows, samples, tolerance, on_progress)
@@ -116,7 +131,10 @@ def render_with_report(
             [np.full(len(source.focus_sample), source.index, dtype=np.int64) for source in sources]
         ),
     )
-    return drive, report_render(scene, rows, sources, accumulated, drive_v, scale=scale, omitted_bound=bound)
+    report = report_render(
+        scene, rows, sources, accumulated, drive_v, scale=scale, omitted_bound=bound, errors=errors, remarks=remarks
+    )
+    return drive, report
 
 
 def _accumulated(

@@ -98,6 +98,29 @@ def range_db(amplitude: RealArray) -> float:
     return level_db(float(usable.max()) / float(usable.min())) if usable.size > 1 else math.nan
 
 
+def gain_range_db(
+    gain: RealArray, position_mm: NDArray[np.float64], actuator_mm: NDArray[np.float64], clear_mm: float
+) -> float:
+    """Range of n(x), or of its inverse, over the positions further than `clear_mm` from every actuator.
+
+    The paper (section IV.A) says up to 17 dB and not where: beside an actuator n(x) falls without end.
+
+    Parameters
+    ----------
+    gain : array, shape (positions,)
+        n(x) of equation (15), NaN where not measured.
+    position_mm : float64 array, shape (positions, 2)
+    actuator_mm : float64 array, shape (actuators, 2)
+        NaN where unknown.
+    clear_mm : float
+    """
+    known = actuator_mm[np.isfinite(actuator_mm).all(axis=1)]
+    if not len(known):
+        return range_db(gain)
+    distance, _ = spatial.cKDTree(known).query(position_mm)
+    return range_db(gain[distance > clear_mm])
+
+
 def grid_spacing_mm(position_mm: NDArray[np.float64]) -> float:
     """Median distance in millimetres from each position to its nearest neighbour.
 

@@ -183,7 +183,9 @@ class BankRows:
         self.needed_by = lambda row, at_mm: "the scene"
         self.status = np.asarray(bank.status)
         self._position_mm = np.asarray(bank.position_mm, dtype=np.float64)
-        self.threshold = saturation_threshold(regularisation, bank)
+        # Rows that an interpolation adds say nothing of the bank's median.
+        measured: GreenSource = getattr(bank, "measured", bank)
+        self.threshold = saturation_threshold(regularisation, measured)
         self._normalise = regularisation.normalise
         self._weights: dict[int, RowWeights] = {}
         self._exponent: dict[int, int] = {}

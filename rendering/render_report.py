@@ -12,8 +12,10 @@ from scipy import fft as scipy_fft
 from rendering.accumulate import Accumulated
 from rendering.emission import ContinuousEmission
 from rendering.green_source import DOUBTFUL_BITS, GreenSource
+from rendering.interpolation_errors import InterpolationErrors
 from rendering.omission import row_norms
 from rendering.regularisation import BankRows
+from rendering.response_tail import ResponseTail, response_tail
 from rendering.sampling import SampledSource
 from rendering.scene import Scene
 from rendering.wave_speed import wave_speed_mm_s
@@ -44,7 +46,7 @@ class RenderReport:
     largest_snap_mm : float
         Largest distance of a path point from its nearest position.
     rows : tuple of int
-        Bank rows that were used.
+        Bank rows that were used, for interpolation or for regularisation.
     scale : float
         What `limit_v` did to the drive, 1 if nothing.
     relative_rms_drive : float64 array, shape (actuators,)
@@ -60,6 +62,11 @@ class RenderReport:
         See `bins`.
     pairs : int
         (Block, row) pairs that were multiplied: what the render cost.
+    interpolation_errors : InterpolationErrors or None
+        Estimated error of the Green's functions between the bank's positions, by band; None where the paths
+        keep to the positions, or the bank does not let one tell.
+    tail : ResponseTail or None
+        The ends of some of the Green's functions, and what may lie beyond them.
     """
 
     warnings: tuple[str, ...]
@@ -74,6 +81,8 @@ class RenderReport:
     bins: int
     kept_bins: int
     pairs: int
+    interpolation_errors: InterpolationErrors | None = None
+    tail: ResponseTail | None = None
 
 
 def report_render(
@@ -85,6 +94,8 @@ def report_render(
     *,
     scale: float,
     omitted_bound: float,
+    errors: InterpolationErrors | None = None,
+    remarks: Sequence[str] = (),
 ) -> RenderReport:
     """Collect the figures and warnings of a render.
 
@@ -104,14 +115,23 @@ def report_render(
         What the limit did.
     omitted_bound : float
         Proved bound on the relative error.
+    errors : InterpolationErrors, optional
+        What interpolating the bank is wrong by.
+    remarks : sequence of str
+        Warnings about that.
     """
+    measured: GreenSource = getattr(rows.bank, "measured", rows.bank)
     norms = row_norms(drive_v)
     peak = float(norms.max())
     snaps = np.concatenate([source.snap_mm for source in sources])
     outside = tuple(1.0 - item.band_energy / item.energy if item.energy > 0 else None for item in accumulated)
+    bank_rows = [row for row in rows.used if row < measured.positions]
+    tail = response_tail(measured, bank_rows)
     warnings = [
         *_silent(rows),
         *_doubtful(rows),
+        *remarks,
+        *([tail.warning] if tail is not None and tail.warning is not None else []),
         *_too_fast(scene, rows),
         *(text for source, share in zip(sources, outside, strict=True) for text in _spread(source, share, rows.bank)),
     ]
@@ -122,7 +142,7 @@ def report_render(
         points=len(snaps),
         snapped_points=int(np.count_nonzero(snaps > 1e-9)),
         largest_snap_mm=float(snaps.max()),
-        rows=tuple(rows.used),
+        rows=tuple(bank_rows),
         scale=scale,
         relative_rms_drive=norms / peak if peak > 0 else norms,
         out_of_band=outside,
@@ -130,6 +150,8 @@ def report_render(
         bins=sum(item.bins for item in accumulated),
         kept_bins=sum(item.kept_bins for item in accumulated),
         pairs=sum(item.pairs for item in accumulated),
+        interpolation_errors=errors,
+        tail=tail,
     )
 
 

@@ -123,9 +123,10 @@ def sample_source(
     if instants_s[-1] * sample_rate_hz + len(signal) > MOST_SAMPLES:
         raise InputError(f"source {index} would go on for {instants_s[-1]:.3g} s; {MOST_SAMPLES} samples are allowed")
     focus = np.rint(instants_s * sample_rate_hz).astype(np.int64)
-    where = _Whereabouts(source, index, interpolation, sample_rate_hz)
-    points_mm = where.points(arc_length)
-    nodes = where.nodes_of(points_mm, path_point=0)
+    exact = method == "exact" and moving and source.emission == "continuous"
+    where = _Whereabouts(source, index, interpolation, sample_rate_hz, None if exact else arc_length)
+    points_mm = source.path.point_at(arc_length)
+    nodes = where.nodes_at(arc_length, path_point=0)
 
     def of_points(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         return nodes.rows[start:stop], nodes.weights[start:stop], nodes.nearest[start:stop]
@@ -144,7 +145,6 @@ def sample_source(
                 f"source {index} moves on within one sample of its start and emits nothing; lower speed_mm_s"
                 f" ({source.speed_mm_s:g}) or lengthen the path"
             )
-        exact = method == "exact" and moving
         emission = ContinuousEmission(signal, int(focus[0]), last, where.of_samples if exact else of_segments)
     return SampledSource(
         index,
@@ -180,18 +180,25 @@ def _point_count(source: Source, index: int) -> int:
 class _Whereabouts:
     """Finds rows for a source's path, and says where it went wrong."""
 
-    def __init__(self, source: Source, index: int, interpolation: Interpolation, sample_rate_hz: float) -> None:
+    def __init__(
+        self,
+        source: Source,
+        index: int,
+        interpolation: Interpolation,
+        sample_rate_hz: float,
+        only_at_mm: Float64Array | None,
+    ) -> None:
         self._source = source
         self._index = index
-        self._interpolation = interpolation
         self._rate_hz = sample_rate_hz
-
-    def points(self, arc_length_mm: Float64Array) -> Float64Array:
-        return self._source.path.point_at(arc_length_mm)
-
-    def nodes_of(self, points_mm: Float64Array, *, path_point: int | None = None, sample: int = 0) -> Nodes:
         try:
-            return self._interpolation.nodes(points_mm)
+            self._follow = interpolation.follow(source.path, only_at_mm)
+        except OffGridError as error:
+            raise InputError(f"the path of source {index} {error}") from error
+
+    def nodes_at(self, arc_length_mm: Float64Array, *, path_point: int | None = None, sample: int = 0) -> Nodes:
+        try:
+            return self._follow(arc_length_mm)
         except OffGridError as error:
             what = (
                 f"path point {path_point + error.point}"
@@ -203,7 +210,7 @@ class _Whereabouts:
     def of_samples(self, start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         sample = np.arange(start, stop)
         along = np.minimum(self._source.speed_mm_s * sample / self._rate_hz, self._source.path.length_mm)
-        nodes = self.nodes_of(self.points(along), sample=start)
+        nodes = self.nodes_at(along, sample=start)
         return nodes.rows, nodes.weights, nodes.nearest
 
 

@@ -106,7 +106,7 @@ class Output:
     Parameters
     ----------
     interpolation : str
-        ``"nearest"`` or ``"bilinear"``.
+        ``"nearest"``, ``"bilinear"``, ``"bicubic"`` or ``"kernel"``.
     limit_v : float, optional
         Largest drive magnitude in volts, > 0; the drive is scaled down to it, never clipped.
 

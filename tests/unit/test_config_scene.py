@@ -200,7 +200,7 @@ MISTAKES = [
     (POINT + "[output]\nlimit_v = 0", "output.limit_v = 0: must be above 0"),
     (
         POINT + "[output]\ninterpolation = 'cubic'",
-        'output.interpolation = "cubic": must be "nearest" or "bilinear"',
+        'output.interpolation = "cubic": must be "nearest", "bilinear", "bicubic" or "kernel"',
     ),
     (POINT + "[output]\nemission = 'x'", 'output.emission = "x": unknown key; it belongs to [[source]]'),
 ]

@@ -185,10 +185,14 @@ def test_foci_are_listed_source_by_source():
 
 def test_the_method_is_sampled_only_where_every_source_emits_per_point():
     bank = make_bank()
-    assert render(Scene("s", (REPEATING,)), bank).method == "sampled"
-    assert render(Scene("s", (MOVING,)), bank).method == "exact"
-    assert render(Scene("s", (MOVING, REPEATING)), bank).method == "exact"
-    assert render(Scene("s", (MOVING,)), bank, method="sampled").method == "sampled"
+
+    def method_of(*sources, **options):
+        return render_with_report(Scene("s", sources), bank, **options)[0].method
+
+    assert method_of(REPEATING) == "sampled"
+    assert method_of(MOVING) == "exact"
+    assert method_of(MOVING, REPEATING) == "exact"
+    assert method_of(MOVING, method="sampled") == "sampled"
 
 
 def test_a_limit_scales_the_drive_down_and_says_by_how_much():

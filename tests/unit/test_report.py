@@ -16,7 +16,7 @@ from PIL import Image
 
 from calibration.drive_file import Drive
 from calibration.field_file import Field
-from rendering.drive import render
+from rendering.drive import render_with_report
 from rendering.field import predict
 from rendering.green_source import GreenArray
 from rendering.paths import Line
@@ -52,7 +52,7 @@ def scene_of(name: str) -> Scene:
 
 @cache
 def rendered() -> tuple[Drive, Field]:
-    drive = render(scene_of("line"), bank())
+    drive, _ = render_with_report(scene_of("line"), bank())
     return drive, predict(drive, bank())
 
 

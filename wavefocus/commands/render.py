@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from calibration.bank import Bank, open_bank
 from calibration.drive_file import Drive, write_drive
 from calibration.errors import InputError
@@ -91,9 +93,12 @@ def rendered(
 
 def _write_wav(path: Path, drive: Drive, bank: Bank) -> None:
     """Write the drives at the interface's rate, full scale being what the rig's player is calibrated to."""
-    rate_hz, full_scale_v = DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V
+    rate_hz, full_scale_v, drive_v = DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V, drive.drive_v
     if bank.rig_json is not None:
         player = bank_configuration(bank).rig.player
         rate_hz, full_scale_v = player.interface_rate_hz, player.full_scale_v
-    write_wav(path, drive.drive_v, drive.sample_rate_hz, interface_rate_hz=rate_hz, full_scale_v=full_scale_v)
+        # A file has one full scale; an output that has another gets so much more or less of it.
+        each_v = np.array([player.output_full_scale_v[channel] for channel in player.channels])
+        drive_v = drive_v * (full_scale_v / each_v)[:, np.newaxis]
+    write_wav(path, drive_v, drive.sample_rate_hz, interface_rate_hz=rate_hz, full_scale_v=full_scale_v)
     say(f"{path}: {rate_hz} Hz, full scale {full_scale_v:g} V")

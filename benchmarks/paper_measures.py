@@ -1,0 +1,210 @@
+"""What the paper's figures show, computed from a bank."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.rig_bank import PaperBank, rig_setup
+from calibration.drive_file import Drive
+from rendering import metrics
+from rendering.crosstalk import CrosstalkTable, crosstalk_table
+from rendering.drive import render_with_report
+from rendering.field import predict, predict_rows
+from rendering.green_source import GreenArray, read_row, usable
+from rendering.path_spectrum import PathSpectrum, path_spectrum
+from rendering.paths import Circle, Line, Path, Point, Strokes
+from rendering.regularisation import row_weights, saturation_threshold
+from rendering.scan import Scan, ScanPlan, scan
+from rendering.scene import Output, Regularisation, Scene, Source
+from rendering.signals import Impulse, Noise
+from rendering.text_path import TextPath
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+SATURATION = 0.3
+"""C of eq. (14) over the bank's median rms; the paper does not say its own."""
+CLEAR_MM = 20.0
+SPEEDS_CM_S = (4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 100.0)
+STEPS = (1, 2, 4, 6)
+LINE = Line((-58.0, 0.0), (62.0, 0.0))
+"""Six points 24 mm apart, each on a position."""
+
+
+def row_at(bank: GreenArray, x_mm: float, y_mm: float) -> int:
+    """The measured row nearest to a point."""
+    allowed = np.flatnonzero(usable(bank))
+    return int(allowed[np.argmin(np.hypot(*(bank.position_mm[allowed] - (x_mm, y_mm)).T))])
+
+
+def clear_rows(bank: GreenArray, clear_mm: float) -> Int64Array:
+    """Measured rows further than some distance from every actuator."""
+    gap_mm = np.hypot(*(bank.position_mm[:, None] - bank.actuator_mm).transpose(2, 0, 1)).min(axis=1)
+    return np.flatnonzero(usable(bank) & (gap_mm > clear_mm))
+
+
+def focus_fields(bank: GreenArray, rows: Sequence[int], saturation: float | None) -> Float64Array:
+    """Fields at the focus instant of impulses focused at some rows, normalised, (rows, positions).
+
+    At that instant ``y(x) = n sum_i sigma_i sum_k g_i(x)[k] g_i(x0)[k]``: an inner product of bank rows.
+    """
+    threshold = saturation_threshold(Regularisation(saturation=saturation), bank)
+    flat = bank.values.reshape(bank.positions, -1)
+    fields = np.empty((len(rows), bank.positions))
+    for place, row in enumerate(rows):
+        scaled = read_row(bank, row)
+        weights = row_weights(scaled, threshold, normalise=True)
+        sigma = np.ones(bank.actuators) if weights.sigma is None else weights.sigma
+        gain = np.ldexp(weights.gain, weights.gain_exponent + scaled.exponent)
+        driven = (gain * sigma[:, None] * scaled.values).astype(np.float32)
+        fields[place] = flat @ driven.ravel()
+    return fields
+
+
+@dataclass(frozen=True, slots=True)
+class FocusFigures:
+    """Figures of single foci, (foci,) each; NaN where a spot reaches beyond the positions."""
+
+    width_mm: Float64Array
+    off_mm: Float64Array
+    artefact_db: Float64Array
+
+
+def focus_figures(bank: GreenArray, rows: Sequence[int], fields: Float64Array) -> FocusFigures:
+    """Width, distance of the peak from its place, and artefact level of each focus."""
+    spacing_mm = metrics.grid_spacing_mm(bank.position_mm)
+    figures = np.full((3, len(rows)), np.nan)
+    for place, (row, field) in enumerate(zip(rows, fields, strict=True)):
+        x, y = (float(value) for value in bank.position_mm[row])
+        peak = metrics.focus_peak(bank.position_mm, field, (x, y), 15.0)
+        if peak is None:
+            continue
+        width = metrics.focal_width_mm(bank.position_mm, field, peak.row, spacing_mm)
+        figures[0, place] = np.nan if width is None else width
+        figures[1, place] = np.hypot(peak.at_mm[0] - x, peak.at_mm[1] - y)
+        figures[2, place] = metrics.artefact_level_db(bank.position_mm, field, (x, y), 15.0)
+    return FocusFigures(*figures)
+
+
+def fields_at(drive: Drive, bank: GreenArray, samples: Sequence[int]) -> Float32Array:
+    """Predicted field at some samples of scene time, (samples, positions), without keeping the rest."""
+    first = round(drive.start_s * drive.sample_rate_hz)
+    columns = np.asarray(samples, dtype=np.int64) - first
+    found = np.empty((len(columns), bank.positions), dtype=np.float32)
+    for part in predict_rows(drive, bank, range(bank.positions)):
+        found[:, part.position_index] = part.field[:, columns].T
+    return found
+
+
+def impulse_drive(bank: GreenArray, row: int, saturation: float | None = None) -> Drive:
+    """Drive that focuses an impulse at a row."""
+    x, y = (float(value) for value in bank.position_mm[row])
+    return moving_drive(bank, None, Impulse(), 0.0, 0.0, saturation, at_mm=(x, y))
+
+
+def moving_drive(
+    bank: GreenArray,
+    path: Path | None,
+    signal: Impulse | Noise,
+    speed_mm_s: float,
+    step_mm: float,
+    saturation: float | None = SATURATION,
+    at_mm: tuple[float, float] = (0.0, 0.0),
+) -> Drive:
+    """Drive of a source that emits the signal anew at every path point, between the positions by the kernel."""
+    source = Source(path or Point(at_mm), signal, 0.0, speed_mm_s, step_mm, emission="per_point")
+    kind = "nearest" if path is None or path is LINE else "kernel"
+    scene = Scene("paper", (source,), Regularisation(saturation=saturation), Output(kind))
+    return render_with_report(scene, bank)[0]
+
+
+def smiling_face(radius_mm: float) -> Strokes:
+    """An emoji: a circle, two eyes and a mouth."""
+
+    def arc(centre: tuple[float, float], radius: float, start_deg: float, stop_deg: float) -> Float64Array:
+        angle = np.radians(np.linspace(start_deg, stop_deg, 97))
+        return np.asarray(np.array(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+    return Strokes(
+        [
+            arc((0.0, 0.0), radius_mm, 90.0, 450.0),
+            arc((-0.38 * radius_mm, 0.32 * radius_mm), 0.13 * radius_mm, 90.0, 450.0),
+            arc((0.38 * radius_mm, 0.32 * radius_mm), 0.13 * radius_mm, 90.0, 450.0),
+            arc((0.0, 0.0), 0.6 * radius_mm, 205.0, 335.0),
+        ]
+    )
+
+
+def figure_paths() -> dict[str, Path]:
+    """The paths of figures 4A and 4B."""
+    return {
+        "circle": Circle((0.0, 0.0), 30.0, 1.0),
+        "letters": TextPath("TR", 44.0, (0.0, 0.0)),
+        "emoji": smiling_face(30.0),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class LineScene:
+    """Figure 4C: bursts along a line.
+
+    Parameters
+    ----------
+    drive : Drive
+    rows : int64 array, shape (points,)
+        Rows of the path points.
+    fields : float32 array, shape (points, positions)
+        The field at each focus instant when the points emit impulses instead.
+    responses : float64 array, shape (points, samples)
+        Response at each path point.
+    """
+
+    drive: Drive
+    rows: Int64Array
+    fields: Float32Array
+    responses: Float64Array
+
+
+def line_scene(bank: GreenArray, speed_mm_s: float, burst_s: float) -> LineScene:
+    """Six points 24 mm apart, a white burst at each."""
+    drive = _bursts(bank, speed_mm_s, burst_s, 3)
+    impulses = moving_drive(bank, LINE, Impulse(), speed_mm_s, 24.0)
+    fields = fields_at(impulses, bank, impulses.focus_sample.tolist())
+    return LineScene(drive, drive.focus_position, fields, _at_points(drive, bank))
+
+
+def line_spectrum(bank: GreenArray, speed_mm_s: float, burst_s: float, seeds: int) -> PathSpectrum:
+    """Spectra at the points of `line_scene`, for several bursts: from 20 ms before each to 70 ms after."""
+    found = []
+    for seed in range(seeds):
+        drive = _bursts(bank, speed_mm_s, burst_s, seed)
+        first = drive.focus_sample - round((drive.start_s + 0.02) * drive.sample_rate_hz)
+        samples = round((0.09 + burst_s) * drive.sample_rate_hz)
+        found.append(path_spectrum(_at_points(drive, bank), drive.sample_rate_hz, first, samples))
+    return PathSpectrum(found[0].frequency_hz, np.concatenate([one.magnitude for one in found]))
+
+
+def _bursts(bank: GreenArray, speed_mm_s: float, burst_s: float, seed: int) -> Drive:
+    return moving_drive(bank, LINE, Noise((20.0, 500.0), burst_s, seed), speed_mm_s, 24.0)
+
+
+def _at_points(drive: Drive, bank: GreenArray) -> Float64Array:
+    return np.asarray(predict(drive, bank, drive.focus_position.tolist()).field, dtype=np.float64)
+
+
+def crosstalk(bank: GreenArray) -> CrosstalkTable:
+    """Figure 4D: a line of 30 rows along x through the middle, impulses."""
+    rows = [row_at(bank, x, 0.0) for x in np.arange(-58.0, 60.0, 4.0)]
+    regularisation = Regularisation(saturation=SATURATION)
+    return crosstalk_table(bank, rows, 4.0, [10.0 * v for v in SPEEDS_CM_S], STEPS, None, regularisation)
+
+
+def scanned(source: PaperBank, drive: Drive, rows: Sequence[int]) -> Scan:
+    """Play a drive on the virtual rig and scan some rows."""
+    setup = rig_setup(source.rig)
+    return scan(ScanPlan(tuple(rows)), setup, drive, source.bank)

@@ -1,0 +1,167 @@
+"""The virtual rig's bank for benchmarks: measured like any other, or, to be quick, the truth with noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from acquisition.engine import Campaign
+from acquisition.grid import stadium_grid
+from acquisition.plan import Plan
+from acquisition.setup import Setup
+from acquisition.stopping import StopRequest
+from calibration.bank import open_bank
+from calibration.bank_creation import create_bank
+from calibration.bank_header import BankHeader
+from calibration.bank_writer import BankWriter
+from calibration.mirror_map import MirrorMap
+from calibration.sweeps import Excitation
+from mocks.virtual_rig import VirtualRig
+from rendering.green_source import GreenArray
+from rendering.metrics import band_weights
+
+Float64Array = NDArray[np.float64]
+
+RATE_HZ = 10_000.0
+TAPS = 2000
+BAND_HZ = (20.0, 500.0)
+MARGIN_MM, SPACING_MM = 14.3, 4.0
+QUICK_ERROR_DB = -58.0
+"""What a campaign on the virtual rig leaves (README)."""
+CHUNK = 64
+
+
+@dataclass(frozen=True, slots=True)
+class PaperBank:
+    """A bank, and the rig that it is of.
+
+    Parameters
+    ----------
+    bank : GreenArray
+        1500 positions, 4 mm apart, 20 actuators on the rim.
+    rig : VirtualRig
+        The rig.
+    how : str
+        Where the bank comes from, for the table.
+    """
+
+    bank: GreenArray
+    rig: VirtualRig
+    how: str
+
+
+def paper_bank(out: Path, *, quick: bool) -> PaperBank:
+    """Take the bank from ``plate.h5`` in a folder, measuring it there first if need be; or make a quick one.
+
+    Parameters
+    ----------
+    out : Path
+        The folder.
+    quick : bool
+        Take the true Green's functions with noise at -58 dB instead of measuring.
+    """
+    rig = VirtualRig()
+    if quick:
+        bank = true_bank(rig, default_grid(rig), QUICK_ERROR_DB)
+        return PaperBank(bank, rig, f"true Green's functions with noise at {QUICK_ERROR_DB:g} dB")
+    path = out / "plate.h5"
+    if not path.exists():
+        _measure(path, rig)
+    with open_bank(path) as view:
+        values = np.stack([view.green(row) for row in range(view.positions)])
+        bank = GreenArray(
+            values,
+            np.asarray(view.position_mm),
+            view.sample_rate_hz,
+            status=np.asarray(view.status),
+            actuator_mm=np.asarray(view.actuator_mm),
+            band_hz=view.band_hz,
+        )
+    return PaperBank(bank, rig, "measured on the virtual rig, three sweeps of 1 s per actuator and position")
+
+
+def rig_setup(rig: VirtualRig) -> Setup:
+    """The rig as engine and scan see it."""
+    settings = rig.settings
+    return Setup(
+        instruments=rig.instruments,
+        mirror_map=MirrorMap.straight(settings.mirror.distance_mm),
+        actuator_channels=settings.channel_of_actuator,
+        loopback_channel=settings.channel_of_loopback,
+        range_v=(settings.largest_range_v, settings.largest_range_v),
+        response_per_volt=settings.sensitivity_m_s_per_v,
+        inter_channel_delay_s=settings.inter_channel_delay_s,
+    )
+
+
+def _measure(path: Path, rig: VirtualRig) -> None:
+    """Carry out the default campaign."""
+    position_mm = default_grid(rig)
+    actuator_mm = np.asarray(rig.settings.actuator_mm, dtype=np.float64)
+    plan = Plan(
+        position_mm=position_mm,
+        actuator_mm=actuator_mm,
+        order=np.arange(len(position_mm)),
+        excitation=Excitation(
+            sample_rate_hz=RATE_HZ,
+            start_hz=BAND_HZ[0],
+            stop_hz=BAND_HZ[1],
+            duration_s=1.0,
+            decay_s=TAPS / RATE_HZ,
+            amplitude_v=1.0,
+            averages=3,
+        ),
+        taps=TAPS,
+        sha256="0" * 64,
+    )
+    # Under its final name only once it is whole: what is there is taken for a bank.
+    part = path.with_name(f"measuring-{path.name}")
+    part.unlink(missing_ok=True)
+    create_bank(
+        part,
+        BankHeader(RATE_HZ, TAPS, BAND_HZ, position_mm, actuator_mm, "{}", "{}", plan.sha256, "wavefocus bench paper"),
+    )
+    setup = rig_setup(rig)
+    with BankWriter.open(part, plan_sha256=plan.sha256) as writer:
+        Campaign(plan, setup, writer, lambda event: None, StopRequest()).run()
+    part.rename(path)
+
+
+def true_bank(rig: VirtualRig, position_mm: Float64Array, error_db: float | None) -> GreenArray:
+    """The plate's own Green's functions at any points, limited to the band.
+
+    Parameters
+    ----------
+    rig : VirtualRig
+        The plate.
+    position_mm : float64 array, shape (positions, 2)
+        Points on the surface.
+    error_db : float or None
+        Noise of the band that is added, relative to each Green's function; None for none.
+    """
+    length = int(scipy_fft.next_fast_len(2 * TAPS, real=True))
+    weights = band_weights(length, RATE_HZ, BAND_HZ)
+    used = np.flatnonzero(weights)
+    bins = slice(int(used[0]), int(used[-1]) + 1)
+    rng = np.random.default_rng(rig.settings.seed)
+    values = np.empty((len(position_mm), rig.settings.actuators, TAPS), dtype=np.float32)
+    for first in range(0, len(position_mm), CHUNK):
+        part = rig.truth_spectra(position_mm[first : first + CHUNK], TAPS, length, bins, RATE_HZ)
+        if error_db is not None:
+            noise = rng.standard_normal((*part.shape, 2)).view(np.complex128)[..., 0]
+            scale = np.linalg.norm(part, axis=2, keepdims=True) / np.linalg.norm(noise, axis=2, keepdims=True)
+            part = part + 10.0 ** (error_db / 20.0) * scale * noise
+        whole = np.zeros((*part.shape[:2], length // 2 + 1), dtype=np.complex128)
+        whole[..., bins] = part * weights[bins]
+        values[first : first + CHUNK] = scipy_fft.irfft(whole, length, axis=2)[..., :TAPS]
+    actuator_mm = np.asarray(rig.settings.actuator_mm, dtype=np.float64)
+    return GreenArray(values, position_mm, RATE_HZ, actuator_mm=actuator_mm, band_hz=BAND_HZ)
+
+
+def default_grid(rig: VirtualRig) -> Float64Array:
+    """The 1500 positions of the default campaign."""
+    return stadium_grid(*rig.settings.surface_mm, MARGIN_MM, SPACING_MM)

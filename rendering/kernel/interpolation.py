@@ -1,0 +1,153 @@
+"""Kernel interpolation as a scene asks for it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.blas import one_blas_thread
+from rendering.green_source import DOUBTFUL_BITS, GreenSource, read_row, usable
+from rendering.interpolation import Follow, Nodes, OffGridError, near, show_mm
+from rendering.kernel.kernel_rows import KernelRows
+from rendering.kernel.neighbourhoods import Neighbourhoods, Patch, SparseError
+from rendering.kernel.path_nodes import PathNodes, node_spacing_mm
+from rendering.kernel.row_values import RowValues
+from rendering.kernel.wave_fit import fit_waves
+from rendering.kernel.wave_model import WaveModel
+from rendering.paths import Path
+from rendering.snapping import PositionGrid
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+FIT_PATCHES, FIT_SHAPES = 24, 4
+COMMON = 3
+"""A shape that a third of the patches have is enough to fit the waves: each further one costs as much again."""
+BANDS_PER_OCTAVE = 3
+MOST_BANDS = 16
+FAINT = 1e-4
+"""Without a stated band: frequencies where the bank's power is above this part of its largest."""
+REACH_SPACINGS = 1.5
+"""How far from the nearest position a point may be: an irregular grid has gaps wider than its median spacing."""
+PATH_ERROR = 1e-3
+"""Relative error that interpolating along a path adds, at the bank's highest frequency."""
+
+
+class KernelInterpolation:
+    """Kernel ridge regression from a position and its 36 neighbours (`rendering.kernel.wave_model`).
+
+    The Green's functions of a moving source are interpolated twice: by the kernel to nodes along its path,
+    from there by cubics in arc length, at an error of 1e-3 at the highest frequency. Rows that were not
+    measured, or measured badly, are holes that the others fill.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    around_mm : float64 array, shape (n, 2)
+        Points near which it will be interpolated: the waves are fitted there.
+
+    Raises
+    ------
+    InputError
+        The positions are too few or lie on one line.
+    """
+
+    neighbourhoods: Neighbourhoods
+    values: RowValues
+    """Rows near the points, a third of an octave apart over the bank's band."""
+    waves: WaveModel
+
+    def __init__(self, bank: GreenSource, around_mm: Float64Array) -> None:
+        status = np.asarray(bank.status)
+        self._position_mm = np.asarray(bank.position_mm, dtype=np.float64)
+        allowed = usable(bank) & ((status & DOUBTFUL_BITS) == 0)
+        self.neighbourhoods = Neighbourhoods(self._position_mm, allowed)
+        self._grid = PositionGrid(self._position_mm[allowed])
+        self._row = np.flatnonzero(allowed).astype(np.int64)
+        self.values = RowValues(bank, _bands_hz(bank, self.neighbourhoods))
+        patches = self._patches(around_mm)
+        with one_blas_thread():
+            self.waves = fit_waves(patches, self.values, self.neighbourhoods.spacing_mm)
+        self._rows = KernelRows(bank, self.waves, self.neighbourhoods)
+        largest = float(np.max(np.abs(self.waves.wavenumber_rad_mm)))
+        self._node_spacing_mm = node_spacing_mm(largest, PATH_ERROR)
+
+    def nodes(self, points_mm: Float64Array) -> Nodes:
+        nearest, distance_mm = self._nearest(points_mm)
+        rows = self._add(points_mm)
+        return Nodes(rows[:, None], np.ones((len(rows), 1)), nearest, distance_mm)
+
+    def follow(self, path: Path, arc_length_mm: Float64Array | None = None) -> Follow:
+        if path.length_mm == 0 or (
+            arc_length_mm is not None and len(arc_length_mm) * self._node_spacing_mm <= path.length_mm
+        ):
+            return lambda along: self.nodes(path.point_at(along))
+        along_path = PathNodes(path, self._node_spacing_mm)
+        rows = self._add(path.point_at(along_path.arc_length_mm))
+
+        def follow(along: Float64Array) -> Nodes:
+            nearest, distance_mm = self._nearest(path.point_at(along))
+            nodes, weights = along_path.weights(along)
+            return Nodes(rows[nodes], weights, nearest, distance_mm)
+
+        return follow
+
+    def rows_of(self, bank: GreenSource) -> GreenSource:
+        return self._rows
+
+    def _nearest(self, points_mm: Float64Array) -> tuple[Int64Array, Float64Array]:
+        rows, distance_mm = near(self._grid, points_mm, REACH_SPACINGS)
+        return self._row[rows], distance_mm
+
+    def _add(self, points_mm: Float64Array) -> Int64Array:
+        near(self._grid, points_mm, REACH_SPACINGS)
+        try:
+            return self._rows.add(points_mm)
+        except SparseError as error:
+            nearest, _ = self.neighbourhoods.nearest(points_mm)
+            sparse = np.array([self._is_sparse(int(row)) for row in nearest])
+            point = int(np.argmax(sparse))
+            raise OffGridError(point, f"lies at {show_mm(points_mm[point])} mm, but {error}") from error
+
+    def _is_sparse(self, row: int) -> bool:
+        try:
+            self.neighbourhoods.patch(row)
+        except SparseError:
+            return True
+        return False
+
+    def _patches(self, around_mm: Float64Array) -> Sequence[Patch]:
+        """Some patches around the points, of the commonest shape if it is common; at the rim waves tell less."""
+        anchors = np.unique(self.neighbourhoods.nearest(around_mm)[0]).tolist()
+        patches = [self.neighbourhoods.patch(row) for row in anchors if not self._is_sparse(row)]
+        if not patches:
+            return [self.neighbourhoods.patch(anchors[0])]  # which says what is wrong
+        shapes = Counter(patch.key for patch in patches).most_common(FIT_SHAPES)
+        common = {shape for shape, _ in (shapes[:1] if COMMON * shapes[0][1] >= len(patches) else shapes)}
+        patches = [patch for patch in patches if patch.key in common]
+        chosen = np.unique(np.linspace(0, len(patches) - 1, FIT_PATCHES).astype(np.int64))
+        return [patches[index] for index in chosen]
+
+
+def _bands_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> Float64Array:
+    """Frequencies a third of an octave apart over the bank's band."""
+    low_hz, high_hz = bank.band_hz if bank.band_hz is not None else _loud_hz(bank, neighbourhoods)
+    high_hz = min(high_hz, 0.499 * bank.sample_rate_hz)
+    low_hz = max(low_hz, bank.sample_rate_hz / bank.taps, high_hz / 2.0 ** (MOST_BANDS / BANDS_PER_OCTAVE))
+    if low_hz >= high_hz:
+        return np.array([high_hz])
+    count = int(np.ceil(BANDS_PER_OCTAVE * np.log2(high_hz / low_hz))) + 1
+    return np.geomspace(low_hz, high_hz, max(count, 2))
+
+
+def _loud_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> tuple[float, float]:
+    power = np.zeros(bank.taps // 2 + 1)
+    for row in neighbourhoods.some_rows(8):
+        power += np.square(np.abs(np.fft.rfft(read_row(bank, row).values, axis=1))).sum(axis=0)
+    loud = np.flatnonzero(power > FAINT * power.max()) if power.any() else np.array([1])
+    step_hz = bank.sample_rate_hz / bank.taps
+    return max(float(loud[0]), 1.0) * step_hz, max(float(loud[-1]), 1.0) * step_hz

@@ -1,0 +1,192 @@
+"""Figures of paths and surfaces against cases that can be worked out: crosstalk, correlation, travel, spectrum."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import j0
+
+from calibration.errors import InputError
+from mocks.plates import SOFT_PLATE, DampedWave
+from mocks.plates import impulse_travel as travel_of_a_wave
+from rendering import metrics
+from rendering.crosstalk import PathResponses, crosstalk_table
+from rendering.green_correlation import correlation_over_distance
+from rendering.green_source import GreenArray
+from rendering.impulse_travel import impulse_travel
+from rendering.path_spectrum import path_spectrum
+from rendering.scene import Regularisation
+
+RATE_HZ = 10_000.0
+RNG = np.random.default_rng(4)
+
+
+def line_mm(points, step_mm=4.0):
+    return np.stack([step_mm * np.arange(points), np.zeros(points)], axis=1)
+
+
+def decaying_bank(points, ratio=0.9, taps=400):
+    """One actuator whose Green's function is ratio**k everywhere: a focus makes ratio**|t| everywhere."""
+    green = ratio ** np.arange(taps)
+    return GreenArray(np.tile(green, (points, 1, 1)), line_mm(points), RATE_HZ)
+
+
+@pytest.mark.parametrize("period", [1, 4, 7, 20])
+def test_crosstalk_of_equal_decaying_responses_is_their_sum_over_the_window(period):
+    points, ratio = 9, 0.9
+    responses = PathResponses(decaying_bank(points, ratio), range(points))
+    found = responses.energy_ratio(4.0 * RATE_HZ / period, 4.0)
+    own = others = 0.0
+    for m in range(points):
+        time = m * period + (1 - period) // 2 + np.arange(period)
+        parts = np.array([ratio ** np.abs(time - other * period) for other in range(points)])
+        own += np.sum(parts[m] ** 2)
+        others += np.sum((parts.sum(axis=0) - parts[m]) ** 2)
+    assert found == pytest.approx(others / own, rel=1e-9)
+
+
+def test_points_with_actuators_of_their_own_do_not_talk_across():
+    greens = np.zeros((5, 5, 60))
+    for point in range(5):
+        greens[point, point] = RNG.standard_normal(60)
+    bank = GreenArray(greens, line_mm(5), RATE_HZ)
+    assert PathResponses(bank, range(5)).energy_ratio(4.0 * RATE_HZ / 3, 4.0) == pytest.approx(0.0, abs=1e-20)
+
+
+def test_slow_sources_do_not_talk_across_and_faster_ones_do_more():
+    bank = decaying_bank(12, 0.8)
+    table = crosstalk_table(bank, range(12), 4.0, [100.0, 1000.0, 4000.0, 20_000.0], [1, 2, 3])
+    assert table.energy_ratio.shape == (4, 3)
+    assert (np.diff(table.energy_ratio, axis=0) > 0).all()
+    # Coarser points at the same speed are further apart in time.
+    assert (np.diff(table.energy_ratio[1:], axis=1) < 0).all()
+    assert table.energy_ratio[0].max() < 1e-12
+    np.testing.assert_allclose(table.rms_ratio**2, table.energy_ratio)
+    np.testing.assert_allclose(table.step_mm, [4.0, 8.0, 12.0])
+
+
+def test_a_burst_is_convolved_with_each_focus():
+    bank, burst = decaying_bank(4, 0.7), RNG.standard_normal(30)
+    impulse, bursts = PathResponses(bank, range(4)), PathResponses(bank, range(4), burst)
+    expected = np.convolve(impulse.values[1, 2], burst)
+    np.testing.assert_allclose(bursts.values[1, 2][:700], expected[:700], atol=1e-9)
+
+
+def test_the_responses_are_those_of_the_equations_with_saturation():
+    greens = RNG.standard_normal((3, 2, 40))
+    bank = GreenArray(greens, line_mm(3), RATE_HZ)
+    found = PathResponses(bank, range(3), None, Regularisation(saturation_absolute=0.8))
+    rms = np.sqrt(np.mean(greens**2, axis=2))
+    sigma = np.where(rms < 0.8, 1.0, 0.8 / rms)
+    n = 1.0 / np.sum(sigma * np.sum(greens**2, axis=2), axis=1)
+    expected = sum(n[2] * sigma[2, i] * np.convolve(greens[0, i], greens[2, i, ::-1]) for i in range(2))
+    np.testing.assert_allclose(found.values[0, 2][:79], expected, atol=1e-12)
+    assert found.values[1, 1][found.lead] == pytest.approx(1.0)
+
+
+def test_one_point_alone_has_no_crosstalk_to_speak_of():
+    assert np.isnan(PathResponses(decaying_bank(1), [0]).energy_ratio(10.0, 4.0))
+
+
+def test_a_row_that_was_not_measured_is_refused():
+    bank = decaying_bank(3)
+    bank.values[1] = 0.0
+    with pytest.raises(InputError, match="position 1 is all zeros"):
+        PathResponses(bank, range(3))
+
+
+def test_waves_from_all_sides_correlate_like_a_bessel_function():
+    """Actuator i is a plane wave cos(w t - k d_i.x) over whole periods: the coefficient is cos(k d_i.(x - x'))."""
+    k, taps, directions = 0.5, 64, 48
+    angle = 2.0 * np.pi * (np.arange(directions) + 0.5) / directions
+    position_mm = line_mm(20, 3.0)
+    phase = k * position_mm @ np.stack([np.cos(angle), np.sin(angle)])
+    greens = np.cos(2.0 * np.pi * 4.0 * np.arange(taps) / taps - phase[..., None])
+    edges = np.arange(1.5, 50.0, 3.0)
+    found = correlation_over_distance(GreenArray(greens, position_mm, RATE_HZ), edges)
+    np.testing.assert_allclose(found.distance_mm, 3.0 * np.arange(1, 17))
+    np.testing.assert_allclose(found.mean, j0(k * found.distance_mm), atol=1e-9)
+    np.testing.assert_array_equal(found.pairs, 20 - np.arange(1, 17))
+    assert (found.low <= found.mean).all()
+    assert (found.mean <= found.high).all()
+
+
+def test_a_silent_actuator_and_an_unmeasured_row_are_left_out_of_the_correlation():
+    greens = np.tile(RNG.standard_normal(30), (4, 3, 1))
+    greens[:, 1] = 0.0
+    greens[3] = RNG.standard_normal((3, 30))
+    bank = GreenArray(greens, line_mm(4), RATE_HZ, status=np.array([1, 1, 1, 0], np.uint8))
+    np.testing.assert_allclose(correlation_over_distance(bank, [0.0, 20.0]).mean, 1.0)
+    with pytest.raises(InputError, match="no two positions are between 50 and 60 mm"):
+        correlation_over_distance(bank, [50.0, 60.0])
+
+
+def plane_wave_bank(wave, *, band=(50.0, 450.0), taps=1500):
+    """exp(-j k r) / sqrt(r), flat over the band: what the definition of group velocity and loss speaks of."""
+    position_mm = np.stack(np.meshgrid(np.arange(0, 80, 8.0), np.arange(0, 40, 8.0)), axis=-1).reshape(-1, 2)
+    actuator_mm = np.array([[-25.0, 5.0], [100.0, 10.0], [30.0, 62.0]])
+    radius_mm = np.hypot(*(position_mm[:, None] - actuator_mm).transpose(2, 0, 1))
+    frequency = np.fft.rfftfreq(taps, 1.0 / RATE_HZ)
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    delay = np.exp(-2j * np.pi * frequency * 0.03)
+    lag = np.exp(-1j * wave.wavenumber(frequency) * radius_mm[..., None] / 1e3) / np.sqrt(radius_mm[..., None])
+    greens = np.fft.irfft(np.where(inside, lag * delay, 0.0), taps, axis=2)
+    return GreenArray(greens, position_mm, RATE_HZ, actuator_mm=actuator_mm)
+
+
+@pytest.mark.parametrize("wave", [SOFT_PLATE, DampedWave(6.0, 150.0)], ids=["soft plate", "stiffer"])
+def test_group_velocity_and_attenuation_are_those_of_the_wave(wave):
+    found = impulse_travel(plane_wave_bank(wave), span_mm=(20.0, 100.0))
+    expected = travel_of_a_wave(wave, (50.0, 450.0), (20.0, 100.0))
+    assert found.group_velocity_m_s == pytest.approx(expected.group_velocity_m_s, rel=0.02)
+    assert found.attenuation_db_per_cm == pytest.approx(expected.attenuation_db_per_cm, rel=0.01)
+    assert found.scatter_db < 0.2
+
+
+def test_gains_and_delays_of_the_actuators_do_not_change_how_impulses_travel():
+    bank = plane_wave_bank(SOFT_PLATE)
+    greens = bank.values * np.array([1.0, 30.0, 1e-3])[:, None]
+    greens[:, 1] = np.roll(greens[:, 1], 40, axis=1)
+    other = GreenArray(greens * 2.0**-90, bank.position_mm, RATE_HZ, actuator_mm=bank.actuator_mm)
+    first, second = impulse_travel(bank), impulse_travel(other)
+    assert second.group_velocity_m_s == pytest.approx(first.group_velocity_m_s, rel=1e-3)
+    assert second.attenuation_db_per_cm == pytest.approx(first.attenuation_db_per_cm, rel=1e-3)
+
+
+def test_unknown_actuator_positions_leave_nothing_to_fit():
+    bank = plane_wave_bank(SOFT_PLATE)
+    with pytest.raises(InputError, match="only 0 pairs"):
+        impulse_travel(GreenArray(bank.values, bank.position_mm, RATE_HZ))
+
+
+def test_the_spectrum_of_a_gaussian_is_its_fourier_transform():
+    time = np.arange(2000) / RATE_HZ
+    responses = np.stack([np.exp(-0.5 * ((time - at) / 0.002) ** 2) for at in (0.05, 0.12)])
+    found = path_spectrum(responses, RATE_HZ, np.array([250, 950]), 500)
+    expected = 0.002 * np.sqrt(2.0 * np.pi) * np.exp(-0.5 * (2.0 * np.pi * found.frequency_hz * 0.002) ** 2)
+    np.testing.assert_allclose(found.mean, expected, atol=1e-9)
+    assert np.diff(found.frequency_hz)[0] <= 5.0
+    assert found.share_within((0.0, 5000.0)) == pytest.approx(1.0)
+
+
+def test_a_burst_s_energy_is_found_in_its_band():
+    time = np.arange(1000) / RATE_HZ
+    tone = np.sin(2.0 * np.pi * 200.0 * time) * np.hanning(1000)
+    found = path_spectrum(tone[None], RATE_HZ, np.array([-100]), 1200)
+    assert found.share_within((150.0, 300.0)) > 0.999
+    assert abs(found.frequency_hz[np.argmax(found.mean)] - 200.0) <= 5.0
+
+
+@pytest.mark.parametrize(("shape", "starts", "samples"), [((0, 5), [], 3), ((2, 5), [0], 3), ((1, 5), [0], 0)])
+def test_a_spectrum_of_nothing_is_refused(shape, starts, samples):
+    with pytest.raises(InputError):
+        path_spectrum(np.zeros(shape), RATE_HZ, np.array(starts, dtype=np.int64), samples)
+
+
+def test_the_range_of_n_leaves_out_what_lies_beside_an_actuator():
+    position_mm = line_mm(6, 10.0)
+    gain = np.array([1.0, 10.0, 100.0, np.nan, 50.0, 20.0])
+    actuator_mm = np.array([[0.0, 3.0], [np.nan, np.nan]])
+    assert metrics.gain_range_db(gain, position_mm, actuator_mm, 0.0) == pytest.approx(40.0)
+    assert metrics.gain_range_db(gain, position_mm, actuator_mm, 8.0) == pytest.approx(20.0)
+    assert metrics.gain_range_db(gain, position_mm, actuator_mm[1:], 8.0) == pytest.approx(40.0)

@@ -1,0 +1,169 @@
+"""Scenes whose paths leave the positions: drives against the analytic plate, and what is said about the error."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+from calibration.errors import InputError
+from rendering.drive import render_with_report
+from rendering.green_source import GreenArray
+from rendering.paths import Circle, Line, Point, Polyline
+from rendering.scene import Output, Regularisation, Scene, Source
+from rendering.signals import Impulse, Noise, Sine
+from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
+
+SIGNAL = Noise((80.0, 420.0), 0.4, 3)
+MOVING = Source(Circle((1.3, -0.7), 13.0, 0.9, 20.0), SIGNAL, 0.01, 180.0, 3.0, 2.0)
+REPEATING = Source(Line((-15.0, -11.0), (14.0, 9.0)), Noise((80.0, 420.0), 0.03, 4), 0.0, 180.0, 3.0, 1.5, "per_point")
+STANDING = Source(Point((3.3, 1.9)), SIGNAL, 0.1)
+PLAIN = Regularisation(normalise=False)
+
+
+@functools.lru_cache
+def bank():
+    return plate_bank(noise_db=-60.0)
+
+
+def direct(source, method):
+    """Eqs. (9) and (16) with the true Green's functions, sample by sample."""
+    u = source.amplitude * source.signal.samples(RATE_HZ)
+    length, d, v = source.path.length_mm, source.step_mm, source.speed_mm_s
+    n0 = round(source.start_s * RATE_HZ)
+    events = []
+    if length == 0:
+        events = [(n0 + s, u[s], 0.0) for s in range(len(u))]
+        end = n0 + len(u)
+    else:
+        points = int(np.floor(length / d + 1e-9)) + 1
+        n = [round((source.start_s + m * d / v) * RATE_HZ) for m in range(points + 1)]
+        if source.emission == "per_point":
+            events = [(n[m] + s, u[s], m * d) for m in range(points) for s in range(len(u))]
+            end = n[points - 1] + len(u)
+        else:
+            end = n[points]
+            for s in range(min(len(u), n[points] - n[0])):
+                m = np.searchsorted(n[:-1], n[0] + s, side="right") - 1
+                events.append((n[0] + s, u[s], min(v * s / RATE_HZ, length) if method == "exact" else m * d))
+    along, place = np.unique([event[2] for event in events], return_inverse=True)
+    greens = plate_greens(source.path.point_at(along))
+    drive = np.zeros((greens.shape[1], end + TAPS - 1))
+    for (sample, value, _), at in zip(events, place, strict=True):
+        drive[:, sample : sample + TAPS] += value * greens[at][:, ::-1]
+    return drive
+
+
+def error_of(source, kind, method):
+    scene = Scene("s", (source,), PLAIN, Output(kind))
+    drive, report = render_with_report(scene, bank(), method=method)
+    expected = direct(source, method)
+    assert drive.drive_v.shape == expected.shape
+    return np.linalg.norm(drive.drive_v - expected) / np.linalg.norm(expected), report
+
+
+@pytest.mark.parametrize("method", ["sampled", "exact"])
+@pytest.mark.parametrize("source", [MOVING, REPEATING, STANDING], ids=["moving", "repeating", "standing"])
+def test_kernel_interpolation_renders_to_the_true_plate_s_drive(source, method):
+    error, report = error_of(source, "kernel", method)
+    assert error < 0.01
+    assert not report.warnings
+
+
+@pytest.mark.parametrize("kind", ["nearest", "bilinear", "bicubic"])
+def test_the_other_kinds_are_as_wrong_as_the_report_says(kind):
+    error, report = error_of(MOVING, kind, "exact")
+    found = report.interpolation_errors
+    assert found.kind == kind
+    assert found.found_by == "correlation"
+    assert found.overall == pytest.approx(error, rel=0.6)
+    assert any(f"interpolation {kind!r} between the grid positions is wrong by about" in t for t in report.warnings)
+
+
+def test_kinds_come_in_the_order_of_their_error():
+    errors = [error_of(MOVING, kind, "exact")[0] for kind in ("nearest", "bilinear", "bicubic", "kernel")]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[0] > 0.3
+
+
+def test_a_long_path_with_close_points_is_interpolated_between_nodes():
+    """More path points than nodes: the two methods meet."""
+    fine = Source(MOVING.path, SIGNAL, 0.0, 180.0, 0.05)
+    coarse = Source(MOVING.path, SIGNAL, 0.0, 180.0, 3.0)
+    drives = [
+        render_with_report(Scene("s", (one,), PLAIN, Output("kernel")), bank(), method=method)[0].drive_v
+        for one, method in ((fine, "sampled"), (coarse, "exact"))
+    ]
+    samples = min(drive.shape[1] for drive in drives)
+    difference = np.linalg.norm(drives[0][:, :samples] - drives[1][:, :samples])
+    assert difference < 0.01 * np.linalg.norm(drives[1])
+
+
+def test_foci_and_regularisation_name_measured_rows():
+    scene = Scene("s", (MOVING,), Regularisation(saturation=0.5), Output("kernel"))
+    drive, report = render_with_report(scene, bank(), method="exact")
+    nearest, _ = render_with_report(Scene("s", (MOVING,), Regularisation(saturation=0.5)), bank(), method="exact")
+    np.testing.assert_array_equal(drive.focus_position, nearest.focus_position)
+    np.testing.assert_array_equal(drive.focus_sample, nearest.focus_sample)
+    assert max(report.rows) < bank().positions
+
+
+def test_a_hole_on_the_path_is_filled_by_its_neighbours():
+    status = np.ones(len(SQUARE_MM), np.uint8)
+    status[84] = 0  # (0, 0) mm
+    holed = plate_bank(status=status)
+    holed.values[84] = 0.0
+    source = Source(Line((-10.0, 0.3), (10.0, 0.3)), SIGNAL, 0.0, 100.0, 4.0)
+    scene = Scene("s", (source,), PLAIN, Output("kernel"))
+    drive, _ = render_with_report(scene, holed, method="exact")
+    expected = direct(source, "exact")
+    assert np.linalg.norm(drive.drive_v - expected) < 0.02 * np.linalg.norm(expected)
+
+
+def test_the_report_s_table_says_error_by_band():
+    _, report = error_of(MOVING, "kernel", "exact")
+    table = report.interpolation_errors.table()
+    assert report.interpolation_errors.found_by == "leaving positions out"
+    assert sum(row["emitted_share"] for row in table) == pytest.approx(1.0)
+    assert [row["frequency_hz"] for row in table] == sorted(row["frequency_hz"] for row in table)
+    assert all(0.0 < row["median_percent"] <= row["worst_percent"] < 5.0 for row in table)
+
+
+def test_an_error_beyond_the_tolerance_is_refused_with_frequency_and_error():
+    scene = Scene("s", (MOVING,), PLAIN, Output("bilinear"))
+    with pytest.raises(InputError, match=r"'bilinear' .* wrong by about \d+ % at \d+ Hz .* more than the 5 % allowed"):
+        render_with_report(scene, bank(), interpolation_tolerance=0.05)
+    low = Source(MOVING.path, Sine(62.5, 0.4), 0.0, 180.0, 3.0)
+    _, report = render_with_report(Scene("s", (low,), PLAIN, Output("bicubic")), bank(), interpolation_tolerance=0.05)
+    assert report.interpolation_errors.found_by == "leaving positions out"
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan])
+def test_a_tolerance_that_is_none_is_refused(tolerance):
+    with pytest.raises(InputError, match="interpolation_tolerance"):
+        render_with_report(Scene("s", (STANDING,)), bank(), interpolation_tolerance=tolerance)
+
+
+def test_a_path_on_the_positions_has_no_error_to_report():
+    source = Source(Line((-12.0, 4.0), (12.0, 4.0)), SIGNAL, 0.0, 100.0, 4.0, emission="per_point")
+    _, report = render_with_report(Scene("s", (source,)), bank())
+    assert report.interpolation_errors is None or report.interpolation_errors.kind == "nearest"
+    still = Source(Point((4.0, -8.0)), Impulse())
+    _, report = render_with_report(Scene("s", (still,)), bank())
+    assert report.interpolation_errors is None
+    assert not report.warnings
+
+
+def test_a_path_that_leaves_the_grid_is_refused_by_source_and_place():
+    source = Source(Polyline([(0.0, 0.0), (60.0, 0.0)]), SIGNAL, 0.0, 200.0, 3.0)
+    for method in ("sampled", "exact"):
+        with pytest.raises(InputError, match=r"source 0.* lies at \(\d+.*, 0\) mm, .* mm from the nearest position"):
+            render_with_report(Scene("s", (source,), PLAIN, Output("kernel")), bank(), method=method)
+
+
+def test_a_path_on_one_position_alone_needs_no_more():
+    one = GreenArray(bank().values[:1], SQUARE_MM[:1], RATE_HZ, band_hz=BAND_HZ)
+    source = Source(Point((-24.0, -24.0)), Impulse())
+    _, report = render_with_report(Scene("s", (source,)), one, interpolation_tolerance=0.01)
+    assert report.interpolation_errors is None

@@ -1,0 +1,107 @@
+"""Rows of the table of stiff and extreme cases that the plates themselves can meet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocks.plates import SOFT_PLATE, mean_hankel, thin_plate_green
+from mocks.thin_plate import ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s
+
+GLASS = ThinPlate(0.24, 0.16, 1.566)
+"""Glass of 1 mm: 70 GPa, 0.22, 2500 kg/m^3."""
+
+
+def test_rows_28_and_30_a_position_on_an_actuator_has_the_disc_s_finite_response():
+    """H0 itself is infinite at r = 0; its mean over the magnet is not, and does not jump on the way there."""
+    frequency_hz = np.array([20.0, 250.0, 500.0])
+    on = SOFT_PLATE.velocity(frequency_hz, 0.0)
+    assert np.isfinite(on).all()
+    near = SOFT_PLATE.velocity(frequency_hz, 1e-6)
+    np.testing.assert_allclose(near, on, rtol=1e-9)
+    k, a = SOFT_PLATE.wavenumber(250.0), 0.0025
+    edge = [mean_hankel(k, a * (1.0 + side * 1e-9), a) for side in (-1, 1)]
+    assert edge[0] == pytest.approx(edge[1], rel=1e-6)
+
+
+def test_rows_28_and_30_a_thin_plate_s_driving_point_has_its_analytic_limit():
+    k = SOFT_PLATE.wavenumber(250.0)
+    assert thin_plate_green(k, 0.0) == pytest.approx(-1j / (8.0 * k * k))
+    assert thin_plate_green(k, 1e-9) == pytest.approx(-1j / (8.0 * k * k), rel=1e-6)
+
+
+@pytest.mark.parametrize("green", [lambda k: mean_hankel(k, 0.01, 0.0025), lambda k: thin_plate_green(k, 0.01)])
+def test_row_29_a_growing_wave_is_refused(green):
+    k = SOFT_PLATE.wavenumber(250.0)
+    assert np.isfinite(green(k))
+    with pytest.raises(ValueError, match=r"imaginary part of 4\d\.\d+ rad/m; it must not be positive, .* grow"):
+        green(np.conj(k))
+
+
+@pytest.mark.parametrize("spacing_m", [0.008, 0.004])
+def test_row_31_time_stepping_beyond_its_limit_is_refused_before_the_first_step(spacing_m):
+    limit_s = explicit_limit_s(GLASS, spacing_m)
+    assert limit_s == pytest.approx({0.008: 10.2e-6, 0.004: 2.55e-6}[spacing_m], rel=0.01)  # notes/plates.md
+    with pytest.raises(ValueError, match=rf"at most spacing\^2 / \(4 kappa\) = {limit_s:.4g} s"):
+        ExplicitPlate(GLASS, spacing_m, 1.01 * limit_s)
+    plate = ExplicitPlate(GLASS, spacing_m, limit_s)
+    rough = np.random.default_rng(0).standard_normal(len(plate.points_m))
+    history = plate.released(rough, 2000)
+    assert np.abs(history).max() < 1e4 * np.abs(rough).max()
+
+
+def test_row_31_within_the_limit_a_mode_rings_at_its_frequency():
+    spacing_m = 0.008
+    plate = ExplicitPlate(GLASS, spacing_m, 0.9 * explicit_limit_s(GLASS, spacing_m))
+    found_hz = ringing_hz(plate, 1, 1, 4000)
+    assert found_hz == pytest.approx(float(GLASS.mode_hz(1, 1)), rel=2e-3)
+
+
+@pytest.mark.parametrize("mode", [(3, 2), (5, 3)])
+def test_row_32_newmark_is_stable_and_its_dispersion_is_reported(mode):
+    """0.1 ms is 4 to 600 times the explicit limit; modes ring too low by what `frequency_error` says."""
+    fine = ImplicitPlate(GLASS, 0.004, 2e-6)
+    coarse = ImplicitPlate(GLASS, 0.004, 1e-4)
+    true_hz, found_hz = ringing_hz(fine, *mode, 12_000), ringing_hz(coarse, *mode, 600)
+    told = float(coarse.frequency_error(true_hz))
+    assert told < 0
+    assert found_hz / true_hz - 1.0 == pytest.approx(told, rel=0.05)
+
+
+def test_row_32_the_dispersion_reported_is_that_of_the_notes():
+    """notes/plates.md: -0.2 % at 250 Hz and -0.8 % at 500 Hz for 0.1 ms."""
+    told = ImplicitPlate(GLASS, 0.02, 1e-4).frequency_error([250.0, 500.0])
+    np.testing.assert_allclose(told, [-0.002, -0.008], atol=3e-4)
+
+
+@pytest.mark.parametrize("make", [lambda: ThinPlate(0.0, 0.1, 1.5), lambda: ImplicitPlate(GLASS, 0.004, 0.0)])
+def test_a_plate_or_a_step_that_makes_no_sense_is_refused(make):
+    with pytest.raises(ValueError, match="greater than 0"):
+        make()
+
+
+def test_a_spacing_that_does_not_divide_the_plate_is_refused():
+    with pytest.raises(ValueError, match=r"0\.007 m does not divide a side of 0\.24 m"):
+        ImplicitPlate(GLASS, 0.007, 1e-4)
+
+
+def test_a_modal_response_rings_at_the_modes_and_dies_as_its_quality_says():
+    points_m, sources_m = np.array([[0.07, 0.05]]), np.array([[0.1, 0.06]])
+    rate_hz, quality = 10_000.0, 50.0
+    found = GLASS.impulse_velocity(points_m, sources_m, 4000, rate_hz, quality=quality, band_hz=(0.0, 200.0))[0, 0]
+    hertz = float(GLASS.mode_hz(1, 1))
+    assert hertz < 200.0 < float(GLASS.mode_hz(2, 1))
+    time_s = np.arange(4000) / rate_hz
+    mass = 2.5 * 0.24 * 0.16 / 4.0
+    gain = float(GLASS.shape(1, 1, points_m[0]) * GLASS.shape(1, 1, sources_m[0])) / mass
+    expected = gain * np.exp(-np.pi * hertz * time_s / quality) * np.cos(2.0 * np.pi * hertz * time_s)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def ringing_hz(plate, across, along, steps):
+    """Frequency at which a mode rings that is let go: its phase at the last zero crossing over the time."""
+    shape = GLASS.shape(across, along, plate.points_m)
+    along_shape = plate.released(shape, steps) @ shape / (shape @ shape)
+    crossings = np.flatnonzero(np.diff(np.sign(along_shape)) != 0)
+    first, last = (c + along_shape[c] / (along_shape[c] - along_shape[c + 1]) for c in (crossings[0], crossings[-1]))
+    return 0.5 * (len(crossings) - 1) / ((last - first) * plate.step_s)
