@@ -7,7 +7,6 @@ offsets found here.
 
 from __future__ import annotations
 
-import os
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +15,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration import hdf5_safety
-from calibration.bank_header import METADATA_BLOCK, BankHeader
+from calibration import hdf5_safety, reserved_hdf5
+from calibration.bank_header import BankHeader
 from calibration.bank_ledger import QUALITY_NAMES, journal_bytes, ledger_row_bytes, round_to_page
-from calibration.durable import PAGE
 from calibration.errors import InputError
+from calibration.reserved_hdf5 import filled, label, reserved
 
 FORMAT = "wavefocus-bank"
 VERSION = 1
@@ -62,14 +61,6 @@ class BankLayout:
         """CRC-32 of all offsets, as kept in the file."""
         return zlib.crc32(np.array([offset for offset, _ in self.extents()], "<i8").tobytes())
 
-    def require_sound(self, path: Path) -> None:
-        """Refuse offsets that overlap or are off the page grid."""
-        end = 0
-        for offset, size in sorted(self.extents()):
-            if offset % PAGE or offset < max(end, PAGE):
-                raise InputError(f"{path} is damaged: its datasets overlap or do not start on a page; restore a copy")
-            end = offset + size
-
     def extents(self) -> list[tuple[int, int]]:
         """Return (offset, size) of everything that is written after creation."""
         header = self.header
@@ -86,23 +77,14 @@ class BankLayout:
 
 def lay_out(path: Path, header: BankHeader) -> int:
     """Write the HDF5 skeleton of an unmeasured bank to a new path; return the bytes that its pages need."""
-    creation = h5py.h5p.create(h5py.h5p.FILE_CREATE)
-    creation.set_obj_track_times(False)
-    creation.set_attr_phase_change(64, 0)  # root attributes stay in one checksummed object header
-    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
-    access.set_libver_bounds(h5py.h5f.LIBVER_V18, h5py.h5f.LIBVER_V18)
-    access.set_alignment(1, PAGE)
-    access.set_meta_block_size(METADATA_BLOCK)
-    access.set_file_locking(False, True)
-    with h5py.File(h5py.h5f.create(os.fsencode(path), h5py.h5f.ACC_EXCL, creation, access)) as file:
+    with reserved_hdf5.new_file(path) as file:
         _write_attributes(file, header)
         scales = _write_scales(file, header)
         _write_datasets(file, header, scales)
         file.attrs["header_crc32"] = np.uint32(header.checksum())
         layout = _find_offsets(file, header, path)
         file.attrs["layout_crc32"] = np.uint32(layout.checksum())
-        file.flush()
-        file.attrs["heap_offsets"] = np.array(_find_heaps(path, layout), np.int64)
+        reserved_hdf5.note_heaps(file, path, layout.extents())
         return layout.file_bytes
 
 
@@ -119,7 +101,7 @@ def read_layout(file: h5py.File, path: Path) -> BankLayout:
     InputError
         When the file is of another format or version, is no bank of this program, is truncated or damaged.
     """
-    _require_sound_heaps(file, path)  # before any text is read
+    reserved_hdf5.require_sound_heaps(file, path)  # before any text is read
     hdf5_safety.require_format(file, path, FORMAT, VERSION)
     if not has_ledger(file):
         raise InputError(f"{path} was made by another program; it can be read, but not measured into")
@@ -130,7 +112,7 @@ def read_layout(file: h5py.File, path: Path) -> BankLayout:
     layout = _find_offsets(file, header, path)
     if header.checksum() != hdf5_safety.number(file, "header_crc32", path):
         raise InputError(f"{path} is damaged: its header's checksum does not hold; restore it from a copy")
-    layout.require_sound(path)
+    reserved_hdf5.require_apart(layout.extents(), path)
     if layout.checksum() != hdf5_safety.number(file, "layout_crc32", path):
         raise InputError(f"{path} is damaged: its address table's checksum does not hold; restore it from a copy")
     if path.stat().st_size < layout.file_bytes:
@@ -155,9 +137,9 @@ def _write_scales(file: h5py.File, header: BankHeader) -> dict[str, h5py.Dataset
     """Write the dimension scales; two of them are dimensions without values, as netCDF-4 marks them."""
     row, journal = ledger_row_bytes(header.actuators), journal_bytes(header.actuators, header.taps)
     scales = {
-        "position": _filled(file, "/position", np.arange(header.positions, dtype="<i4")),
-        "actuator": _filled(file, "/actuator", np.arange(header.actuators, dtype="<i4")),
-        "time_s": _filled(file, "/time_s", (np.arange(header.taps) / header.sample_rate_hz).astype("<f8"), "s"),
+        "position": filled(file, "/position", np.arange(header.positions, dtype="<i4")),
+        "actuator": filled(file, "/actuator", np.arange(header.actuators, dtype="<i4")),
+        "time_s": filled(file, "/time_s", (np.arange(header.taps) / header.sample_rate_hz).astype("<f8"), "s"),
         "axis": file.create_dataset("axis", data=["x", "y"], dtype=h5py.string_dtype(), track_times=False),
     }
     for name, scale in scales.items():
@@ -173,57 +155,22 @@ def _write_datasets(file: h5py.File, header: BankHeader, scales: dict[str, h5py.
     count, actuators, taps = header.positions, header.actuators, header.taps
     unit = header.response_unit
     rows = (scales["position"], scales["actuator"])
-    green = _reserved(file, "/green", (count, actuators, taps), "<f4", unit, chunk=(1, actuators, taps))
-    _label(green, *rows, scales["time_s"])
-    _label(_filled(file, "/position_mm", header.position_mm, "mm"), scales["position"], scales["axis"])
-    _label(_filled(file, "/actuator_mm", header.actuator_mm, "mm"), scales["actuator"], scales["axis"])
-    status = _reserved(file, "/status", (count,), "u1", "1")
+    green = reserved(file, "/green", (count, actuators, taps), "<f4", unit, chunk=(1, actuators, taps))
+    label(green, *rows, scales["time_s"])
+    label(filled(file, "/position_mm", header.position_mm, "mm"), scales["position"], scales["axis"])
+    label(filled(file, "/actuator_mm", header.actuator_mm, "mm"), scales["actuator"], scales["axis"])
+    status = reserved(file, "/status", (count,), "u1", "1")
     status.attrs["flag_masks"] = np.array([1, 2, 4, 8, 16], "u1")  # CF conventions 1.11, section 3.5
     status.attrs["flag_meanings"] = "valid over_range poor_signal failed disabled"
-    _label(status, scales["position"])
+    label(status, scales["position"])
     for name in QUALITY_NAMES:
         shape = (count,) if name == "attempts" else (count, actuators)
         empty = np.full(shape, 0 if name == "attempts" else np.nan, "<f4")
-        _label(_filled(file, f"/quality/{name}", empty, QUALITY_UNITS[name]), *rows[: len(shape)])
-    ledger = _reserved(file, LEDGER, (count, ledger_row_bytes(actuators)), "u1", "1")
-    _label(ledger, scales["position"], scales["ledger_byte"])
-    journal = _reserved(file, JOURNAL, (journal_bytes(actuators, taps),), "u1", "1")
-    _label(journal, scales["journal_byte"])
-
-
-def _reserved(
-    file: h5py.File,
-    name: str,
-    shape: tuple[int, ...],
-    dtype: str,
-    unit: str,
-    chunk: tuple[int, ...] | None = None,
-) -> h5py.Dataset:
-    """Create a dataset whose space is allocated and, being new file space, reads as zeros."""
-    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    properties.set_obj_track_times(False)
-    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-    properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-    if chunk:
-        properties.set_chunk(chunk)
-    group = file.require_group(str(Path(name).parent.as_posix()))
-    kind = h5py.h5t.py_create(np.dtype(dtype))
-    space = h5py.h5s.create_simple(shape)
-    h5py.h5d.create(group.id, Path(name).name.encode(), kind, space, properties)
-    dataset = file[name]
-    dataset.attrs["units"] = unit
-    return dataset
-
-
-def _filled(file: h5py.File, name: str, values: NDArray[np.generic], unit: str = "1") -> h5py.Dataset:
-    dataset = _reserved(file, name, values.shape, values.dtype.newbyteorder("<").str, unit)
-    dataset[...] = values
-    return dataset
-
-
-def _label(dataset: h5py.Dataset, *scales: h5py.Dataset) -> None:
-    for dimension, scale in zip(dataset.dims, scales, strict=True):
-        dimension.attach_scale(scale)
+        label(filled(file, f"/quality/{name}", empty, QUALITY_UNITS[name]), *rows[: len(shape)])
+    ledger = reserved(file, LEDGER, (count, ledger_row_bytes(actuators)), "u1", "1")
+    label(ledger, scales["position"], scales["ledger_byte"])
+    journal = reserved(file, JOURNAL, (journal_bytes(actuators, taps),), "u1", "1")
+    label(journal, scales["journal_byte"])
 
 
 def _read_header(file: h5py.File, path: Path) -> BankHeader:
@@ -263,26 +210,13 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
 
 def _find_offsets(file: h5py.File, header: BankHeader, path: Path) -> BankLayout:
     count, actuators = header.positions, header.actuators
-    chunks = np.full(count, -1, np.int64)
-
-    def note(chunk: h5py.h5d.StoreInfo) -> None:
-        if chunk.size == header.chunk_bytes and chunk.filter_mask == 0 and chunk.chunk_offset[0] < count:
-            chunks[chunk.chunk_offset[0]] = chunk.byte_offset
-
-    file["/green"].id.chunk_iter(note)
-    if file["/green"].id.get_create_plist().get_nfilters() or (chunks < 0).any():
-        raise InputError(f"{path} is damaged: /green lacks rows or is compressed; restore it from a copy")
 
     def offset(name: str, shape: tuple[int, ...], dtype: str) -> int:
-        dataset = hdf5_safety.plain_dataset(file, name, path, shape=shape)
-        found = dataset.id.get_offset()
-        if dataset.dtype != np.dtype(dtype) or dataset.chunks or found is None:
-            raise InputError(f"{path}: {name} is not laid out as this program lays it out; restore it from a copy")
-        return int(found)
+        return reserved_hdf5.dataset_offset(file, name, shape, dtype, path)
 
     return BankLayout(
         header=header,
-        chunk_offset=chunks,
+        chunk_offset=reserved_hdf5.row_offsets(file, "/green", header.chunk_bytes, path),
         ledger_offset=offset(LEDGER, (count, ledger_row_bytes(actuators)), "u1"),
         journal_offset=offset(JOURNAL, (journal_bytes(actuators, header.taps),), "u1"),
         status_offset=offset("/status", (count,), "u1"),
@@ -291,28 +225,3 @@ def _find_offsets(file: h5py.File, header: BankHeader, path: Path) -> BankLayout
             for name in QUALITY_NAMES
         },
     )
-
-
-def _find_heaps(path: Path, layout: BankLayout) -> list[int]:
-    """Find the collections of HDF5's global heap, where texts are kept."""
-    found, at = [], 0
-    with path.open("rb") as raw:
-        for offset, size in [*sorted(layout.extents()), (path.stat().st_size, 0)]:
-            raw.seek(at)
-            between = raw.read(max(0, offset - at))
-            found += [at + page for page in range(0, len(between), PAGE) if between[page : page + 4] == b"GCOL"]
-            at = offset + size
-    return found
-
-
-def _require_sound_heaps(file: h5py.File, path: Path) -> None:
-    """Refuse damage that HDF5 would not survive; files of other programs do not say where to look."""
-    if "heap_offsets" not in file.attrs:
-        return
-    with path.open("rb") as raw:
-        for offset in np.ravel(hdf5_safety.plain_attribute(file, "heap_offsets", path)).tolist():
-            raw.seek(offset)
-            size = int.from_bytes(raw.read(16)[8:], "little")
-            raw.seek(offset)
-            if size > 16 * METADATA_BLOCK or not hdf5_safety.heap_is_sound(raw.read(size)):
-                raise InputError(f"{path} is damaged: the texts in its header are not readable; restore a copy")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from calibration.durable import PAGE
 from calibration.errors import InputError
+from calibration.seals import seal_holds, sealed
 
 Float32Array = NDArray[np.float32]
 
@@ -26,7 +27,6 @@ _ALL_BITS = 31
 
 _LEDGER_MAGIC = b"WFLEDGER"
 _JOURNAL_MAGIC = b"WFREPLAC"
-_CRC_FIELD = slice(8, 12)  # in ledger row and journal alike
 _HEAD = struct.Struct("<8sIIQIIIII")  # the fields of ledger_dtype before the quality
 _QUALITY_AT = 48
 
@@ -106,7 +106,7 @@ def encode_row(position: int, record: PointRecord, green: Float32Array) -> bytes
     row["green_crc"] = zlib.crc32(green.astype("<f4", copy=False).data)
     for index, name in enumerate(_PER_ACTUATOR):
         row["quality"][index] = getattr(record, name)
-    return _sealed(bytearray(row.tobytes()))
+    return sealed(bytearray(row.tobytes()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,8 +144,8 @@ def decode_rows(content: bytes | bytearray | memoryview, actuators: int, taps: i
     size = ledger_row_bytes(actuators)
     view = memoryview(content)
     rows = np.frombuffer(content, ledger_dtype(actuators))
-    sealed = np.array([_seal_holds(view[at : at + size]) for at in range(0, len(view), size)], bool)
-    holds = sealed & (rows["magic"] == _LEDGER_MAGIC) & (rows["version"] == 1)
+    whole = np.array([seal_holds(view[at : at + size]) for at in range(0, len(view), size)], bool)
+    holds = whole & (rows["magic"] == _LEDGER_MAGIC) & (rows["version"] == 1)
     holds &= (rows["position"] == first + np.arange(len(rows))) & (rows["actuators"] == actuators)
     holds &= (rows["taps"] == taps) & (rows["status"] >= 1) & (rows["status"] <= _ALL_BITS)
     return Ledger(
@@ -161,7 +161,7 @@ def green_crc_of_row(row: bytes | bytearray, position: int, actuators: int, taps
     """Return the Green's functions' checksum from one ledger row; None when the row does not hold."""
     magic, _, version, found, row_actuators, row_taps, status, _, crc = _HEAD.unpack_from(row)
     names = (magic, version, found, row_actuators, row_taps) == (_LEDGER_MAGIC, 1, position, actuators, taps)
-    return crc if names and 1 <= status <= _ALL_BITS and _seal_holds(memoryview(row)) else None
+    return crc if names and 1 <= status <= _ALL_BITS and seal_holds(row) else None
 
 
 def journal_bytes(actuators: int, taps: int) -> int:
@@ -174,12 +174,12 @@ def encode_journal(position: int, chunk: bytes, row: bytes) -> bytes:
     head = bytearray(PAGE)
     head[:8] = _JOURNAL_MAGIC
     head[16:24] = position.to_bytes(8, "little")
-    return _sealed(head + chunk + row)
+    return sealed(head + chunk + row)
 
 
 def decode_journal(content: bytes | bytearray, actuators: int, taps: int) -> tuple[int, bytes, bytes] | None:
     """Return (position, padded chunk, ledger row) of a journal that is whole, else None."""
-    if content[:8] != _JOURNAL_MAGIC or not _seal_holds(memoryview(content)):
+    if content[:8] != _JOURNAL_MAGIC or not seal_holds(content):
         return None
     position = int.from_bytes(content[16:24], "little")
     split = PAGE + round_to_page(actuators * taps * 4)
@@ -188,19 +188,6 @@ def decode_journal(content: bytes | bytearray, actuators: int, taps: int) -> tup
     if not ledger.holds[0] or zlib.crc32(memoryview(chunk)[: actuators * taps * 4]) != ledger.green_crc[0]:
         return None
     return position, chunk, row
-
-
-def _checksum(content: memoryview) -> int:
-    return zlib.crc32(content[_CRC_FIELD.stop :], zlib.crc32(content[: _CRC_FIELD.start]))
-
-
-def _sealed(content: bytearray) -> bytes:
-    content[_CRC_FIELD] = _checksum(memoryview(content)).to_bytes(4, "little")
-    return bytes(content)
-
-
-def _seal_holds(content: memoryview) -> bool:
-    return int.from_bytes(content[_CRC_FIELD], "little") == _checksum(content)
 
 
 def _quality_of(rows: NDArray[np.void], holds: NDArray[np.bool_]) -> dict[str, Float32Array]:

@@ -65,8 +65,8 @@ def bank_owner(path: str | Path) -> Owner | None:
         file.close()
 
 
-def take_ownership(path: Path, file: PositionedFile) -> None:
-    """Lock an open bank until it is closed.
+def take_ownership(path: Path, file: PositionedFile, kind: str = "bank") -> None:
+    """Lock an open bank, or a file of another kind, until it is closed.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def take_ownership(path: Path, file: PositionedFile) -> None:
     owner = _named_owner(path)
     who = f"process {owner.pid} on {owner.host}" if owner.pid else "another process"
     raise BankBusyError(
-        f"bank {path} is owned by {who}; wait until it has finished or stop it, then try again"
+        f"{kind} {path} is owned by {who}; wait until it has finished or stop it, then try again"
         " (reading and status are possible meanwhile)"
     )
 

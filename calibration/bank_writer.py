@@ -8,8 +8,6 @@ from it on opening.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -17,7 +15,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration import bank_layout, bank_owner, durable, hdf5_safety
+from calibration import bank_layout, durable, hdf5_safety
 from calibration.bank_header import BankHeader
 from calibration.bank_layout import BankLayout
 from calibration.bank_ledger import (
@@ -34,8 +32,8 @@ from calibration.bank_ledger import (
     ledger_row_bytes,
     round_to_page,
 )
-from calibration.durable import PositionedFile
-from calibration.errors import InputError, WavefocusError
+from calibration.errors import InputError
+from calibration.owned_file import OwnedFile
 
 Float32Array = NDArray[np.float32]
 
@@ -47,14 +45,12 @@ class BankWriter:
     it.
     """
 
-    def __init__(self, path: Path, file: PositionedFile, layout: BankLayout) -> None:
+    def __init__(self, path: Path, file: OwnedFile, layout: BankLayout) -> None:
         self.path = path
         self.header: BankHeader = layout.header
         self._file = file
         self._layout = layout
-        self._failure: str | None = None
-        self._closed = False
-        with self._writing("recovering what a crash left"):
+        with self._file.writing("recovering what a crash left"):
             self._replay_journal()
             self._read_ledger()
             self._clear_torn_rows()
@@ -90,26 +86,15 @@ class BankWriter:
             When it cannot be written.
         """
         path = Path(path)
-        if path.is_symlink():
-            raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the bank file itself")
-        hdf5_safety.require_regular(path)
+        file = OwnedFile.lock(path, "bank", open_file)
         try:
-            file = open_file(path, write=True)
-        except OSError as error:
-            raise InputError(f"{path} may not be written: {error.strerror}") from error
-        try:
-            bank_owner.take_ownership(path, file)
             with hdf5_safety.opened(path) as content:
                 layout = bank_layout.read_layout(content, path)
             _require_plan(path, layout.header, plan_sha256)
-            bank_owner.write_owner(path)
-            try:
-                return cls(path, file, layout)
-            except BaseException:
-                bank_owner.remove_owner(path)
-                raise
+            file.write_name()
+            return cls(path, file, layout)
         except BaseException:
-            file.close()
+            file.give_up()
             raise
 
     @property
@@ -157,7 +142,7 @@ class BankWriter:
             )
         chunk = values.tobytes().ljust(round_to_page(self.header.chunk_bytes), b"\0")
         row = encode_row(position, record, values)
-        with self._writing(f"writing position {position}"):
+        with self._file.writing(f"writing position {position}"):
             if self._status[position]:
                 self._replace(position, chunk, row)
             else:
@@ -180,7 +165,7 @@ class BankWriter:
             record = PointRecord(DISABLED, int(self._attempts[position]), unknown, unknown, unknown, unknown)
             self.commit(position, np.zeros((self.header.actuators, self.header.taps), np.float32), record)
             return
-        content = self._read(self._row_offset(position), ledger_row_bytes(self.header.actuators))
+        content = self._file.read(self._row_offset(position), ledger_row_bytes(self.header.actuators))
         kept = decode_rows(content, self.header.actuators, self.header.taps, position)
         figures = {name: kept.quality[name][0] for name in QUALITY_NAMES if name != "attempts"}
         status = (int(kept.status[0]) & ~VALID) | DISABLED
@@ -196,16 +181,7 @@ class BankWriter:
 
     def close(self) -> None:
         """Sync, take the owner's name away and release the bank; closing twice does nothing."""
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            if self._failure is None:
-                with self._writing("closing"):
-                    self._file.sync()
-        finally:
-            bank_owner.remove_owner(self.path)
-            self._file.close()
+        self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -214,21 +190,6 @@ class BankWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    @contextmanager
-    def _writing(self, what: str) -> Iterator[None]:
-        if self._failure:
-            raise WavefocusError(f"bank {self.path} takes no more commits after an earlier failure ({self._failure})")
-        try:
-            yield
-        except OSError as error:
-            # After a failed sync the kernel may drop what it could not write: nothing in flight can be
-            # trusted.
-            self._failure = f"{what}: {error.strerror or error}"
-            raise WavefocusError(
-                f"bank {self.path}: {self._failure}; what was measured before is safe; "
-                "make the disk writable and resume"
-            ) from error
 
     def _write_row(self, position: int, chunk: bytes, row: bytes) -> None:
         self._file.write(int(self._layout.chunk_offset[position]), chunk)
@@ -256,7 +217,7 @@ class BankWriter:
         self._attempts[position] = record.attempts
 
     def _replay_journal(self) -> None:
-        content = self._read(self._layout.journal_offset, self._journal_bytes)
+        content = self._file.read(self._layout.journal_offset, self._journal_bytes)
         if not np.frombuffer(content, np.uint8).any():
             return
         entry = decode_journal(content, self.header.actuators, self.header.taps)
@@ -265,7 +226,9 @@ class BankWriter:
         self._clear_journal()
 
     def _read_ledger(self) -> None:
-        rows = self._read(self._layout.ledger_offset, self.header.positions * ledger_row_bytes(self.header.actuators))
+        rows = self._file.read(
+            self._layout.ledger_offset, self.header.positions * ledger_row_bytes(self.header.actuators)
+        )
         self._ledger: Ledger = decode_rows(rows, self.header.actuators, self.header.taps)
         trusted = self._ledger.holds.copy()
         chunk = bytearray(round_to_page(self.header.chunk_bytes))
@@ -295,14 +258,9 @@ class BankWriter:
             figures[~known] = 0 if name == "attempts" else np.nan
             derived[self._layout.quality_offset[name]] = figures.tobytes()
         for offset, content in derived.items():
-            if self._read(offset, len(content)) != content:
+            if self._file.read(offset, len(content)) != content:
                 self._file.write(offset, content)
         del self._ledger, self._torn
-
-    def _read(self, offset: int, size: int) -> bytearray:
-        content = bytearray(size)
-        self._file.read_into(offset, memoryview(content))
-        return content
 
     def _row_offset(self, position: int) -> int:
         return self._layout.ledger_offset + position * ledger_row_bytes(self.header.actuators)

@@ -11,7 +11,7 @@ from calibration.causal_fit import CausalFit
 from calibration.clipping import count_clipped, find_peaks
 from calibration.errors import InputError
 from calibration.repeats import RepeatFinder
-from calibration.sweeps import Excitation
+from calibration.sweeps import Sweeps
 
 MAX_PPM = 500.0
 # Bounds memory to about 20 MB however many records are given.
@@ -75,7 +75,7 @@ class Estimator:
 
     Parameters
     ----------
-    excitation : Excitation
+    excitation : Sweeps
         What each record plays.
     taps : int
         Length L of the FIRs, 1 to the excitation's silence.
@@ -96,7 +96,7 @@ class Estimator:
 
     def __init__(
         self,
-        excitation: Excitation,
+        excitation: Sweeps,
         taps: int,
         *,
         reference_gain: float = 1.0,
@@ -201,8 +201,8 @@ class Estimator:
         return Estimate(
             green=self._fit.taps(self._fit.denoised(coefficients, variance), repeats.ratio - 1)
             * np.float32(self._scale),
-            snr_db=_decibel(np.maximum(whole - noise, 0), noise),
-            residual_db=_decibel(left, whole),
+            snr_db=decibel(np.maximum(whole - noise, 0), noise),
+            residual_db=decibel(left, whole),
             coherence=coherence,
             peak_v=peaks[1][0],
             repeat_db=repeat_db,
@@ -222,12 +222,13 @@ class Estimator:
         differing = _energy(y - transfer[:, None] * x).sum(axis=(1, 2), dtype=np.float64)
         whole = _energy(y).sum(axis=(1, 2), dtype=np.float64)
         coherence = 1 - (differing + FLOOR) / (whole + FLOOR)
-        return coherence.astype(np.float32), _decibel(differing * averages / (averages - 1), whole)
+        return coherence.astype(np.float32), decibel(differing * averages / (averages - 1), whole)
 
 
 def _energy(spectra: NDArray[np.complex64]) -> NDArray[np.float32]:
     return np.square(spectra.real) + np.square(spectra.imag)
 
 
-def _decibel(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float32]:
+def decibel(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Energy `part` over energy `whole` in dB; 0 dB where both are zero."""
     return (10 * np.log10((part + FLOOR) / (whole + FLOOR))).astype(np.float32)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calibration.band_spectrum import BandSpectrum
 from calibration.errors import InputError
-from calibration.sweeps import Excitation
+from calibration.sweeps import Sweeps
 from calibration.timing import CORNERS, ReferenceMissingError, check_inside
 
 # Bins whose nominal energy is below this share of the median in band carry noise only.
@@ -60,7 +60,7 @@ class RepeatFinder:
 
     Parameters
     ----------
-    excitation : Excitation
+    excitation : Sweeps
         What was played.
     room_samples : int
         Silence to spare after a response of L taps.
@@ -68,12 +68,14 @@ class RepeatFinder:
         Largest clock skew in parts per million.
     """
 
-    def __init__(self, excitation: Excitation, room_samples: int, max_ppm: float) -> None:
+    def __init__(self, excitation: Sweeps, room_samples: int, max_ppm: float) -> None:
         base = excitation.base_v()
         self.period = base.size
         self.averages = excitation.averages
         self.max_ppm = max_ppm
         self._guard = min(GUARD_SAMPLES, room_samples // 2)
+        # The end of the last silence may lie behind the record's: nothing sounds there.
+        self._least = self.averages * base.size - room_samples - GUARD_SAMPLES
         nominal = scipy.fft.rfft(base)
         slope = -1j * scipy.fft.rfft(np.arange(base.size) * base)
         power = np.abs(nominal) ** 2
@@ -119,10 +121,10 @@ class RepeatFinder:
             A record in which the signal is absent, too noisy, or not entirely inside.
         """
         records, samples = reference.shape
-        if samples < self.averages * self.period:
+        if samples < max(self._least, self.period):
             raise InputError(
-                f"records have {samples} samples; allowed is at least {self.averages * self.period}, "
-                f"{self.averages} sweeps with their silence"
+                f"records have {samples} samples; allowed is at least {max(self._least, self.period)}, "
+                f"{self.averages} sweeps with their responses"
             )
         first = np.floor(self._first_guess(reference)).astype(np.int64) - self._guard
         starts = self._limited(first[:, None] + self.period * np.arange(self.averages), samples)
@@ -148,7 +150,7 @@ class RepeatFinder:
             check_inside(
                 offset[record],
                 ratio[record],
-                self.averages * self.period,
+                self._least,
                 samples,
                 f"the reference of record {first_record + record}",
             )
@@ -165,7 +167,7 @@ class RepeatFinder:
             piece = reference[:, begin : begin + self.period : self._guess_thinning]
             folded[:, : piece.shape[1]] += piece
         guess = self._coarse_delay(scipy.fft.rfft(folded, overwrite_x=True)[:, self.bins])
-        length = self.averages * self.period
+        length = self._least
         # The fold tells the start but for whole periods; the one with most energy inside is meant.
         for record in range(records):
             starts = np.arange(guess[record] - self.period, samples - length + self.period / 2, self.period)

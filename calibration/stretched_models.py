@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import fft, ifft, next_fast_len
+
+from calibration.chirp_transform import fourier_sum
 
 KEPT_MODELS = 16
 
@@ -71,7 +72,7 @@ class StretchedModels:
         # The spectrum of a stretched signal is its own at scaled frequencies: exact, no interpolation.
         turn = 2 * np.pi * ratio / self._length
         known, later = (
-            _fourier_sum(signal, turn, self._bins.start, self._omega.size)
+            fourier_sum(signal, turn, self._bins.start, self._omega.size)
             for signal in (self._known, np.arange(self._known.size) * self._known)
         )
         slopes = -1j * self._omega * np.stack([known, later])
@@ -81,27 +82,3 @@ class StretchedModels:
         size[size == 0] = 1.0
         even = regressors / size
         return Model(ratio, regressors, np.linalg.pinv(even @ even.T, hermitian=True) @ even / size)
-
-
-def _fourier_sum(signal: NDArray[np.float64], turn: float, first: int, bins: int) -> NDArray[np.complex128]:
-    """Fourier sum of a signal at evenly spaced frequencies, by Bluestein's chirp transform.
-
-    ``sum over n of signal[n] * exp(-j * n * turn * (first + m))`` for m = 0 ... bins - 1.
-
-    Parameters
-    ----------
-    signal : float64 array, shape (samples,)
-        Any signal.
-    turn : float
-        Spacing of the frequencies in radians per sample.
-    first, bins : int
-        The first frequency is ``first * turn``; how many there are.
-    """
-    index = np.arange(signal.size, dtype=np.float64)
-    bin_index = np.arange(bins, dtype=np.float64)
-    between = np.arange(1 - signal.size, bins, dtype=np.float64)
-    length = next_fast_len(between.size)
-    down = signal * np.exp(-1j * turn * index * (first + 0.5 * index))
-    up = np.exp(0.5j * turn * between**2)
-    product = ifft(fft(down, length) * fft(up, length))[signal.size - 1 : between.size]
-    return np.asarray(product * np.exp(-0.5j * turn * bin_index**2), dtype=np.complex128)

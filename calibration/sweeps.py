@@ -4,11 +4,50 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
+
+
+class Sweeps(Protocol):
+    """Sweeps that follow each other, each with silence after it; what an estimator must know of them."""
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Rate in Hz."""
+        ...
+
+    @property
+    def start_hz(self) -> float:
+        """Lowest frequency in Hz."""
+        ...
+
+    @property
+    def stop_hz(self) -> float:
+        """Highest frequency in Hz."""
+        ...
+
+    @property
+    def averages(self) -> int:
+        """Number of sweeps in a record."""
+        ...
+
+    @property
+    def decay_samples(self) -> int:
+        """Samples of silence after each sweep."""
+        ...
+
+    @property
+    def decay_s(self) -> float:
+        """Silence after each sweep in seconds."""
+        ...
+
+    def base_v(self) -> NDArray[np.float64]:
+        """One sweep and its silence in volts."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,7 +112,7 @@ def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(
 
 def test_given_an_impulse_then_the_predicted_response_at_the_focus_is_its_amplitude(bank: Path) -> None:
     from calibration.bank import open_bank
-    from rendering.drive import render
+    from rendering.drive import render_with_report
     from rendering.field import predict
     from wavefocus.config.scene import load_scene
 
@@ -122,7 +122,7 @@ def test_given_an_impulse_then_the_predicted_response_at_the_focus_is_its_amplit
         encoding="utf-8",
     )
     with open_bank(bank) as view:
-        drive = render(load_scene(scene), view)
+        drive, _ = render_with_report(load_scene(scene), view)
         field = predict(drive, view, [int(drive.focus_position[0])])
     focus = int(drive.focus_sample[0]) - round(drive.start_s * RATE_HZ)
     assert field.field[0, focus] == pytest.approx(0.25, rel=1e-9)

@@ -1,0 +1,74 @@
+"""Making a file whose space is all there from the beginning, without touching anything that exists."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from calibration import durable
+from calibration.durable import PAGE
+from calibration.errors import InputError
+
+
+def create_reserved(
+    path: Path, about_bytes: int, lay_out: Callable[[Path], int], open_file: durable.OpenFile = durable.open_file
+) -> None:
+    """Make a file with all its space reserved; an existing one is never touched.
+
+    Parameters
+    ----------
+    path : Path
+        A file that does not exist, in a folder that does.
+    about_bytes : int
+        How large it will be, a little rounded up.
+    lay_out : callable
+        Writes what the file begins with to a path and returns how many bytes it will need.
+    open_file : durable.OpenFile
+        How the file is opened when its space is reserved.
+
+    Raises
+    ------
+    InputError
+        When the path exists, the folder is missing, or the disk is too small; nothing is left behind.
+    """
+    if path.exists() or path.is_symlink():
+        raise InputError(f"{path} exists already; choose another name, or resume it")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist")
+    _require_space(path, about_bytes, None)
+    try:
+        workplace = tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
+    except OSError as error:
+        raise InputError(f"{path} may not be written: {error.strerror}") from error
+    with workplace as folder:
+        temporary = Path(folder) / path.name
+        try:
+            _fill(temporary, lay_out, open_file)
+            durable.publish_new(temporary, path)
+        except FileExistsError as error:
+            raise InputError(f"{path} exists already; choose another name, or resume it") from error
+        except (OSError, RuntimeError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            _require_space(path, about_bytes, error)
+            raise InputError(f"{path} cannot be made: {error}") from error
+
+
+def _fill(temporary: Path, lay_out: Callable[[Path], int], open_file: durable.OpenFile) -> None:
+    needed = lay_out(temporary)
+    file = open_file(temporary, write=True)
+    try:
+        file.reserve(max(-(-file.size() // PAGE) * PAGE, needed))
+        file.sync()
+    finally:
+        file.close()
+
+
+def _require_space(path: Path, needed: int, error: Exception | None) -> None:
+    free = shutil.disk_usage(path.parent).free
+    if free < needed:
+        raise InputError(
+            f"{path} needs {needed} bytes and its disk has {free} free; make room or use another"
+        ) from error

@@ -1,0 +1,138 @@
+"""``wavefocus estimate``: Green's functions from kept recordings."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.durations import hours
+from acquisition.quality import QualityLimits, Status, judge, status_counts
+from calibration.bank_creation import create_bank
+from calibration.bank_header import BankHeader
+from calibration.bank_ledger import PointRecord
+from calibration.bank_writer import BankWriter
+from calibration.blas import one_blas_thread
+from calibration.errors import InputError
+from calibration.network_mount import is_network_mount
+from calibration.raw_estimation import PositionResult, estimate_positions, estimator_of
+from calibration.raw_file import open_raw
+from calibration.raw_header import RawHeader
+from wavefocus.console import progress, say
+
+# So many faults are told one by one.
+MOST_LINES = 10
+
+
+def estimate(raw: Path, bank: Path, workers: int | None, *, as_json: bool) -> None:
+    """Estimate all positions of a raw file that the bank does not hold yet; a new bank is made where none is."""
+    with open_raw(raw) as recordings, one_blas_thread():
+        header = recordings.header
+        if bank.exists() and bank.samefile(raw):
+            raise InputError(f"--bank {bank}: is the raw file itself; name another file")
+        if not bank.exists():
+            # What was played must be known before a bank is made of it.
+            estimator = estimator_of(recordings)
+            if is_network_mount(bank.absolute().parent):
+                say(f"{bank} is on a network drive, where locks and syncs are unreliable: estimate to a local disk")
+            create_bank(bank, _bank_header(header))
+        else:
+            estimator = None
+        with BankWriter.open(bank, plan_sha256=header.identity()) as writer:
+            _require_alike(writer.header, header, bank, raw)
+            to_do = np.flatnonzero(writer.status == 0).tolist()
+            done = first = header.positions - len(to_do)
+            if to_do and estimator is None:
+                estimator = estimator_of(recordings)
+            started_s = time.monotonic()
+            faults: list[str] = []
+            with progress("estimate", header.positions, done=first) as report:
+                if to_do and estimator is not None:
+                    count = workers or os.cpu_count() or 1
+                    for result in estimate_positions(recordings, estimator, to_do, count):
+                        if fault := _commit(writer, result):
+                            faults.append(fault)
+                        done += 1
+                        report(done, header.positions)
+            status = writer.status
+            took_s = time.monotonic() - started_s
+        for line in faults[:MOST_LINES]:
+            say(line)
+        if len(faults) > MOST_LINES:
+            say(f"and {len(faults) - MOST_LINES} positions more that are not valid")
+    _tell(bank, raw, header, status, done - first, took_s, as_json=as_json)
+
+
+def _commit(writer: BankWriter, result: PositionResult) -> str:
+    """Keep one position; the sentence about it where it is not valid."""
+    actuators, taps = writer.header.actuators, writer.header.taps
+    found = result.estimate
+    if found is None:
+        nothing = np.full(actuators, np.nan, np.float32)
+        record = PointRecord(int(Status.FAILED), 1, nothing, nothing, nothing, nothing)
+        writer.commit(result.position, np.zeros((actuators, taps), np.float32), record)
+        return f"position {result.position} failed: {result.fault}"
+    judgement = judge(found, False, QualityLimits())
+    record = PointRecord(
+        status=int(judgement.status),
+        attempts=1,
+        snr_db=found.snr_db,
+        residual_db=found.residual_db,
+        coherence=found.coherence,
+        peak_v=found.peak_v,
+    )
+    writer.commit(result.position, found.green, record)
+    return "" if judgement.good else f"position {result.position}: {judgement.reason}"
+
+
+def _bank_header(header: RawHeader) -> BankHeader:
+    unit = header.response_unit
+    return BankHeader(
+        sample_rate_hz=header.sample_rate_hz,
+        taps=header.taps,
+        band_hz=header.band_hz,
+        position_mm=header.position_mm,
+        actuator_mm=header.actuator_mm,
+        rig_json=header.rig_json,
+        run_json=header.run_json,
+        plan_sha256=header.identity(),
+        software=f"wavefocus {version('wavefocus')}, from raw recordings",
+        response_unit=unit if unit.endswith("/V") else f"{unit}/V",
+    )
+
+
+def _require_alike(held: BankHeader, header: RawHeader, bank: Path, raw: Path) -> None:
+    """Refuse a bank of other dimensions, whatever plan it names."""
+    here = (held.positions, held.actuators, held.taps)
+    wanted = (header.positions, header.actuators, header.taps)
+    if here != wanted:
+        raise InputError(
+            f"{bank} holds {here[0]} positions, {here[1]} actuators and {here[2]} taps, {raw} {wanted[0]}, "
+            f"{wanted[1]} and {wanted[2]}; name a new bank"
+        )
+
+
+def _tell(
+    bank: Path, raw: Path, header: RawHeader, status: NDArray[np.uint8], estimated: int, took_s: float, *, as_json: bool
+) -> None:
+    counts = status_counts(status)
+    signals = estimated * header.actuators
+    facts = {
+        "bank": str(bank),
+        "raw": str(raw),
+        "positions": header.positions,
+        "estimated": estimated,
+        "counts": counts,
+        "seconds": round(took_s, 3),
+        "green_functions_per_s": round(signals / took_s, 1) if estimated and took_s > 0 else None,
+    }
+    if as_json:
+        print(json.dumps(facts))
+    words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    speed = f"; {signals} Green's functions in {hours(took_s)}, {signals / took_s:.0f} a second" if signals else ""
+    say(f"{bank}: {header.positions} positions ({words}){speed}")
