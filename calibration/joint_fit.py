@@ -17,8 +17,8 @@ Complex64Array = NDArray[np.complex64]
 
 # Directions weaker than this share of the ridge would be damped to 1 % of themselves: left out.
 CUT = 1e-2
-# Directions weaker than this, in amplitude, are left at zero where noise of so many times its variance explains
-# them, as in `causal_fit`.
+# Directions weaker than this, in amplitude, are left at zero where noise alone explains them, as in `causal_fit`:
+# noise of so many times its variance.
 WEAK = 0.1
 GARROTE = 3.0
 # Conjugate gradients end at this relative residual; they need about ten steps, a fuller record more.

@@ -81,7 +81,7 @@ class RingClock:
         counted: NDArray[np.bool_] | None = None,
     ) -> None:
         self._counted = counted
-        self._period, self._max_ppm = period, max_ppm
+        self._period, self._max_ppm, self._whole = period, max_ppm, spectrum
         power = np.abs(spectrum) ** 2
         below = np.cumsum(power)
         self._first = max(int(np.searchsorted(below, 1e-6 * below[-1])), 1)
@@ -90,18 +90,17 @@ class RingClock:
         self._highest = spectrum.size / period
         self._amplitudes = self._spectrum * 2 / period
         lowest = max(int(np.searchsorted(below, 0.01 * below[-1])), 1)
-        omega = 2 * np.pi * bins / period
-        self._slope = 1j * omega
-        corners = 2 * np.pi * lowest / period * np.array(CORNERS)
-        self._coupling = 1 / (1 + 1j * omega / corners[:, None])
+        self._slope = 2j * np.pi * bins / period
+        # Corner frequencies in bins.
+        corners = lowest * np.array(CORNERS)
+        self._all_coupling = 1 / (1 + 1j * np.arange(spectrum.size) / corners[:, None])
         if any_phase:
-            self._coupling = np.concatenate([self._coupling, np.full((1, bins.size), -1j)])
+            self._all_coupling = np.concatenate([self._all_coupling, np.full((1, spectrum.size), -1j)])
+        self._coupling = self._all_coupling[:, self._first :]
 
-    def coupled(self, fit: RingFit, bins: int) -> Complex128Array:
+    def coupled(self, fit: RingFit) -> Complex128Array:
         """Spectrum of the base signal (bins,) as the reference channel carries it, but for the offset."""
-        out = np.zeros(bins, dtype=np.complex128)
-        out[self._first :] = self._spectrum * (fit.gain + fit.coupling @ self._coupling)
-        return out
+        return np.asarray(self._whole * (fit.gain + fit.coupling @ self._all_coupling))
 
     def fit(self, thinned: Thinned, thinning: Thinning, expected: float = 1.0, *, search: bool = True) -> RingFit:
         """Find offset and ratio, first near the expected ratio, then further and further away.

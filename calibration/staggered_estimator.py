@@ -165,11 +165,14 @@ class StaggeredEstimator:
         sums = self._thinning.spectrum(thinned, turn, 0, self._bins.stop)
         heard, answered = ring_spectrum(sums, turn, samples) if self._runs_on else sums * (2 / self.period)
         base = self._cleaned(heard[self._bins], clock)
-        solution = self._fit.solve((answered[self._bins] / base * self._weight).astype(np.complex64))
+        data = (self._weight * answered[self._bins] * base.conj() / np.maximum(np.square(np.abs(base)), FLOOR)).astype(
+            np.complex64
+        )
+        solution = self._fit.solve(data)
 
         periods = samples / (self.period * clock.ratio)
         coherence, repeat_db = self._repeatability(thinned, answered, turn, periods)
-        whole = float(np.square(np.abs(answered[self._bins] / base * self._weight)).sum())
+        whole = float(np.vdot(data, data).real)
         noise = solution.variance * self._fit.elements
         level = float(np.square(np.abs(base) * self.period / 2).sum() / self._nominal_power.sum())
         # Over silence, too, noise is heard; over more than a period it is averaged.
@@ -210,11 +213,12 @@ class StaggeredEstimator:
     def _cleaned(self, heard: Complex128Array, clock: RingFit) -> Complex128Array:
         """Amplitudes of the base signal as the reference channel carries it, all but free of its noise."""
         delayed = np.exp(-1j * self._omega * clock.offset_samples / clock.ratio) * (2 / self.period)
-        fitted = self._clock.coupled(clock, self._bins.stop)[self._bins] * delayed
+        fitted = self._clock.coupled(clock)[self._bins] * delayed
         power = np.square(np.abs(fitted))
         # Both sums fade out together at the ends of the band.
         alike = np.convolve(heard * fitted.conj(), self._smoothing, mode="same")
-        return np.asarray(fitted * alike / np.convolve(power, self._smoothing, mode="same"))
+        around = np.convolve(power, self._smoothing, mode="same")
+        return np.asarray(fitted * alike / np.maximum(around, FLOOR))
 
     def _repeatability(
         self, thinned: Thinned, answered: Complex128Array, turn: float, periods: float

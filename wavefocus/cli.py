@@ -91,11 +91,14 @@ def doctor(
     rig: RigArgument,
     json: JsonOption = False,
     no_play: Annotated[bool, typer.Option("--no-play", help="Play nothing.")] = False,
+    reset_usb: Annotated[
+        str, typer.Option("--reset-usb", metavar="ROLE", help="Reset that instrument's USB device first.")
+    ] = "",
 ) -> None:
     """Find, identify and exercise every instrument; say what is wrong and what to do about it."""
     from wavefocus.commands import doctor as command
 
-    raise typer.Exit(command.doctor(rig, as_json=json, play=not no_play))
+    raise typer.Exit(command.doctor(rig, as_json=json, play=not no_play, reset_usb=reset_usb))
 
 
 @app.command()

@@ -52,6 +52,8 @@ class Play:
     voices: tuple[Voice, ...]
     done: int = 0
     periods_after: int = 0
+    silent_frames: int = 0
+    ending: tuple[str, str] | None = None
     frames: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -138,7 +140,7 @@ class Playback:
                 if not fade:
                     self._end(MUTED)
             else:
-                self._end(MUTED)
+                self._end(*(MUTED, "") if self._play is None or not self._play.ending else self._play.ending)
                 self._play, fade = order, False
                 late_s, self._grid_s = 0.0, now_s
         if self._play is not None:
@@ -148,6 +150,9 @@ class Playback:
 
     def _go_on(self, play: Play, out: Float32Array, late_s: float, *, flagged: bool, fade: bool) -> None:
         frames = len(out)
+        if play.ending is not None:
+            self._see_out(play, frames)
+            return
         for voice in play.voices:
             first = max(voice.start, play.done)
             stop = min(voice.start + voice.samples.size, play.done + frames)
@@ -161,7 +166,7 @@ class Playback:
             notice = f"the stream fell {1e3 * late_s:.0f} ms behind"
         if notice or fade:
             _fade(out, round(FADE_S * self._rate_hz))
-            self._end(UNDERFLOW if notice else MUTED, notice)
+            play.ending = (UNDERFLOW if notice else MUTED, notice)
             return
         # Time passes between periods, not between the callbacks of one.
         if play.done >= play.frames and self._burst_frames == frames:
@@ -169,6 +174,14 @@ class Playback:
             if play.periods_after >= PERIODS_AFTER and play.done >= play.frames + self._latency_frames:
                 self._end(PLAYED)
         play.done += frames
+
+    def _see_out(self, play: Play, frames: int) -> None:
+        """End a play that was cut short once its last sound has left the outputs: a record may begin then."""
+        assert play.ending is not None
+        play.silent_frames += frames
+        play.periods_after += self._burst_frames == frames
+        if play.periods_after >= PERIODS_AFTER and play.silent_frames >= self._latency_frames:
+            self._end(*play.ending)
 
     def _end(self, outcome: str, notice: str = "") -> None:
         if self._play is not None:

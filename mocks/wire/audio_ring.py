@@ -60,7 +60,7 @@ class AudioRing:
     cycles : int64 array, shape (CYCLES, 2)
         First frame of a cycle, and its nominal start by `time.monotonic_ns`.
     gaps : int64 array, shape (INTERRUPTIONS, 2)
-        First frame and length of the last interruptions, in which nothing sounded.
+        Where the last interruptions were, and how many frames nothing sounded; 0 where a cycle was merely late.
     samples : float32 array, shape (channels, ring_frames)
         Parts of full scale.
     """
@@ -134,8 +134,7 @@ class RingWriter:
         self._resumed = False
 
     def note_xrun(self) -> None:
-        """The server says that a cycle was late: what was played has a gap, and its grid of periods has moved."""
-        self._lates_ns.clear()
+        """The server says that a cycle was late."""
         self._xrun = True
 
     def note_return(self) -> None:
@@ -176,23 +175,23 @@ class RingWriter:
 
     def _keep_time(self, late_ns: int, *, silent: bool) -> None:
         """Let the clock go on where the server's did not, as an interface's would have done."""
+        ring = self._ring
         self._lates_ns.append(late_ns)
         enough = len(self._lates_ns) == LOOKS
         moved_ns = late_ns if self._resumed else min(self._lates_ns) * enough
-        interrupted = self._resumed or self._xrun
-        # Without a word from the server nothing was missing, its clock stood still: made up for in silence.
-        if moved_ns > MOVED_NS and (interrupted or silent):
-            ring, gap = self._ring, moved_ns * self._rate_hz // NANOSECONDS
+        # When a cycle was late the server's clock stood still, and no sample was lost: made up for in silence.
+        gap = 0
+        if moved_ns > MOVED_NS and (self._resumed or silent):
+            gap = moved_ns * self._rate_hz // NANOSECONDS
             ring.silence(ring["written"], gap)
-            if interrupted:
-                ring.gaps[ring["interruptions"] % INTERRUPTIONS] = (ring["written"], gap)
-                ring["interruptions"] += 1
             ring["revision"] += 1
-            ring["written"] += gap
             self._grid_ns += moved_ns
             self._lates_ns.clear()
-        self._resumed = False
-        self._xrun = self._xrun and not enough
+        if self._xrun or (self._resumed and gap):
+            ring.gaps[ring["interruptions"] % INTERRUPTIONS] = (ring["written"], gap)
+            ring["interruptions"] += 1
+        ring["written"] += gap
+        self._resumed = self._xrun = False
 
 
 def make_ring(channels: int, rate_hz: int, period_frames: int, seconds: float) -> AudioRing:

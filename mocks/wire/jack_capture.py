@@ -28,8 +28,8 @@ class AudioNotCapturedError(Exception):
 class PlayedAudio:
     """What has left the outputs, by frames of the audio clock; safe to share between threads.
 
-    The clock goes on whatever happens. Where the audio server was late, frozen or down, nothing left the outputs:
-    those frames are silent, and listed in `interruptions`.
+    The clock goes on whatever happens. While the audio server is frozen or down, nothing leaves the outputs: those
+    frames are silent, and listed in `interruptions`.
 
     Parameters
     ----------
@@ -71,7 +71,10 @@ class PlayedAudio:
 
     @property
     def interruptions(self) -> tuple[tuple[int, int], ...]:
-        """First frame and length of each stretch in which nothing left the outputs; of the last 256."""
+        """The frame of each of the last 256 interruptions, and how long nothing left the outputs.
+
+        0 frames where the server says that a cycle was late: its clock stood still, and no sample was lost.
+        """
         count = self._ring["interruptions"]
         numbers = range(max(0, count - INTERRUPTIONS), count)
         gaps = self._ring.gaps[[number % INTERRUPTIONS for number in numbers]]

@@ -113,6 +113,26 @@ def test_given_a_usb_device_that_is_not_plugged_in_then_it_is_missed(
     assert bad["remedy"]
 
 
+def test_given_a_reset_of_a_device_that_the_rig_does_not_expect_then_exit_2_and_what_it_expects(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["init", str(tmp_path / "lab")]) == 0
+    capsys.readouterr()
+    assert run(["doctor", str(tmp_path / "lab" / "rig.toml"), "--reset-usb", "recorder"]) == 2
+    assert "[[usb]]" in capsys.readouterr().err
+
+
+def test_given_a_reset_of_a_device_that_is_not_plugged_in_then_exit_3_and_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[[usb]]\nrole = "recorder"\nvendor_id = 0x3923\nproduct_id = 0x7179\n', encoding="utf-8")
+    assert run(["doctor", str(rig), "--reset-usb", "recorder"]) == 3
+    error = capsys.readouterr().err
+    assert "recorder" in error
+    assert error.count("\n") == 1
+
+
 def test_given_a_wrong_rig_file_then_exit_2_and_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _, people = doctor(written(tmp_path, "[mirror]\nlimit_deg = 3\n"), capsys=capsys)
     assert code == 2

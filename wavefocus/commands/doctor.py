@@ -12,6 +12,7 @@ from rich.table import Table
 
 from acquisition.doctor import Patient, examine
 from acquisition.doctor_findings import Finding
+from calibration.errors import InputError
 from calibration.mirror_map import MirrorMap
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig
@@ -27,9 +28,14 @@ CORNER_SHARE = 0.95
 STYLES = {"ok": "green", "warn": "yellow", "fail": "bold red", "skipped": "dim"}
 
 
-def doctor(rig_file: Path, *, as_json: bool, play: bool) -> Exit:
-    """Examine a rig; exit code 1 when something is not good enough, whatever it is."""
+def doctor(rig_file: Path, *, as_json: bool, play: bool, reset_usb: str = "") -> Exit:
+    """Examine a rig; exit code 1 when something is not good enough, whatever it is.
+
+    `reset_usb` names a role whose USB device is reset first: the last resort, and never done unasked.
+    """
     rig = load_rig(rig_file)
+    if reset_usb:
+        _reset(rig, rig_file, reset_usb)
     folder = rig_file.resolve().parent
     findings: list[Finding] = []
     with people.status("examining") if people.is_terminal else nullcontext() as status:
@@ -59,6 +65,18 @@ def doctor(rig_file: Path, *, as_json: bool, play: bool) -> Exit:
     warned = sum(one.verdict == "warn" for one in findings)
     say(f"{rig_file}: {failed} not good enough, {warned} to look at, {len(findings)} findings")
     return Exit.NOT_GOOD_ENOUGH if failed else Exit.DONE
+
+
+def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
+    """Reset the USB device that the rig file expects for a role."""
+    from drivers.usb.matching import ExpectedUsbDevice
+    from drivers.usb.reset import reset_device
+
+    expected = [ExpectedUsbDevice(**one.model_dump()) for one in rig.usb]
+    roles = ", ".join(sorted({one.role for one in expected})) or "none: give it a [[usb]] table"
+    if role not in {one.role for one in expected}:
+        raise InputError(f"--reset-usb {role}: {rig_file} expects no USB device of that role; it expects {roles}")
+    say(f"{role}: reset; it is now {reset_device(role, expected)}")
 
 
 def _patient(rig: RigConfig) -> Patient:
