@@ -27,7 +27,7 @@ def patient(rig: VirtualRig, **changes: object) -> Patient:
         mirror=lambda: roles.mirror,
         recorder=lambda: roles.recorder,
         player=lambda: roles.player,
-        vibrometer=lambda: Vibrometer(settings.sensitivity_m_s_per_v, "decoder", None),
+        vibrometer=lambda: Vibrometer(settings.sensitivity_m_s_per_v, "decoder", 0.0, None),
         mirror_map=MirrorMap.straight(1000.0),
         corners_mm=CORNERS,
         limit_mrad=250.0,
@@ -155,7 +155,7 @@ def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told(
         ({}, {"range_v": (10.0, 0.05)}, ("vibrometer", "response"), "fail"),
         ({}, {"limit_mrad": 50.0}, ("mirror", "corners"), "fail"),
         ({}, {"actuator_channels": tuple(range(30)), "loopback_channel": 20}, ("player", "outputs"), "fail"),
-        ({}, {"vibrometer": lambda: Vibrometer(0.125, "decoder", 0.05)}, ("vibrometer", "signal level"), "warn"),
+        ({}, {"vibrometer": lambda: Vibrometer(0.125, "decoder", 0.0, 0.05)}, ("vibrometer", "signal level"), "warn"),
         ({"noise_v": 0.0, "reference_noise_v": 0.0}, {}, ("recorder", "reference noise"), "warn"),
     ],
 )

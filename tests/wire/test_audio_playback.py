@@ -85,6 +85,8 @@ def test_given_a_mute_then_the_next_period_fades_over_two_milliseconds_and_the_r
     host.periods(2)
     host.playback.mute()
     host.periods(2)
+    assert host.ends() == []  # its last sound is still on its way to the outputs
+    host.periods(3)
     fade = round(FADE_S * RATE_HZ)
     faded = host.heard[2 * PERIOD :, 1]
     assert np.all(np.diff(faded[:fade]) < 0)
