@@ -113,7 +113,7 @@ def test_given_a_server_that_is_killed_while_nothing_plays_then_the_next_play_sa
     player = bench.player(server)
     server.kill()
     wait_until(lambda: not alive(player.process_id), "the end of the stream's process")
-    with pytest.raises(InstrumentLostError, match="its server ended"):
+    with pytest.raises(InstrumentLostError):
         player.play({0: np.full(9, 0.5)}, RATE_HZ)
 
 
