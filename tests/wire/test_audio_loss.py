@@ -113,8 +113,13 @@ def test_given_a_server_that_is_killed_while_nothing_plays_then_the_next_play_sa
     player = bench.player(server)
     server.kill()
     wait_until(lambda: not alive(player.process_id), "the end of the stream's process")
-    with pytest.raises(InstrumentLostError):
+
+    def play() -> None:
         player.play({0: np.full(9, 0.5)}, RATE_HZ)
+        player.wait(5.0)  # its end may only be noticed after the play was handed over
+
+    with pytest.raises(InstrumentLostError):
+        play()
 
 
 def test_given_a_server_that_freezes_in_a_play_then_waiting_says_frozen(bench):
