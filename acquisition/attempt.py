@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from acquisition.measuring import EstimatesPosition
 from acquisition.quality import Judgement, QualityLimits, Status, judge
 from calibration.bank_ledger import PointRecord
 from calibration.bank_writer import BankWriter
-from calibration.estimator import Estimate, Estimator
+from calibration.estimator import Estimate
 from calibration.timing import ReferenceMissingError
 from drivers.protocols import Recording
 
@@ -80,7 +81,7 @@ class AttemptResult:
 
 
 def evaluate(
-    recorded: Recorded, estimator: Estimator, range_v: tuple[float, float], limits: QualityLimits
+    recorded: Recorded, estimator: EstimatesPosition, range_v: tuple[float, float], limits: QualityLimits
 ) -> AttemptResult:
     """Estimate the Green's functions of an attempt and judge them.
 

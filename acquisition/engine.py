@@ -7,29 +7,24 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from acquisition.attempt import Attempt, AttemptResult, Recorded, commit_attempt, evaluate
-from acquisition.errors import DriftError
+from acquisition.drift_watch import DriftWatch
 from acquisition.events import SessionEnded, State, Subscriber
-from acquisition.plan import Plan, sentinel_of
-from acquisition.pointing import point_at, start_move
+from acquisition.measuring import measuring_of
+from acquisition.plan import Plan
+from acquisition.position_records import PositionRecords
 from acquisition.quality import Status
-from acquisition.record import take_record
 from acquisition.recovery import Recovery
 from acquisition.roles import names_of
-from acquisition.sentinel import compare_sentinel
 from acquisition.session import Session
 from acquisition.setup import Setup
 from acquisition.states import Lifecycle
 from acquisition.stopping import StoppedWhileWaitingError, StopRequest
 from calibration.bank_writer import BankWriter
 from calibration.blas import one_blas_thread
-from calibration.estimator import Estimator
 from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import Float64Array, Recording, Take
 
 # As many positions in a row without one good record mean a broken instrument, not a bad spot.
 FAILED_IN_A_ROW = 3
-# A record is repeated so often before the whole attempt is given up for a passing fault.
-RECORD_REPEATS = 2
 
 
 class Campaign:
@@ -62,15 +57,10 @@ class Campaign:
         self._session = Session(plan, setup, bank, self._life, publish)
         self._recovery = Recovery(setup, self._life, publish, stop)
         self._stop = stop
-        self._signal_v = plan.excitation.signal_v()
-        with one_blas_thread():
-            self._estimator = Estimator(
-                plan.excitation,
-                plan.taps,
-                reference_gain=setup.reference_gain,
-                response_per_volt=setup.response_per_volt,
-                inter_channel_delay_s=setup.response_delay_s,
-            )
+        measuring = measuring_of(plan, setup)
+        self._estimator = measuring.estimator
+        self._records = PositionRecords(plan, setup, measuring.plays, self._session)
+        self._drift = DriftWatch(plan, bank, self._session, self._records, self._recovery, self._evaluate)
         self._queue: deque[Attempt] = deque()
         self._pending: Future[AttemptResult] | None = None
         self._best: dict[int, AttemptResult] = {}
@@ -107,7 +97,7 @@ class Campaign:
             self._session.start(len(rows), names)
             with one_blas_thread():
                 if self._queue and not self._stop.requested:
-                    self._check_sentinel(accept_drift)
+                    self._drift.check(accept_drift=accept_drift)
                     self._measure_queue()
             if self._stop.requested and self._queue:
                 state, reason = State.STOPPED, "stopped by the user after the position"
@@ -144,7 +134,7 @@ class Campaign:
         self._session.begin(attempt)
         try:
             recordings = self._recovery.until_done(
-                lambda: self._record_position(attempt, "capture"), attempt.position, attempt.number
+                lambda: self._records.take(attempt, "capture", self._collect_if_done), attempt.position, attempt.number
             )
         except TransientInstrumentError as fault:
             self._last_fault = fault
@@ -155,39 +145,8 @@ class Campaign:
             self._session.fault(fault, attempt, retried=False)
             raise
         if self._queue:
-            self._set_out_for(self._queue[0])
+            self._records.set_out_for(self._queue[0])
         return Recorded(attempt, recordings, "")
-
-    def _record_position(self, attempt: Attempt, purpose: str) -> tuple[Recording, ...]:
-        """Point at a position and take one record per actuator."""
-        point_at(self._setup, *self._plan.position_mm[attempt.position])
-        recordings: list[Recording] = []
-        for actuator, channel in enumerate(self._setup.actuator_channels):
-            signals_v: dict[int, Float64Array] = {
-                channel: self._signal_v,
-                self._setup.loopback_channel: self._signal_v,
-            }
-            take = Take(attempt.position, attempt.number, actuator, purpose)
-            recordings.append(self._take_record(signals_v, take, attempt))
-            if self._pending is not None and self._pending.done():
-                self._collect()
-        return tuple(recordings)
-
-    def _take_record(self, signals_v: dict[int, Float64Array], take: Take, attempt: Attempt) -> Recording:
-        """Take one record, and take it again after a passing fault: an underflow voids a record, not a position."""
-        for _ in range(RECORD_REPEATS):
-            try:
-                return take_record(self._setup, signals_v, self._plan.excitation.sample_rate_hz, take)
-            except TransientInstrumentError as fault:
-                self._session.fault(fault, attempt, retried=True)
-        return take_record(self._setup, signals_v, self._plan.excitation.sample_rate_hz, take)
-
-    def _set_out_for(self, attempt: Attempt) -> None:
-        """Let the mirror set out for the next position; when it fails, pointing there will meet that again."""
-        try:
-            start_move(self._setup, *self._plan.position_mm[attempt.position])
-        except InstrumentError as fault:
-            self._session.fault(fault, attempt, retried=True)
 
     # -- judging and committing ----------------------------------------------------------------
 
@@ -196,12 +155,20 @@ class Campaign:
 
         Signals reach the main thread only, so that a Ctrl-C never lands inside a commit.
         """
-        result = evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality)
+        result = self._evaluate(recorded)
         final = result.judgement.good or recorded.attempt.of_session >= self._plan.quality.max_attempts
         if not final:
             return result
         best = min((result, self._best.get(recorded.attempt.position, result)), key=lambda one: one.rank)
         return commit_attempt(self._bank, best, recorded.attempt.number)
+
+    def _evaluate(self, recorded: Recorded) -> AttemptResult:
+        return evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality)
+
+    def _collect_if_done(self) -> None:
+        """Take up the evaluation under way as soon as it is done, so that a repeat follows at once."""
+        if self._pending is not None and self._pending.done():
+            self._collect()
 
     def _collect(self) -> None:
         """Wait for the evaluation under way, if any, and publish or queue what follows from it."""
@@ -235,45 +202,3 @@ class Campaign:
                 cause,
                 fault.remedy if fault else "check the loopback cable from the player to the reference input",
             )
-
-    # -- drift ---------------------------------------------------------------------------------
-
-    def _check_sentinel(self, accept_drift: bool) -> None:
-        """On a resume, measure the sentinel again and refuse to mix two plates in one bank."""
-        position = sentinel_of(self._plan, self._bank.status)
-        if position is None:
-            return
-        result = self._measure_sentinel(Attempt(position, 1, 1))
-        if result.estimate is None:
-            raise DriftError(
-                f"sentinel position {position} could not be measured: {result.judgement.reason}; "
-                "check cables and laser, then resume"
-            )
-        figures = compare_sentinel(self._bank.green(position), result.estimate.green)
-        self._session.drift(position, figures)
-        if figures.verdict == "stop" and not accept_drift:
-            raise DriftError(
-                f"sentinel position {position} is not what the bank holds: level {figures.level_db:+.2f} dB, "
-                f"delay {figures.delay_samples:+.2f} samples, correlation {figures.correlation:.3f}; the plate, "
-                "the mirror or a level has changed, and nothing was added; put it right and resume, start a new "
-                "bank, or go on with --accept-drift"
-            )
-
-    def _measure_sentinel(self, attempt: Attempt) -> AttemptResult:
-        """Measure the sentinel position, again after passing faults as any other."""
-        try:
-            recordings = self._recovery.until_done(
-                lambda: self._record_position(attempt, "sentinel"), attempt.position, attempt.number
-            )
-        except TransientInstrumentError as fault:
-            retried = attempt.of_session < self._plan.quality.max_attempts
-            self._session.fault(fault, attempt, retried=retried)
-            if not retried:
-                raise
-            self._recovery.renew_if_repeated(fault)
-            return self._measure_sentinel(attempt.next())
-        recorded = Recorded(attempt, recordings, "")
-        result = evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality)
-        if result.estimate is None and attempt.of_session < self._plan.quality.max_attempts:
-            return self._measure_sentinel(attempt.next())
-        return result

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -163,6 +164,9 @@ class Interface:
                 self.start()
             if not self._end_in_order():
                 self.kill()
+        # All but the semaphores of clients that were there when it was killed.
+        for left in Path("/dev/shm").glob(f"jack_sem.*_{self._name}_*"):
+            left.unlink(missing_ok=True)
 
     def _end_in_order(self) -> bool:
         """Whether the server ended as servers should; killed if not."""

@@ -1,0 +1,82 @@
+"""The records of a position: point, play, record, and take again what a passing fault voided."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from acquisition.attempt import Attempt
+from acquisition.measuring import Play
+from acquisition.plan import Plan
+from acquisition.pointing import point_at, start_move
+from acquisition.record import take_record
+from acquisition.session import Session
+from acquisition.setup import Setup
+from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.protocols import Recording, Take
+
+# A record is repeated so often before the whole attempt is given up for a passing fault.
+RECORD_REPEATS = 2
+
+
+class PositionRecords:
+    """Takes the records of positions.
+
+    Parameters
+    ----------
+    plan : Plan
+        Where the positions are, at which rate.
+    setup : Setup
+        With what.
+    plays : tuple of Play
+        What each record of a position plays.
+    session : Session
+        Told of faults.
+    """
+
+    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], session: Session) -> None:
+        self._plan = plan
+        self._setup = setup
+        self._plays = plays
+        self._session = session
+
+    def take(self, attempt: Attempt, purpose: str, between: Callable[[], None]) -> tuple[Recording, ...]:
+        """Point at a position and take all its records.
+
+        Parameters
+        ----------
+        attempt : Attempt
+            Which position, and which try at it.
+        purpose : str
+            ``"capture"`` or ``"sentinel"``, for the instruments' logs.
+        between : callable
+            Called after each record.
+
+        Raises
+        ------
+        InstrumentError
+            Of the instrument that failed; a passing fault only when repeated records did not cure it.
+        """
+        point_at(self._setup, *self._plan.position_mm[attempt.position])
+        recordings: list[Recording] = []
+        for play in self._plays:
+            take = Take(attempt.position, attempt.number, play.actuator, purpose)
+            recordings.append(self._record(play, take, attempt))
+            between()
+        return tuple(recordings)
+
+    def set_out_for(self, attempt: Attempt) -> None:
+        """Let the mirror set out for a position; when it fails, pointing there will meet that again."""
+        try:
+            start_move(self._setup, *self._plan.position_mm[attempt.position])
+        except InstrumentError as fault:
+            self._session.fault(fault, attempt, retried=True)
+
+    def _record(self, play: Play, take: Take, attempt: Attempt) -> Recording:
+        """Take one record, and take it again after a passing fault: an underflow voids a record, not a position."""
+        rate_hz = self._plan.excitation.sample_rate_hz
+        for _ in range(RECORD_REPEATS):
+            try:
+                return take_record(self._setup, play.signals_v, rate_hz, take)
+            except TransientInstrumentError as fault:
+                self._session.fault(fault, attempt, retried=True)
+        return take_record(self._setup, play.signals_v, rate_hz, take)
