@@ -31,6 +31,7 @@ driver = "nidaqmx"
 device = "Dev1"
 address = "{recorder}"
 inter_channel_delay_s = 1.4e-5
+response_range_v = 1.0
 post_roll_s = 0.4
 
 [player]

@@ -39,6 +39,7 @@ position_mm = {ACTUATORS}
 
 [recorder]
 inter_channel_delay_s = 1.4e-5
+response_range_v = 1.0
 
 [emulation]
 seed = 4
