@@ -12,23 +12,28 @@ ARGS :=
 # pyusb, and a compiler for the stand-in of NI's driver library.
 TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 gcc libc6-dev
 
-.PHONY: help demo test lint bench soak clean
+.PHONY: help demo test test-long lint bench soak clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 
 help: ## Say what there is
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
 
 demo: ## Measure, interrupt, resume, render, verify on the virtual rig; writes demo-out/
 	@tools/set-up.sh
 	$(PY) -m wavefocus demo --out demo-out $(ARGS)
 
-test: ## Run all tests but the soak, with coverage
+test: ## Run the tests, with coverage; some minutes
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/set-up.sh test
 	@# Python 3.12 and later can measure coverage at next to no cost.
 	COVERAGE_CORE=$$($(PY) -c 'import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")') \
 		$(PY) -m pytest --cov --cov-report=term $(ARGS)
+
+test-long: ## Run the tests marked long: captures in real time through every emulated wire, benchmarks
+	@tools/system-packages.sh $(TEST_PACKAGES)
+	@tools/set-up.sh test
+	$(PY) -m pytest -m long $(ARGS)
 
 lint: ## Check style, types and import directions
 	@tools/set-up.sh lint

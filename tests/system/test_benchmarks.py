@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import focusing, interpolation, paper
 
-pytestmark = pytest.mark.timeout(900)
+pytestmark = [pytest.mark.timeout(900), pytest.mark.long]
 
 
 def test_the_paper_s_figures_are_drawn_and_its_numbers_stand_beside_ours(tmp_path):

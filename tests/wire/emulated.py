@@ -32,7 +32,7 @@ device = "Dev1"
 address = "{recorder}"
 inter_channel_delay_s = 1.4e-5
 response_range_v = 1.0
-post_roll_s = 0.4
+post_roll_s = 0.3
 
 [player]
 driver = "sounddevice"

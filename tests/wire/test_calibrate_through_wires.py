@@ -18,6 +18,8 @@ from mocks.chain import output_errors
 from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
 from wavefocus.config.calibration_file import CalibrationRecord
 
+pytestmark = pytest.mark.long
+
 SEED, SPREAD_S, SPREAD_DB = 4, 2e-5, 1.0  # the seed is that of the rig's text
 DELAY_S = 1.4e-5  # of the emulated box
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.98e-3, -0.005), (1e-4, -5e-5, 1.0))

@@ -17,6 +17,8 @@ from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_t
 from wavefocus.config.loading import load_rig
 from wavefocus.virtual_bench import virtual_settings
 
+pytestmark = pytest.mark.long
+
 POSITIONS = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0], [0.0, 4.0]]
 RATE_HZ = 10_000.0
 RUN = """
@@ -26,10 +28,10 @@ rig = "{rig}"
 positions_file = "positions.csv"
 
 [sweep]
-duration_s = 0.3
+duration_s = 0.25
 
 [capture]
-averages = 2
+averages = {averages}
 decay_s = 0.2
 taps = 2000
 """
@@ -52,11 +54,15 @@ def lab(tmp_path: Path) -> Path:
     """A folder with a rig on wires, the same rig as a virtual one, and a run for each."""
     (tmp_path / "rig.toml").write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
     (tmp_path / "virtual-rig.toml").write_text(VIRTUAL_RIG, encoding="utf-8")
-    (tmp_path / "run.toml").write_text(RUN.format(rig="rig.toml"), encoding="utf-8")
-    (tmp_path / "virtual-run.toml").write_text(RUN.format(rig="virtual-rig.toml"), encoding="utf-8")
+    write_run(tmp_path, "run.toml", "rig.toml")
+    write_run(tmp_path, "virtual-run.toml", "virtual-rig.toml")
     lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
     (tmp_path / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
     return tmp_path
+
+
+def write_run(folder: Path, name: str, rig: str, averages: int = 2) -> None:
+    (folder / name).write_text(RUN.format(rig=rig, averages=averages), encoding="utf-8")
 
 
 def wavefocus(*arguments: object, sides: FarSides | None = None) -> str:
@@ -105,6 +111,8 @@ def events(capture: subprocess.Popen[str]) -> Iterator[dict[str, object]]:
 
 
 def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_goes_on_by_itself(lab):
+    write_run(lab, "run.toml", "rig.toml", averages=1)
+    (lab / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n8,0\n8,4\n", encoding="utf-8")
     with far_sides(lab / "rig.toml") as sides:
         capture = subprocess.Popen(
             [
@@ -139,4 +147,4 @@ def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_g
     assert sorted(came_back) == ["mirror", "player", "recorder"]
     wavefocus("check", lab / "b.h5")
     with h5py.File(lab / "b.h5") as bank:
-        assert list(bank["status"]) == [1] * len(POSITIONS)
+        assert list(bank["status"]) == [1] * 4
