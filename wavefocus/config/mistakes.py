@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -18,6 +19,9 @@ UNIT_SUFFIXES = (
     "_m_s_per_v", "_mm_s", "_mrad", "_deg", "_db", "_mm", "_ms", "_hz", "_khz", "_rad", "_mv",
     "_cm", "_um", "_us", "_samples", "_m", "_s", "_v",
 )  # fmt: skip
+
+# Of an address only its kind is told: it may hold a password. A mirror's port has none.
+ADDRESS = re.compile(r"\s*(?!socket)([A-Za-z][A-Za-z0-9+.-]*)://")
 
 SENTENCES: Mapping[str, str] = {
     "float_type": "must be a number",
@@ -119,7 +123,9 @@ def shown(value: object) -> str:
     """Write a value as TOML would, cut short where it is long."""
     if isinstance(value, bool):
         return str(value).lower()
-    if isinstance(value, str):
+    if isinstance(value, str) and (address := ADDRESS.match(value)):
+        text = f'"{address[1]}://..."'
+    elif isinstance(value, str):
         text = printable(json.dumps(value, ensure_ascii=False))
     elif isinstance(value, Mapping):
         text = "{ " + ", ".join(str(key) for key in value) + " }"

@@ -1,0 +1,175 @@
+"""Messages of the night: real addresses of a real web server on this machine, through apprise."""
+
+from __future__ import annotations
+
+import http.server
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from acquisition.events import Drift, Fault, SessionEnded, State, StateChanged
+from calibration.errors import InputError
+from wavefocus.config.loading import load_rig
+from wavefocus.config.rig_messages import MessagesSection
+from wavefocus.messages import AppriseOutbox, Messenger, messenger_for
+
+PASSWORD = "secret-word-7"
+COUNTS = {"not-measured": 0, "valid": 6, "poor": 0}
+
+
+class Office:
+    """A web server that takes messages; `busy` lets it refuse them."""
+
+    def __init__(self) -> None:
+        self.taken: list[dict[str, str]] = []
+        self.busy = False
+        office = self
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                text = self.rfile.read(int(self.headers["Content-Length"]))
+                office.taken.append(json.loads(text))
+                self.send_response(503 if office.busy else 200)
+                self.end_headers()
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.thread = threading.Thread(target=self.server.serve_forever)
+        self.thread.start()
+
+    @property
+    def url(self) -> str:
+        return f"json://technician:{PASSWORD}@127.0.0.1:{self.server.server_port}/night"
+
+    def wait_for(self, count: int) -> list[dict[str, str]]:
+        latest_s = time.monotonic() + 10
+        while len(self.taken) < count:
+            assert time.monotonic() < latest_s, self.taken
+            time.sleep(0.01)
+        return self.taken
+
+
+@pytest.fixture
+def office() -> Iterator[Office]:
+    office = Office()
+    yield office
+    office.server.shutdown()
+    office.server.server_close()
+    office.thread.join()
+
+
+def drift(verdict: str) -> Drift:
+    return Drift(1.0, 0, -0.7, 0.1, 0.99, verdict, "run", "the level changed", ())
+
+
+def ended(state: State) -> SessionEnded:
+    return SessionEnded(7200.0, state, 6, 6, COUNTS)
+
+
+def test_given_a_finished_campaign_then_one_message_says_so(office, tmp_path):
+    with Messenger(tmp_path / "plate.h5", MessagesSection(), AppriseOutbox([office.url])) as messenger:
+        messenger(StateChanged(0.0, State.RUNNING, "6 positions to do"))
+        messenger(ended(State.FINISHED))
+    (message,) = office.taken
+    assert message["title"] == "plate.h5: finished"
+    assert "6 of 6 positions are in the bank (6 valid) after 2 h 00 min." in message["message"]
+
+
+def test_given_a_failed_campaign_then_the_message_names_the_fault_the_remedy_and_the_way_on(office, tmp_path):
+    with Messenger(tmp_path / "plate.h5", MessagesSection(), AppriseOutbox([office.url])) as messenger:
+        messenger(Fault(1.0, "player", "playing", "no device", "plug it in", 3, 1, retried=False))
+        messenger(StateChanged(2.0, State.FAILED, "player: playing: no device"))
+        messenger(ended(State.FAILED))
+    (message,) = office.taken
+    assert message["title"] == "plate.h5: failed"
+    for part in ("player: playing: no device", "plug it in", "wavefocus resume plate.h5"):
+        assert part in message["message"]
+
+
+def test_given_a_wait_longer_than_allowed_then_it_is_told_once_and_so_is_its_end(office, tmp_path):
+    section = MessagesSection(suspended_after_min=0.002)
+    with Messenger(tmp_path / "plate.h5", section, AppriseOutbox([office.url])) as messenger:
+        messenger(StateChanged(1.0, State.RECOVERING, "mirror: unplugged"))
+        assert "mirror: unplugged" in office.wait_for(1)[0]["message"]
+        messenger(StateChanged(9.0, State.RUNNING, "mirror is connected again after 8 s"))
+        assert office.wait_for(2)[1]["title"] == "plate.h5: goes on"
+        messenger(StateChanged(10.0, State.RECOVERING, "mirror: unplugged"))
+        messenger(StateChanged(10.1, State.RUNNING, "mirror is connected again"))
+    assert len(office.taken) == 2
+
+
+def test_given_drift_then_it_is_told_when_it_begins_and_not_again(office, tmp_path):
+    with Messenger(tmp_path / "plate.h5", MessagesSection(), AppriseOutbox([office.url])) as messenger:
+        for verdict in ("steady", "warn", "warn", "steady", "warn"):
+            messenger(drift(verdict))
+    assert [message["title"] for message in office.taken] == ["plate.h5: drift"] * 2
+    assert "level -0.70 dB" in office.taken[0]["message"]
+    assert "the level changed" in office.taken[0]["message"]
+
+
+def test_given_only_failures_are_asked_for_then_nothing_else_is_told(office, tmp_path):
+    with Messenger(tmp_path / "plate.h5", MessagesSection(about=("failed",)), AppriseOutbox([office.url])) as messenger:
+        messenger(drift("warn"))
+        messenger(ended(State.FINISHED))
+    assert office.taken == []
+
+
+def test_given_an_address_that_takes_nothing_then_it_is_told_without_the_address(office, tmp_path, capsys):
+    office.busy = True
+    with Messenger(tmp_path / "plate.h5", MessagesSection(), AppriseOutbox([office.url])) as messenger:
+        messenger(ended(State.FINISHED))
+    told = capsys.readouterr().err
+    assert "messages: not taken by 1 of the addresses (json)" in told
+    assert PASSWORD not in told
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f'urls = ["jsn://technician:{PASSWORD}@host"]',
+        f'urls = "json://technician:{PASSWORD}@host"',
+        f'url = ["json://technician:{PASSWORD}@host"]',
+        f'about = ["json://technician:{PASSWORD}@host"]',
+    ],
+)
+def test_given_a_mistake_in_an_address_then_the_message_does_not_show_it(tmp_path, line):
+    (tmp_path / "rig.toml").write_text(f"[messages]\n{line}\n", encoding="utf-8")
+    with pytest.raises(InputError) as wrong:
+        messenger_for(tmp_path / "plate.h5", load_rig(tmp_path / "rig.toml").messages)
+    assert "messages.url" in str(wrong.value) or "messages.about" in str(wrong.value)
+    assert PASSWORD not in str(wrong.value)
+
+
+def test_given_addresses_then_neither_bank_nor_log_nor_words_hold_them_and_a_resume_takes_them_from_the_environment(
+    office, tmp_path
+):
+    (tmp_path / "rig.toml").write_text(f'[messages]\nurls = ["{office.url}"]\n', encoding="utf-8")
+    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
+    (tmp_path / "run.toml").write_text(
+        'rig = "rig.toml"\n[grid]\npositions_file = "positions.csv"\n[sweep]\nduration_s = 0.2\n',
+        encoding="utf-8",
+    )
+    bank = tmp_path / "plate.h5"
+
+    def wavefocus(*arguments: object, **environment: str) -> str:
+        command = [sys.executable, "-m", "wavefocus", *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
+        assert done.returncode == 0, done.stderr
+        return done.stdout + done.stderr
+
+    told = wavefocus("capture", tmp_path / "run.toml", "--bank", bank, "--json")
+    assert [message["title"] for message in office.taken] == ["plate.h5: finished"]
+    told += wavefocus("remeasure", bank, "--positions", "1", WAVEFOCUS_MESSAGES=office.url)
+    assert [message["title"] for message in office.taken] == ["plate.h5: finished"] * 2
+    assert PASSWORD not in told
+    for file in tmp_path.iterdir():
+        if file.name != "rig.toml":
+            assert PASSWORD.encode() not in file.read_bytes(), file

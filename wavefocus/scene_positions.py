@@ -1,0 +1,41 @@
+"""The positions of a plan that some scenes need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.errors import InputError
+from rendering.scene_rows import scene_rows
+from wavefocus.config.scene import load_scene
+
+
+def needed_by(scene_files: Sequence[Path], position_mm: NDArray[np.float64], *, checks: bool) -> frozenset[int]:
+    """Rows of a grid that scenes are rendered from and, if asked for, those that their checks look at.
+
+    Parameters
+    ----------
+    scene_files : sequence of Path
+        The scenes.
+    position_mm : float64 array, shape (positions, 2)
+        The grid in millimetres.
+    checks : bool
+        Whether the scenes shall be verified.
+
+    Raises
+    ------
+    InputError
+        A scene file is wrong, or its paths leave the grid; the message names the file.
+    """
+    needed: set[int] = set()
+    for file in scene_files:
+        scene = load_scene(file)
+        try:
+            rows = scene_rows(scene, position_mm)
+        except InputError as wrong:
+            raise InputError(f"{file}: {wrong}") from None
+        needed.update(int(row) for row in (rows.all if checks else rows.path))
+    return frozenset(needed)
