@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,12 +22,19 @@ EDGE_TOLERANCE_MM = 1e-6
 """A point this far outside still counts as on the outline: a nanometre is rounding, not geometry."""
 
 
-def stadium_grid(length_mm: float, width_mm: float, margin_mm: float, spacing_mm: float) -> NDArray[np.float64]:
-    """Place a square grid on a stadium, in serpentine order from the bottom row up.
+Lattice = Literal["square", "hexagonal"]
+
+
+def stadium_grid(
+    length_mm: float, width_mm: float, margin_mm: float, spacing_mm: float, lattice: Lattice = "square"
+) -> NDArray[np.float64]:
+    """Place a grid on a stadium, in serpentine order from the bottom row up.
 
     Columns lie at ``(i + 1/2) * spacing_mm`` and rows at ``j * spacing_mm``, i and j whole numbers, wherever
-    that is inside the stadium inset by the margin. Even rows, counted from the bottom, run to the right and
-    odd rows to the left, so that the mirror moves by one spacing at a time.
+    that is inside the stadium inset by the margin. On a hexagonal grid rows are closer by a factor of
+    ``sqrt(3) / 2``, and every other one is moved by half a spacing, so that all six neighbours of a position are
+    equally far. Even rows, counted from the bottom, run to the right and odd rows to the left, so that the
+    mirror moves by one spacing at a time.
 
     Parameters
     ----------
@@ -36,6 +44,8 @@ def stadium_grid(length_mm: float, width_mm: float, margin_mm: float, spacing_mm
         Distance kept from the outline in millimetres, >= 0.
     spacing_mm : float
         Distance of neighbouring positions in millimetres, > 0.
+    lattice : {"square", "hexagonal"}
+        Kind of grid.
 
     Returns
     -------
@@ -60,11 +70,14 @@ def stadium_grid(length_mm: float, width_mm: float, margin_mm: float, spacing_mm
             f"spacing_mm = {spacing_mm:g}: gives more than {MOST_POSITIONS:,} positions; "
             f"must be at least {math.sqrt(area_mm2 / MOST_POSITIONS):.2g} on this surface"
         )
+    row_spacing_mm = spacing_mm * (1.0 if lattice == "square" else math.sqrt(0.75))
     columns = math.ceil((half_straight_mm + radius_mm) / spacing_mm)
-    rows = math.floor((radius_mm + EDGE_TOLERANCE_MM) / spacing_mm)
+    rows = math.floor((radius_mm + EDGE_TOLERANCE_MM) / row_spacing_mm)
     column_mm = (np.arange(-columns, columns) + 0.5) * spacing_mm
-    row_mm = np.arange(-rows, rows + 1) * spacing_mm
-    x_mm, y_mm = np.meshgrid(column_mm, row_mm)
+    row = np.arange(-rows, rows + 1)
+    x_mm, y_mm = np.meshgrid(column_mm, row * row_spacing_mm)
+    if lattice == "hexagonal":
+        x_mm[row % 2 == 1] -= spacing_mm / 2
     x_mm[1::2] = x_mm[1::2, ::-1]
     position_mm = np.column_stack([x_mm.ravel(), y_mm.ravel()])
     position_mm = position_mm[inside_stadium(position_mm, length_mm, width_mm, margin_mm)]

@@ -11,6 +11,10 @@ from hypothesis import HealthCheck, settings
 
 CI = os.environ.get("CI") == "true"
 
+# As many tests run at once as there are cores: BLAS threads besides would spin for those cores. Before numpy.
+for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
 # No deadlines: speed is measured by benchmarks, and a busy machine is no defect. CI tries the same cases
 # each time.
 settings.register_profile("wavefocus", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=CI)

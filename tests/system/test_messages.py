@@ -17,6 +17,7 @@ from acquisition.events import Drift, Fault, SessionEnded, State, StateChanged
 from calibration.errors import InputError
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig_messages import MessagesSection
+from wavefocus.message_check import message_findings
 from wavefocus.messages import AppriseOutbox, Messenger, messenger_for
 
 PASSWORD = "secret-word-7"
@@ -146,6 +147,19 @@ def test_given_a_mistake_in_an_address_then_the_message_does_not_show_it(tmp_pat
         messenger_for(tmp_path / "plate.h5", load_rig(tmp_path / "rig.toml").messages)
     assert "messages.url" in str(wrong.value) or "messages.about" in str(wrong.value)
     assert PASSWORD not in str(wrong.value)
+
+
+def test_given_the_doctor_is_asked_then_each_address_gets_a_message_and_the_one_that_takes_none_is_named(
+    office, tmp_path
+):
+    urls = [office.url, "json://127.0.0.1:9/nobody"]
+    (tmp_path / "rig.toml").write_text(f"[messages]\nurls = {urls}\n", encoding="utf-8")
+    rig = load_rig(tmp_path / "rig.toml")
+    found = list(message_findings(rig, "rig.toml", send=True))
+    assert [one.verdict for one in found] == ["ok", "fail"]
+    assert [message["title"] for message in office.taken] == ["rig.toml: test"]
+    assert [one.verdict for one in message_findings(rig, "rig.toml", send=False)] == ["ok"]
+    assert len(office.taken) == 1
 
 
 def test_given_addresses_then_neither_bank_nor_log_nor_words_hold_them_and_a_resume_takes_them_from_the_environment(

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition.grid import inside_stadium, read_positions_file, stadium_grid, stadium_rim
@@ -66,6 +66,28 @@ def test_any_grid_fills_the_inset_stadium_and_stays_in_it(
 def test_grid_without_a_possible_position_names_key_and_value(margin_mm: float, spacing_mm: float, key: str) -> None:
     with pytest.raises(InputError, match=key):
         stadium_grid(250, 150, margin_mm, spacing_mm)
+
+
+@settings(max_examples=40, deadline=None)
+@given(spacing_mm=st.floats(8.0, 40.0), margin_mm=st.floats(0.0, 30.0))
+def test_any_hexagonal_grid_has_six_neighbours_at_one_spacing_and_fills_the_stadium(spacing_mm, margin_mm) -> None:
+    grid_mm = stadium_grid(250.0, 150.0, margin_mm, spacing_mm, "hexagonal")
+    assert inside_stadium(grid_mm, 250.0, 150.0, margin_mm).all()
+    distance_mm = np.hypot(*(grid_mm[:, None] - grid_mm).transpose(2, 0, 1))
+    distance_mm[np.diag_indices(len(grid_mm))] = np.inf
+    assert distance_mm.min() > spacing_mm * (1 - 1e-9)
+    inner = inside_stadium(grid_mm, 250.0, 150.0, margin_mm + 1.01 * spacing_mm)
+    near = np.isclose(distance_mm, spacing_mm, rtol=1e-9).sum(axis=1)
+    assert np.all(near[inner] == 6)
+
+
+def test_a_hexagonal_grid_needs_fewer_positions_and_alternates_direction() -> None:
+    square, hexagonal = (stadium_grid(250.0, 150.0, 14.3, 4.0, lattice) for lattice in ("square", "hexagonal"))
+    assert len(hexagonal) == pytest.approx(len(square) * 2 / np.sqrt(3), rel=0.02)  # at one spacing: denser
+    rows = np.unique(hexagonal[:, 1])
+    for number, y_mm in enumerate(rows):
+        steps = np.diff(hexagonal[hexagonal[:, 1] == y_mm, 0])
+        assert np.allclose(steps, 4.0 * (1 - 2 * (number % 2)))
 
 
 def test_points_on_the_outline_are_inside_and_beyond_it_are_not() -> None:
