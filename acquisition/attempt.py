@@ -5,23 +5,32 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from acquisition.measuring import EstimatesPosition
 from acquisition.quality import Judgement, QualityLimits, Status, judge
+from acquisition.raw_keeping import keep_recordings
 from calibration.bank_ledger import PointRecord
 from calibration.bank_writer import BankWriter
 from calibration.estimator import Estimate
+from calibration.position_estimator import PositionEstimator
+from calibration.raw_writer import RawWriter
 from calibration.timing import ReferenceMissingError
 from drivers.protocols import Recording
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """A try at a position: `number` counts all tries ever, `of_session` those of this session."""
+    """A try at a position: `number` counts all tries ever, `of_session` those of this session.
+
+    `moved_mm` says how far beside the position the mirror points, `response_range_v` which input range the response
+    has; None for the configured one.
+    """
 
     position: int
     number: int
     of_session: int
+    moved_mm: tuple[float, float] = (0.0, 0.0)
+    response_range_v: float | None = None
 
     def next(self) -> Attempt:
         """The try after this one."""
@@ -41,7 +50,8 @@ class Recorded:
 class AttemptResult:
     """An attempt estimated and judged.
 
-    `final` says that no further attempt follows, `committed` that the bank holds it.
+    `final` says that no further attempt follows, `committed` that the bank holds it. `recordings` are what the
+    estimate is of.
     """
 
     attempt: Attempt
@@ -49,11 +59,18 @@ class AttemptResult:
     judgement: Judgement
     final: bool = False
     committed: bool = False
+    recordings: tuple[Recording, ...] = ()
 
     @property
-    def rank(self) -> tuple[bool, bool, float]:
-        """Sorts attempts from best to worst: valid ones, then usable ones, then by score."""
-        return (not self.judgement.good, self.estimate is None, self.judgement.score)
+    def rank(self) -> tuple[bool, bool, bool, float]:
+        """Sorts attempts from best to worst: valid ones, then usable ones, then those in range, then by score."""
+        over_range = bool(self.judgement.status & Status.OVER_RANGE)
+        return (not self.judgement.good, self.estimate is None, over_range, self.judgement.score)
+
+    @property
+    def defect_names(self) -> tuple[str, ...]:
+        """Names of all that is wrong with it."""
+        return tuple(defect.name for defect in self.judgement.defects)
 
     @property
     def median_snr_db(self) -> float:
@@ -81,13 +98,32 @@ class AttemptResult:
 
 
 def evaluate(
-    recorded: Recorded, estimator: EstimatesPosition, range_v: tuple[float, float], limits: QualityLimits
+    recorded: Recorded,
+    estimator: PositionEstimator,
+    range_v: tuple[float, float],
+    limits: QualityLimits,
+    distance_mm: NDArray[np.float64] | None = None,
 ) -> AttemptResult:
     """Estimate the Green's functions of an attempt and judge them.
 
     An attempt without recordings, or whose reference cannot be found, is judged
     ``Status.FAILED``: nothing of it can be used.
+
+    Parameters
+    ----------
+    recorded : Recorded
+        The attempt's recordings.
+    estimator : PositionEstimator
+        What they become.
+    range_v : tuple of float
+        Configured input ranges in volts of (reference, response); an attempt may have had a larger one.
+    limits : QualityLimits
+        When the position is good enough.
+    distance_mm : float64 array, shape (actuators,), optional
+        From the actuators to the position.
     """
+    if recorded.attempt.response_range_v is not None:
+        range_v = (range_v[0], recorded.attempt.response_range_v)
     if not recorded.recordings:
         return AttemptResult(recorded.attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
     reference_v = np.stack([one.volts[0] for one in recorded.recordings])
@@ -95,12 +131,21 @@ def evaluate(
     try:
         estimate = estimator.estimate(reference_v, response_v, range_v=range_v)
     except ReferenceMissingError as missing:
-        return AttemptResult(recorded.attempt, None, Judgement(Status.FAILED, str(missing), np.inf))
+        judgement = Judgement(Status.FAILED, str(missing), np.inf)
+        return AttemptResult(recorded.attempt, None, judgement, recordings=recorded.recordings)
     over_range = any(any(one.over_range) for one in recorded.recordings)
-    return AttemptResult(recorded.attempt, estimate, judge(estimate, over_range, limits))
+    judgement = judge(estimate, over_range, limits, distance_mm)
+    return AttemptResult(recorded.attempt, estimate, judgement, recordings=recorded.recordings)
 
 
-def commit_attempt(bank: BankWriter, result: AttemptResult, attempts: int) -> AttemptResult:
+def commit_attempt(
+    bank: BankWriter,
+    result: AttemptResult,
+    attempts: int,
+    raw: RawWriter | None = None,
+    *,
+    count_anyway: bool = False,
+) -> AttemptResult:
     """Commit the best attempt at a position, unless the bank already holds a better one.
 
     Parameters
@@ -111,17 +156,23 @@ def commit_attempt(bank: BankWriter, result: AttemptResult, attempts: int) -> At
         The best attempt of this session.
     attempts : int
         Tries at this position so far, for the bank's ``attempts``.
+    raw : RawWriter, optional
+        Where its recordings are kept, before the bank's row.
+    count_anyway : bool
+        Let the bank count the tries although it keeps what it has, so that a pass is known to be over.
 
     Returns
     -------
     AttemptResult
-        `result`, final, and saying whether it was committed.
+        `result` without its recordings, final, and saying whether it was committed.
     """
     position = result.attempt.position
     held = Status(int(bank.status[position]))
     holds_data = bool(held & (Status.VALID | Status.OVER_RANGE | Status.POOR_SIGNAL))
     if holds_data and not result.judgement.good:
-        return replace(result, final=True, committed=False)
+        if count_anyway:
+            bank.count_attempts(position, attempts)
+        return replace(result, final=True, committed=False, recordings=())
     actuators, taps = len(bank.header.actuator_mm), bank.header.taps
     nothing = np.full(actuators, np.nan, np.float32)
     estimate = result.estimate
@@ -134,5 +185,7 @@ def commit_attempt(bank: BankWriter, result: AttemptResult, attempts: int) -> At
         peak_v=nothing if estimate is None else estimate.peak_v,
     )
     green = np.zeros((actuators, taps), np.float32) if estimate is None else estimate.green
+    if raw is not None and result.recordings:
+        keep_recordings(raw, position, result.recordings)
     bank.commit(position, green, record)
-    return replace(result, final=True, committed=True)
+    return replace(result, final=True, committed=True, recordings=())

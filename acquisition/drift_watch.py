@@ -1,16 +1,17 @@
-"""The sentinel position, measured again: one bank holds one plate."""
+"""The sentinel position, measured again every so often: one bank holds one plate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from acquisition.attempt import Attempt, AttemptResult, Recorded
 from acquisition.errors import DriftError
 from acquisition.plan import Plan, sentinel_of
 from acquisition.position_records import PositionRecords
 from acquisition.recovery import Recovery
-from acquisition.sentinel import compare_sentinel
+from acquisition.sentinel import DriftFigures, compare_sentinel
 from acquisition.session import Session
+from acquisition.states import Lifecycle
 from calibration.bank_writer import BankWriter
 from drivers.errors import TransientInstrumentError
 
@@ -21,9 +22,11 @@ class DriftWatch:
     Parameters
     ----------
     plan : Plan
-        Which positions, in which order.
+        Which positions, in which order, and how far the sentinel may drift.
     bank : BankWriter
         What was measured first.
+    life : Lifecycle
+        Tells the time.
     session : Session
         Told what was found.
     records : PositionRecords
@@ -32,12 +35,18 @@ class DriftWatch:
         Brings lost instruments back.
     evaluate : callable
         From recordings to a judged estimate.
+
+    Attributes
+    ----------
+    accept_drift : bool
+        Go on although it has changed; it is told all the same.
     """
 
     def __init__(
         self,
         plan: Plan,
         bank: BankWriter,
+        life: Lifecycle,
         session: Session,
         records: PositionRecords,
         recovery: Recovery,
@@ -45,18 +54,33 @@ class DriftWatch:
     ) -> None:
         self._plan = plan
         self._bank = bank
+        self._life = life
         self._session = session
         self._records = records
         self._recovery = recovery
         self._evaluate = evaluate
+        self._since: list[int] = []
+        self._recorded = 0
+        self._looked_s = life.time_s()
+        self.accept_drift = False
 
-    def check(self, *, accept_drift: bool) -> None:
-        """Measure the sentinel again, if there is one, and refuse to mix two plates in one bank.
+    def recorded(self) -> None:
+        """Note that a position was recorded."""
+        self._recorded += 1
 
-        Parameters
-        ----------
-        accept_drift : bool
-            Go on although it has changed.
+    def committed(self, position: int) -> None:
+        """Note a position that was committed: the next measurement of the sentinel vouches for it, or does not."""
+        self._since.append(position)
+
+    @property
+    def due(self) -> bool:
+        """Whether the sentinel should be measured before the next position."""
+        limits = self._plan.drift
+        late = self._life.time_s() - self._looked_s >= limits.every_s
+        return self._recorded > 0 and (self._recorded >= limits.every_positions or late)
+
+    def check(self) -> None:
+        """Measure the sentinel again before a session adds anything, if there is one.
 
         Raises
         ------
@@ -68,21 +92,63 @@ class DriftWatch:
         position = sentinel_of(self._plan, self._bank.status)
         if position is None:
             return
-        result = self._measure(Attempt(position, 1, 1))
+        figures = self._figures(Attempt(position, 1, 1))
+        self._session.drift(position, figures, "resume")
+        if figures.verdict(self._plan.drift) == "stop" and not self.accept_drift:
+            raise DriftError(
+                f"sentinel position {position} is not what the bank holds ({figures.cause(self._plan.drift)}): "
+                f"{figures}; nothing was added; put it right and resume, start a new bank, or go on with --accept-drift"
+            )
+
+    def check_again(self) -> None:
+        """Measure the sentinel again during a session, and once more before it is believed that it has changed.
+
+        Raises
+        ------
+        DriftError
+            It has; the positions measured since it was last as it should be are named.
+        InstrumentError
+            An instrument failed for good.
+        """
+        position = sentinel_of(self._plan, self._bank.status)
+        if position is None:
+            self._begin_anew()
+            return
+        limits, first = self._plan.drift, Attempt(position, 1, 1)
+        figures = self._figures(first)
+        stops = figures.verdict(limits) == "stop"
+        if stops and not self.accept_drift:
+            self._session.drift(position, figures, "run")
+            figures = self._figures(Attempt(position, 2, 1))
+            stops = figures.verdict(limits) == "stop"
+            suspect = tuple(self._since) if stops else ()
+            self._session.drift(position, figures, "repeat", suspect=suspect)
+        else:
+            self._session.drift(position, figures, "run")
+        if stops and not self.accept_drift:
+            rows = row_ranges(self._since)
+            raise DriftError(
+                f"sentinel position {position} has changed during the run ({figures.cause(limits)}): {figures}; "
+                f"positions {rows}, measured since it was last steady, are in the bank but suspect; put it right, "
+                f"then wavefocus remeasure {self._bank.path} --positions {rows} and resume, or go on with "
+                "--accept-drift"
+            )
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._since.clear()
+        self._recorded = 0
+        self._looked_s = self._life.time_s()
+
+    def _figures(self, attempt: Attempt) -> DriftFigures:
+        result = self._measure(attempt)
+        self._session.sentinel_done()
         if result.estimate is None:
             raise DriftError(
-                f"sentinel position {position} could not be measured: {result.judgement.reason}; "
+                f"sentinel position {attempt.position} could not be measured: {result.judgement.reason}; "
                 "check cables and laser, then resume"
             )
-        figures = compare_sentinel(self._bank.green(position), result.estimate.green)
-        self._session.drift(position, figures)
-        if figures.verdict == "stop" and not accept_drift:
-            raise DriftError(
-                f"sentinel position {position} is not what the bank holds: level {figures.level_db:+.2f} dB, "
-                f"delay {figures.delay_samples:+.2f} samples, correlation {figures.correlation:.3f}; the plate, "
-                "the mirror or a level has changed, and nothing was added; put it right and resume, start a new "
-                "bank, or go on with --accept-drift"
-            )
+        return compare_sentinel(self._bank.green(attempt.position), result.estimate.green)
 
     def _measure(self, attempt: Attempt) -> AttemptResult:
         """Measure the sentinel position, again after passing faults as any other."""
@@ -101,3 +167,14 @@ class DriftWatch:
         if result.estimate is None and attempt.of_session < self._plan.quality.max_attempts:
             return self._measure(attempt.next())
         return result
+
+
+def row_ranges(rows: Sequence[int]) -> str:
+    """Bank rows as ``--positions`` takes them: ``"3,5-9"``."""
+    ranges: list[list[int]] = []
+    for row in sorted(set(rows)):
+        if ranges and row == ranges[-1][1] + 1:
+            ranges[-1][1] = row
+        else:
+            ranges.append([row, row])
+    return ",".join(f"{first}-{last}" if last > first else f"{first}" for first, last in ranges)

@@ -6,7 +6,10 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
+import numpy as np
+
 from acquisition.attempt import Attempt, AttemptResult, Recorded, commit_attempt, evaluate
+from acquisition.conditions import Conditions
 from acquisition.drift_watch import DriftWatch
 from acquisition.events import SessionEnded, State, Subscriber
 from acquisition.measuring import measuring_of
@@ -14,14 +17,18 @@ from acquisition.plan import Plan
 from acquisition.position_records import PositionRecords
 from acquisition.quality import Status
 from acquisition.recovery import Recovery
+from acquisition.repeating import attempts_again, first_attempts, is_final, is_futile, next_attempt
 from acquisition.roles import names_of
 from acquisition.session import Session
 from acquisition.setup import Setup
+from acquisition.standby import StandBy
 from acquisition.states import Lifecycle
 from acquisition.stopping import StoppedWhileWaitingError, StopRequest
 from calibration.bank_writer import BankWriter
 from calibration.blas import one_blas_thread
+from calibration.raw_writer import RawWriter
 from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.protocols import Recording
 
 # As many positions in a row without one good record mean a broken instrument, not a bad spot.
 FAILED_IN_A_ROW = 3
@@ -47,12 +54,24 @@ class Campaign:
         Receives every event, in order, in the thread that calls :meth:`run`.
     stop : StopRequest
         Where a person asks for a stop.
+    raw : RawWriter, optional
+        Open for writing; keeps the recordings of what goes into the bank.
     """
 
-    def __init__(self, plan: Plan, setup: Setup, bank: BankWriter, publish: Subscriber, stop: StopRequest) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        setup: Setup,
+        bank: BankWriter,
+        publish: Subscriber,
+        stop: StopRequest,
+        *,
+        raw: RawWriter | None = None,
+    ) -> None:
         self._plan = plan
         self._setup = setup
         self._bank = bank
+        self._raw = raw
         self._life = Lifecycle(setup.instruments.clock, publish)
         self._session = Session(plan, setup, bank, self._life, publish)
         self._recovery = Recovery(setup, self._life, publish, stop)
@@ -60,15 +79,20 @@ class Campaign:
         measuring = measuring_of(plan, setup)
         self._estimator = measuring.estimator
         self._records = PositionRecords(plan, setup, measuring.plays, self._session)
-        self._drift = DriftWatch(plan, bank, self._session, self._records, self._recovery, self._evaluate)
+        self._drift = DriftWatch(plan, bank, self._life, self._session, self._records, self._recovery, self._evaluate)
+        conditions = Conditions(setup.watch, setup, plan.excitation)
+        self._stand_by = StandBy(setup, self._life, self._session, stop, conditions, self._records, self._recovery)
         self._queue: deque[Attempt] = deque()
+        self._covered = plan.order
+        self._passing = False
+        self._fruitless: frozenset[int] = frozenset()
         self._pending: Future[AttemptResult] | None = None
         self._best: dict[int, AttemptResult] = {}
         self._failed_in_a_row = 0
         self._last_fault: InstrumentError | None = None
 
     def run(self, positions: Sequence[int] | None = None, *, accept_drift: bool = False) -> SessionEnded:
-        """Measure what is to do, or the given positions once more.
+        """Measure what is to do, or the given positions once more; then, in a pass, what did not become valid.
 
         Parameters
         ----------
@@ -85,22 +109,28 @@ class Campaign:
         Raises
         ------
         DriftError
-            The sentinel position is not what the bank holds; nothing was added.
+            The sentinel position is not what the bank holds; the message says whether anything was added.
+        SuspendedTooLongError
+            A watched condition left its band and did not come back.
         InstrumentError
             An instrument failed, or was gone, for good; all that was committed is safe.
         """
         rows = self._plan.to_do(self._bank.status) if positions is None else positions
-        self._queue = deque(Attempt(int(row), int(self._bank.attempts[row]) + 1, 1) for row in rows)
+        self._queue = deque(first_attempts(rows, self._bank.attempts))
+        if positions is not None:
+            self._covered = self._plan.order[np.isin(self._plan.order, positions)]
         state, reason = State.FINISHED, "every position is committed"
         try:
             names = self._recovery.until_done(lambda: names_of(self._setup.instruments))
             self._session.start(len(rows), names)
             with one_blas_thread():
-                if self._queue and not self._stop.requested:
-                    self._drift.check(accept_drift=accept_drift)
+                if (self._queue or self._due_again()) and not self._stop.requested:
+                    self._drift.accept_drift = accept_drift
+                    self._drift.check()
                     self._measure_queue()
-            if self._stop.requested and self._queue:
-                state, reason = State.STOPPED, "stopped by the user after the position"
+                    self._measure_again()
+            if self._stop.requested and (self._queue or self._due_again()):
+                state, reason = State.STOPPED, f"{self._stop.reason} after the position"
         except StoppedWhileWaitingError as stopped:
             state, reason = State.STOPPED, str(stopped)
         except KeyboardInterrupt:
@@ -123,19 +153,47 @@ class Campaign:
             finally:
                 self._collect()
 
+    def _measure_again(self) -> None:
+        """Give everything that is not valid another round, as often as the plan says; the bank knows what had its."""
+        while not self._stop.requested and (due := self._due_again()):
+            self._passing = True
+            self._fruitless = frozenset(one.position for one in due if self._bank.status[one.position] == Status.FAILED)
+            self._session.measures_again(tuple(one.position for one in due))
+            self._queue = deque(due)
+            self._measure_queue()
+
+    def _due_again(self) -> list[Attempt]:
+        return attempts_again(self._covered, self._bank.status, self._bank.attempts, self._setup, self._plan.quality)
+
     def _goes_on(self) -> bool:
-        """Whether there is an attempt to record; a stop still lets a position's repeats finish."""
-        if self._stop.requested or not self._queue:
+        """Whether there is an attempt to record; pauses and the sentinel come between two positions.
+
+        A stop or a pause still lets a position's repeats finish.
+        """
+        self._stand_by.follow_requests()
+        if not self._queue or self._passing or self._drift.due or self._life.state in (State.PAUSING, State.STOPPING):
             self._collect()
-        return bool(self._queue) and (not self._stop.requested or self._queue[0].of_session > 1)
+        if self._passing and self._queue and self._queue[0].of_session == 1:
+            before = self._queue[0].number - 1
+            if is_futile(self._covered, self._bank.status, self._bank.attempts, before):
+                self._queue.clear()
+        if not self._queue or self._queue[0].of_session > 1:
+            return bool(self._queue)
+        if self._life.state is State.PAUSING:
+            self._stand_by.pause()
+            self._drift.check_again()
+        elif self._drift.due and self._life.state is not State.STOPPING:
+            self._drift.check_again()
+        self._stand_by.follow_requests()
+        return self._life.state is not State.STOPPING
 
     def _record_attempt(self, attempt: Attempt) -> Recorded:
         """Record all actuators at one position; a passing fault that no repeated record cures costs the attempt."""
         self._session.begin(attempt)
         try:
-            recordings = self._recovery.until_done(
-                lambda: self._records.take(attempt, "capture", self._collect_if_done), attempt.position, attempt.number
-            )
+            recordings = self._take(attempt)
+            while self._stand_by.must_repeat(attempt, recordings):
+                recordings = self._take(attempt)
         except TransientInstrumentError as fault:
             self._last_fault = fault
             self._session.fault(fault, attempt, retried=attempt.of_session < self._plan.quality.max_attempts)
@@ -144,9 +202,20 @@ class Campaign:
         except InstrumentError as fault:
             self._session.fault(fault, attempt, retried=False)
             raise
+        if attempt.of_session == 1:
+            self._drift.recorded()
         if self._queue:
             self._records.set_out_for(self._queue[0])
         return Recorded(attempt, recordings, "")
+
+    def _take(self, attempt: Attempt) -> tuple[Recording, ...]:
+        return self._recovery.until_done(
+            lambda: self._records.take(attempt, "capture", self._between_records), attempt.position, attempt.number
+        )
+
+    def _between_records(self) -> None:
+        self._collect_if_done()
+        self._stand_by.follow_requests()
 
     # -- judging and committing ----------------------------------------------------------------
 
@@ -156,14 +225,15 @@ class Campaign:
         Signals reach the main thread only, so that a Ctrl-C never lands inside a commit.
         """
         result = self._evaluate(recorded)
-        final = result.judgement.good or recorded.attempt.of_session >= self._plan.quality.max_attempts
-        if not final:
+        if not is_final(recorded.attempt, result.judgement, self._plan.quality):
             return result
         best = min((result, self._best.get(recorded.attempt.position, result)), key=lambda one: one.rank)
-        return commit_attempt(self._bank, best, recorded.attempt.number)
+        return commit_attempt(self._bank, best, recorded.attempt.number, self._raw, count_anyway=self._passing)
 
     def _evaluate(self, recorded: Recorded) -> AttemptResult:
-        return evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality)
+        place_mm = self._plan.position_mm[recorded.attempt.position]
+        distance_mm = np.hypot(*(self._plan.actuator_mm - place_mm).T)
+        return evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality, distance_mm)
 
     def _collect_if_done(self) -> None:
         """Take up the evaluation under way as soon as it is done, so that a repeat follows at once."""
@@ -178,12 +248,22 @@ class Campaign:
         self._pending = None
         attempt = result.attempt
         if not result.final:
-            kept = self._best.get(attempt.position, result)
-            self._best[attempt.position] = min((result, kept), key=lambda one: one.rank)
-            self._session.repeat(result)
-            self._queue.appendleft(attempt.next())
+            kept = self._best.get(attempt.position)
+            self._best[attempt.position] = result if kept is None else min((result, kept), key=lambda one: one.rank)
+            following = next_attempt(
+                attempt,
+                result.judgement,
+                Status.NOT_MEASURED if kept is None else kept.judgement.status,
+                self._setup,
+                self._plan.quality,
+                self._plan.position_mm[attempt.position],
+            )
+            self._session.repeat(result, following)
+            self._queue.appendleft(following)
             return
         self._best.pop(attempt.position, None)
+        if result.committed:
+            self._drift.committed(attempt.position)
         self._session.settle(result, left=len(self._queue))
         self._count_failures(result)
 
@@ -191,6 +271,8 @@ class Campaign:
         """Stop when position after position yields nothing: that is an instrument, not the plate."""
         if not result.judgement.status & Status.FAILED:
             self._failed_in_a_row = 0
+            return
+        if self._passing and result.attempt.position in self._fruitless:
             return
         self._failed_in_a_row += 1
         if self._failed_in_a_row >= FAILED_IN_A_ROW:

@@ -14,7 +14,11 @@ class State(StrEnum):
 
     IDLE = "idle"
     RUNNING = "running"
+    PAUSING = "pausing"
+    PAUSED = "paused"
+    SUSPENDED = "suspended"
     RECOVERING = "recovering"
+    STOPPING = "stopping"
     STOPPED = "stopped"
     FINISHED = "finished"
     FAILED = "failed"
@@ -49,6 +53,21 @@ class SessionStarted(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class ScheduleSettled(Event):
+    """A trial before the first session has settled how positions are measured; `time_s` is how long it took.
+
+    `candidates` are name, groups (0: one actuator after the other), level, seconds of the whole campaign and error
+    of each schedule that was tried at `position`, the one that was asked for first.
+    """
+
+    position: int
+    chosen: str
+    reason: str
+    hours: float
+    candidates: tuple[dict[str, object], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class PositionStarted(Event):
     """The first record of a position begins."""
 
@@ -60,7 +79,11 @@ class PositionStarted(Event):
 
 @dataclass(frozen=True, slots=True)
 class PositionCommitted(Event):
-    """A position is durably in the bank, with the contract's status bits and its quality."""
+    """A position is durably in the bank, with the contract's status bits and its quality.
+
+    Where it is not valid, `reason` says why and `defects` names it. `response_range_v` is the input range where it
+    is not the configured one, `moved_mm` how far beside the position the laser was.
+    """
 
     position: int
     status: int
@@ -69,15 +92,25 @@ class PositionCommitted(Event):
     residual_db: float
     clock_ppm: float
     start_offset_samples: float
+    reason: str = ""
+    defects: tuple[str, ...] = ()
+    response_range_v: float | None = None
+    moved_mm: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class PositionRepeated(Event):
-    """An attempt was not good enough and the position is measured again."""
+    """An attempt was not good enough and the position is measured again.
+
+    `defects` names what was wrong, `response_range_v` and `moved_mm` say what is tried, as of `PositionCommitted`.
+    """
 
     position: int
     attempt: int
     reason: str
+    defects: tuple[str, ...] = ()
+    response_range_v: float | None = None
+    moved_mm: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +120,22 @@ class PositionKept(Event):
     position: int
     attempt: int
     reason: str
+    defects: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PassStarted(Event):
+    """All that is not valid is measured again: these `positions` of the bank."""
+
+    positions: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Progress(Event):
-    """How far the campaign is; times by the rig's clock, `wall_remaining_s` by the wall's."""
+    """How far the campaign is; times by the rig's clock, `wall_remaining_s` by the wall's.
+
+    What remains follows from the latest positions, with their repeats and with the sentinel's measurements to come.
+    """
 
     done: int
     total: int
@@ -137,13 +181,30 @@ class ReconnectTried(Event):
 
 @dataclass(frozen=True, slots=True)
 class Drift(Event):
-    """The sentinel position measured again: what changed since it was first measured."""
+    """The sentinel position measured again: what changed since it was first measured.
+
+    `occasion` is ``"resume"``, ``"run"`` or ``"repeat"`` (of a stop during a run, to be sure), `cause` what figures
+    that are not steady come from, and `suspect` the positions measured since the last steady measurement, where the
+    verdict is to stop.
+    """
 
     position: int
     level_db: float
     delay_samples: float
     correlation: float
     verdict: str
+    occasion: str
+    cause: str
+    suspect: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionsSeen(Event):
+    """What is known of the watched conditions while the campaign is suspended; `back` says whether all are back."""
+
+    values: dict[str, float]
+    back: bool
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)

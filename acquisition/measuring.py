@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
 
-from acquisition.plan import Plan
+from acquisition.plan import Plan, lead_samples
+from acquisition.record import Rolls
 from acquisition.setup import Setup
 from calibration.blas import one_blas_thread
-from calibration.estimator import Estimate, Estimator
-from drivers.protocols import Float32Array, Float64Array
+from calibration.estimator import Estimator
+from calibration.position_estimator import Channels, JointEstimator, PositionEstimator
+from drivers.protocols import Float64Array, Recording
 
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """What one record plays.
+    """What one record plays, and which part of it counts.
 
     Parameters
     ----------
@@ -23,19 +24,22 @@ class Play:
         The actuator that sounds; the first of them where several do.
     signals_v : mapping from player channel to float64 array, shape (samples,)
         Output volts, all of one length, the loopback channel included.
+    heard : slice, optional
+        Samples of the record that count; it ends with them. All, if absent.
     """
 
     actuator: int
     signals_v: Mapping[int, Float64Array]
+    heard: slice | None = None
 
+    @property
+    def samples(self) -> int | None:
+        """Samples of the record; None where it lasts as long as the signal asks for."""
+        return None if self.heard is None else self.heard.stop
 
-class EstimatesPosition(Protocol):
-    """From all records of a position to the Green's functions of all actuators."""
-
-    def estimate(
-        self, reference_v: Float32Array, response_v: Float32Array, *, range_v: tuple[float, float]
-    ) -> Estimate:
-        """Estimate from all records of a position, a record per row, as `calibration.position_estimator` has it."""
+    def cut(self, recording: Recording) -> Recording:
+        """What of a recording counts."""
+        return recording if self.heard is None else replace(recording, volts=recording.volts[:, self.heard].copy())
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,27 +50,70 @@ class Measuring:
     ----------
     plays : tuple of Play
         The records of a position, in order.
-    estimator : EstimatesPosition
+    estimator : PositionEstimator
         What their recordings become.
     """
 
     plays: tuple[Play, ...]
-    estimator: EstimatesPosition
+    estimator: PositionEstimator
+
+
+def channels_of(setup: Setup) -> Channels:
+    """How the recorder's channels see drive and response."""
+    return Channels(setup.reference_gain, setup.response_per_volt, setup.response_delay_s)
 
 
 def measuring_of(plan: Plan, setup: Setup) -> Measuring:
     """The records that a plan asks for on a rig, and their estimator."""
-    signal_v = plan.excitation.signal_v()
-    plays = tuple(
-        Play(actuator, {channel: signal_v, setup.loopback_channel: signal_v})
-        for actuator, channel in enumerate(setup.actuator_channels)
-    )
+    return Measuring(_plays(plan, setup), position_estimator(plan, channels_of(setup)))
+
+
+def position_estimator(plan: Plan, channels: Channels) -> PositionEstimator:
+    """The estimator for the recordings of a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+        What was played.
+    channels : Channels
+        How the recorder's channels see it.
+    """
     with one_blas_thread():
-        estimator = Estimator(
+        if plan.staggered is not None:
+            return JointEstimator(
+                plan.staggered.base_v(),
+                plan.excitation.sample_rate_hz,
+                plan.excitation.band_hz,
+                plan.staggered.schedule(),
+                plan.taps,
+                channels,
+            )
+        return Estimator(
             plan.excitation,
             plan.taps,
-            reference_gain=setup.reference_gain,
-            response_per_volt=setup.response_per_volt,
-            inter_channel_delay_s=setup.response_delay_s,
+            reference_gain=channels.reference_gain,
+            response_per_volt=channels.response_per_volt,
+            inter_channel_delay_s=channels.inter_channel_delay_s,
         )
-    return Measuring(plays, estimator)
+
+
+def heard_samples(plan: Plan, rolls: Rolls) -> slice | None:
+    """Which samples of a record count: of staggered ones, those where all that was silent before has died away."""
+    if plan.staggered is None:
+        return None
+    first = round(rolls.pre_roll_s * plan.excitation.sample_rate_hz) + lead_samples(plan.staggered, rolls)
+    return slice(first, first + plan.staggered.heard_samples)
+
+
+def _plays(plan: Plan, setup: Setup) -> tuple[Play, ...]:
+    channels, loopback = setup.actuator_channels, setup.loopback_channel
+    if plan.staggered is None:
+        signal_v = plan.excitation.signal_v()
+        return tuple(
+            Play(actuator, {channel: signal_v, loopback: signal_v}) for actuator, channel in enumerate(channels)
+        )
+    heard = heard_samples(plan, setup)
+    return tuple(
+        Play(min(sounding), {loopback: base_v} | {channels[one]: volts for one, volts in sounding.items()}, heard)
+        for base_v, sounding in plan.staggered.played_v(lead_samples(plan.staggered, setup))
+    )

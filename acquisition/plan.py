@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from acquisition.quality import QualityLimits
 from acquisition.record import Rolls, record_samples
+from acquisition.sentinel import DriftLimits
+from calibration.staggered_signal import StaggeredSignal
 from calibration.sweeps import Excitation
 from drivers.protocols import Float64Array
 
@@ -29,13 +31,17 @@ class Plan:
     order : int64 array, shape (positions,)
         Bank rows in the order of measurement.
     excitation : Excitation
-        What plays in each record.
+        What plays in each record where actuators sound one after the other.
     taps : int
         Length L of the Green's functions.
     sha256 : str
         Hash of all that a resume must not change.
     quality : QualityLimits
         When a position is good enough.
+    staggered : StaggeredSignal, optional
+        What plays instead where several actuators sound at once.
+    drift : DriftLimits
+        How often the sentinel position is measured again, and how far it may drift.
     """
 
     position_mm: Float64Array
@@ -45,6 +51,8 @@ class Plan:
     taps: int
     sha256: str
     quality: QualityLimits = field(default_factory=QualityLimits)
+    staggered: StaggeredSignal | None = None
+    drift: DriftLimits = field(default_factory=DriftLimits)
 
     @property
     def positions(self) -> int:
@@ -56,17 +64,36 @@ class Plan:
         """Number of actuators."""
         return len(self.actuator_mm)
 
+    @property
+    def records(self) -> int:
+        """Records of a position."""
+        return self.actuators if self.staggered is None else self.staggered.groups
+
     def to_do(self, status: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Bank rows still to be measured, in order: the plan minus what is committed."""
         left: NDArray[np.int64] = self.order[status[self.order] == 0]
         return left
 
-    def position_s(self, rolls: Rolls) -> float:
-        """Seconds that one position takes: a record per actuator and the overhead around them."""
+    def record_s(self, rolls: Rolls) -> float:
+        """Seconds that one record takes."""
         rate = self.excitation.sample_rate_hz
-        signal_samples = self.excitation.averages * self.excitation.period_samples
-        record_s = record_samples(rolls, signal_samples, rate) / rate
-        return self.actuators * record_s + POSITION_OVERHEAD_S
+        if self.staggered is None:
+            return record_samples(rolls, self.excitation.averages * self.excitation.period_samples, rate) / rate
+        return rolls.pre_roll_s + (lead_samples(self.staggered, rolls) + self.staggered.heard_samples) / rate
+
+    def position_s(self, rolls: Rolls) -> float:
+        """Seconds that one position takes: its records and the overhead around them."""
+        return self.records * self.record_s(rolls) + POSITION_OVERHEAD_S
+
+    def campaign_s(self, positions: int, rolls: Rolls) -> float:
+        """Seconds that so many positions take, the sentinel measured every so often included."""
+        position_s = self.position_s(rolls)
+        return (positions + self.drift.passes(positions, position_s)) * position_s
+
+
+def lead_samples(signal: StaggeredSignal, rolls: Rolls) -> int:
+    """Samples that a periodic signal plays before it counts: the player's latency, and one response to build up."""
+    return round(rolls.post_roll_s * signal.sweep.sample_rate_hz) + signal.taps
 
 
 def sentinel_of(plan: Plan, status: NDArray[np.uint8]) -> int | None:

@@ -8,6 +8,7 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.defects import NOISE_ALONE_DB, Cure, Defect, DefectLimits, dead_records, named_defects, records_named
 from calibration.estimator import Estimate
 
 
@@ -38,6 +39,11 @@ def status_counts(status: NDArray[np.uint8]) -> dict[str, int]:
     return {"not-measured": int(np.count_nonzero(status == 0)), **counts}
 
 
+def not_valid(status: NDArray[np.uint8]) -> list[int]:
+    """Bank rows that were measured and are not valid, those that a person has excluded left out."""
+    return np.flatnonzero((status != 0) & (status & (Status.VALID | Status.DISABLED) == 0)).tolist()
+
+
 def median_snr_db(snr_db: NDArray[np.float32] | None, status: NDArray[np.uint8]) -> float | None:
     """Median signal-to-noise ratio over all measured pairs (position, actuator); None where none is known."""
     if snr_db is None:
@@ -65,30 +71,54 @@ class QualityLimits:
         The position is poor when even its best record has less signal-to-noise ratio.
     max_attempts : int
         Attempts at a position before it is committed as it is.
+    poor_harmonic_db : float
+        A record is clipped or distorted when the third harmonic at its loudest moment is above this, in dB of the
+        fundamental.
+    speckle_step_mm : float
+        How far the mirror moves aside where the light does not come back, >= 0.
+    remeasure_pass : int
+        How often, at the end of a campaign, all that is not valid is measured again, >= 0.
     """
 
     poor_residual_db: float = -50.0
     excess_noise_db: float = 8.0
     poor_snr_db: float = 20.0
     max_attempts: int = 3
+    poor_harmonic_db: float = -42.0
+    speckle_step_mm: float = 0.1
+    remeasure_pass: int = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What an attempt is worth: status bits, the reason in words, and a score (lower is better)."""
+    """What an attempt is worth: status bits, the reason in words, a score (lower is better), and all its defects."""
 
     status: Status
     reason: str
     score: float
+    defects: tuple[Defect, ...] = ()
 
     @property
     def good(self) -> bool:
         """Whether the attempt is valid."""
         return self.status == Status.VALID
 
+    @property
+    def cure(self) -> Cure:
+        """What may help: nothing where one defect is left that no repeat takes away."""
+        return max((defect.cure for defect in self.defects), default=Cure.REPEAT)
 
-def judge(estimate: Estimate, over_range: bool, limits: QualityLimits) -> Judgement:
+
+def judge(
+    estimate: Estimate,
+    over_range: bool,
+    limits: QualityLimits,
+    distance_mm: NDArray[np.float64] | None = None,
+) -> Judgement:
     """Judge one attempt at a position.
+
+    A figure that is not a number never counts as good: a record without signal-to-noise ratio or residual makes
+    the position poor. Figures that compare sweeps may be unknown, for a single sweep has none.
 
     Parameters
     ----------
@@ -98,31 +128,90 @@ def judge(estimate: Estimate, over_range: bool, limits: QualityLimits) -> Judgem
         Whether any record reached the end of the converter's range.
     limits : QualityLimits
         When the position is good enough.
+    distance_mm : float64 array, shape (actuators,), optional
+        From the actuators to the position; where given, an actuator that is not heard is told from a far one.
 
     Returns
     -------
     Judgement
         ``Status.VALID`` alone, or the bits of all that is wrong.
     """
+    dead = dead_records(estimate)
+    known = np.isfinite(estimate.snr_db) & np.isfinite(estimate.residual_db) & np.isfinite(estimate.noise_v)
+    excess_db = _excess_db(estimate, known & ~dead)
+    score = float(np.max(np.where(known, excess_db, np.inf)))
+    defects = list(_over_range(estimate, over_range))
+    defects += named_defects(estimate, DefectLimits(limits.poor_residual_db, limits.poor_harmonic_db), distance_mm)
+    named = records_named(defects, dead.size)
+    defects += _unknown(~known)
+    defects += _unexplained(estimate, excess_db, known & ~dead & ~named, limits)
+    defects += _low_signal(estimate, known & ~dead, limits)
+    if not defects:
+        return Judgement(Status.VALID, "", score)
     status = Status.NOT_MEASURED
-    reasons: list[str] = []
+    for defect in defects:
+        status |= Status.OVER_RANGE if defect.over_range else Status.POOR_SIGNAL
+    if np.all(dead):
+        status = Status.FAILED
+    return Judgement(status, "; ".join(defect.sentence for defect in defects), score, tuple(defects))
+
+
+def _excess_db(estimate: Estimate, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Residual of each record in volts above that of the quietest usable one."""
     noise_v = np.maximum(estimate.noise_v.astype(np.float64), np.finfo(np.float32).tiny)
-    excess_db = 20.0 * np.log10(noise_v / np.min(noise_v))
-    suspect = (excess_db > limits.excess_noise_db) & (estimate.residual_db > limits.poor_residual_db)
-    if over_range or bool(np.any(estimate.clip_count)):
-        status |= Status.OVER_RANGE
-        clipped = int(np.argmax(estimate.clip_count))
-        reasons.append(f"actuator {clipped} reached the end of the input range")
-    if bool(np.any(suspect)):
-        status |= Status.POOR_SIGNAL
-        worst = int(np.argmax(np.where(suspect, excess_db, -np.inf)))
-        reasons.append(
-            f"actuator {worst} leaves {estimate.residual_db[worst]:.1f} dB unexplained, "
-            f"{excess_db[worst]:.1f} dB above the position's quietest record"
+    quietest = np.min(noise_v[usable]) if np.any(usable) else 1.0
+    return np.asarray(20.0 * np.log10(noise_v / quietest))
+
+
+def _over_range(estimate: Estimate, over_range: bool) -> list[Defect]:
+    clipped = np.flatnonzero(estimate.clip_count)
+    if not (over_range or clipped.size):
+        return []
+    worst = tuple(clipped[np.argsort(-estimate.clip_count[clipped])].tolist())
+    who = f"actuator {worst[0]}'s record" if worst else "a record"
+    sentence = (
+        f"{who} reached the end of the input range, or is cut flat below it: where no larger range helps, lower "
+        "sweep.amplitude_v or choose a wider range at the vibrometer"
+    )
+    return [Defect("over-range", worst, sentence, Cure.RANGE, over_range=True)]
+
+
+def _unknown(unknown: NDArray[np.bool_]) -> list[Defect]:
+    if not np.any(unknown):
+        return []
+    which = tuple(np.flatnonzero(unknown).tolist())
+    sentence = f"the figures of actuator {which[0]}'s record are not numbers"
+    return [Defect("no figures", which, sentence, Cure.REPEAT)]
+
+
+def _unexplained(
+    estimate: Estimate, excess_db: NDArray[np.float64], unnamed: NDArray[np.bool_], limits: QualityLimits
+) -> list[Defect]:
+    """Records that are bad without telling why."""
+    suspect = unnamed & (excess_db > limits.excess_noise_db) & (estimate.residual_db > limits.poor_residual_db)
+    if not np.any(suspect):
+        return []
+    which = np.flatnonzero(suspect)
+    which = which[np.argsort(-excess_db[which])]
+    worst = int(which[0])
+    if estimate.residual_db[worst] > NOISE_ALONE_DB:
+        sentence = (
+            f"actuator {worst}'s record is noise alone, {excess_db[worst]:.1f} dB above the position's quietest "
+            "record: no light came back to the vibrometer, or its cable is loose"
         )
-    if float(np.max(estimate.snr_db)) < limits.poor_snr_db:
-        status |= Status.POOR_SIGNAL
-        reasons.append(f"the best record has {np.max(estimate.snr_db):.1f} dB signal-to-noise ratio")
-    if status == Status.NOT_MEASURED:
-        return Judgement(Status.VALID, "", float(np.max(excess_db)))
-    return Judgement(status, "; ".join(reasons), float(np.max(excess_db)))
+        return [Defect("lost record", tuple(which.tolist()), sentence, Cure.MOVE)]
+    sentence = (
+        f"actuator {worst} leaves {estimate.residual_db[worst]:.1f} dB unexplained, "
+        f"{excess_db[worst]:.1f} dB above the position's quietest record"
+    )
+    return [Defect("unexplained", tuple(which.tolist()), sentence, Cure.MOVE if which.size > 1 else Cure.REPEAT)]
+
+
+def _low_signal(estimate: Estimate, usable: NDArray[np.bool_], limits: QualityLimits) -> list[Defect]:
+    if not np.any(usable):
+        return []
+    best_db = float(np.max(estimate.snr_db[usable]))
+    if best_db >= limits.poor_snr_db:
+        return []
+    sentence = f"the best record has {best_db:.1f} dB signal-to-noise ratio"
+    return [Defect("low signal", tuple(np.flatnonzero(usable).tolist()), sentence, Cure.MOVE)]

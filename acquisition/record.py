@@ -33,7 +33,13 @@ def record_samples(rolls: Rolls, signal_samples: int, sample_rate_hz: float) -> 
     return round((rolls.pre_roll_s + rolls.post_roll_s) * sample_rate_hz) + signal_samples
 
 
-def take_record(setup: Setup, signals_v: Mapping[int, Float64Array], sample_rate_hz: float, take: Take) -> Recording:
+def take_record(
+    setup: Setup,
+    signals_v: Mapping[int, Float64Array],
+    sample_rate_hz: float,
+    take: Take,
+    samples: int | None = None,
+) -> Recording:
     """Play signals and record reference and response around them.
 
     The recorder starts first: none of the low-cost DAQ boxes can trigger on an
@@ -50,11 +56,13 @@ def take_record(setup: Setup, signals_v: Mapping[int, Float64Array], sample_rate
         Rate of the signals and of the record.
     take : Take
         What the record is for.
+    samples : int, optional
+        Samples of the record; by default ``record_samples(...)``, so that it outlasts the signal.
 
     Returns
     -------
     Recording
-        ``record_samples(...)`` samples of both channels.
+        So many samples of both channels.
 
     Raises
     ------
@@ -65,12 +73,13 @@ def take_record(setup: Setup, signals_v: Mapping[int, Float64Array], sample_rate
     """
     signal_samples = len(next(iter(signals_v.values())))
     request = RecordRequest(
-        samples=record_samples(setup, signal_samples, sample_rate_hz),
+        samples=record_samples(setup, signal_samples, sample_rate_hz) if samples is None else samples,
         sample_rate_hz=sample_rate_hz,
         range_v=setup.range_v,
         take=take,
     )
-    timeout_s = request.duration_s + ANSWER_MARGIN_S
+    timeout_s = max(request.duration_s, record_samples(setup, signal_samples, sample_rate_hz) / sample_rate_hz)
+    timeout_s += ANSWER_MARGIN_S
     player, recorder = setup.instruments.player, setup.instruments.recorder
     try:
         with asking("recorder"):

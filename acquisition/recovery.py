@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable
 from typing import TypeVar
@@ -132,12 +133,13 @@ class Recovery:
                 failure, f"{failure.cause}, also after {LOSSES_IN_A_ROW} fresh connections in a row"
             ) from failure
         came_from, since_s = self._life.state, self._clock.now_s()
+        gives_up_wall_s = time.monotonic() + self._setup.recovery_s
         self._life.enter(State.RECOVERING, f"{failure.instrument}: {failure.cause}")
         lost = {failure.role: failure}
         self._silence(lost)
         while lost:
             role = next(iter(lost))
-            self._reconnect(role, lost[role], since_s)
+            self._reconnect(role, lost[role], since_s, gives_up_wall_s)
             del lost[role]
             self._silence(lost)
             if lost and self._clock.now_s() - since_s >= self._setup.recovery_s:
@@ -151,8 +153,11 @@ class Recovery:
         for failure in silence(self._setup.instruments):
             lost.setdefault(failure.role, failure)
 
-    def _reconnect(self, role: str, failure: InstrumentError, since_s: float) -> None:
-        """Try for a fresh connection until there is one, a person stops it or the time is over."""
+    def _reconnect(self, role: str, failure: InstrumentError, since_s: float, gives_up_wall_s: float) -> None:
+        """Try for a fresh connection until there is one, a person stops it or the time is over, on either clock.
+
+        A call that hangs takes its time from the wall's clock, whatever clock the rig lives by.
+        """
         until_s = since_s + self._setup.recovery_s
         while True:
             self._wait(min(back_off_s(self._tries[role]), until_s - self._clock.now_s()), failure)
@@ -161,9 +166,12 @@ class Recovery:
                 instrument_of(self._setup.instruments, role).reconnect()
             except (InstrumentLostError, TransientInstrumentError) as absent:
                 left_s = round(until_s - self._clock.now_s(), 3)  # slices of time do not add up exactly
+                if time.monotonic() >= gives_up_wall_s:
+                    left_s = 0.0
                 self._tell(failure, absent.cause, left_s)
                 if left_s <= 0:
-                    waited = hours(self._clock.now_s() - since_s)
+                    wall_s = time.monotonic() - gives_up_wall_s + self._setup.recovery_s
+                    waited = hours(max(self._clock.now_s() - since_s, wall_s))
                     tries = f"{self._tries[role]} tries (last: {absent.cause})"
                     raise as_lost(failure, f"{failure.cause}; not back within {waited}, {tries}") from absent
             except InstrumentError as other:
@@ -178,7 +186,7 @@ class Recovery:
         left_s = max(0.0, seconds)
         while True:
             if self._stop.requested:
-                raise StoppedWhileWaitingError(f"stopped by the user while {failure.instrument} was gone")
+                raise StoppedWhileWaitingError(f"{self._stop.reason} while {failure.instrument} was gone")
             if left_s <= 0:
                 return
             self._clock.sleep(min(left_s, STOP_LOOKED_FOR_S))

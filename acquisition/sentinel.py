@@ -2,17 +2,48 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-# A sentinel that agrees less than this is another plate, another place or another level:
-# at the default noise a re-measured position correlates above 0.999.
-STOP_CORRELATION = 0.9
-STOP_LEVEL_DB = 3.0
-WARN_CORRELATION = 0.98
-WARN_LEVEL_DB = 0.5
+
+@dataclass(frozen=True, slots=True)
+class DriftLimits:
+    """How often the sentinel position is measured again, and how far it may be from its first measurement.
+
+    At the default noise a re-measured position correlates above 0.999.
+
+    Parameters
+    ----------
+    every_positions : int
+        Measured again after so many positions, > 0.
+    every_s : float
+        And after so long on the rig's clock, whichever comes first, > 0.
+    warn_level_db, stop_level_db : float
+        Largest change of level, either way, before it is told, and before nothing more is measured.
+    warn_delay_samples, stop_delay_samples : float
+        Largest shift in time, either way.
+    warn_correlation, stop_correlation : float
+        Smallest correlation.
+    """
+
+    every_positions: int = 50
+    every_s: float = 3600.0
+    warn_level_db: float = 0.5
+    stop_level_db: float = 3.0
+    warn_delay_samples: float = 0.5
+    stop_delay_samples: float = 5.0
+    warn_correlation: float = 0.98
+    stop_correlation: float = 0.9
+
+    def passes(self, positions: int, position_s: float) -> int:
+        """How often the sentinel is measured among so many positions of so many seconds each."""
+        if positions < 2 or position_s <= 0:
+            return 0
+        between = min(self.every_positions, max(1, math.ceil(self.every_s / position_s)))
+        return (positions - 1) // between
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +65,38 @@ class DriftFigures:
     delay_samples: float
     correlation: float
 
-    @property
-    def verdict(self) -> str:
+    def verdict(self, limits: DriftLimits) -> str:
         """``"steady"``, ``"warn"`` or ``"stop"``."""
-        if self.correlation < STOP_CORRELATION or abs(self.level_db) > STOP_LEVEL_DB:
-            return "stop"
-        if self.correlation < WARN_CORRELATION or abs(self.level_db) > WARN_LEVEL_DB:
-            return "warn"
+        for word, level_db, delay_samples, correlation in (
+            ("stop", limits.stop_level_db, limits.stop_delay_samples, limits.stop_correlation),
+            ("warn", limits.warn_level_db, limits.warn_delay_samples, limits.warn_correlation),
+        ):
+            beyond = abs(self.level_db) > level_db or abs(self.delay_samples) > delay_samples
+            if beyond or self.correlation < correlation:
+                return word
         return "steady"
+
+    def cause(self, limits: DriftLimits) -> str:
+        """What such figures come from; empty where they are steady.
+
+        The shape of a response changes from place to place, so that a low correlation is another place (or another
+        plate); a gain changes the level alone, a clock or a filter the delay alone.
+        """
+        word = self.verdict(limits)
+        if word == "steady":
+            return ""
+        stop = word == "stop"
+        if self.correlation < (limits.stop_correlation if stop else limits.warn_correlation):
+            return "plate or mirror moved"
+        if abs(self.delay_samples) > (limits.stop_delay_samples if stop else limits.warn_delay_samples):
+            return "timing changed"
+        return "level changed"
+
+    def __str__(self) -> str:
+        return (
+            f"level {self.level_db:+.2f} dB, delay {self.delay_samples:+.2f} samples, "
+            f"correlation {self.correlation:.3f}"
+        )
 
 
 def compare_sentinel(then: NDArray[np.float32], now: NDArray[np.float32]) -> DriftFigures:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from acquisition.attempt import Attempt, AttemptResult
 from acquisition.events import (
+    ConditionsSeen,
     Drift,
     Fault,
+    PassStarted,
     PositionCommitted,
     PositionKept,
     PositionRepeated,
@@ -18,7 +22,8 @@ from acquisition.events import (
     State,
     Subscriber,
 )
-from acquisition.plan import Plan
+from acquisition.pace import Pace
+from acquisition.plan import Plan, sentinel_of
 from acquisition.quality import status_counts
 from acquisition.sentinel import DriftFigures
 from acquisition.setup import Setup
@@ -50,7 +55,7 @@ class Session:
         self._bank = bank
         self._life = life
         self._publish = publish
-        self._settled = 0
+        self._pace = Pace(0.0), Pace(0.0)
 
     def start(self, to_do: int, instruments: tuple[str, ...]) -> None:
         """Tell that the session begins, with which instruments and how much to do."""
@@ -62,21 +67,37 @@ class Session:
                 self._plan.actuators,
                 self._done(),
                 to_do,
-                to_do * self._plan.position_s(self._setup),
+                self._plan.campaign_s(to_do, self._setup),
                 instruments,
             )
         )
         self._life.enter(State.RUNNING, f"{to_do} positions to do")
+        self._pace = tuple(map(Pace, self._life.working_s()))  # type: ignore[assignment]
 
     def begin(self, attempt: Attempt) -> None:
         """Tell that an attempt's first record begins."""
         x_mm, y_mm = (float(value) for value in self._plan.position_mm[attempt.position])
         self._publish(PositionStarted(self._life.time_s(), attempt.position, attempt.number, x_mm, y_mm))
 
-    def repeat(self, result: AttemptResult) -> None:
-        """Tell that an attempt was not good enough."""
+    def measures_again(self, positions: tuple[int, ...]) -> None:
+        """Tell that a pass over all that is not valid begins."""
+        self._publish(PassStarted(self._life.time_s(), positions))
+
+    def repeat(self, result: AttemptResult, following: Attempt) -> None:
+        """Tell that an attempt was not good enough, and what the next one tries."""
+        self._attempt_done()
         attempt = result.attempt
-        self._publish(PositionRepeated(self._life.time_s(), attempt.position, attempt.number, result.judgement.reason))
+        self._publish(
+            PositionRepeated(
+                self._life.time_s(),
+                attempt.position,
+                attempt.number,
+                result.judgement.reason,
+                result.defect_names,
+                following.response_range_v,
+                following.moved_mm,
+            )
+        )
 
     def settle(self, result: AttemptResult, left: int) -> None:
         """Tell that a position is done with for this session, and how far the session is."""
@@ -92,14 +113,21 @@ class Session:
                     result.best_heard_residual_db,
                     result.clock_ppm,
                     result.start_offset_samples,
+                    result.judgement.reason,
+                    result.defect_names,
+                    result.attempt.response_range_v,
+                    result.attempt.moved_mm,
                 )
             )
         else:
-            self._publish(PositionKept(self._life.time_s(), position, result.attempt.number, result.judgement.reason))
-        self._settled += 1
+            kept = result.attempt.number, result.judgement.reason, result.defect_names
+            self._publish(PositionKept(self._life.time_s(), position, *kept))
+        self._attempt_done()
+        for pace in self._pace:
+            pace.position_settled(result.attempt.of_session)
         self._progress(left)
 
-    def fault(self, fault: InstrumentError, attempt: Attempt, *, retried: bool) -> None:
+    def fault(self, fault: InstrumentError, attempt: Attempt | None, *, retried: bool) -> None:
         """Tell that an instrument failed."""
         self._publish(
             Fault(
@@ -108,14 +136,15 @@ class Session:
                 fault.operation,
                 fault.cause,
                 fault.remedy,
-                attempt.position,
-                attempt.number,
+                None if attempt is None else attempt.position,
+                None if attempt is None else attempt.number,
                 retried,
             )
         )
 
-    def drift(self, position: int, figures: DriftFigures) -> None:
+    def drift(self, position: int, figures: DriftFigures, occasion: str, *, suspect: tuple[int, ...] = ()) -> None:
         """Tell how the sentinel position compares with what the bank holds of it."""
+        limits = self._plan.drift
         self._publish(
             Drift(
                 self._life.time_s(),
@@ -123,9 +152,21 @@ class Session:
                 figures.level_db,
                 figures.delay_samples,
                 figures.correlation,
-                figures.verdict,
+                figures.verdict(limits),
+                occasion,
+                figures.cause(limits),
+                suspect,
             )
         )
+
+    def sentinel_done(self) -> None:
+        """Note how long the sentinel's measurement took; it is no position."""
+        for pace, working_s in zip(self._pace, self._life.working_s(), strict=True):
+            pace.sentinel_done(working_s)
+
+    def conditions(self, values: Mapping[str, float], reason: str, *, back: bool) -> None:
+        """Tell what is known of the watched conditions."""
+        self._publish(ConditionsSeen(self._life.time_s(), dict(values), back, reason))
 
     def end(self, state: State, reason: str) -> SessionEnded:
         """Tell that the session is over, and how."""
@@ -136,19 +177,24 @@ class Session:
         self._publish(ended)
         return ended
 
+    def _attempt_done(self) -> None:
+        for pace, working_s in zip(self._pace, self._life.working_s(), strict=True):
+            pace.attempt_done(working_s)
+
     def _progress(self, left: int) -> None:
-        # An outage says nothing of how long the other positions will take.
-        working_s, working_wall_s = self._life.working_s()
-        per_position_s = working_s / self._settled
+        rig, wall = self._pace
+        passes = 0
+        if sentinel_of(self._plan, self._bank.status) is not None:
+            passes = self._plan.drift.passes(left, rig.position_s)
         self._publish(
             Progress(
                 self._life.time_s(),
                 self._done(),
                 self._plan.positions,
                 self._life.time_s(),
-                left * per_position_s,
-                left * working_wall_s / self._settled,
-                3600.0 / per_position_s if per_position_s > 0 else 0.0,
+                rig.remaining_s(left, passes),
+                wall.remaining_s(left, passes),
+                3600.0 / rig.position_s if rig.position_s > 0 else 0.0,
             )
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from acquisition.watch import NOTHING_WATCHED, Watch
 from calibration.mirror_map import MirrorMap
 from drivers.protocols import Instruments
 
@@ -39,6 +40,10 @@ class Setup:
         Longest wait for the mirror to stand still.
     recovery_s : float
         How long a lost instrument is waited for before the session ends, >= 0.
+    watch : Watch
+        Conditions under which measuring makes sense.
+    response_ranges_v : tuple of float
+        Input ranges that the response may be measured with when it is over the configured one; none, if unknown.
     """
 
     instruments: Instruments
@@ -54,11 +59,18 @@ class Setup:
     post_roll_s: float = 0.1
     settle_timeout_s: float = 5.0
     recovery_s: float = 600.0
+    watch: Watch = NOTHING_WATCHED
+    response_ranges_v: tuple[float, ...] = ()
 
     @property
     def response_delay_s(self) -> float:
         """How much later than the reference the surface is, as the response channel shows it."""
         return self.inter_channel_delay_s - self.vibrometer_latency_s
+
+    @property
+    def widest_response_v(self) -> float:
+        """Largest input range that the response may be measured with."""
+        return max((self.range_v[1], *self.response_ranges_v))
 
     def close(self) -> None:
         """Mute the player, park the mirror and release every instrument, whatever fails on the way.

@@ -1,4 +1,6 @@
-"""Estimators side by side: error of the Green's functions against run time, in one process.
+"""Estimators side by side, a staggered night, and recordings streamed into a bank.
+
+Estimators: error of the Green's functions against run time, in one process.
 
 Run as ``python -m benchmarks.estimate``. The workload: 24 damped modes between 20 and 500 Hz, 200 ms; a
 linear sweep of 3 s at 10 kHz with 0.5 s of silence, three times; 40 dB signal-to-noise ratio on the response,
@@ -20,6 +22,7 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
+from benchmarks import raw_night, staggered_campaign
 from calibration.estimator import Estimator
 from calibration.sweeps import Excitation
 
@@ -81,7 +84,8 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
     -------
     dict
         Per method: seconds per record, speed relative to pyfar's deconvolution, median and worst error in dB;
-        `limit_db`, the noise's own limit; `marks`, what was asked for and whether it was reached.
+        `limit_db`, the noise's own limit; what `benchmarks.staggered_campaign` and
+        `benchmarks.raw_night` find; `marks`, what was asked for and whether it was reached.
     """
     work = make_workload(records=8 if quick else 20)
     estimator = Estimator(work.excitation, TAPS)
@@ -127,7 +131,16 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
         f"at least {MARK_SPEED:g} times pyfar's deconvolve": None if speed is None else speed >= MARK_SPEED,
         f"median error at most {MARK_ERROR_DB:g} dB": error is not None and error <= MARK_ERROR_DB,
     }
-    result: dict[str, Any] = {"methods": table, "limit_db": float(limit), "marks": marks, "note": note}
+    night, streams = staggered_campaign.run(quick=quick), raw_night.run(quick=quick)
+    marks |= night.pop("marks") | streams.pop("marks")
+    result: dict[str, Any] = {
+        "methods": table,
+        "limit_db": float(limit),
+        "marks": marks,
+        "note": note,
+        **night,
+        **streams,
+    }
     _print(result)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)

@@ -84,7 +84,7 @@ def lay_out(path: Path, header: BankHeader) -> int:
         file.attrs["header_crc32"] = np.uint32(header.checksum())
         layout = _find_offsets(file, header, path)
         file.attrs["layout_crc32"] = np.uint32(layout.checksum())
-        reserved_hdf5.note_heaps(file, path, layout.extents())
+        reserved_hdf5.note_heaps(file, layout.extents())
         return layout.file_bytes
 
 

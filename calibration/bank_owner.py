@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
@@ -89,7 +90,9 @@ def take_ownership(path: Path, file: PositionedFile, kind: str = "bank") -> None
 def write_owner(path: Path) -> None:
     """Name this process beside the bank it has locked."""
     owner = Owner(socket.gethostname(), os.getpid(), datetime.now(UTC).astimezone().isoformat(timespec="seconds"))
-    owner_path(path).write_text(json.dumps(asdict(owner)) + "\n", encoding="utf-8")
+    # The bank's own space is reserved: a disk that is full but for that must not keep anyone from measuring.
+    with contextlib.suppress(OSError):
+        owner_path(path).write_text(json.dumps(asdict(owner)) + "\n", encoding="utf-8")
 
 
 def remove_owner(path: Path) -> None:

@@ -8,6 +8,7 @@ from it on opening.
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -165,11 +166,23 @@ class BankWriter:
             record = PointRecord(DISABLED, int(self._attempts[position]), unknown, unknown, unknown, unknown)
             self.commit(position, np.zeros((self.header.actuators, self.header.taps), np.float32), record)
             return
-        content = self._file.read(self._row_offset(position), ledger_row_bytes(self.header.actuators))
-        kept = decode_rows(content, self.header.actuators, self.header.taps, position)
-        figures = {name: kept.quality[name][0] for name in QUALITY_NAMES if name != "attempts"}
-        status = (int(kept.status[0]) & ~VALID) | DISABLED
-        self.commit(position, self.green(position), PointRecord(status, int(kept.quality["attempts"][0]), **figures))
+        kept = self._kept(position)
+        self.commit(position, self.green(position), replace(kept, status=(kept.status & ~VALID) | DISABLED))
+
+    def count_attempts(self, position: int, attempts: int) -> None:
+        """Keep all that is known of a measured position but for how often it was tried.
+
+        Raises
+        ------
+        InputError
+            When there is no such position, or it is not measured.
+        WavefocusError
+            When the disk failed.
+        """
+        self._require_position(position)
+        if not self._status[position]:
+            raise InputError(f"position {position} is not measured; commit it first")
+        self.commit(position, self.green(position), replace(self._kept(position), attempts=attempts))
 
     def green(self, position: int) -> Float32Array:
         """Read one position's Green's functions, float32 (N, L); zeros where it is not measured."""
@@ -178,6 +191,13 @@ class BankWriter:
         if self._status[position]:
             self._file.read_into(int(self._layout.chunk_offset[position]), green.data.cast("B"))
         return green.astype(np.float32, copy=False)
+
+    def _kept(self, position: int) -> PointRecord:
+        """Status and quality of a measured position, as its ledger row has them."""
+        content = self._file.read(self._row_offset(position), ledger_row_bytes(self.header.actuators))
+        kept = decode_rows(content, self.header.actuators, self.header.taps, position)
+        figures = {name: kept.quality[name][0] for name in QUALITY_NAMES if name != "attempts"}
+        return PointRecord(int(kept.status[0]), int(kept.quality["attempts"][0]), **figures)
 
     def close(self) -> None:
         """Sync, take the owner's name away and release the bank; closing twice does nothing."""

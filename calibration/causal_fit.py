@@ -94,6 +94,13 @@ class CausalFit:
         # Explicitly, since the difference of the two energies cancels to nothing in float32.
         return data - coefficients @ self._left_transposed
 
+    def spectra(self, rows: Float32Array) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
+        """Whitened rows (records, 2 * bins) as complex spectra (records, bins), and those with the weight taken off."""
+        bins = self._weight.size
+        whitened = np.empty((rows.shape[0], bins), dtype=np.complex64)
+        whitened.real, whitened.imag = rows[:, :bins], rows[:, bins:]
+        return whitened, whitened / self._weight
+
     def taps(self, coefficients: Float32Array, skew: Float64Array) -> Float32Array:
         """FIRs (records, L) on the playback clock; `skew` (records,) is each record's clock ratio minus 1."""
         difference = skew[:, None] - self._nodes

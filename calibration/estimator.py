@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.causal_fit import CausalFit
 from calibration.clipping import count_clipped, find_peaks
+from calibration.defect_finder import DefectFinder
+from calibration.defects import DEFECTS, not_looked_at
 from calibration.errors import InputError
 from calibration.repeats import RepeatFinder
 from calibration.sweeps import Sweeps
@@ -53,6 +55,9 @@ class Estimate:
         DAQ sample at which the first sweep starts.
     clock_ratio : float64 array, shape (records,)
         DAQ rate over playback rate.
+    defects : structured array, shape (records,), optional
+        What stands out of the residuals beyond chance, as `calibration.defects.DEFECTS` has it; by default
+        nobody has looked.
     """
 
     green: NDArray[np.float32]
@@ -65,6 +70,11 @@ class Estimate:
     clip_count: NDArray[np.int32]
     offset_samples: NDArray[np.float64]
     clock_ratio: NDArray[np.float64]
+    defects: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, DEFECTS))
+
+    def __post_init__(self) -> None:
+        if self.defects.size != self.snr_db.size:
+            object.__setattr__(self, "defects", not_looked_at(self.snr_db.size))
 
 
 class Estimator:
@@ -124,6 +134,16 @@ class Estimator:
         relative = self._finder.power / self._finder.median_power
         self._fit = CausalFit(self._finder.omega, relative, self._finder.period, taps, ridge, MAX_PPM)
         late = inter_channel_delay_s * excitation.sample_rate_hz
+        self._defects = DefectFinder(
+            self._finder.omega,
+            self._finder.bins.start,
+            self._finder.period,
+            excitation.averages,
+            excitation.sample_rate_hz,
+            taps,
+            freedom=1 - self._fit.rank / self._fit.elements,
+            delay_rises=self._finder.delay_rises,
+        )
         self._in_time = np.exp(-1j * self._finder.omega * late).astype(np.complex64)
         self._scale = reference_gain * response_per_volt
 
@@ -188,16 +208,20 @@ class Estimator:
         y = self._finder.segment_spectra(response, repeats.starts)
         reference_power = _energy(x).sum(axis=1)
         transfer = (x.conj() * y).sum(axis=1) / np.maximum(reference_power, np.float32(FLOOR))
-        coherence, repeat_db = self._repeatability(x, y, transfer)
+        answered = _energy(y).sum(axis=(1, 2), dtype=np.float64)
+        differing, differing_power = self._differing(x, y, transfer)
+        coherence, repeat_db = self._repeatability(answered, differing_power)
 
         data = self._fit.whitened(transfer * self._in_time)
         coefficients = self._fit.coefficients(data)
-        left = np.square(self._fit.unexplained(data, coefficients)).sum(axis=1, dtype=np.float64)
+        unexplained = self._fit.unexplained(data, coefficients)
+        left = np.square(unexplained).sum(axis=1, dtype=np.float64)
         whole = np.square(data).sum(axis=1, dtype=np.float64)
         # The FIR's own freedom swallows its share of the noise.
         variance = left / max(self._fit.elements - self._fit.rank, 1)
         noise = variance * self._fit.elements
         gain = reference_power.sum(axis=1, dtype=np.float64) / self._finder.power.sum()
+        whitened, missed = self._fit.spectra(unexplained)
         return Estimate(
             green=self._fit.taps(self._fit.denoised(coefficients, variance), repeats.ratio - 1)
             * np.float32(self._scale),
@@ -210,17 +234,38 @@ class Estimator:
             clip_count=count_clipped(reference, *peaks[0], range_v[0]) + count_clipped(response, *peaks[1], range_v[1]),
             offset_samples=repeats.offset_samples,
             clock_ratio=repeats.ratio,
+            defects=self._defects.find(
+                response_v=response,
+                loudest=peaks[1][1],
+                peak_v=peaks[1][0],
+                heard=x,
+                heard_power=reference_power,
+                answered_energy=answered,
+                differing=differing,
+                differing_power=differing_power,
+                transfer=transfer,
+                missed=missed * self._in_time.conj(),
+                whitened=whitened,
+            ),
         )
 
-    def _repeatability(
+    def _differing(
         self, x: NDArray[np.complex64], y: NDArray[np.complex64], transfer: NDArray[np.complex64]
+    ) -> tuple[NDArray[np.complex64] | None, NDArray[np.float32] | None]:
+        """What one relation to the reference leaves of each sweep, and its energy; None for a single sweep."""
+        if x.shape[1] == 1:
+            return None, None
+        differing = y - transfer[:, None] * x
+        return differing, _energy(differing).sum(axis=1)
+
+    def _repeatability(
+        self, whole: NDArray[np.float64], differing_power: NDArray[np.float32] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        averages = x.shape[1]
-        if averages == 1:
-            unknown = np.full(x.shape[0], np.nan, dtype=np.float32)
+        if differing_power is None:
+            unknown = np.full(whole.shape, np.nan, dtype=np.float32)
             return unknown, unknown.copy()
-        differing = _energy(y - transfer[:, None] * x).sum(axis=(1, 2), dtype=np.float64)
-        whole = _energy(y).sum(axis=(1, 2), dtype=np.float64)
+        averages = self.excitation.averages
+        differing = differing_power.sum(axis=1, dtype=np.float64)
         coherence = 1 - (differing + FLOOR) / (whole + FLOOR)
         return coherence.astype(np.float32), decibel(differing * averages / (averages - 1), whole)
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 from calibration import durable
 from calibration.durable import PAGE
 from calibration.errors import InputError
+from calibration.workplace import Workplace, clear_leftovers, workplace
 
 
 def create_reserved(
@@ -33,27 +33,36 @@ def create_reserved(
     InputError
         When the path exists, the folder is missing, or the disk is too small; nothing is left behind.
     """
+    clear_leftovers(path)
     if path.exists() or path.is_symlink():
         raise InputError(f"{path} exists already; choose another name, or resume it")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
     _require_space(path, about_bytes, None)
     try:
-        workplace = tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
+        with workplace(path) as place:
+            _make(path, place, about_bytes, lay_out, open_file)
+    except InputError:
+        raise
     except OSError as error:
-        raise InputError(f"{path} may not be written: {error.strerror}") from error
-    with workplace as folder:
-        temporary = Path(folder) / path.name
-        try:
-            _fill(temporary, lay_out, open_file)
-            durable.publish_new(temporary, path)
-        except FileExistsError as error:
-            raise InputError(f"{path} exists already; choose another name, or resume it") from error
-        except (OSError, RuntimeError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            _require_space(path, about_bytes, error)
-            raise InputError(f"{path} cannot be made: {error}") from error
+        _require_space(path, about_bytes, error)
+        raise InputError(f"{path} may not be written: {error.strerror or error}") from error
+
+
+def _make(
+    path: Path, place: Workplace, about_bytes: int, lay_out: Callable[[Path], int], open_file: durable.OpenFile
+) -> None:
+    try:
+        _fill(place.temporary, lay_out, open_file)
+        place.complete()
+        durable.publish_new(place.temporary, path)
+    except FileExistsError as error:
+        raise InputError(f"{path} exists already; choose another name, or resume it") from error
+    except (OSError, RuntimeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        _require_space(path, about_bytes, error)
+        raise InputError(f"{path} cannot be made: {error}") from error
 
 
 def _fill(temporary: Path, lay_out: Callable[[Path], int], open_file: durable.OpenFile) -> None:

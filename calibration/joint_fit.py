@@ -42,12 +42,15 @@ class JointSolution:
         Energy that they leave.
     variance : float
         Variance of the noise on one element of the whitened data.
+    left : complex64 array, shape (bins,)
+        What they leave of the whitened data.
     """
 
     green: Float32Array
     energy: Float64Array
     unexplained: float
     variance: float
+    left: Complex64Array
 
 
 class JointFit:
@@ -108,6 +111,7 @@ class JointFit:
         if self._inverses is None:
             freedom, spread = self._probe()
         self._left_over = max(self.elements - freedom, 1.0)
+        self.left_share = self._left_over / self.elements
         self._spread = spread[self._weak].astype(np.float32)
 
     def solve(self, data: Complex64Array) -> JointSolution:
@@ -133,7 +137,7 @@ class JointFit:
         spoken = np.maximum(np.square(found[self._weak]), np.float32(1e-30))
         noise = np.float32(GARROTE * variance) * self._spread[:, None]
         found[self._weak] *= np.maximum(1 - noise / spoken, 0)
-        return JointSolution(found.T @ self._responses, np.maximum(energy, 0), unexplained, variance)
+        return JointSolution(found.T @ self._responses, np.maximum(energy, 0), unexplained, variance, left)
 
     def _seen(self, data: Complex64Array) -> Float32Array:
         """Data as the slots see it: coefficients (rank, slots)."""

@@ -10,6 +10,7 @@ from typing import Self
 from calibration import bank_owner, durable, hdf5_safety
 from calibration.durable import PositionedFile
 from calibration.errors import InputError, WavefocusError
+from calibration.workplace import clear_leftovers
 
 
 class OwnedFile:
@@ -48,6 +49,7 @@ class OwnedFile:
         if path.is_symlink():
             raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the {kind} file itself")
         hdf5_safety.require_regular(path)
+        clear_leftovers(path)
         try:
             file = open_file(path, write=True)
         except OSError as error:

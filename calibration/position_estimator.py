@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.defects import worst_of
 from calibration.errors import InputError
 from calibration.estimator import Estimate, Estimator
 from calibration.schedule import Schedule
@@ -229,6 +230,7 @@ def by_actuator(
         merged["green"].append(np.average(rows.green[chosen], axis=0, weights=worth).astype(np.float32))
         merged["snr_db"].append(10 * np.log10(np.sum(10 ** (0.1 * rows.snr_db[chosen]))))
         merged["clip_count"].append(np.sum(rows.clip_count[chosen]))
+        merged["defects"].append(worst_of(rows.defects[chosen]))
         for name, choose in worst.items():
             merged[name].append(choose(getattr(rows, name)[chosen]))
         for name in ("offset_samples", "clock_ratio"):

@@ -80,7 +80,7 @@ def lay_out(path: Path, header: RawHeader) -> int:
         reserved(file, JOURNAL, (raw_journal_bytes(round_to_page(header.chunk_bytes)),), "u1", "1")
         layout = _find_offsets(file, header, path)
         file.attrs["layout_crc32"] = np.uint32(layout.checksum())
-        reserved_hdf5.note_heaps(file, path, layout.extents())
+        reserved_hdf5.note_heaps(file, layout.extents())
         return max(offset + size for offset, size in layout.extents())
 
 

@@ -26,6 +26,8 @@ MISPLACED_SAMPLES = 4.0
 GUARD_SAMPLES = 8
 # The clock is known far better than needed, so that every eighth bin is enough for it.
 THIN = 8
+# Sweeps go upwards when the mean delay rises over so many parts of the band.
+DELAY_PARTS = 8
 # A segment begins near its sweep, so that fewer bins tell by how much: modulo the period over this.
 SEGMENT_THIN = 8
 # The first guess of the start may be wrong by samples; it is taken from a recording thinned this close to aliasing.
@@ -93,6 +95,9 @@ class RepeatFinder:
         self._nominal = nominal[self.bins].astype(np.complex64)
         self._omega32 = self.omega[::THIN].astype(np.float32)
         stretch = self.omega * np.imag(slope[self.bins] / nominal[self.bins])
+        # Whether higher frequencies come later, eighth of the band by eighth: so that bins tell of time.
+        delays = [part.mean() for part in np.array_split(-stretch / self.omega, DELAY_PARTS)]
+        self.delay_rises = bool(np.all(np.diff(delays) > 0))
         # Coupling capacitors turn low frequencies; unmodelled, a corner of 2 Hz passes for 20 ppm.
         lowest = 2 * np.pi * excitation.start_hz / excitation.sample_rate_hz
         turns = [np.arctan(share * lowest / self.omega) for share in CORNERS]

@@ -11,15 +11,30 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration import hdf5_safety
+from calibration import durable, hdf5_safety
 from calibration.bank_header import METADATA_BLOCK
 from calibration.durable import PAGE
 from calibration.errors import InputError
+from calibration.sparse_memory import SparseMemory
+
+
+class NewFile(h5py.File):  # type: ignore[misc]
+    """An HDF5 file in the making; `memory` is where it lies."""
+
+    memory: SparseMemory
 
 
 @contextlib.contextmanager
-def new_file(path: Path) -> Iterator[h5py.File]:
-    """Make a file without times, with its metadata away from the pages that are written later."""
+def new_file(path: Path) -> Iterator[NewFile]:
+    """Make a file without times, whose metadata share no page with what is written later.
+
+    It is laid out in memory, and on the disk once the block has ended.
+
+    Raises
+    ------
+    OSError
+        When it cannot be written, or exists.
+    """
     creation = h5py.h5p.create(h5py.h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
     creation.set_attr_phase_change(64, 0)  # root attributes stay in one checksummed object header
@@ -27,9 +42,19 @@ def new_file(path: Path) -> Iterator[h5py.File]:
     access.set_libver_bounds(h5py.h5f.LIBVER_V18, h5py.h5f.LIBVER_V18)
     access.set_alignment(1, PAGE)
     access.set_meta_block_size(METADATA_BLOCK)
-    access.set_file_locking(False, True)
-    with h5py.File(h5py.h5f.create(os.fsencode(path), h5py.h5f.ACC_EXCL, creation, access)) as file:
+    memory = SparseMemory()
+    access.set_fileobj_driver(h5py.h5fd.fileobj_driver, memory)
+    with NewFile(h5py.h5f.create(os.fsencode(path.name), h5py.h5f.ACC_TRUNC, creation, access)) as file:
+        file.memory = memory
         yield file
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    target = durable.open_file(path, write=True)
+    try:
+        for offset, page in memory.written():
+            target.write(offset, page)
+        target.write(memory.size - 1, memory.content(memory.size - 1, 1))  # the file ends where HDF5 says
+    finally:
+        target.close()
 
 
 def reserved(
@@ -114,26 +139,23 @@ def require_apart(extents: Iterable[tuple[int, int]], path: Path) -> None:
         end = offset + size
 
 
-def note_heaps(file: h5py.File, path: Path, extents: Iterable[tuple[int, int]]) -> None:
+def note_heaps(file: NewFile, extents: Iterable[tuple[int, int]]) -> None:
     """Note in the file where it keeps its texts, so that damage to them is found before HDF5 meets it.
 
     Parameters
     ----------
-    file : h5py.File
+    file : NewFile
         The file, all written; it is flushed.
-    path : Path
-        The same.
     extents : iterable of (int, int)
         Offset and size of everything that is written later.
     """
     file.flush()
-    found, at = [], 0
-    with path.open("rb") as raw:
-        for offset, size in [*sorted(extents), (path.stat().st_size, 0)]:
-            raw.seek(at)
-            between = raw.read(max(0, offset - at))
-            found += [at + page for page in range(0, len(between), PAGE) if between[page : page + 4] == b"GCOL"]
-            at = offset + size
+    later = sorted(extents)
+    found = [
+        offset
+        for offset, page in file.memory.written()
+        if page[:4] == b"GCOL" and not any(start <= offset < start + size for start, size in later)
+    ]
     file.attrs["heap_offsets"] = np.array(found, np.int64)
 
 

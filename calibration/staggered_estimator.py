@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from calibration.chirp_transform import ring_signal
 from calibration.clipping import count_clipped, find_peaks
+from calibration.defects import not_looked_at
 from calibration.errors import InputError
 from calibration.estimator import FLOOR, MAX_PPM, Estimate, decibel
 from calibration.joint_fit import JointFit
@@ -26,6 +27,9 @@ LEAST_POWER = 1e-4
 REFERENCE_LIMIT = 10**-1.5
 # The way from player to reference input rings for less than the inverse of this, so its factor is smooth.
 SMOOTH_HZ = 10.0
+# The residual is looked at in moments of this length; chance makes the loudest of thousands six times the median.
+BURST_S = 0.005
+BURST_OVER_MEDIAN = 12.0
 # Repeats can be compared from so many periods on.
 LEAST_PERIODS = 1.9
 
@@ -84,12 +88,13 @@ class StaggeredEstimator:
         response_per_volt: float = 1.0,
         inter_channel_delay_s: float = 0.0,
         expected_ratio: float = 1.0,
-        ridge: float = 1e-5,
+        ridge: float = 1e-6,
         runs_on: bool = True,
     ) -> None:
         require_slots(delay_samples, gain, base_v.size, taps)
         self.period = base_v.size
         self._runs_on = runs_on
+        self._sample_rate_hz = sample_rate_hz
         self.taps = taps
         nominal = scipy.fft.rfft(base_v)
         power = np.abs(nominal) ** 2
@@ -183,6 +188,10 @@ class StaggeredEstimator:
             for row in range(2)
         )
         slots = solution.energy.size
+        defects = not_looked_at(slots)
+        if self._runs_on:
+            turned = solution.left * np.exp(1j * np.angle(base))
+            defects["burst_db"], defects["burst_s"] = self._burst(turned, whole)
 
         def each(figure: float) -> Float32Array:
             return np.full(slots, figure, dtype=np.float32)
@@ -198,7 +207,26 @@ class StaggeredEstimator:
             clip_count=np.full(slots, int(np.sum(clipped)), dtype=np.int32),
             offset_samples=np.full(slots, clock.offset_samples),
             clock_ratio=np.full(slots, clock.ratio),
+            defects=defects,
         )
+
+    def _burst(self, left: Complex128Array, whole: float) -> tuple[float, float]:
+        """Energy of the residual within a moment over all energy, in dB, and when that is in seconds of the period.
+
+        -inf where no moment stands out of the others.
+        """
+        spectrum = np.zeros(self.period // 2 + 1, dtype=np.complex128)
+        spectrum[self._bins] = left
+        residual = scipy.fft.irfft(spectrum, self.period) * np.sqrt(2 * self.period)
+        step = max(round(BURST_S * self._sample_rate_hz) // 2, 1)
+        moments = np.add.reduceat(np.square(residual), np.arange(0, self.period, step))[: self.period // step]
+        moments = moments + np.roll(moments, -1)
+        loudest = int(np.argmax(moments))
+        if moments[loudest] < BURST_OVER_MEDIAN * np.median(moments):
+            return -np.inf, np.nan
+        # The fits hide their share of it.
+        energy = float(moments[loudest]) / self._fit.left_share
+        return float(decibel(np.array(energy), np.array(whole))), loudest * step / self._sample_rate_hz
 
     def _found_clock(self, thinned: Thinned, name: str) -> RingFit:
         clock = self._clock.fit(thinned, self._thinning, self._expected_ratio)

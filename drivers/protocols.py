@@ -26,7 +26,7 @@ class Take:
     record : int
         Index of the record within the attempt, from 0.
     purpose : str
-        ``"capture"``, ``"sentinel"`` or ``"scan"``.
+        ``"capture"``, ``"sentinel"``, ``"probe"`` or ``"scan"``.
     """
 
     position: int
@@ -167,6 +167,16 @@ class Recorder(Protocol):
 
     def close(self) -> None:
         """Release the device. Safe to call twice."""
+        ...
+
+
+@runtime_checkable
+class OffersRanges(Protocol):
+    """A recorder that says which input ranges it has, so that a record that was over one can be taken with a larger."""
+
+    @property
+    def input_ranges_v(self) -> tuple[float, ...]:
+        """Largest magnitudes of its input ranges in volts, ascending; none where it does not know."""
         ...
 
 

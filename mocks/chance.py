@@ -13,7 +13,7 @@ from drivers.protocols import Take
 
 Float32Array = NDArray[np.float32]
 
-LATENCY, NOISE, DROPOUT = range(3)  # what is drawn for a take, each from a stream of its own
+LATENCY, NOISE, DROPOUT, GROWING = range(4)  # what is drawn for a take, each from a stream of its own
 EVERY_RECORD = 0xFFFF_FFFF  # in place of a record: one stream for the whole attempt
 
 # A normal distribution as 65,536 equally likely values (the middle quantiles, unit variance). Drawing
@@ -32,7 +32,7 @@ def take_generator(seed: int, take: Take, stream: int, *, whole_attempt: bool = 
     take : Take
         The measurement.
     stream : int
-        ``LATENCY``, ``NOISE`` or ``DROPOUT``.
+        ``LATENCY``, ``NOISE``, ``DROPOUT`` or ``GROWING``.
     whole_attempt : bool
         One stream for all records of the attempt.
     """

@@ -14,9 +14,12 @@ OPERATIONS = {
     "recorder": ("identify", "start", "read", "reconnect"),
     "player": ("identify", "play", "wait", "mute", "reconnect"),
 }
-ANYWHERE = ("timeout", "lost", "unplugged")
+ANYWHERE = ("timeout", "lost", "unplugged", "hang")
 RAISED = ("timeout", "underflow", "short_read")
-CORRUPTING = ("missing_reference", "over_range", "dropout", "drift")
+CORRUPTING = (
+    "missing_reference", "over_range", "dropout", "drift", "dark", "faint_reference",
+    "clipped", "lost_sample", "hum", "dead_response",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +34,12 @@ class Fault:
         Method that fails, such as ``"read"``.
     kind : str
         ``"timeout"`` (any), ``"lost"`` (any; it stays lost), ``"unplugged"`` (any but reconnect; once, and
-        then gone until it is plugged in again), ``"underflow"`` (player wait), ``"short_read"``,
-        ``"missing_reference"``, ``"over_range"``, ``"dropout"`` or ``"drift"`` (recorder read).
+        then gone until it is plugged in again), ``"hang"`` (any; the call never returns, for a take only the
+        first), ``"underflow"`` (player wait), ``"short_read"``, ``"missing_reference"``, ``"over_range"``,
+        ``"dropout"``, ``"drift"``, ``"dark"`` (no light comes back to the vibrometer in the whole record),
+        ``"faint_reference"``, ``"clipped"`` (the response's peaks are cut off before the converter),
+        ``"lost_sample"`` (one sample of the response is missing in the middle), ``"hum"`` (50 Hz on the response) or
+        ``"dead_response"`` (the response channel is constant; recorder read).
     at_call : int, optional
         The first call of the method that fails, from 1; `count` calls fail in a row.
     position, record, attempt : int, optional
@@ -44,9 +51,12 @@ class Fault:
     count : int
         How often, > 0.
     level_db : float
-        What ``"drift"`` does to the response.
+        What ``"drift"`` does to the response, and ``"faint_reference"`` to the reference; where ``"clipped"`` cuts
+        the response, in dB of its peak; the level of ``"hum"``, in dB of the response's rms.
     tries : int
         How many times ``reconnect`` fails before one succeeds, where ``"unplugged"``, >= 0.
+    spot_mm : tuple of float, optional
+        Where ``"dark"`` is dark: x, y and radius in mm; everywhere, if absent.
 
     Raises
     ------
@@ -65,6 +75,7 @@ class Fault:
     count: int = 1
     level_db: float = -3.0
     tries: int = 1
+    spot_mm: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.role not in OPERATIONS:
@@ -129,6 +140,7 @@ class FaultPlan:
         self._lost = False
         self._tries_left: int | None = None
         self._unplugged_before: set[Fault] = set()
+        self._hung_before: set[Fault] = set()
         self._lock = threading.Lock()
 
     def meet(self, operation: str, doing: str, take: Take | None = None) -> tuple[Fault, ...]:
@@ -164,11 +176,20 @@ class FaultPlan:
                 raise InstrumentLostError(
                     self._device, doing, "the device does not answer any more", "check its cable and its power"
                 )
+            hangs = self._hangs(due)
+        if hangs:
+            threading.Event().wait()
         for fault in due:
             if fault.kind in RAISED:
                 cause, remedy = _EXPLANATIONS[fault.kind]
                 raise TransientInstrumentError(self._device, doing, cause, remedy)
         return due
+
+    def _hangs(self, due: tuple[Fault, ...]) -> bool:
+        """Whether this call never returns; a take that is tried again does."""
+        first = [one for one in due if one.kind == "hang" and (one.at_call or one not in self._hung_before)]
+        self._hung_before.update(first)
+        return bool(first)
 
     def _unplugged(self, operation: str, due: tuple[Fault, ...]) -> bool:
         """Whether the instrument is unplugged at this call; a take that is tried again finds it plugged in."""

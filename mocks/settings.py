@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +28,10 @@ class VirtualSettings:
         (0.09 mV rms at a range of 10 V) comes on top.
     reference_noise_v : float
         Noise of the reference input, volts rms, >= 0.
+    noise_per_response : float
+        Noise that grows with the response: volts rms per volt of it at every instant, >= 0.
+    cubic_per_v2 : float
+        A response of u volts comes out as u + cubic_per_v2 * u**3, in 1/V^2.
     clock_ppm : float
         How much faster the recorder's clock is than the player's, in parts per million, within +-1000.
     inter_channel_delay_s : float
@@ -70,8 +75,13 @@ class VirtualSettings:
         Largest output voltage of the player, > 0.
     largest_range_v : float
         Largest range of the recorder in volts, > 0.
+    input_ranges_v : tuple of float
+        Ranges that the recorder says it has, in volts; it takes any up to the largest.
     fault_plan : tuple of Fault
         Faults on order.
+    room_c, light : tuple of (float, float)
+        Instants in s on the rig's clock, rising, with the room's temperature in degrees Celsius, and with the share
+        of light that comes back to the vibrometer, as its controller would tell it.
     realtime : bool
         Let virtual seconds last a second.
 
@@ -84,6 +94,8 @@ class VirtualSettings:
     seed: int = 1
     noise_v: float = 1.5e-4
     reference_noise_v: float = 1e-4
+    noise_per_response: float = 0.0
+    cubic_per_v2: float = 0.0
     clock_ppm: float = 30.0
     inter_channel_delay_s: float = 5e-6
     vibrometer_latency_s: float = 0.0
@@ -109,11 +121,22 @@ class VirtualSettings:
     lost_signal_v: float = 1.0
     full_scale_v: float = 5.0
     largest_range_v: float = 10.0
+    input_ranges_v: tuple[float, ...] = (0.2, 1.0, 5.0, 10.0)
     fault_plan: tuple[Fault, ...] = ()
+    room_c: tuple[tuple[float, float], ...] = ((0.0, 21.0),)
+    light: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
     realtime: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("noise_v", "reference_noise_v", "settle_s", "gain_spread_db", "lost_signal_v", "seed"):
+        for name in (
+            "noise_v",
+            "reference_noise_v",
+            "noise_per_response",
+            "settle_s",
+            "gain_spread_db",
+            "lost_signal_v",
+            "seed",
+        ):
             _require(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")
         for name in ("sensitivity_m_s_per_v", "velocity_scale", "full_scale_v", "largest_range_v",
                      "slew_mrad_s", "limit_mrad"):  # fmt: skip
@@ -138,6 +161,9 @@ class VirtualSettings:
         ):
             there = factors is None or (len(factors) == count and bool(np.isfinite(factors).all()))
             _require(name, factors, there, f"{count} finite numbers")
+        for name, course in (("room_c", self.room_c), ("light", self.light)):
+            rises = all(first[0] < second[0] for first, second in pairwise(course))
+            _require(name, course, len(course) > 0 and rises, "pairs (seconds, value), the seconds rising")
         shape = np.shape(self.actuator_mm)
         _require("actuator_mm", f"of shape {shape}", shape == (len(self.actuator_mm), 2), "pairs (x, y)")
 

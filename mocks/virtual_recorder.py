@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import Recording, RecordRequest, Take
 from mocks.bounded_cache import BoundedCache
-from mocks.chance import DROPOUT, NOISE, normal, take_generator
+from mocks.chance import DROPOUT, GROWING, NOISE, normal, take_generator
 from mocks.clocks import NANOSECONDS, VirtualClock
 from mocks.faults import Fault, FaultPlan
 from mocks.patch_bay import PatchBay
@@ -23,6 +23,7 @@ from mocks.virtual_player import VirtualPlayer
 Float32Array = NDArray[np.float32]
 
 NAME = "virtual recorder"
+HUM_HZ = 50.0
 DROPOUT_S = (0.002, 0.010)  # how long speckle hides the surface
 
 
@@ -78,6 +79,11 @@ class VirtualRecorder:
         self._check_open("identifying")
         self._faults.meet("identify", "identifying")
         return f"{NAME}, 2 channels, ranges up to +-{self._settings.largest_range_v:g} V, 16 bit"
+
+    @property
+    def input_ranges_v(self) -> tuple[float, ...]:
+        """Input ranges that it offers."""
+        return tuple(sorted(one for one in self._settings.input_ranges_v if one <= self._settings.largest_range_v))
 
     def start(self, request: RecordRequest) -> None:
         """Start one finite record."""
@@ -153,24 +159,43 @@ class VirtualRecorder:
         spots = self._spots(request.samples, start_ns, end_ns, rate_hz)
         patched = self._patch_bay.outputs
         clean = self._synthesis.voltages(request.samples, request.sample_rate_hz, start_ns, plays, spots, patched)
-        reference_v, response_v = self._corrupted(clean, request.range_v, faults)
+        reference_v, response_v = self._corrupted(clean, request.range_v, faults, request.sample_rate_hz)
         generator = take_generator(self._settings.seed, request.take, NOISE)
         noise = [normal(generator, request.samples) for _ in range(2)]
+        if patched is None:
+            self._make_imperfect(response_v, request)
         noise[0] *= np.float32(self._settings.reference_noise_v)
         noise[1] *= np.float32(self._settings.noise_v if patched is None else self._settings.reference_noise_v)
         reference_v += noise[0]
         response_v += noise[1]
         blind = [(spot.first, spot.stop) for spot in spots if spot.place_mm is None]
         always = any(fault.kind == "dropout" for fault in faults)
+        blind += [
+            (spot.first, spot.stop)
+            for spot in spots
+            for fault in faults
+            if fault.kind == "dark" and _hides(fault, spot)
+        ]
         lost = [*blind, *self._dropout(request, always=always)] if patched is None else []
         for first, stop in lost:
             response_v[first:stop] = self._settings.lost_signal_v * normal(generator, stop - first)
+        if any(fault.kind == "dead_response" for fault in faults):
+            response_v[:] = 0.0
         volts = np.empty((2, request.samples), dtype=np.float32)
         step_v, over_range = [], []
         for row, volts_in in enumerate((reference_v, response_v)):
             step_v.append(request.range_v[row] / 32768)
             over_range.append(_convert(volts_in, step_v[-1], out=volts[row]))
         return Recording(volts, (step_v[0], step_v[1]), (over_range[0], over_range[1]))
+
+    def _make_imperfect(self, response_v: Float32Array, request: RecordRequest) -> None:
+        """What of the plate and its vibrometer grows with the response: harmonics and noise."""
+        cubic, growing = self._settings.cubic_per_v2, self._settings.noise_per_response
+        if cubic:
+            response_v += np.float32(cubic) * response_v**3
+        if growing:
+            share = normal(take_generator(self._settings.seed, request.take, GROWING), response_v.size)
+            response_v *= 1 + np.float32(growing) * share
 
     def _spots(self, samples: int, start_ns: int, end_ns: int, rate_hz: float) -> list[Spot]:
         places = self._mirror.places_mm(start_ns, end_ns)
@@ -203,21 +228,47 @@ class VirtualRecorder:
         clean: tuple[Float32Array, Float32Array],
         range_v: tuple[float, float],
         faults: tuple[Fault, ...],
+        rate_hz: float,
     ) -> tuple[Float32Array, Float32Array]:
         reference_v, response_v = clean
         for fault in faults:
             if fault.kind == "missing_reference":
                 reference_v = np.zeros_like(reference_v)
+            elif fault.kind == "faint_reference":
+                reference_v = reference_v * np.float32(10 ** (fault.level_db / 20))
             elif fault.kind == "drift":
                 response_v = response_v * np.float32(10 ** (fault.level_db / 20))
             elif fault.kind == "over_range":
                 largest_v = max(float(np.abs(response_v).max()), 1e-9)
                 response_v = response_v * np.float32(1.5 * range_v[1] / largest_v)
+            elif fault.kind in ("clipped", "lost_sample", "hum"):
+                response_v = _spoilt(response_v, fault, rate_hz)
         return reference_v, response_v
 
     def _check_open(self, doing: str) -> None:
         if self._closed:
             raise InstrumentError(NAME, doing, "it is closed", "open the rig again")
+
+
+def _spoilt(response_v: Float32Array, fault: Fault, rate_hz: float) -> Float32Array:
+    """A response with one of the defects that no instrument reports."""
+    level = 10 ** (fault.level_db / 20)
+    if fault.kind == "clipped":
+        end_v = level * float(np.abs(response_v).max())
+        return np.asarray(np.clip(response_v, -end_v, end_v), dtype=np.float32)
+    if fault.kind == "lost_sample":
+        middle = response_v.size // 2
+        return np.concatenate([response_v[:middle], response_v[middle + 1 :], response_v[-1:]])
+    hum = np.sin(2 * np.pi * HUM_HZ / rate_hz * np.arange(response_v.size))
+    return np.asarray(response_v + level * np.sqrt(2) * float(response_v.std()) * hum, dtype=np.float32)
+
+
+def _hides(fault: Fault, spot: Spot) -> bool:
+    """Whether no light comes back from a spot."""
+    if fault.spot_mm is None or spot.place_mm is None:
+        return True
+    x_mm, y_mm, radius_mm = fault.spot_mm
+    return float(np.hypot(spot.place_mm[0] - x_mm, spot.place_mm[1] - y_mm)) < radius_mm
 
 
 def _convert(volts: Float32Array, step_v: float, *, out: Float32Array) -> bool:

@@ -15,6 +15,7 @@ from mocks.synthesis import Synthesis
 from mocks.virtual_mirror import VirtualMirror
 from mocks.virtual_player import VirtualPlayer
 from mocks.virtual_recorder import VirtualRecorder
+from mocks.virtual_sensor import VirtualSensor
 
 __all__ = ["Fault", "MirrorGeometry", "VirtualRig", "VirtualSettings", "stadium_rim"]
 
@@ -35,6 +36,8 @@ class VirtualRig:
     ----------
     patch_bay : PatchBay
         What is plugged into the response input; the vibrometer, until somebody plugs in something else.
+    sensors : dict from name to VirtualSensor
+        ``"room"`` and ``"light"``.
     """
 
     def __init__(self, settings: VirtualSettings | None = None) -> None:
@@ -46,6 +49,10 @@ class VirtualRig:
         player = VirtualPlayer(self.settings, clock)
         recorder = VirtualRecorder(self.settings, clock, mirror, player, self._synthesis, self.patch_bay)
         player.follow(recorder.take_under_way)
+        self.sensors = {
+            "room": VirtualSensor(clock, self.settings.room_c),
+            "light": VirtualSensor(clock, self.settings.light),
+        }
         self._instruments = Instruments(mirror=mirror, recorder=recorder, player=player, clock=clock)
 
     @property

@@ -9,31 +9,22 @@ row) pairs.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
-from rendering.choice import choose_economy
-from rendering.emission import Emission, Windows
-from rendering.omission import Economy, ErrorBudget
+from rendering.blocks import Blocks
+from rendering.emission import Emission
+from rendering.omission import ErrorBudget
+from rendering.overlap_add import scale
 from rendering.regularisation import BankRows
-from rendering.row_spectra import RowSpectra
+from rendering.threads import WORKERS, one_blas_thread
 
 Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
-
-COARSE = 1e-4
-"""Tolerances above this allow to look for the bins worth computing in single precision."""
-SPECTRA_BYTES = 4 * 2**20
-"""Blocks of so many bytes are transformed back together."""
-PLAIN_SINGLE, PLAIN_DOUBLE = 60, 900
-"""Spectra about 1 can be multiplied by two to a power below these."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +44,12 @@ class Accumulated:
     band_energy : float
     energy : float
         Energy of all windows within the band asked about, and in all.
+    left_out_taps : int
+        Late taps of every Green's function that were not used.
+    left_out_actuators : tuple of int
+        Actuators whose drives would hardly count.
+    left_out_windows : int
+        (Block, row) pairs that hardly emit anything.
     """
 
     error: float
@@ -61,19 +58,13 @@ class Accumulated:
     pairs: int
     band_energy: float
     energy: float
+    left_out_taps: int = 0
+    left_out_actuators: tuple[int, ...] = ()
+    left_out_windows: int = 0
 
 
-def accumulate(
-    emission: Emission,
-    rows: BankRows,
-    drive_v: Float64Array,
-    *,
-    fft_samples: int,
-    tolerance: float = 0.0,
-    band_hz: tuple[float, float] | None = None,
-    on_block: Callable[[int, int], None] | None = None,
-) -> Accumulated:
-    """Add the drives of one emission.
+class SourceDrives:
+    """The drives of one emission, as they come.
 
     Parameters
     ----------
@@ -81,176 +72,118 @@ def accumulate(
         The source in time.
     rows : BankRows
         Bank rows with their regularisation.
-    drive_v : float64 array, shape (actuators, samples)
-        Added to in place; its first sample is at -(taps - 1).
-    fft_samples : int
-        Transform length, at least taps + event samples - 1.
+    transform : callable
+        Gives the transform length for a number of taps, at least those and event samples - 1.
     tolerance : float
-        Relative magnitude that may be left out; a goal, the proved error is returned. 0: everything is
-        computed, in double precision.
+        Relative magnitude that may be left out; a goal, the proved error is told. 0: everything is computed, in
+        double precision.
     band_hz : tuple of float, optional
         Band within which the windows' energy is counted.
     on_block : callable, optional
         Told blocks done and blocks in all.
+    live : bool
+        Make no more at a time than one block, and look ahead no further.
+    expected_rows : int
+        About how many bank rows the emission comes from, for as much room to be made.
     """
-    hop = fft_samples - (rows.bank.taps + emission.event_samples - 1) + 1
-    starts = range(emission.first_sample, emission.stop_event, hop)
-    blocks = _Blocks(emission, rows, fft_samples, hop, band_hz)
-    economy = blocks.choose(starts, tolerance)
-    budget = ErrorBudget(fft_samples, hop)
-    # A second thread transforms back and adds, in order, while this one goes on with the next blocks.
-    shape = (blocks.at_once, rows.bank.actuators, economy.bins)
-    idle = [np.zeros(shape, dtype=economy.complex) for _ in range(1 if len(starts) <= blocks.at_once else 2)]
-    under_way: deque[Future[NDArray[Any]]] = deque()
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"), ThreadPoolExecutor(1) as second:
-        for first in range(0, len(starts), blocks.at_once):
-            batch = starts[first : first + blocks.at_once]
-            spectra = idle.pop() if idle else under_way.popleft().result()
-            for place, start in enumerate(batch):
-                budget.add_block(blocks.spectrum(start, spectra[place]))
-                if on_block is not None:
-                    on_block(first + place + 1, len(starts))
-            under_way.append(second.submit(blocks.add_in_time, spectra, batch, drive_v))
-        for future in under_way:
-            future.result()
-    error = 0.0 if economy.exact else budget.error
-    return Accumulated(error, economy.bins, economy.kept, blocks.pairs, blocks.band_energy, blocks.energy)
 
-
-class _Blocks:
-    """Evaluates one block after another."""
+    block_samples: int
+    """Samples of drive that one block makes: those within which an event reaches, and a hop to the next block."""
 
     def __init__(
         self,
         emission: Emission,
         rows: BankRows,
-        fft_samples: int,
-        hop: int,
-        band_hz: tuple[float, float] | None,
+        *,
+        transform: Callable[[int], int],
+        tolerance: float = 0.0,
+        band_hz: tuple[float, float] | None = None,
+        on_block: Callable[[int, int], None] | None = None,
+        live: bool = False,
+        expected_rows: int = 0,
     ) -> None:
+        self._expected_rows = expected_rows
+        self._live = live
+        self.block_samples = transform(rows.bank.taps)
+        self._transform = transform
         self._emission = emission
         self._rows = rows
-        self._fft_samples = fft_samples
-        self._hop = hop
-        self._band: slice | None = None
-        if band_hz is not None:
-            frequency = scipy_fft.rfftfreq(fft_samples, 1.0 / rows.bank.sample_rate_hz)
-            first = np.searchsorted(frequency, band_hz[0], side="left")
-            self._band = slice(int(first), int(np.searchsorted(frequency, band_hz[1], side="right")))
-        self.at_once = max(1, SPECTRA_BYTES // (16 * rows.bank.actuators * (fft_samples // 2 + 1)))
-        self.pairs = 0
-        self.band_energy = 0.0
-        self.energy = 0.0
-        self._economy = Economy.of(fft_samples // 2 + 1)
-        self._spectra = RowSpectra(rows, fft_samples, self._economy)
-        self._sums: NDArray[Any] = np.zeros((0, 0))
-        self._product: NDArray[Any] = np.zeros((0, 0))
-        self._factor_exponent = 0
-        self._settled = False
+        self._tolerance = tolerance
+        self._band_hz = band_hz
+        self._on_block = on_block
+        self._facts: Accumulated | None = None
 
-    def choose(self, starts: range, tolerance: float) -> Economy:
-        """Settle scale, bins and precision; the first window says what the scale is."""
-        for start in starts:
-            first = next(self._windows(start), None)
-            if first is not None and len(first.rows):
-                row = first.rows[:1]
-                by = np.where(first.regularised_by[:1] < 0, row, first.regularised_by[:1])
-                self._factor_exponent = int(np.frexp(self._rows.weigh(row, by)[0][0])[1])
-                break
-        bins = self._fft_samples // 2 + 1
-        if tolerance > COARSE:
-            # What single precision blurs, a part in ten million, does not change the choice.
-            self._spectra = RowSpectra(self._rows, self._fft_samples, Economy.of(bins, single=True))
-        self._economy = choose_economy(self._emission, self._weigh, self._norms, self._fft_samples, starts, tolerance)
-        if tolerance:
-            self._spectra = RowSpectra(self._rows, self._fft_samples, self._economy)
-        shape = (self._rows.bank.actuators, self._economy.kept)
-        self._sums, self._product = (np.empty(shape, dtype=self._economy.complex) for _ in range(2))
-        self._settled = True
-        return self._economy
+    def pieces(self) -> Generator[tuple[int, NDArray[Any], int], None, None]:
+        """Give drives that nothing more is added to, without gaps and in order.
 
-    def spectrum(self, start: int, total: NDArray[Any]) -> float:
-        """Compute the drives that the events in [start, start + hop) cause, and a bound on their error.
+        Returns
+        -------
+        iterator of tuples
+            First sample, drives (actuators, samples), and the power of two that they are to be multiplied with.
+        """
+        with one_blas_thread(), ThreadPoolExecutor(WORKERS) as workers:
+            blocks = Blocks(
+                self._emission,
+                self._rows,
+                self._transform,
+                self._tolerance,
+                self._band_hz,
+                workers,
+                live=self._live,
+                expected_rows=self._expected_rows,
+            )
+            shape, economy = blocks.shape, blocks.shape.economy
+            overlap_add = shape.overlap_add()
+            budget = ErrorBudget(shape.fft_samples, shape.overlap)
+            pairs, quiet, band_energy, energy = 0, 0, 0.0, 0.0
+            for part in blocks.evaluate():
+                for block, samples in enumerate(part.samples, part.first):
+                    overlap_add.add(block, samples)
+                budget.add(part.first, part.errors)
+                pairs += part.pairs
+                quiet += part.quiet
+                band_energy += part.band_energy
+                energy += part.energy
+                first, taken = overlap_add.take(part.done if part.done < len(blocks.starts) else None)
+                if taken.shape[1]:
+                    yield blocks.first_sample + first, blocks.cut.spread(taken), blocks.exponent
+                if self._on_block is not None:
+                    self._on_block(part.done, len(blocks.starts))
+            self._facts = Accumulated(
+                budget.norm(blocks.exponent) if shape.bounded else 0.0,
+                economy.bins,
+                economy.kept,
+                pairs,
+                band_energy,
+                energy,
+                self._rows.bank.taps - blocks.cut.taps,
+                blocks.cut.weak_actuators,
+                quiet,
+            )
+
+    @property
+    def facts(self) -> Accumulated:
+        """What all of it cost and left out, when the last piece was given."""
+        if self._facts is None:
+            raise RuntimeError("the drives were not made to their end")
+        return self._facts
+
+    def add_to(self, drive_v: Float64Array, *, silent: bool) -> Accumulated:
+        """Make all of it and add it to drives (actuators, samples) whose first sample is at -(taps - 1).
 
         Parameters
         ----------
-        start : int
-            First sample of the block.
-        total : complex array, shape (actuators, bins)
-            Gets their spectrum, over 2**exponent of the emission and of the first factor, in the bins kept.
+        drive_v : float64 array
+            Changed in place.
+        silent : bool
+            Whether it is all zeros so far.
         """
-        economy = self._economy
-        # Apart from `total`, so that numpy adds one long run instead of one per actuator.
-        sums, product = self._sums, self._product
-        sums[:] = 0
-        coherent = np.zeros((self._rows.bank.actuators, economy.segments + 1))
-        pairs = 0
-        for batch in self._windows(start):
-            if not len(batch.rows):
-                continue
-            whole = batch.spectra.astype(economy.complex, copy=False)
-            squared = economy.squared(whole)
-            self._count_energy(squared)
-            windows = whole[:, economy.low : economy.high]
-            greens = self._spectra.spectra(batch.rows.tolist())
-            sigmas = [self._sigma(by) for by in batch.regularised_by.tolist()]
-            for green, window, sigma in zip(greens, windows, sigmas, strict=True):
-                np.multiply(green.kept, window, out=product)
-                if sigma is not None:
-                    product *= sigma[:, None]
-                sums += product
-            if not economy.exact:
-                norms = np.array([green.norms for green in greens])
-                for place, sigma in enumerate(sigmas):
-                    if sigma is not None:
-                        norms[place] *= sigma[:, None]
-                coherent += np.einsum("wis,ws->is", norms, economy.largest(squared))
-            pairs += len(greens)
-        total[:, economy.low : economy.high] = sums
-        self.pairs += pairs
-        if economy.exact or not pairs:
-            return 0.0
-        exponent = self._emission.exponent + self._factor_exponent
-        return float(np.ldexp(economy.block_error(coherent, self._fft_samples, pairs), exponent))
-
-    def add_in_time(self, spectra: NDArray[Any], starts: range, drive_v: Float64Array) -> NDArray[Any]:
-        """Transform blocks back and add them to the drives; gives the spectra's array back for others."""
-        economy = self._economy
-        blocks = spectra[: len(starts)]
-        exponent = self._emission.exponent + self._factor_exponent
-        near = abs(exponent) < (PLAIN_SINGLE if economy.single else PLAIN_DOUBLE)
-        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            if near:
-                blocks[:, :, economy.low : economy.high] *= economy.real(2.0**exponent)
-            samples: NDArray[Any] = scipy_fft.irfft(blocks, self._fft_samples, axis=2)
-            for start, block in zip(starts, samples, strict=True):
-                # Adding mixed types takes numpy twice as long as converting first.
-                volts = block.astype(np.float64, copy=False)
-                length = min(self._fft_samples, drive_v.shape[1] - start)
-                drive_v[:, start : start + length] += (volts if near else np.ldexp(volts, exponent))[:, :length]
-        return spectra
-
-    def _windows(self, start: int) -> Iterator[Windows]:
-        stop = min(start + self._hop, self._emission.stop_event)
-        return self._emission.windows(start, stop, self._fft_samples, self._weigh)
-
-    def _weigh(self, rows: Int64Array, regularised_by: Int64Array) -> tuple[Float64Array, NDArray[np.bool_]]:
-        if self._settled:
-            # Rows that are read for their weights are transformed on the spot, lest they be read twice.
-            unknown = [row for row in rows.tolist() if not self._rows.knows(row)]
-            if unknown:
-                self._spectra.spectra(unknown)
-        return self._rows.weigh(rows, regularised_by, self._factor_exponent)
-
-    def _sigma(self, by: int) -> NDArray[Any] | None:
-        sigma = None if by < 0 else self._rows.sigma(by)
-        return None if sigma is None else sigma.astype(self._economy.real)
-
-    def _norms(self, row: int) -> Float64Array:
-        norms: Float64Array = np.linalg.norm(self._spectra.spectra([row])[0].kept, axis=0)
-        return norms
-
-    def _count_energy(self, squared: NDArray[Any]) -> None:
-        if self._band is not None:
-            self.band_energy += float(squared[:, self._band].sum(dtype=np.float64))
-            self.energy += float(squared.sum(dtype=np.float64))
+        for first, samples, exponent in self.pieces():
+            begin, end = max(0, first), min(drive_v.shape[1], first + samples.shape[1])
+            if end > begin:
+                place, found = drive_v[:, begin:end], samples[:, begin - first : end - first]
+                if silent:
+                    scale(found, exponent, place)
+                else:
+                    place += scale(found, exponent)
+        return self.facts

@@ -1,8 +1,9 @@
-"""Many rows of a bank convolved with one drive: blocks of spectra, a matrix product per frequency bin."""
+"""Many rows of a bank convolved with one drive."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,25 +11,54 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from calibration.drive_file import Drive
 from calibration.errors import InputError
-from rendering.green_source import GreenSource, read_row
+from rendering.drive_blocks import DriveBlocks, cut_block
+from rendering.economy_choice import Sample, choose_economy
+from rendering.green_source import RowReader
+from rendering.omission import Economy
+from rendering.row_transforms import BankSpectra
+from rendering.upsampling import MULTIPLE, choose_factor
 
+Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 RealArray = NDArray[np.float32] | NDArray[np.float64]
 
-PART_BYTES = 24 * 2**20
-"""Spectra that go into one matrix product per bin: calling it costs about as much as 30 rows."""
-TRANSFORM_BYTES = 2 * 2**20
-"""Rows of so many bytes are transformed together; more would leave the cache."""
+PART_BYTES = 6 * 2**20
+"""What is under way for one part of the field; calling a matrix product costs about as much as ten rows."""
 LEAST_HOP_SAMPLES = 512
-HOPS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+HOPS = (0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Hops that are weighed, relative to the taps."""
 PRODUCT = 2.0
 """What a bin of a product costs, in samples of a transform times factors of 2 (measured in complex64)."""
-BLOCKS_AT_ONCE = 64
-PLAIN_EXPONENT = 120
+KEPT_SHARE = 0.3
+"""Share of the bins, and of the rate, that a tolerance is likely to leave."""
+FADE_SHARE = 0.125
+"""Share of a block over which it fades into the next."""
+SAMPLED_ROWS = 3
+SAMPLED_BLOCKS = 2
+KEPT_PART_BYTES = 32 * 2**20
+"""The same where the rows' spectra are there already."""
+PLAIN_DRIVE_EXPONENT = 1000
+PLAIN_EXPONENT = 100
 """Powers of two below this fit float32."""
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Responses at some positions.
+
+    Parameters
+    ----------
+    field : float32 or float64 array, shape (positions, samples)
+    error : float
+        Bound on the norm of all their error from leaving out.
+    energy : float
+        Their energy, where such a bound is asked for.
+    """
+
+    field: RealArray
+    error: float
+    energy: float
 
 
 class Convolution:
@@ -38,12 +68,18 @@ class Convolution:
 
     Parameters
     ----------
-    drive : Drive
+    drive_v : float64 array, shape (actuators, samples)
         The drives, finite.
-    bank : GreenSource
-        Where rows are read, one thread at a time.
+    reader : RowReader
+        Reads the rows.
     dtype : dtype
-        float32 or float64: of samples, and of the spectra's parts.
+        float32 or float64: of samples, and of the spectra's parts where nothing is left out.
+    positions : int64 array
+        Rows that will be asked for.
+    tolerance : float
+        Relative magnitude of what may be left out of each part of the field; 0: nothing is.
+    spectra : BankSpectra, optional
+        Spectra of the rows, kept from earlier; then `tolerance` is theirs.
 
     Raises
     ------
@@ -51,122 +87,170 @@ class Convolution:
         The drive holds NaN or infinity.
     """
 
+    samples: int
+    """Samples of a response: drive samples + taps - 1."""
     rows_at_once: int
     """Rows to ask for at a time."""
 
-    def __init__(self, drive: Drive, bank: GreenSource, dtype: np.dtype[Any]) -> None:
-        if not np.isfinite(drive.drive_v).all():
+    def __init__(
+        self,
+        drive_v: Float64Array,
+        reader: RowReader,
+        dtype: np.dtype[Any],
+        positions: Int64Array | Sequence[int] = (),
+        tolerance: float = 0.0,
+        spectra: BankSpectra | None = None,
+    ) -> None:
+        peaks = np.maximum(drive_v.max(axis=1, initial=0.0), -drive_v.min(axis=1, initial=0.0))
+        if not np.isfinite(peaks).all():
             raise InputError("the drive holds NaN or infinity; render it again")
-        self._bank = bank
+        self._reader = reader
         self._dtype = dtype
-        self._complex = np.dtype(np.complex64 if dtype == np.float32 else np.complex128)
-        self._heard = np.flatnonzero(drive.drive_v.any(axis=1))
-        peak = float(np.abs(drive.drive_v).max(initial=0.0))
+        self._heard = np.flatnonzero(peaks)
+        self.samples = int(drive_v.shape[1]) + reader.taps - 1
+        peak = float(peaks.max(initial=0.0))
         # Powers of two, so that single precision holds any bank and any drive.
         self._exponent = int(np.frexp(peak)[1])
-        self._drive = np.ldexp(drive.drive_v[self._heard], -self._exponent).astype(dtype)
-        self._samples = int(drive.drive_v.shape[1]) + bank.taps - 1
-        self._fft_samples = _fft_samples(bank.taps, self._drive.shape[1], len(self._heard))
-        self._hop = self._fft_samples - bank.taps + 1
-        self._blocks = -(-self._drive.shape[1] // self._hop)
-        self._bins = self._fft_samples // 2 + 1
-        self._blocks_at_once = min(self._blocks, BLOCKS_AT_ONCE)
-        row_bytes = self._bins * self._complex.itemsize * max(len(self._heard), self._blocks_at_once, 1)
-        self.rows_at_once = max(1, PART_BYTES // max(row_bytes, self._samples * dtype.itemsize))
-        self._transformed_at_once = max(1, min(self.rows_at_once, TRANSFORM_BYTES // row_bytes))
-        self._kept = self._drive_spectra(0, self._blocks) if self._blocks <= BLOCKS_AT_ONCE else None
-        # Kept and refilled: fresh memory for each part would cost as much as its transforms.
-        self._idle: list[_Workspace] = []
-        self._reading = threading.Lock()
+        heard = drive_v if len(self._heard) == len(drive_v) else drive_v[self._heard]
+        plain = abs(self._exponent) < PLAIN_DRIVE_EXPONENT
+        self._drive = heard * 2.0**-self._exponent if plain else np.ldexp(heard, -self._exponent)
+        self._tolerance = tolerance if len(self._heard) else 0.0
+        self._making = threading.Lock()
+        self._whole: DriveBlocks | None = None
+        self._spectra = spectra
+        self._economical: DriveBlocks | None = None
+        if len(self._heard) and spectra is not None:
+            self._economical = self._as_kept(spectra)
+        elif self._tolerance:
+            self._economical = self._economise(np.asarray(positions, dtype=np.int64))
+        self.rows_at_once = 1
+        if len(self._heard):
+            most_bytes = KEPT_PART_BYTES if spectra is not None else PART_BYTES
+            self.rows_at_once = max(1, most_bytes // (self._economical or self._complete()).part_bytes())
 
-    def respond(self, positions: Int64Array) -> RealArray:
-        """Responses at some positions, (k, samples)."""
-        field = np.zeros((len(positions), self._samples), dtype=self._dtype)
+    @property
+    def kept_share(self) -> float:
+        """Share of the frequency bins that is computed."""
+        economy = self._economical.economy if self._economical else None
+        return economy.kept / economy.bins if economy else 1.0
+
+    @property
+    def padded_samples(self) -> int:
+        """Samples of a response and some more, as `respond` makes them best."""
+        return self._economical.padded_samples if self._economical else self.samples
+
+    def respond(self, positions: Int64Array, out: RealArray | None = None) -> Response:
+        """Responses at some positions.
+
+        Parameters
+        ----------
+        positions : int64 array, shape (k,)
+            Bank rows.
+        out : array, shape (k, `padded_samples`), optional
+            Gets the responses, of the type asked for.
+        """
         if not len(self._heard):
-            return field
-        work = self._idle.pop() if self._idle else self._workspace()
-        exponents = self._transform(positions, work)
-        by_bin = work.by_bin[:, : len(positions)]
-        for first in range(0, self._blocks, BLOCKS_AT_ONCE):
-            last = min(first + BLOCKS_AT_ONCE, self._blocks)
-            drive = self._drive_spectra(first, last) if self._kept is None else self._kept
-            product = work.product[:, : len(positions), : last - first]
-            np.matmul(by_bin, drive, out=product)
-            for begin in range(0, len(positions), self._transformed_at_once):
-                end = min(begin + self._transformed_at_once, len(positions))
-                by_row = np.ascontiguousarray(product[:, begin:end].transpose(1, 2, 0))
-                parts = scipy_fft.irfft(by_row, self._fft_samples, axis=2, overwrite_x=True)
-                for block in range(first, last):
-                    start = block * self._hop
-                    length = min(self._fft_samples, self._samples - start)
-                    field[begin:end, start : start + length] += parts[:, block - first, :length]
-        self._idle.append(work)
+            return self._placed(np.zeros((len(positions), self.samples), dtype=self._dtype), out, 0.0, 0.0)
+        if self._economical:
+            fits = out is not None and out.dtype == self._economical.economy.real
+            field, error = self._respond(positions, self._economical, out if fits else None)
+            energy = float(np.einsum("ij,ij->i", field, field).sum(dtype=np.float64)) if self._tolerance else 0.0
+            if not self._tolerance or error <= self._tolerance * (np.sqrt(energy) - error):
+                return self._placed(field, None if fits else out, error, energy)
+        field, _ = self._respond(positions, self._complete(), None)
+        energy = float(np.einsum("ij,ij->i", field, field).sum(dtype=np.float64)) if self._tolerance else 0.0
+        return self._placed(field, out, 0.0, energy)
+
+    def _placed(self, field: RealArray, out: RealArray | None, error: float, energy: float) -> Response:
+        if out is None:
+            return Response(field.astype(self._dtype, copy=False), error, energy)
+        out[:, : field.shape[1]] = field
+        return Response(out[:, : field.shape[1]], error, energy)
+
+    def _respond(self, positions: Int64Array, blocks: DriveBlocks, out: RealArray | None) -> tuple[RealArray, float]:
+        if self._spectra is not None and blocks is self._economical:
+            rows = self._spectra.rows(positions)
+        else:
+            rows = blocks.transform(self._reader, positions.tolist())
+        rows = rows.heard(self._heard)
+        exponents = rows.exponents
+        total = exponents + self._exponent
+        plain = np.abs(total) < PLAIN_EXPONENT
         with np.errstate(over="ignore", under="ignore"):
-            self._unscale(field, exponents)
-        if not np.isfinite(field).all():
+            field, errors = blocks.convolve(rows, np.where(plain, np.ldexp(1.0, total), 1.0), out)
+            for place in np.flatnonzero(~plain).tolist():
+                # In two steps: the sum of two large exponents may lie beyond what one factor can hold.
+                field[place] = np.ldexp(np.ldexp(field[place], exponents[place]), self._exponent)
+                errors[place] = np.ldexp(np.ldexp(errors[place], exponents[place]), self._exponent)
+        if not plain.all() and not np.isfinite(field).all():
             bad = int(np.argmin(np.isfinite(field).all(axis=1)))
             raise InputError(
                 f"the response at position {positions[bad]} does not fit into {self._dtype}; lower the drive's scale"
             )
-        return field
+        return field, float(np.linalg.norm(errors))
 
-    def _transform(self, positions: Int64Array, work: _Workspace) -> Int64Array:
-        """Fill `by_bin` with the rows' spectra; gives the rows' exponents."""
-        exponents = np.empty(len(positions), dtype=np.int64)
-        for begin in range(0, len(positions), self._transformed_at_once):
-            some = positions[begin : begin + self._transformed_at_once].tolist()
-            for place, position in enumerate(some):
-                with self._reading:
-                    row = read_row(self._bank, position)
-                work.padded[place, :, : self._bank.taps] = row.values[self._heard]
-                exponents[begin + place] = row.exponent
-            spectra = scipy_fft.rfft(work.padded[: len(some)], self._fft_samples, axis=2)
-            work.by_bin[:, begin : begin + len(some)] = spectra.transpose(2, 0, 1)
-        return exponents
+    def _complete(self) -> DriveBlocks:
+        """Blocks of which nothing is left out."""
+        with self._making:
+            if self._whole is None:
+                samples = self._fft_samples(1)
+                economy = Economy.of(samples // 2 + 1, single=self._dtype == np.float32)
+                hop = samples - self._reader.taps + 1
+                self._whole = DriveBlocks(self._drive, self._reader.taps, samples, hop, economy)
+            return self._whole
 
-    def _workspace(self) -> _Workspace:
-        heard = len(self._heard)
-        return _Workspace(
-            np.zeros((self._transformed_at_once, heard, self._fft_samples), dtype=self._dtype),
-            np.empty((self._bins, self.rows_at_once, heard), dtype=self._complex),
-            np.empty((self._bins, self.rows_at_once, self._blocks_at_once), dtype=self._complex),
-        )
+    def _as_kept(self, spectra: BankSpectra) -> DriveBlocks:
+        """Blocks that the bank's spectra can be multiplied with."""
+        economy, fft_samples, taps = spectra.economy, spectra.fft_samples, self._reader.taps
+        left_out = economy.kept < economy.bins
+        hop = fft_samples - taps + 1
+        fade = int(FADE_SHARE * hop) if left_out else 0
+        hop -= fade
+        hop -= hop % MULTIPLE if left_out else 0
+        factor = choose_factor(fft_samples, economy.high) if economy.single and left_out else 1
+        return DriveBlocks(self._drive, taps, fft_samples, hop, economy, fade, factor, bounded=bool(self._tolerance))
 
-    def _unscale(self, field: RealArray, exponents: Int64Array) -> None:
-        total = exponents + self._exponent
-        if np.abs(total).max() < PLAIN_EXPONENT:
-            field *= np.ldexp(np.ones(len(total), dtype=self._dtype), total)[:, None]
-            return
-        # In two steps: the sum of two large exponents may lie beyond what one factor can hold.
-        np.ldexp(field, exponents[:, None], out=field)
-        np.ldexp(field, self._exponent, out=field)
+    def _economise(self, positions: Int64Array) -> DriveBlocks | None:
+        """Blocks of which so much is left out as the tolerance allows by a look at some rows; None if nothing."""
+        fft_samples, taps = self._fft_samples(MULTIPLE), self._reader.taps
+        hop = fft_samples - taps + 1
+        fade = int(FADE_SHARE * hop)
+        hop -= fade
+        hop -= hop % MULTIPLE
+        if hop < 1:
+            return None
+        blocks = -(-self._drive.shape[1] // hop)
+        some = np.unique(np.linspace(0, blocks - 1, SAMPLED_BLOCKS).astype(int))
+        windows = [_magnitudes(cut_block(self._drive, block, hop, fade), fft_samples) for block in some.tolist()]
+        samples = []
+        chosen = positions[np.unique(np.linspace(0, len(positions) - 1, SAMPLED_ROWS).astype(int))]
+        for position in chosen.tolist():
+            greens = _magnitudes(self._reader.read(position, single=True).values[self._heard], fft_samples)
+            samples += [Sample(window, greens, 1.0, np.zeros(len(window))) for window in windows]
+        economy = choose_economy(samples, fft_samples, -(-fft_samples // hop), self._tolerance)
+        if economy.exact:
+            return None
+        factor = choose_factor(fft_samples, economy.high) if economy.single else 1
+        factor = factor if hop % factor == 0 else 1
+        return DriveBlocks(self._drive, taps, fft_samples, hop, economy, fade, factor, bounded=True)
 
-    def _drive_spectra(self, first: int, last: int) -> NDArray[Any]:
-        """Spectra of drive blocks, (bins, heard actuators, blocks)."""
-        padded = np.zeros((len(self._heard), (last - first) * self._hop), dtype=self._dtype)
-        part = self._drive[:, first * self._hop : last * self._hop]
-        padded[:, : part.shape[1]] = part
-        blocks = padded.reshape(len(self._heard), last - first, self._hop)
-        spectra = scipy_fft.rfft(blocks, self._fft_samples, axis=2)
-        return np.ascontiguousarray(spectra.transpose(2, 0, 1))
+    def _fft_samples(self, multiple: int) -> int:
+        """Transform length that costs least per row: a transform per actuator, a product and one back per block."""
+        taps, samples, actuators = self._reader.taps, int(self._drive.shape[1]), len(self._heard)
+        share = 1.0 if multiple == 1 else KEPT_SHARE
+        best, least = 0, np.inf
+        for hop in sorted({min(samples, max(LEAST_HOP_SAMPLES, int(part * taps))) for part in HOPS}):
+            length = multiple * int(scipy_fft.next_fast_len(-(-(taps + hop - 1) // multiple), real=True))
+            blocks = -(-samples // (length - taps + 1))
+            transforms = length * np.log2(length) * (actuators + share * blocks)
+            cost = transforms + share * PRODUCT * length * actuators * blocks / 2
+            if cost < least:
+                best, least = length, cost
+        return best
 
 
-@dataclass(frozen=True, slots=True)
-class _Workspace:
-    """Arrays that one part at a time uses: padded rows, their spectra, and the products, by bin."""
-
-    padded: NDArray[Any]
-    by_bin: NDArray[Any]
-    product: NDArray[Any]
-
-
-def _fft_samples(taps: int, samples: int, actuators: int) -> int:
-    """Transform length that costs least per row: one transform per actuator and one per block of the drive."""
-    best, least = 0, np.inf
-    for hop in sorted({min(samples, max(LEAST_HOP_SAMPLES, int(share * taps))) for share in HOPS}):
-        length = int(scipy_fft.next_fast_len(taps + hop - 1, real=True))
-        blocks = -(-samples // (length - taps + 1))
-        cost = length * (np.log2(length) * (actuators + blocks) + PRODUCT * actuators * blocks / 2)
-        if cost < least:
-            best, least = length, cost
-    return best
+def _magnitudes(values: RealArray, fft_samples: int) -> Float64Array:
+    """Magnitudes of spectra, without the care that numpy's abs takes."""
+    parts = np.square(scipy_fft.rfft(values.astype(np.float32, copy=False), fft_samples, axis=1).view(np.float32))
+    magnitudes: Float64Array = np.sqrt(parts[:, ::2] + parts[:, 1::2], dtype=np.float64)
+    return magnitudes

@@ -5,27 +5,30 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.drive_file import Drive
 from calibration.errors import InputError
-from rendering.accumulate import Accumulated, accumulate
+from rendering.accumulate import Accumulated, SourceDrives
 from rendering.between_positions import scene_interpolation
+from rendering.coil_limits import DriveLimits, limit_drive
 from rendering.green_source import GreenSource
 from rendering.interpolation_errors import interpolation_errors, judge_interpolation
 from rendering.limits import scale_to_limit
-from rendering.omission import relative_bound, row_norms
+from rendering.omission import relative_bound, row_norms, tolerance_of
 from rendering.regularisation import BankRows
 from rendering.render_report import RenderReport, RenderWarning, report_render
 from rendering.sampling import Method, SampledSource, sample_source
 from rendering.scene import Scene
+from rendering.upsampling import MULTIPLE
 
 Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
-STRICTER = (1.0, 0.3, 0.0)
+STRICTER = (1.0, 0.6, 0.2, 0.0)
 """Shares of the tolerance tried one after another until the proved bound holds; 0 computes everything."""
 
 
@@ -97,11 +100,8 @@ def render_with_report(
         The scene does not fit the bank: a path off the grid, an unmeasured row on it, an empty signal, a
         drive that does not fit into float64, an interpolation beyond its tolerance.
     """
-    if method not in (None, "sampled", "exact"):
-        raise InputError(f"method is {method!r}; allowed are 'sampled' and 'exact'")
-    tolerance = _tolerance(tolerance_db)
-    per_point = all(source.emission == "per_point" for source in scene.sources)
-    chosen: Method = method or ("sampled" if per_point else "exact")
+    chosen = chosen_method(scene, method)
+    tolerance = tolerance_of(tolerance_db)
     kind = scene_interpolation(scene, bank)
     sources = [
         sample_source(source, index, kind, sample_rate_hz=bank.sample_rate_hz, taps=bank.taps, method=chosen)
@@ -113,17 +113,19 @@ def render_with_report(
     rows = BankRows(kind.rows_of(bank), scene.regularisation)
     samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
     try:
-        drive_v, accumulated, bound = _accumulated(sources, rows, samples, tolerance, on_progress)
+        drive_v, accumulated, norms, bound = _accumulated(sources, rows, samples, tolerance, on_progress)
     except MemoryError as error:
         size = samples * bank.actuators * 8 / 2**30
         raise InputError(f"the drive takes {size:.3g} GiB, which do not fit into memory; shorten the scene") from error
-    scale = scale_to_limit(drive_v, scene.output.limit_v)
+    scale_to_limit(drive_v, None, finite=bool(np.isfinite(norms).all()))
+    limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
+    limiting = limit_drive(drive_v, float(bank.sample_rate_hz), limits)
     drive = Drive(
         drive_v=drive_v,
         sample_rate_hz=float(bank.sample_rate_hz),
         start_s=-(bank.taps - 1) / bank.sample_rate_hz,
         method=chosen,
-        scale=scale,
+        scale=limiting.scale,
         omitted_bound=bound,
         focus_sample=np.concatenate([source.focus_sample for source in sources]),
         focus_position=np.concatenate([source.focus_position for source in sources]),
@@ -132,9 +134,25 @@ def render_with_report(
         ),
     )
     report = report_render(
-        scene, rows, sources, accumulated, drive_v, scale=scale, omitted_bound=bound, errors=errors, remarks=remarks
+        scene, rows, sources, accumulated, norms, limiting=limiting, omitted_bound=bound, errors=errors, remarks=remarks
     )
     return drive, report
+
+
+def chosen_method(scene: Scene, method: str | None) -> Method:
+    """The method asked for, or the default: sampled where all emission is per point, else exact.
+
+    Raises
+    ------
+    InputError
+        There is no such method.
+    """
+    if method not in (None, "sampled", "exact"):
+        raise InputError(f"method is {method!r}; allowed are 'sampled' and 'exact'")
+    if method is None:
+        per_point = all(source.emission == "per_point" for source in scene.sources)
+        return "sampled" if per_point else "exact"
+    return "sampled" if method == "sampled" else "exact"
 
 
 def _accumulated(
@@ -143,34 +161,37 @@ def _accumulated(
     samples: int,
     tolerance: float,
     on_progress: OnProgress | None,
-) -> tuple[Float64Array, list[Accumulated], float]:
+) -> tuple[Float64Array, list[Accumulated], Float64Array, float]:
     for share in STRICTER if tolerance > 0 else (0.0,):
         drive_v = np.zeros((rows.bank.actuators, samples))
         progress = _Progress(sources, on_progress)
-        accumulated = []
+        accumulated: list[Accumulated] = []
         with np.errstate(over="ignore", invalid="ignore"):
             for source in sources:
                 rows.needed_by = source.naming
-                accumulated.append(
-                    accumulate(
-                        source.emission,
-                        rows,
-                        drive_v,
-                        fft_samples=source.fft_samples(rows.bank),
-                        tolerance=share * tolerance,
-                        band_hz=rows.bank.band_hz,
-                        on_block=progress.of(source),
-                    )
+                made = SourceDrives(
+                    source.emission,
+                    rows,
+                    transform=partial(
+                        source.fft_samples,
+                        actuators=rows.bank.actuators,
+                        multiple=MULTIPLE if share * tolerance > 0 else 1,
+                    ),
+                    tolerance=share * tolerance,
+                    band_hz=rows.bank.band_hz,
+                    on_block=progress.of(source),
+                    expected_rows=source.expected_rows,
                 )
-        bound = (
-            relative_bound(math.fsum(item.error for item in accumulated), row_norms(drive_v)) if tolerance > 0 else 0.0
-        )
+                accumulated.append(made.add_to(drive_v, silent=not accumulated))
+        norms = row_norms(drive_v)
+        bound = relative_bound(math.fsum(item.error for item in accumulated), norms)
         if bound <= tolerance:
             break
     if rows.drive_exponent:
         with np.errstate(over="ignore", under="ignore"):
             np.ldexp(drive_v, rows.drive_exponent, out=drive_v)
-    return drive_v, accumulated, bound
+        norms = row_norms(drive_v)
+    return drive_v, accumulated, norms, bound
 
 
 class _Progress:
@@ -190,11 +211,3 @@ class _Progress:
             on_progress(source.index * parts + parts * done // total, len(self._sources) * parts)
 
         return told
-
-
-def _tolerance(tolerance_db: float | None) -> float:
-    if tolerance_db is None:
-        return 0.0
-    if not (math.isfinite(tolerance_db) and tolerance_db < 0):
-        raise InputError(f"tolerance_db is {tolerance_db}; it must be a finite number below 0")
-    return float(10.0 ** (tolerance_db / 20.0))

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -14,37 +10,12 @@ from numpy.typing import DTypeLike, NDArray
 from calibration.drive_file import Drive
 from calibration.errors import InputError
 from calibration.field_file import Field
-from rendering.convolution import Convolution
 from rendering.green_source import GreenSource, refusal, usable
+from rendering.prediction import FieldRows, OnProgress, Prediction
 
 Int64Array = NDArray[np.int64]
-RealArray = NDArray[np.float32] | NDArray[np.float64]
-OnProgress = Callable[[int, int], None]
 
-THREADS = 2
-"""Parts under way at a time, each with transforms and products of its own."""
-LEAST_ROWS = 8
-"""Fewer rows are not worth a thread of their own."""
 LISTED = 8
-
-
-@dataclass(frozen=True, slots=True)
-class FieldRows:
-    """Some rows of a predicted field.
-
-    Parameters
-    ----------
-    first : int
-        Index of the first of them in the field.
-    position_index : int64 array, shape (k,)
-        Their bank rows.
-    field : float32 or float64 array, shape (k, samples)
-        Their responses.
-    """
-
-    first: int
-    position_index: Int64Array
-    field: RealArray
 
 
 def predict(
@@ -53,6 +24,8 @@ def predict(
     positions: Sequence[int] | None = None,
     *,
     dtype: DTypeLike = np.float64,
+    tolerance_db: float | None = None,
+    rate_hz: float | None = None,
     on_progress: OnProgress | None = None,
 ) -> Field:
     """Predict the response y(x)[n] = sum_i (g_i(x) * f_i)[n], drive samples + L - 1 long.
@@ -68,6 +41,11 @@ def predict(
     dtype : {float64, float32}
         float64: to 1e-12 of direct evaluation. float32: spectra in complex64, about twice as fast, 1e-6 of
         each position's largest response.
+    tolerance_db : float, optional
+        Allows leaving out frequency bins, and computing at a lower rate, as long as the proved bound on the
+        relative L2 error of the field stays below it, < 0.
+    rate_hz : float, optional
+        Rate of the field, an integer fraction of the bank's; `Prediction` tells what is lost.
     on_progress : callable, optional
         Told positions done and positions in all.
 
@@ -79,20 +57,11 @@ def predict(
     Raises
     ------
     InputError
-        Drive and bank do not fit, or a position asked for was not measured.
+        Drive and bank do not fit, a position asked for was not measured, or another parameter is not as stated.
     """
     index = chosen_positions(drive, bank, positions)
-    samples = field_samples(drive, bank)
-    field = np.empty((len(index), samples), dtype=_precision(dtype))
-    for rows in predict_rows(drive, bank, index.tolist(), dtype=dtype, on_progress=on_progress):
-        field[rows.first : rows.first + len(rows.field)] = rows.field
-    return Field(
-        field=field,
-        position_index=index,
-        sample_rate_hz=drive.sample_rate_hz,
-        start_s=drive.start_s,
-        response_unit=field_unit(bank),
-    )
+    prediction = Prediction(drive, bank, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz)
+    return prediction.field(on_progress)
 
 
 def predict_rows(
@@ -101,27 +70,13 @@ def predict_rows(
     positions: Sequence[int] | None = None,
     *,
     dtype: DTypeLike = np.float32,
+    tolerance_db: float | None = None,
+    rate_hz: float | None = None,
     on_progress: OnProgress | None = None,
 ) -> Iterator[FieldRows]:
     """Predict like `predict`, a few rows at a time, for fields that are written as they come."""
     index = chosen_positions(drive, bank, positions)
-    convolution = Convolution(drive, bank, _precision(dtype))
-    at_once = min(convolution.rows_at_once, max(LEAST_ROWS, -(-len(index) // THREADS)))
-    parts = deque((first, index[first : first + at_once]) for first in range(0, len(index), at_once))
-    under_way: deque[tuple[int, Int64Array, Future[RealArray]]] = deque()
-    with ThreadPoolExecutor(THREADS) as pool:
-        try:
-            while parts or under_way:
-                while parts and len(under_way) <= THREADS:
-                    first, part = parts.popleft()
-                    under_way.append((first, part, pool.submit(convolution.respond, part)))
-                first, part, field = under_way.popleft()
-                yield FieldRows(first, part, field.result())
-                if on_progress is not None:
-                    on_progress(first + len(part), len(index))
-        finally:
-            for _, _, field in under_way:
-                field.cancel()
+    yield from Prediction(drive, bank, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz).rows(on_progress)
 
 
 def measured_positions(bank: GreenSource) -> tuple[Int64Array, Int64Array]:
@@ -174,10 +129,3 @@ def chosen_positions(drive: Drive, bank: GreenSource, positions: Sequence[int] |
             f"positions holds {named}{more}: {refusal(int(status[refused[0]]))}; leave them out or measure them"
         )
     return index
-
-
-def _precision(dtype: DTypeLike) -> np.dtype[Any]:
-    chosen = np.dtype(dtype)
-    if chosen not in (np.float32, np.float64):
-        raise InputError(f"dtype is {chosen}; allowed are float32 and float64")
-    return chosen

@@ -65,7 +65,7 @@ def correlation_over_distance(
     edges = np.asarray(edges_mm, dtype=np.float64)
     if len(chosen) < 2 or len(edges) < 2 or (np.diff(edges) <= 0).any():
         raise InputError("a correlation over distance needs two measured positions and ascending edges")
-    unit = np.stack([_unit(read_row(bank, int(row)).values) for row in chosen])
+    unit = np.stack([_unit(np.asarray(read_row(bank, int(row)).values, dtype=np.float64)) for row in chosen])
     position_mm = np.asarray(bank.position_mm, dtype=np.float64)[chosen]
     first, second = np.triu_indices(len(chosen), 1)
     apart_mm = np.hypot(*(position_mm[first] - position_mm[second]).T)

@@ -22,6 +22,7 @@ from scipy import fft as scipy_fft
 from calibration.drive_file import Drive
 from calibration.errors import InputError
 from rendering.between_positions import scene_interpolation
+from rendering.coil_limits import DriveLimits, Limiting, limit_drive
 from rendering.green_source import GreenSource
 from rendering.interpolation import Nodes
 from rendering.limits import scale_to_limit
@@ -63,8 +64,8 @@ class InverseReport:
         Relative L2 error of the response at the control points against what they shall hear, over the band.
     cut_share : float
         Share of the drive's energy that lay before the lead-in or after the last emitted sample, and was cut.
-    scale : float
-        What the scene's limit did to the drive, 1 if nothing.
+    limiting : Limiting
+        What the scene's limits did to the drive, and which actuator decided.
     """
 
     warnings: tuple[str, ...]
@@ -75,7 +76,12 @@ class InverseReport:
     regularised_condition: Float64Array
     misfit: float
     cut_share: float
-    scale: float
+    limiting: Limiting
+
+    @property
+    def scale(self) -> float:
+        """What the limits did to the drive, 1 if nothing."""
+        return self.limiting.scale
 
     @property
     def worst_condition(self) -> tuple[float, float]:
@@ -149,13 +155,14 @@ def inverse_filter(
     cut_share = 1.0 - float(np.square(drive_v).sum()) / energy if energy > 0 else 0.0
     with np.errstate(over="ignore", under="ignore"):
         np.ldexp(drive_v, -exponent, out=drive_v)
-    scale = scale_to_limit(drive_v, scene.output.limit_v)
+    scale_to_limit(drive_v, None)
+    limiting = limit_drive(drive_v, rate_hz, DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
     drive = Drive(
         drive_v=drive_v,
         sample_rate_hz=rate_hz,
         start_s=-(taps - 1) / rate_hz,
         method="inverse-filter",
-        scale=scale,
+        scale=limiting.scale,
         omitted_bound=0.0,
         focus_sample=np.concatenate([source.focus_sample for source in sources]),
         focus_position=np.concatenate([source.focus_position for source in sources]),
@@ -172,7 +179,7 @@ def inverse_filter(
         regularised_condition=np.sqrt((np.square(singular[:, 0]) + ridge) / (np.square(smallest) + ridge)),
         misfit=misfit,
         cut_share=cut_share,
-        scale=scale,
+        limiting=limiting,
     )
     return drive, _with_warnings(report, scene)
 

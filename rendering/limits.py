@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
-from rendering.omission import row_norms
 
 Float64Array = NDArray[np.float64]
 
 
-def scale_to_limit(drive_v: Float64Array, limit_v: float | None) -> float:
+def scale_to_limit(drive_v: Float64Array, limit_v: float | None, *, finite: bool = False) -> float:
     """Scale a drive down, in place, until no sample is larger than the limit.
 
     Parameters
@@ -22,6 +21,8 @@ def scale_to_limit(drive_v: Float64Array, limit_v: float | None) -> float:
         Volts, finite.
     limit_v : float, optional
         Largest magnitude allowed, > 0; None: no limit.
+    finite : bool
+        Whether all samples are known to be finite.
 
     Returns
     -------
@@ -33,7 +34,7 @@ def scale_to_limit(drive_v: Float64Array, limit_v: float | None) -> float:
     InputError
         The drive holds NaN or infinity, or the limit is not a finite number above 0.
     """
-    if limit_v is None and np.isfinite(row_norms(drive_v)).all():
+    if limit_v is None and finite:
         return 1.0
     peak_v = float(max(drive_v.max(initial=0.0), -drive_v.min(initial=0.0)))
     if not math.isfinite(peak_v):

@@ -1,38 +1,47 @@
 """Leaving out frequency bins and digits, and the proof of how little that changes the drives.
 
 In a block, actuator i's spectrum is F_i = sum_J U_J G_iJ over the windows J. Over a segment of bins that is
-left out,
+left out, and over all actuators i,
 
-    |F_i|_2 <= sum_J max |U_J| * |G_iJ|_2                        (triangle inequality and Hoelder)
+    |F|_2 <= sum_J max |U_J| * |G_J|_2                           (triangle inequality and Hoelder)
 
 and the error in time is that norm over sqrt(fft) by Parseval, twice per bin for the two signs of frequency. A
 sample lies in at most q = ceil(fft / hop) blocks, so by Cauchy-Schwarz the blocks' errors add to at most
 sqrt(q * sum of squares). The same sum over all bins, times the unit roundoff and the number of operations,
 bounds the rounding: a transform of n samples errs by at most 8 log2(n) units of its norm (N. Higham, Accuracy
-and Stability of Numerical Algorithms, 2nd ed., theorem 24.2: 6.7 per factor 2). Relative to the drives without
-omission: error / (norm computed - error).
+and Stability of Numerical Algorithms, 2nd ed., theorem 24.2: 6.7 per factor 2). A row's error falls either into
+the bins computed or into those whose norm it falsifies, so counts once; the transform back errs in proportion
+to the block that it makes. Relative to the drives without omission: error / (norm computed - error).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from calibration.errors import InputError
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 MOST_KEPT = 0.9
 """Beyond this share of kept bins, leaving out the rest saves nothing."""
-TRANSFORMS = 20.0
-"""Units of roundoff per factor 2 of the transform length: the row's and the block's transform err by 8 each;
-the row's error counts in the bins kept and in the norms of the others, together by sqrt(2)."""
+TRANSFORM = 8.0
+"""Units of roundoff per factor 2 of the transform length."""
 SQUARES_SLACK = 1.002
 """Norms that are summed in single precision are too small by less than this: 2**15 terms at 2**-24 each."""
 SQUARES_LOST = 2.0**-62
 """What they lose per bin below the square root of the smallest normal number, or by `FLUSH` in the row."""
+SEGMENT_BINS = 6
+"""Shortest segment, and the distance from the bins computed at which longer ones begin."""
+LEAST_NORM = 1e-140
+"""Norms above this are not falsified by squares that vanish."""
+MOST_ACTUATORS = 2.0**16
 UNDERFLOW = 2.0**-100
 """Bounds, per window and relative to windows and rows of size 1, what products in single precision lose below
 their smallest normal number, 2**-126, in transforms of up to 2**25 samples."""
@@ -65,12 +74,12 @@ class Economy:
         """Cut what is left out into segments of half an octave of distance from the bins computed.
 
         Near the band spectra fall steeply, so that a coarse segment would take its largest window from one
-        end and most of its Green's functions from the other.
+        end and most of its Green's functions from the other; yet each costs as much as a hundred bins.
         """
         high = bins if high is None else high
-        distance = np.unique(np.floor(2.0 ** (0.5 * np.arange(2 * int(bins).bit_length() + 2)))).astype(np.int64)
+        distance = np.floor(SEGMENT_BINS * 2.0 ** (0.5 * np.arange(2 * int(bins).bit_length()))).astype(np.int64)
         below, above = low - distance[::-1], high - 1 + distance
-        starts = np.concatenate([[0], below[(below > 0) & (low > 0)] + 1, [low], above[above < bins]])
+        starts = np.concatenate([[0], below[(below > 0) & (low > 0)] + 1, [low], [high], above[above < bins]])
         return cls(bins, low, high, single, np.unique(starts[starts < bins]).astype(np.int64))
 
     @property
@@ -118,71 +127,109 @@ class Economy:
         return np.concatenate([largest, largest.max(axis=-1, keepdims=True)], axis=-1)
 
     def norms(self, spectra: NDArray[Any]) -> Float64Array:
-        """Euclidean norm of each segment, then over all bins, no smaller than rounding, (..., segments + 1)."""
-        parts = np.square(spectra.view(spectra.real.dtype))
-        pairs = parts.shape[-1] // self.bins
-        square = np.add.reduceat(parts, pairs * self.starts, axis=-1).astype(np.float64)
-        norms: Float64Array = np.sqrt(np.concatenate([square, square.sum(axis=-1, keepdims=True)], axis=-1))
+        """Euclidean norm of each segment, then over all bins, no smaller than rounding, (..., segments + 1).
+
+        Parameters
+        ----------
+        spectra : complex array, shape (..., bins)
+            Spectra.
+        """
+        parts = np.square(np.ascontiguousarray(spectra).view(self.real))
+        square = np.empty((*spectra.shape[:-1], self.segments + 1))
+        square[..., :-1] = parts @ self._members()
+        square[..., -1] = square[..., :-1].sum(axis=-1)
+        norms: Float64Array = np.sqrt(square)
         if self.single:
             norms = norms * SQUARES_SLACK + np.sqrt(self.bins) * SQUARES_LOST
         return norms
 
-    def block_error(self, coherent: Float64Array, fft_samples: int, windows: int) -> float:
-        """Bound on the norm of the error of one block, over sqrt(2 / fft_samples).
+    def _members(self) -> NDArray[Any]:
+        """1 where a part of a bin belongs to a segment, (2 bins, segments)."""
+        return _members(self.bins, tuple(self.starts.tolist()), single=self.single)
+
+    def rounding(self, fft_samples: int, windows: Int64Array | Float64Array) -> Float64Array:
+        """Bound on what rounding does to blocks of so many windows, relative to sum_J max |U_J| |G_J|_2."""
+        units: Float64Array = TRANSFORM * np.log2(fft_samples) + windows + 20.0
+        return units * self.roundoff
+
+    @property
+    def roundoff(self) -> float:
+        """Unit roundoff."""
+        return 2.0**-24 if self.single else 2.0**-53
+
+    def block_errors(self, coherent: Float64Array, fft_samples: int, windows: Int64Array) -> Float64Array:
+        """Bounds on the norms of the errors of some blocks, (blocks,), over sqrt(2 / fft_samples).
 
         Parameters
         ----------
-        coherent : float64 array, shape (actuators, segments + 1)
-            sum_J max |U_J| |G_iJ|_2 per actuator and segment; the last column is over all bins.
+        coherent : float64 array, shape (blocks, segments + 1)
+            sum_J max |U_J| |G_J|_2 per segment; the last column is over all bins.
         fft_samples : int
             Transform length.
-        windows : int
+        windows : int64 array, shape (blocks,)
             Number of windows J that were summed.
         """
         left_out = (self.starts < self.low) | (self.starts >= self.high)
-        roundoff = 2.0**-24 if self.single else 2.0**-53
         # A row's error may lie in any bin, and so meet the largest of all a window's values.
-        rounding = (TRANSFORMS * np.log2(fft_samples) + windows + 16.0) * roundoff * scaled_norm(coherent[:, -1])
+        rounding = self.rounding(fft_samples, windows) * coherent[:, -1]
         if self.single:
-            rounding += UNDERFLOW * windows * np.sqrt(coherent.shape[0] * fft_samples)
-        return scaled_norm(coherent[:, :-1][:, left_out]) + float(rounding)
+            rounding += UNDERFLOW * windows * np.sqrt(MOST_ACTUATORS * fft_samples)
+        errors: Float64Array = row_norms(coherent[:, :-1][:, left_out]) + rounding
+        return errors
 
 
-@dataclass(slots=True)
+@lru_cache(maxsize=16)
+def _members(bins: int, starts: tuple[int, ...], *, single: bool) -> NDArray[Any]:
+    segment = np.searchsorted(np.array(starts), np.arange(bins), side="right") - 1
+    members = np.zeros((2 * bins, len(starts)), dtype=np.float32 if single else np.float64)
+    members[np.arange(2 * bins), np.repeat(segment, 2)] = 1.0
+    return members
+
+
 class ErrorBudget:
-    """Adds up the proved bounds of one emission's blocks."""
+    """Adds up the proved bounds of one emission's blocks.
 
-    fft_samples: int
-    hop_samples: int
-    _blocks: list[float] = field(default_factory=list)
+    Parameters
+    ----------
+    fft_samples : int
+        Length of a block.
+    overlap : int
+        Most blocks that one sample lies in.
+    """
 
-    def add_block(self, error: float) -> None:
-        """Add one block's `Economy.block_error`, in volts."""
-        self._blocks.append(error * float(np.sqrt(2.0 / self.fft_samples)))
+    def __init__(self, fft_samples: int, overlap: int) -> None:
+        self._scale = float(np.sqrt(2.0 / fft_samples))
+        self._overlap = overlap
+        self._errors: list[float] = []
 
-    @property
-    def error(self) -> float:
-        """Bound on the Euclidean norm of the error of all actuators' drives."""
-        overlap = -(-self.fft_samples // self.hop_samples)
-        return float(np.sqrt(overlap)) * scaled_norm(np.array(self._blocks))
+    def add(self, first: int, errors: Float64Array) -> None:
+        """Add `Economy.block_errors` of blocks from `first`; those of one block's parts add up."""
+        self._errors.extend([0.0] * (first + len(errors) - len(self._errors)))
+        for place, error in enumerate(errors.tolist(), first):
+            self._errors[place] += error
+
+    def norm(self, exponent: int = 0) -> float:
+        """Bound on the Euclidean norm of the error of all actuators' drives, times two to a power."""
+        with np.errstate(over="ignore", under="ignore"):
+            norm = np.sqrt(float(self._overlap)) * self._scale * scaled_norm(np.array(self._errors))
+            return float(np.ldexp(norm, exponent))
 
 
 def scaled_norm(values: Float64Array) -> float:
     """Euclidean norm that neither over- nor underflows."""
-    flat = values.reshape(-1)
+    return float(row_norms(values.reshape(1, -1))[0])
+
+
+def row_norms(values: Float64Array) -> Float64Array:
+    """Euclidean norm of each row that neither over- nor underflows, without a copy of them all."""
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        square = float(np.dot(flat, flat))
-    if 1e-280 < square < np.inf:
-        return float(np.sqrt(square))
-    peak = float(max(values.max(initial=0.0), -values.min(initial=0.0)))
-    if peak == 0.0 or not np.isfinite(peak):
-        return peak
-    return peak * float(np.linalg.norm(values / peak))
-
-
-def row_norms(drive_v: Float64Array) -> Float64Array:
-    """Norm of each row: drives may be long, and a copy of them all is not needed for a figure."""
-    return np.array([scaled_norm(row) for row in drive_v])
+        # Not the dot product, which may wait for threads that are busy elsewhere.
+        norms: Float64Array = np.sqrt(np.einsum("ij,ij->i", values, values))
+    for place in np.flatnonzero(~((norms > LEAST_NORM) & (norms < np.inf))).tolist():
+        row = values[place]
+        peak = float(max(row.max(initial=0.0), -row.min(initial=0.0)))
+        norms[place] = peak if peak == 0.0 or not np.isfinite(peak) else peak * float(np.linalg.norm(row / peak))
+    return norms
 
 
 def relative_bound(error: float, norms: Float64Array) -> float:
@@ -225,3 +272,18 @@ def choose_bins(contribution: Float64Array, tolerance: float) -> tuple[int, int]
     if high - low > MOST_KEPT * len(contribution):
         return 0, len(contribution)
     return low, high
+
+
+def tolerance_of(tolerance_db: float | None) -> float:
+    """A tolerance as a relative magnitude, 0 where there is none.
+
+    Raises
+    ------
+    InputError
+        It is not a finite number below 0.
+    """
+    if tolerance_db is None:
+        return 0.0
+    if not (math.isfinite(tolerance_db) and tolerance_db < 0):
+        raise InputError(f"tolerance_db is {tolerance_db}; it must be a finite number below 0")
+    return float(10.0 ** (tolerance_db / 20.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
-from rendering.green_source import GreenSource, ScaledRow, read_row, refusal, usable
+from rendering.green_source import GreenSource, ScaledRow, fetch_row, read_row, refusal, scale_row, usable
 from rendering.scene import Regularisation
 
 Float64Array = NDArray[np.float64]
@@ -93,11 +94,14 @@ class RowWeights:
     gain : float
     gain_exponent : int
         n(x) = gain * 2**gain_exponent; 1 * 2**0 where normalisation is off.
+    norm : float
+        Norm of the scaled row over all actuators and taps.
     """
 
     sigma: Float64Array | None
     gain: float
     gain_exponent: int
+    norm: float
 
 
 def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeights:
@@ -119,11 +123,13 @@ def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeig
         if saturated.any():
             sigma = np.ones(len(rms))
             sigma[saturated] = threshold / rms[saturated]
+    values = row.values.astype(np.float64, copy=False)
+    autocorrelation = np.matmul(values[:, None, :], values[:, :, None])[:, 0, 0]
+    energy = float(autocorrelation.sum())
     if not normalise:
-        return RowWeights(sigma, 1.0, 0)
-    autocorrelation = np.einsum("ij,ij->i", row.values, row.values)
-    total = float(autocorrelation.sum() if sigma is None else sigma @ autocorrelation)
-    return RowWeights(sigma, 1.0 / total, -2 * row.exponent)
+        return RowWeights(sigma, 1.0, 0, math.sqrt(energy))
+    total = energy if sigma is None else float(sigma @ autocorrelation)
+    return RowWeights(sigma, 1.0 / total, -2 * row.exponent, math.sqrt(energy))
 
 
 def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float64Array:
@@ -190,8 +196,8 @@ class BankRows:
         self._weights: dict[int, RowWeights] = {}
         self._exponent: dict[int, int] = {}
         self._drive_exponent: int | None = None
-        # A row's weights are asked for just before its spectrum: one reading serves both.
-        self._latest: tuple[int, ScaledRow] | None = None
+        # Files are read by one thread at a time.
+        self._reading = threading.Lock()
         self._loud = np.zeros(bank.actuators, dtype=bool)
 
     def knows(self, row: int) -> bool:
@@ -208,12 +214,19 @@ class BankRows:
         """Actuators whose Green's functions are zero in every row read so far."""
         return [int(actuator) for actuator in np.flatnonzero(~self._loud)] if self._weights else []
 
-    def read(self, row: int) -> ScaledRow:
-        """Read a row. Raises InputError where it may not be used, saying which path point needs it."""
-        if self._latest is not None and self._latest[0] == row:
-            return self._latest[1]
+    def read(self, row: int, *, single: bool = False) -> ScaledRow:
+        """Read a row. Raises InputError where it may not be used, saying which path point needs it.
+
+        Several threads may read. With `single` the values are float32.
+        """
         reason = refusal(int(self.status[row]))
-        scaled = None if reason else read_row(self.bank, row)
+        scaled = None
+        if not reason:
+            with self._reading:
+                raw = fetch_row(self.bank, row)
+            # Weights are those of the row as it is, not as it is rounded.
+            rounded = single and (raw.dtype == np.float32 or row in self._weights)
+            scaled = scale_row(raw, row, single=rounded)
         if scaled is None or scaled.silent:
             x, y = self._position_mm[row]
             raise InputError(
@@ -226,8 +239,11 @@ class BankRows:
             if not self._loud.all():
                 self._loud |= scaled.values.any(axis=1)
             self._weights[row] = row_weights(scaled, self.threshold, normalise=self._normalise)
-        self._latest = (row, scaled)
-        return scaled
+        return scaled.rounded() if single and scaled.values.dtype != np.float32 else scaled
+
+    def norm_of(self, rows: Int64Array) -> Float64Array:
+        """Norms of scaled rows that were read, over all actuators and taps."""
+        return np.array([self._weights[row].norm for row in rows.tolist()])
 
     def sigma(self, regularised_by: int) -> Float64Array | None:
         """Saturation factors (actuators,) of a row, None where all are 1."""
@@ -282,10 +298,11 @@ class BankRows:
 
 def _rms(row: ScaledRow) -> Float64Array:
     # One actuator may stand far below the row's peak: its squares must not vanish.
-    peak = np.abs(row.values).max(axis=1)
+    values = row.values.astype(np.float64, copy=False)
+    peak = np.abs(values).max(axis=1)
     scale = np.where(peak > 0, peak, 1.0)
     if float(peak.min()) > 1e-140:
         scale = np.ones_like(peak)
-    part = row.values if scale.max() == scale.min() == 1.0 else row.values / scale[:, None]
+    part = values if scale.max() == scale.min() == 1.0 else values / scale[:, None]
     rms: Float64Array = np.sqrt(np.einsum("ij,ij->i", part, part) / part.shape[1]) * scale
     return rms

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from rendering.accumulate import Accumulated
+from rendering.coil_limits import Limiting, dynamic_range_db
 from rendering.emission import ContinuousEmission
 from rendering.green_source import DOUBTFUL_BITS, GreenSource
 from rendering.interpolation_errors import InterpolationErrors
-from rendering.omission import row_norms
 from rendering.regularisation import BankRows
 from rendering.response_tail import ResponseTail, response_tail
 from rendering.sampling import SampledSource
@@ -47,8 +47,8 @@ class RenderReport:
         Largest distance of a path point from its nearest position.
     rows : tuple of int
         Bank rows that were used, for interpolation or for regularisation.
-    scale : float
-        What `limit_v` did to the drive, 1 if nothing.
+    limiting : Limiting
+        What the scene's limits did to the drive, and which actuator decided.
     relative_rms_drive : float64 array, shape (actuators,)
         RMS of each actuator's drive relative to the largest (the paper's figure 3B, right).
     out_of_band : tuple of float or None
@@ -62,6 +62,12 @@ class RenderReport:
         See `bins`.
     pairs : int
         (Block, row) pairs that were multiplied: what the render cost.
+    left_out_pairs : int
+        (Block, row) pairs that hardly emit anything and were left out.
+    left_out_taps : tuple of int
+        Per source, late taps of every Green's function that were not used.
+    left_out_actuators : tuple of tuples of int
+        Per source, actuators that hardly count and were left silent.
     interpolation_errors : InterpolationErrors or None
         Estimated error of the Green's functions between the bank's positions, by band; None where the paths
         keep to the positions, or the bank does not let one tell.
@@ -74,15 +80,28 @@ class RenderReport:
     snapped_points: int
     largest_snap_mm: float
     rows: tuple[int, ...]
-    scale: float
+    limiting: Limiting
     relative_rms_drive: Float64Array
     out_of_band: tuple[float | None, ...]
     omitted_bound: float
     bins: int
     kept_bins: int
     pairs: int
+    left_out_pairs: int = 0
+    left_out_taps: tuple[int, ...] = ()
+    left_out_actuators: tuple[tuple[int, ...], ...] = ()
     interpolation_errors: InterpolationErrors | None = None
     tail: ResponseTail | None = None
+
+    @property
+    def scale(self) -> float:
+        """What the limits did to the drive, 1 if nothing."""
+        return self.limiting.scale
+
+    @property
+    def dynamic_range_db(self) -> float:
+        """Largest over smallest rms of all actuators that are driven at all, in dB."""
+        return dynamic_range_db(self.relative_rms_drive)
 
 
 def report_render(
@@ -90,9 +109,9 @@ def report_render(
     rows: BankRows,
     sources: Sequence[SampledSource],
     accumulated: Sequence[Accumulated],
-    drive_v: Float64Array,
+    norms: Float64Array,
     *,
-    scale: float,
+    limiting: Limiting,
     omitted_bound: float,
     errors: InterpolationErrors | None = None,
     remarks: Sequence[str] = (),
@@ -109,10 +128,10 @@ def report_render(
         The sources, sampled.
     accumulated : sequence of Accumulated
         What each of them cost and left out.
-    drive_v : float64 array, shape (actuators, samples)
-        The drives.
-    scale : float
-        What the limit did.
+    norms : float64 array, shape (actuators,)
+        Euclidean norms of the drives, up to a factor.
+    limiting : Limiting
+        What the limits did.
     omitted_bound : float
         Proved bound on the relative error.
     errors : InterpolationErrors, optional
@@ -121,7 +140,6 @@ def report_render(
         Warnings about that.
     """
     measured: GreenSource = getattr(rows.bank, "measured", rows.bank)
-    norms = row_norms(drive_v)
     peak = float(norms.max())
     snaps = np.concatenate([source.snap_mm for source in sources])
     outside = tuple(1.0 - item.band_energy / item.energy if item.energy > 0 else None for item in accumulated)
@@ -143,13 +161,16 @@ def report_render(
         snapped_points=int(np.count_nonzero(snaps > 1e-9)),
         largest_snap_mm=float(snaps.max()),
         rows=tuple(bank_rows),
-        scale=scale,
+        limiting=limiting,
         relative_rms_drive=norms / peak if peak > 0 else norms,
         out_of_band=outside,
         omitted_bound=omitted_bound,
         bins=sum(item.bins for item in accumulated),
         kept_bins=sum(item.kept_bins for item in accumulated),
         pairs=sum(item.pairs for item in accumulated),
+        left_out_pairs=sum(item.left_out_windows for item in accumulated),
+        left_out_taps=tuple(item.left_out_taps for item in accumulated),
+        left_out_actuators=tuple(item.left_out_actuators for item in accumulated),
         interpolation_errors=errors,
         tail=tail,
     )
@@ -187,8 +208,11 @@ def _too_fast(scene: Scene, rows: BankRows) -> list[str]:
 def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> list[str]:
     if share is None or bank.band_hz is None or not isinstance(source.emission, ContinuousEmission):
         return []
-    power = np.square(np.abs(scipy_fft.rfft(source.signal)))
-    frequency = scipy_fft.rfftfreq(len(source.signal), 1.0 / bank.sample_rate_hz)
+    if share <= SPREAD_SHARE:
+        return []
+    samples = int(scipy_fft.next_fast_len(len(source.signal), real=True))
+    power = np.square(np.abs(scipy_fft.rfft(source.signal, samples)))
+    frequency = scipy_fft.rfftfreq(samples, 1.0 / bank.sample_rate_hz)
     outside = (frequency < bank.band_hz[0]) | (frequency > bank.band_hz[1])
     own = float(power[outside].sum() / power.sum()) if power.any() else 0.0
     if share - own <= SPREAD_SHARE:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.sentinel import DriftLimits
 from rendering import metrics, report_figures
 from rendering.regularisation import focus_gain_map
 from rendering.report_canvas import Picture
+from rendering.report_drift import DriftPoint, drift_over_time
 from rendering.report_surface import Surface
 from rendering.report_words import figures, number, precise, remarks, summary
 from rendering.verification import Check, Verification
@@ -40,6 +42,8 @@ def build_report(
     bank: GreenSource,
     campaign: Mapping[str, object],
     outline_mm: NDArray[np.float64] | None = None,
+    drift: Sequence[DriftPoint] = (),
+    drift_limits: DriftLimits | None = None,
     save_pictures: bool = False,
 ) -> Path:
     """Write ``report.html``: verdict, pictures, figures with definitions, what to do.
@@ -58,6 +62,10 @@ def build_report(
         Facts to list, in their order: name and value as text or number.
     outline_mm : float64 array, shape (points, 2), optional
         Rim of the surface.
+    drift : sequence of DriftPoint
+        What became of the sentinel position during the campaign, oldest first; left out where there is nothing.
+    drift_limits : DriftLimits, optional
+        Those of the run.
     save_pictures : bool
         Whether to write each picture beside the report as PNG.
 
@@ -72,6 +80,8 @@ def build_report(
     saturation = scene.regularisation.saturation
     gain = focus_gain_map(bank, saturation)
     pictures, captions = _pictures(surface, verification, drive, bank, gain)
+    if drift:
+        pictures["drift"] = drift_over_time(drift, drift_limits or DriftLimits())
     environment = Environment(
         loader=PackageLoader("rendering"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from calibration.errors import InputError
 from rendering.choice import choose_fft_samples
 from rendering.emission import ContinuousEmission, Emission, PointEmission
-from rendering.green_source import GreenSource
 from rendering.interpolation import Interpolation, Nodes, OffGridError
 from rendering.paths import Point
 from rendering.scene import Source
@@ -61,11 +60,16 @@ class SampledSource:
     signal: Float64Array
     nodes: int
 
-    def fft_samples(self, bank: GreenSource) -> int:
-        """Transform length that costs least."""
-        reach = bank.taps + self.emission.event_samples - 1
+    def fft_samples(self, taps: int, *, actuators: int, multiple: int = 1) -> int:
+        """Transform length that costs least for Green's functions of so many taps, a multiple of a number."""
+        reach = taps + self.emission.event_samples - 1
         span = self.emission.stop_event - self.emission.first_sample
-        return choose_fft_samples(reach, span, bank.actuators, self.focus_position, self.nodes)[0]
+        return choose_fft_samples(reach, span, actuators, self.focus_position, self.nodes, multiple)[0]
+
+    @property
+    def expected_rows(self) -> int:
+        """About how many bank rows its points are made of: along a path, those beside the nearest ones too."""
+        return len(np.unique(self.focus_position)) * (1 if self.nodes == 1 else 3)
 
     def naming(self, row: int, at_mm: Float64Array) -> str:
         """Say which path point needs a row at `at_mm`: the first that is snapped to it, else the closest."""
@@ -131,10 +135,6 @@ def sample_source(
     def of_points(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         return nodes.rows[start:stop], nodes.weights[start:stop], nodes.nearest[start:stop]
 
-    def of_segments(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
-        point = np.searchsorted(focus[:-1], np.arange(start, stop) + focus[0], side="right") - 1
-        return nodes.rows[point], nodes.weights[point], nodes.nearest[point]
-
     emission: Emission
     if source.emission == "per_point" and moving:
         emission = PointEmission(signal, focus[:-1], of_points, max(LEAST_PIECE_SAMPLES, taps))
@@ -145,7 +145,11 @@ def sample_source(
                 f"source {index} moves on within one sample of its start and emits nothing; lower speed_mm_s"
                 f" ({source.speed_mm_s:g}) or lengthen the path"
             )
-        emission = ContinuousEmission(signal, int(focus[0]), last, where.of_samples if exact else of_segments)
+        emission = (
+            ContinuousEmission(signal, int(focus[0]), last, where.of_samples)
+            if exact
+            else ContinuousEmission(signal, int(focus[0]), last, of_points, focus[:-1])
+        )
     return SampledSource(
         index,
         emission,

@@ -109,19 +109,24 @@ class Output:
         ``"nearest"``, ``"bilinear"``, ``"bicubic"`` or ``"kernel"``.
     limit_v : float, optional
         Largest drive magnitude in volts, > 0; the drive is scaled down to it, never clipped.
+    limit_rms_v : float, optional
+        Largest rms in volts of any actuator's drive over any second, > 0; the drive is scaled down to it.
 
     Raises
     ------
     InputError
-        The limit is not a finite number above 0.
+        A limit is not a finite number above 0.
     """
 
     interpolation: str = "nearest"
     limit_v: float | None = None
+    limit_rms_v: float | None = None
 
     def __post_init__(self) -> None:
-        if self.limit_v is not None and not (math.isfinite(self.limit_v) and self.limit_v > 0):
-            raise InputError(f"limit_v is {self.limit_v}; it must be a finite number above 0")
+        for name in ("limit_v", "limit_rms_v"):
+            limit_v = getattr(self, name)
+            if limit_v is not None and not (math.isfinite(limit_v) and limit_v > 0):
+                raise InputError(f"{name} is {limit_v}; it must be a finite number above 0")
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,10 +107,13 @@ class Noise:
             raise InputError(f"seed is {self.seed}; it must be 0 or above")
         count = _sample_count(self.duration_s, sample_rate_hz)
         white = np.random.Generator(np.random.PCG64(self.seed)).standard_normal(count)
-        spectrum = scipy_fft.rfft(white)
         frequency = scipy_fft.rfftfreq(count, 1.0 / sample_rate_hz)
-        spectrum[(frequency < lower) | (frequency > upper)] = 0.0
-        banded: Float64Array = scipy_fft.irfft(spectrum, count)
+        cut = (frequency < lower) | (frequency > upper)
+        banded: Float64Array = white
+        if cut.any():
+            spectrum = scipy_fft.rfft(white)
+            spectrum[cut] = 0.0
+            banded = scipy_fft.irfft(spectrum, count)
         return _audible(banded, f"noise of {self.duration_s} s between {lower} and {upper} Hz", silent_below=1e-12)
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
@@ -14,6 +17,8 @@ Int64Array = NDArray[np.int64]
 KNOT_SAMPLES = 16
 """Along a path, every 16th point is looked up in the tree; most others follow from their neighbours."""
 TIES = 8
+TIE_SLACK = 1e-5
+"""Share of the pitch within which another position may be as near."""
 
 
 class PositionGrid:
@@ -36,7 +41,7 @@ class PositionGrid:
     """Median distance of neighbouring positions, 0 where there is one position only."""
 
     def __init__(self, position_mm: ArrayLike) -> None:
-        self.position_mm: Float64Array = np.asarray(position_mm, dtype=np.float64)
+        self.position_mm: Float64Array = np.ascontiguousarray(position_mm, dtype=np.float64)
         if self.position_mm.ndim != 2 or self.position_mm.shape[1] != 2 or not len(self.position_mm):
             raise InputError(
                 f"position_mm has shape {self.position_mm.shape}; expected (positions, 2), at least one position"
@@ -44,13 +49,10 @@ class PositionGrid:
         bad = ~np.isfinite(self.position_mm).all(axis=1)
         if bad.any():
             raise InputError(f"position {int(np.argmax(bad))} has a coordinate that is not finite")
-        self._unique, first = np.unique(self.position_mm, axis=0, return_index=True)
-        self._row: Int64Array = first.astype(np.int64)
-        self._tree = cKDTree(self._unique)
-        self.spacing_mm = 0.0
-        if len(self._unique) > 1:
-            distance, _ = self._search_tree(self._unique, 2)
-            self.spacing_mm = float(np.median(distance[:, 1]))
+        index = _index(self.position_mm.tobytes())
+        self._unique, self._row, self._tree = index.unique_mm, index.row, index.tree
+        self._lattice = index.lattice
+        self.spacing_mm = index.spacing_mm
 
     def nearest(self, points_mm: Float64Array) -> tuple[Int64Array, Float64Array]:
         """Row of smallest distance (the lower index on a tie) and that distance.
@@ -66,7 +68,12 @@ class PositionGrid:
         distance_mm : float64 array, shape (n,)
         """
         count = len(points_mm)
-        if count <= 4 * KNOT_SAMPLES or len(self._unique) < 2:
+        if self._lattice is not None:
+            rows = self._lattice.nearest(points_mm)
+            left = np.flatnonzero(rows < 0)
+            if len(left):
+                rows[left] = self._search(points_mm[left])
+        elif count <= 4 * KNOT_SAMPLES or len(self._unique) < 2:
             rows = self._search(points_mm)
         else:
             rows = self._follow(points_mm)
@@ -99,9 +106,75 @@ class PositionGrid:
         return rows
 
     def _search_tree(self, points_mm: Float64Array, neighbours: int) -> tuple[Float64Array, Int64Array]:
-        distance, index = self._tree.query(points_mm, k=neighbours)
-        shape = (len(points_mm), neighbours)
-        return np.reshape(distance, shape), np.reshape(index, shape).astype(np.int64, copy=False)
+        return _query(self._tree, points_mm, neighbours)
+
+
+@dataclass(frozen=True, slots=True)
+class _Lattice:
+    """Positions on the sites of a lattice along x and y, some of which may be empty."""
+
+    origin_mm: Float64Array
+    pitch_mm: Float64Array
+    row_at: Int64Array
+    """Row at each site, (columns, lines), -1 where there is none."""
+
+    def nearest(self, points_mm: Float64Array) -> Int64Array:
+        """Row of the nearest site, -1 where it is empty or another is as near."""
+        place = (points_mm - self.origin_mm) / self.pitch_mm
+        site = np.rint(place)
+        clear = np.all(np.abs(place - site) < 0.5 - TIE_SLACK, axis=1)
+        clear &= np.all((site >= 0) & (site < self.row_at.shape), axis=1)
+        column, line = np.where(clear[:, None], site, 0.0).astype(np.int64).T
+        rows: Int64Array = np.where(clear, self.row_at[column, line], -1)
+        return rows
+
+
+@dataclass(frozen=True, slots=True)
+class _Index:
+    """What is worked out once for a grid."""
+
+    unique_mm: Float64Array
+    row: Int64Array
+    tree: cKDTree
+    spacing_mm: float
+    lattice: _Lattice | None
+
+
+@lru_cache(maxsize=4)
+def _index(position_mm: bytes) -> _Index:
+    """Index a grid by its coordinates: every render and every check of a scene asks for the same one."""
+    unique_mm, first = np.unique(np.frombuffer(position_mm).reshape(-1, 2), axis=0, return_index=True)
+    row = first.astype(np.int64)
+    tree = cKDTree(unique_mm)
+    if len(unique_mm) < 2:
+        return _Index(unique_mm, row, tree, 0.0, None)
+    distance, _ = _query(tree, unique_mm, 2)
+    spacing_mm = float(np.median(distance[:, 1]))
+    return _Index(unique_mm, row, tree, spacing_mm, _find_lattice(unique_mm, row, spacing_mm))
+
+
+def _find_lattice(unique_mm: Float64Array, row: Int64Array, spacing_mm: float) -> _Lattice | None:
+    extent = np.ptp(unique_mm, axis=0)
+    slack = spacing_mm * TIE_SLACK / 10.0
+    steps = [np.diff(np.unique(unique_mm[:, axis])) for axis in (0, 1)]
+    steps = [step[step > slack] for step in steps]
+    if not (len(steps[0]) and len(steps[1])):
+        return None
+    pitch_mm = extent / np.maximum(np.rint(extent / [step.min() for step in steps]), 1.0)
+    site = np.rint((unique_mm - unique_mm.min(axis=0)) / pitch_mm)
+    shape = site.max(axis=0) + 1.0
+    off = np.abs(unique_mm - unique_mm.min(axis=0) - site * pitch_mm).max()
+    if off > slack or shape.prod() > 100 * len(unique_mm) + 10_000:
+        return None
+    row_at = np.full(shape.astype(np.int64), -1, dtype=np.int64)
+    row_at[tuple(site.astype(np.int64).T)] = row
+    return _Lattice(unique_mm.min(axis=0), pitch_mm, row_at)
+
+
+def _query(tree: cKDTree, points_mm: Float64Array, neighbours: int) -> tuple[Float64Array, Int64Array]:
+    distance, index = tree.query(points_mm, k=neighbours)
+    shape = (len(points_mm), neighbours)
+    return np.reshape(distance, shape), np.reshape(index, shape).astype(np.int64, copy=False)
 
 
 def _distance(a: Float64Array, b: Float64Array) -> Float64Array:

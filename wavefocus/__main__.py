@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 import typer.main
 from typer.exceptions import TyperException
@@ -34,7 +35,9 @@ def run(arguments: Sequence[str]) -> int:
         code = exit_code(failure)
         if code is None:
             raise
-        print(f"wavefocus: {sentence(failure)}", file=sys.stderr)
+        # A terminal that is gone, or a pipe nobody reads any more, must not change the exit code.
+        with suppress(OSError, ValueError):
+            print(f"wavefocus: {sentence(failure)}", file=sys.stderr, flush=True)
         return code
     return int(result or 0)
 
@@ -42,11 +45,13 @@ def run(arguments: Sequence[str]) -> int:
 def main() -> None:
     """Run the command line of this process and exit."""
     code = run(sys.argv[1:])
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # Whoever read our output has gone; the interpreter must not fail on its own last flush.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            # Whoever read our output has gone; the interpreter must not fail on its own last flush.
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(code)
 
 

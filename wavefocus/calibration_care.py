@@ -64,10 +64,36 @@ def calibration_warnings(rig: RigConfig, names: Mapping[str, str], now: datetime
         age_days = (now - part.at).total_seconds() / 86_400
         if age_days > stale_days:
             warnings.append(f"{file}: {name} measured {age_days:.0f} days ago, trusted for {stale_days:g}; {again}")
-        there = names.get(ROLE_OF[name])
-        if there is not None and device_itself(there) != device_itself(part.device):
-            warnings.append(f"{file}: {name} measured on another device ({part.device}); this is {there}; {again}")
+    for name, sentence in calibrated_elsewhere(rig, names).items():
+        warnings.append(f"{sentence}; run wavefocus calibrate --only {name}")
     return warnings
+
+
+def calibrated_elsewhere(rig: RigConfig, names: Mapping[str, str]) -> dict[str, str]:
+    """Parts of a rig's calibration that were measured on other devices than those there now.
+
+    Parameters
+    ----------
+    rig : RigConfig
+        The rig, its calibration read.
+    names : mapping from role to str
+        What the instruments say they are, of those that answered.
+
+    Returns
+    -------
+    dict from part to str
+        A sentence for each.
+    """
+    record = rig.calibration.measured
+    if record is None:
+        return {}
+    found = {}
+    for name in PARTS:
+        part, there = getattr(record, name), names.get(ROLE_OF[name])
+        if part is not None and there is not None and device_itself(there) != device_itself(part.device):
+            device = f"({part.device}); this is {there}"
+            found[name] = f"{rig.calibration.file}: {name} measured on another device {device}"
+    return found
 
 
 def device_itself(identity: str) -> str:

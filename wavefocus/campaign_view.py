@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import math
+
+from acquisition.drift_watch import row_ranges
 from acquisition.durations import hours
 from acquisition.events import (
+    ConditionsSeen,
     Drift,
     Event,
     Fault,
+    PassStarted,
     PositionKept,
     PositionRepeated,
     Progress,
     ReconnectTried,
     SessionEnded,
     SessionStarted,
+    State,
+    StateChanged,
 )
 from wavefocus.console import Report, finish_clock, say
+
+# What a person at the terminal asked for or must know of; recovery and the end have lines of their own.
+_TOLD = frozenset({State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING})
 
 # A rig on a virtual clock lives through hours in seconds; then both clocks are told.
 _SAME_CLOCK = 0.2
@@ -32,6 +42,7 @@ class CampaignView:
     def __init__(self, report: Report) -> None:
         self._report = report
         self._repeats = 0
+        self._former = State.IDLE
 
     def __call__(self, event: Event) -> None:
         """Show one event."""
@@ -43,11 +54,18 @@ class CampaignView:
                 )
                 for instrument in event.instruments:
                     say(f"  {instrument}")
+            case StateChanged():
+                self._state(event)
+            case ConditionsSeen() if not event.back:
+                say(f"still suspended: {event.reason}")
             case Progress():
                 self._report(event.done, event.total, self._note(event))
             case PositionRepeated():
                 self._repeats += 1
-                say(f"position {event.position} is measured again: {event.reason}")
+                say(f"position {event.position} is measured again{_otherwise(event)}: {event.reason}")
+            case PassStarted():
+                rows_text = row_ranges(event.positions)
+                say(f"{len(event.positions)} positions that are not valid are measured again: {rows_text}")
             case PositionKept():
                 say(f"position {event.position} stays as the bank has it: {event.reason}")
             case Fault():
@@ -59,7 +77,7 @@ class CampaignView:
                 say(
                     f"sentinel position {event.position}: level {event.level_db:+.2f} dB, "
                     f"delay {event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: "
-                    f"{event.verdict}"
+                    f"{event.verdict}{f' ({event.cause})' if event.cause else ''}"
                 )
             case SessionEnded():
                 counts = ", ".join(f"{count} {word}" for word, count in event.counts.items() if count)
@@ -70,13 +88,27 @@ class CampaignView:
             case _:
                 pass
 
+    def _state(self, event: StateChanged) -> None:
+        """Tell standing still and going on."""
+        if event.state in _TOLD or (event.state is State.RUNNING and self._former in _TOLD):
+            say(f"{event.state}: {event.reason}")
+        self._former = event.state
+
     @staticmethod
     def _note(event: Progress) -> str:
-        """The rig's own clock, where it is not the wall's."""
+        """What is left by the latest positions; on the rig's clock too, where that is not the wall's."""
         wall_s, rig_s = event.wall_remaining_s, event.remaining_s
+        note = f"{hours(wall_s)} left, finished at {finish_clock(wall_s)}" if wall_s > 0 else ""
         if rig_s <= 0 or abs(rig_s - wall_s) < _SAME_CLOCK * rig_s:
-            return ""
-        return f"(rig's clock: {hours(rig_s)} left, finished {finish_clock(rig_s)})"
+            return note
+        return f"{note} (rig's clock: {hours(rig_s)} left, finished {finish_clock(rig_s)})".strip()
+
+
+def _otherwise(event: PositionRepeated) -> str:
+    """What the next attempt does otherwise."""
+    range_text = "" if event.response_range_v is None else f" with a range of {event.response_range_v:g} V"
+    moved_mm = math.hypot(*event.moved_mm)
+    return range_text + (f" {moved_mm:.2g} mm aside" if moved_mm else "")
 
 
 def _reconnect_line(event: ReconnectTried) -> str:

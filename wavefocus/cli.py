@@ -34,6 +34,37 @@ class Method(StrEnum):
     EXACT = "exact"
 
 
+class Focusing(StrEnum):
+    """How waves are made to meet."""
+
+    TIME_REVERSAL = "time-reversal"
+    INVERSE = "inverse"
+
+
+class ExportFormat(StrEnum):
+    """What ``export`` writes."""
+
+    SOFA = "sofa"
+    UFF = "uff"
+    WAV = "wav"
+    MAT = "mat"
+    NPZ = "npz"
+
+
+class Missing(StrEnum):
+    """What becomes of positions without a measurement."""
+
+    LEAVE_OUT = "leave-out"
+    NAN = "nan"
+
+
+class Per(StrEnum):
+    """What one sound file holds."""
+
+    POSITION = "position"
+    ACTUATOR = "actuator"
+
+
 class Benchmark(StrEnum):
     """What ``bench`` measures."""
 
@@ -54,6 +85,17 @@ BankOption = Annotated[Path, typer.Option("--bank", metavar="BANK.h5", help="The
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
 JsonLines = Annotated[bool, typer.Option("--json", help="Print one JSON line per event on standard output.")]
 DriftOption = Annotated[bool, typer.Option("--accept-drift", help="Go on although the sentinel position has changed.")]
+CalibrationOption = Annotated[
+    bool, typer.Option("--accept-calibration", help="Go on with another calibration, or on other devices than its own.")
+]
+WaitOption = Annotated[float, typer.Option("--wait-s", min=0, max=86_400, help="Longest wait for it to be done.")]
+ScenesOption = Annotated[
+    list[Path] | None,
+    typer.Option("--scene", metavar="SCENE.toml", help="Only the positions that this scene needs; may be repeated."),
+]
+NoChecksOption = Annotated[
+    bool, typer.Option("--no-checks", help="With --scene: leave out the positions that only `verify` looks at.")
+]
 
 
 def _version(wanted: bool) -> None:
@@ -94,11 +136,15 @@ def doctor(
     reset_usb: Annotated[
         str, typer.Option("--reset-usb", metavar="ROLE", help="Reset that instrument's USB device first.")
     ] = "",
+    test_message: Annotated[
+        bool, typer.Option("--test-message", help="Send a message to each address of the rig file.")
+    ] = False,
 ) -> None:
     """Find, identify and exercise every instrument; say what is wrong and what to do about it."""
     from wavefocus.commands import doctor as command
 
-    raise typer.Exit(command.doctor(rig, as_json=json, play=not no_play, reset_usb=reset_usb))
+    done = command.doctor(rig, as_json=json, play=not no_play, reset_usb=reset_usb, test_message=test_message)
+    raise typer.Exit(done)
 
 
 @app.command()
@@ -158,27 +204,68 @@ def emulate(rig: RigArgument, json: JsonOption = False) -> None:
 
 
 @app.command()
-def plan(run: RunArgument, json: JsonOption = False) -> None:
+def plan(
+    run: RunArgument,
+    scene: ScenesOption = None,
+    no_checks: NoChecksOption = False,
+    interpolation_error: Annotated[
+        float, typer.Option("--interpolation-error", min=1e-4, max=0.99, help="Allowed between the grid's positions.")
+    ] = 0.05,
+    wave_speed: Annotated[
+        float, typer.Option("--wave-speed", metavar="M_S", min=1e-3, help="Of the plate, in m/s; a gel's by default.")
+    ] = 4.8,
+    attenuation: Annotated[
+        float, typer.Option("--attenuation", metavar="DB_CM", min=0.0, help="Of the plate's waves, in dB/cm.")
+    ] = 3.8,
+    json: JsonOption = False,
+) -> None:
     """Dry run: positions, hours, bytes, limits and finish time; nothing is played."""
     from wavefocus.commands import plan as command
+    from wavefocus.grid_advice import Waves
 
-    command.plan(run, as_json=json)
+    waves = Waves(interpolation_error, wave_speed, attenuation)
+    command.plan(run, scene or (), waves, checks=not no_checks, as_json=json)
 
 
 @app.command()
-def capture(run: RunArgument, bank: BankOption, json: JsonLines = False, accept_drift: DriftOption = False) -> None:
+def capture(
+    run: RunArgument,
+    bank: BankOption,
+    scene: ScenesOption = None,
+    no_checks: NoChecksOption = False,
+    json: JsonLines = False,
+    accept_drift: DriftOption = False,
+    accept_calibration: CalibrationOption = False,
+) -> None:
     """Start, or go on with, a campaign. Ctrl-C finishes the position; twice stops at once."""
     from wavefocus.commands import capture as command
 
-    raise typer.Exit(command.capture(run, bank, as_json=json, accept_drift=accept_drift))
+    raise typer.Exit(
+        command.capture(
+            run,
+            bank,
+            scene or (),
+            checks=not no_checks,
+            as_json=json,
+            accept_drift=accept_drift,
+            accept_calibration=accept_calibration,
+        )
+    )
 
 
 @app.command()
-def resume(bank: BankArgument, json: JsonLines = False, accept_drift: DriftOption = False) -> None:
+def resume(
+    bank: BankArgument,
+    json: JsonLines = False,
+    accept_drift: DriftOption = False,
+    accept_calibration: CalibrationOption = False,
+) -> None:
     """Go on with a campaign from its bank alone."""
     from wavefocus.commands import capture as command
 
-    raise typer.Exit(command.resume(bank, as_json=json, accept_drift=accept_drift))
+    raise typer.Exit(
+        command.resume(bank, as_json=json, accept_drift=accept_drift, accept_calibration=accept_calibration)
+    )
 
 
 @app.command()
@@ -192,19 +279,59 @@ def remeasure(
     ] = "",
     json: JsonLines = False,
     accept_drift: DriftOption = False,
+    accept_calibration: CalibrationOption = False,
 ) -> None:
     """Measure positions again; what the bank holds stays until something better is in."""
     from wavefocus.commands import capture as command
 
-    raise typer.Exit(command.remeasure(bank, status, positions, as_json=json, accept_drift=accept_drift))
+    raise typer.Exit(
+        command.remeasure(
+            bank,
+            status,
+            positions,
+            as_json=json,
+            accept_drift=accept_drift,
+            accept_calibration=accept_calibration,
+        )
+    )
 
 
 @app.command()
-def status(bank: BankArgument, json: JsonOption = False) -> None:
-    """Counts per status, rate and finish time; safe while a run is on."""
+def status(
+    bank: BankArgument,
+    json: JsonOption = False,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw the sentinel position's drift over time.")
+    ] = None,
+) -> None:
+    """Counts per status, state, last sign of life, rate and finish time; safe while a run is on."""
     from wavefocus.commands import status as command
 
-    command.status(bank, as_json=json)
+    command.status(bank, as_json=json, plot=plot)
+
+
+@app.command()
+def pause(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
+    """Let a running capture finish its position and stand still, muted and parked."""
+    from wavefocus.commands import orders as command
+
+    raise typer.Exit(command.order(bank, "pause", wait_s, as_json=json))
+
+
+@app.command()
+def go_on(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
+    """Let a paused capture go on."""
+    from wavefocus.commands import orders as command
+
+    raise typer.Exit(command.order(bank, "go-on", wait_s, as_json=json))
+
+
+@app.command()
+def stop(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
+    """Let a running capture finish its position and end; resume goes on."""
+    from wavefocus.commands import orders as command
+
+    raise typer.Exit(command.order(bank, "stop", wait_s, as_json=json))
 
 
 @app.command()
@@ -250,12 +377,38 @@ def render(
         float | None,
         typer.Option("--tolerance-db", help="Leave out what a proved bound allows, e.g. -60."),
     ] = None,
+    interpolation_tolerance: Annotated[
+        float | None,
+        typer.Option(
+            "--interpolation-tolerance", min=1e-9, help="Refuse a larger error between the bank's positions, e.g. 0.05."
+        ),
+    ] = None,
+    focusing: Annotated[
+        Focusing, typer.Option("--focusing", help="Time reversal, or a regularised inverse of the path points.")
+    ] = Focusing.TIME_REVERSAL,
+    regularisation_db: Annotated[
+        float | None, typer.Option("--regularisation-db", help="Of the inverse, below 0; by default -20.")
+    ] = None,
+    rig: Annotated[
+        Path | None, typer.Option("--rig", metavar="RIG.toml", help="Keep to this rig's limits too: volts, coil power.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="FILE.png", help="Draw the scene before and after snapping.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Turn a scene into drive signals by time reversal."""
+    """Turn a scene into drive signals."""
     from wavefocus.commands import render as command
+    from wavefocus.render_options import RenderOptions
 
-    command.render(scene, bank, out, wav, None if method is None else _method_name(method), tolerance_db, as_json=json)
+    options = RenderOptions(
+        method=None if method is None else _method_name(method),
+        tolerance_db=tolerance_db,
+        interpolation_tolerance=interpolation_tolerance,
+        focusing="inverse" if focusing is Focusing.INVERSE else "time-reversal",
+        regularisation_db=regularisation_db,
+    )
+    command.render(scene, bank, out, wav=wav, picture=picture, rig_file=rig, options=options, as_json=json)
 
 
 @app.command()
@@ -275,6 +428,55 @@ def predict(
 
 
 @app.command()
+def movie(
+    field: Annotated[Path, typer.Argument(metavar="FIELD.h5", help="The field file, predicted or scanned.")],
+    bank: BankOption,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE.gif", help="The movie to write.")] = None,
+    snapshots: Annotated[
+        Path | None, typer.Option("--snapshots", metavar="FILE.png", help="Draw the field at focus instants.")
+    ] = None,
+    drive: Annotated[
+        Path | None, typer.Option("--drive", metavar="DRIVE.h5", help="Whose foci and paths are shown.")
+    ] = None,
+    from_s: Annotated[float | None, typer.Option("--from-s", help="Start in scene time.")] = None,
+    to_s: Annotated[float | None, typer.Option("--to-s", help="End in scene time.")] = None,
+    slow: Annotated[
+        float | None, typer.Option("--slow", min=1e-3, max=1e6, help="Times slower than life; by default 240 frames.")
+    ] = None,
+    frame_rate_hz: Annotated[
+        float, typer.Option("--frame-rate-hz", min=1, max=50, help="Frames a second of the movie.")
+    ] = 25.0,
+    width_px: Annotated[int, typer.Option("--width-px", min=240, max=3840, help="Width of the movie.")] = 720,
+    limit: Annotated[
+        float | None, typer.Option("--limit", min=1e-300, help="End of the colour scale, in the field's unit.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Draw a field on the surface: a movie, snapshots at focus instants."""
+    from wavefocus.commands import movie as command
+
+    options = command.MovieOptions(from_s, to_s, slow, frame_rate_hz, width_px, limit)
+    command.movie(field, bank, out, snapshots, drive, options, as_json=json)
+
+
+@app.command()
+def play(
+    drive: Annotated[Path, typer.Argument(metavar="DRIVE.h5", help="The drive file.")],
+    rig: Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="The rig file, or: virtual.")],
+    loop: Annotated[int, typer.Option("--loop", min=1, help="How many times, without a gap.")] = 1,
+    gain_db: Annotated[
+        float,
+        typer.Option("--gain-db", min=-200, max=200, help="Softer (negative) or louder; limits hold all the same."),
+    ] = 0.0,
+    json: JsonOption = False,
+) -> None:
+    """Play drives on the rig's actuators. Ctrl-C mutes at once."""
+    from wavefocus.commands import play as command
+
+    command.play(drive, rig, loop=loop, gain_db=gain_db, as_json=json)
+
+
+@app.command()
 def verify(
     scene: SceneArgument,
     bank: BankOption,
@@ -289,6 +491,34 @@ def verify(
     from wavefocus.commands import verify as command
 
     raise typer.Exit(command.verify(scene, bank, rig, out, positions, as_json=json))
+
+
+@app.command()
+def export(
+    bank: BankArgument,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; for wav a folder.")],
+    to: Annotated[ExportFormat, typer.Option("--to", help="SOFA, universal files, WAV, MATLAB or NumPy.")],
+    positions: Annotated[
+        str, typer.Option("--positions", metavar="I,J,...", help="Bank rows; by default all measured.")
+    ] = "",
+    missing: Annotated[
+        Missing, typer.Option("--missing", help="Positions that are not measured, failed or disabled.")
+    ] = Missing.LEAVE_OUT,
+    per: Annotated[Per, typer.Option("--per", help="For wav: what one file holds.")] = Per.POSITION,
+    json: JsonOption = False,
+) -> None:
+    """Write a bank in the format of another field."""
+    from wavefocus.commands import export as command
+
+    command.export(
+        bank,
+        out,
+        to.value,
+        positions=positions,
+        missing_as_nan=missing is Missing.NAN,
+        per=per.value,
+        as_json=json,
+    )
 
 
 @app.command()

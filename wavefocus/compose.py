@@ -10,22 +10,27 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.bounded import RECONNECTING, bounded
 from acquisition.plan import Plan
 from acquisition.quality import QualityLimits
+from acquisition.sentinel import DriftLimits
 from acquisition.setup import Setup
 from calibration.bank import Bank, open_bank
 from calibration.bank_header import BankHeader
 from calibration.errors import InputError
 from calibration.mirror_map import MirrorMap
+from calibration.staggered_signal import StaggeredSignal
 from calibration.sweeps import Excitation
 from drivers.errors import InstrumentError
+from drivers.protocols import OffersRanges
 from wavefocus.calibration_care import calibration_warnings, names_known
 from wavefocus.config.calibration_merge import calibrated
 from wavefocus.config.loading import Configuration, configuration_from_json, load_run
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.console import say
-from wavefocus.instruments import OpenedRig, open_rig, openers
+from wavefocus.instruments import OpenedRig, in_time, open_rig, openers
+from wavefocus.sensors import watch_of
 from wavefocus.virtual_bench import virtual_rig
 
 __all__ = [
@@ -33,6 +38,7 @@ __all__ = [
     "bank_configuration",
     "blueprint_from_bank",
     "blueprint_from_files",
+    "blueprint_of",
     "open_setup",
     "put_to_rest",
     "setup_of",
@@ -71,7 +77,7 @@ def blueprint_from_files(run_file: Path) -> Blueprint:
     InputError
         Anything in the files is wrong.
     """
-    return _blueprint(load_run(run_file))
+    return blueprint_of(load_run(run_file))
 
 
 def blueprint_from_bank(path: Path) -> Blueprint:
@@ -83,7 +89,7 @@ def blueprint_from_bank(path: Path) -> Blueprint:
         The file is no bank, or one that this suite did not measure.
     """
     with open_bank(path) as bank:
-        blueprint = _blueprint(bank_configuration(bank))
+        blueprint = blueprint_of(bank_configuration(bank))
         if bank.plan_sha256 != blueprint.plan.sha256:
             raise InputError(
                 f"{path}: the attributes rig, run and plan_sha256 do not belong together; the bank cannot be "
@@ -107,24 +113,41 @@ def bank_configuration(bank: Bank) -> Configuration:
     return configuration_from_json(bank.rig_json, bank.run_json, bank.position_mm, str(bank.path))
 
 
-def _blueprint(configuration: Configuration) -> Blueprint:
+def blueprint_of(configuration: Configuration) -> Blueprint:
+    """A checked configuration with the plan that follows from it.
+
+    Raises
+    ------
+    InputError
+        Rig and run ask for records that cannot be.
+    """
     run, rig = configuration.run, configuration.rig
+    capture = run.capture
+    excitation = Excitation(
+        sample_rate_hz=capture.sample_rate_hz,
+        start_hz=run.sweep.start_hz,
+        stop_hz=run.sweep.stop_hz,
+        duration_s=run.sweep.duration_s,
+        decay_s=capture.decay_s,
+        amplitude_v=run.sweep.amplitude_v * 10 ** (capture.level_db / 20),
+        averages=capture.averages,
+    )
+    staggered = None
+    if capture.excitation == "staggered":
+        staggered = StaggeredSignal(
+            excitation, len(rig.actuators.position_mm), capture.taps, capture.stagger_samples, capture.groups,
+            capture.periods,
+        )  # fmt: skip
     plan = Plan(
         position_mm=configuration.position_mm,
         actuator_mm=rig.actuator_mm,
         order=np.arange(len(configuration.position_mm)),
-        excitation=Excitation(
-            sample_rate_hz=run.capture.sample_rate_hz,
-            start_hz=run.sweep.start_hz,
-            stop_hz=run.sweep.stop_hz,
-            duration_s=run.sweep.duration_s,
-            decay_s=run.capture.decay_s,
-            amplitude_v=run.sweep.amplitude_v,
-            averages=run.capture.averages,
-        ),
-        taps=run.capture.taps,
+        excitation=excitation,
+        taps=capture.taps,
         sha256=configuration.plan_sha256,
         quality=QualityLimits(**run.quality.model_dump()),
+        drift=DriftLimits(**run.drift.model_dump()),
+        staggered=staggered,
     )
     return Blueprint(configuration, plan)
 
@@ -138,7 +161,8 @@ def open_setup(rig: RigConfig, run: RunConfig) -> Iterator[Setup]:
     InstrumentError
         An instrument cannot be opened, or could not be put to rest.
     """
-    setup = setup_of(rig, open_rig(openers(rig, run.virtual)))
+    ways = in_time(openers(rig, run.virtual), RECONNECTING * rig.recovery.hung_after_s)
+    setup = setup_of(rig, open_rig(ways))
     with put_to_rest(setup):
         if rig.calibration.measured is not None:
             say(f"{rig.calibration.file}: {calibrated(rig.calibration.measured)}, in place of the rig file's")
@@ -150,7 +174,7 @@ def open_setup(rig: RigConfig, run: RunConfig) -> Iterator[Setup]:
 def setup_of(rig: RigConfig, opened: OpenedRig) -> Setup:
     """Open instruments with the wiring and the calibration of their rig."""
     return Setup(
-        instruments=opened.instruments,
+        instruments=bounded(opened.instruments, rig.recovery.hung_after_s),
         mirror_map=MirrorMap(rig.mirror.matrix),
         actuator_channels=rig.player.channels,
         loopback_channel=rig.player.loopback_channel,
@@ -162,7 +186,17 @@ def setup_of(rig: RigConfig, opened: OpenedRig) -> Setup:
         pre_roll_s=rig.recorder.pre_roll_s,
         post_roll_s=rig.recorder.post_roll_s,
         recovery_s=rig.recovery.give_up_after_s,
+        watch=watch_of(rig, opened),
+        response_ranges_v=_response_ranges_v(rig, opened),
     )
+
+
+def _response_ranges_v(rig: RigConfig, opened: OpenedRig) -> tuple[float, ...]:
+    """Ranges that the response may step up to: the rig file's, or all that the recorder says it has."""
+    recorder = opened.instruments.recorder
+    if rig.recorder.response_ranges_v is not None:
+        return rig.recorder.response_ranges_v
+    return recorder.input_ranges_v if isinstance(recorder, OffersRanges) else ()
 
 
 @contextmanager

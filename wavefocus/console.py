@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime, timedelta
-from typing import Protocol
+from typing import IO, Protocol, cast
 
 from rich.console import Console
 from rich.progress import (
@@ -25,7 +27,42 @@ from acquisition.durations import hours
 # Without a terminal (a log file, a service) a line this often tells that the work goes on.
 LINE_EVERY_S = 30.0
 
-people = Console(stderr=True, highlight=False, soft_wrap=True)
+
+class _StandardError(io.TextIOBase):
+    """Standard error as it is now; what cannot be written to a terminal that is gone is dropped.
+
+    Nobody is left to read it, and a campaign must not end for it: its log beside the bank tells the same.
+    """
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return getattr(self._stream(), "encoding", None) or "utf-8"
+
+    def write(self, text: str) -> int:
+        with suppress(OSError, ValueError):  # ValueError: it was closed
+            self._stream().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError, ValueError):
+            self._stream().flush()
+
+    def isatty(self) -> bool:
+        try:
+            return self._stream().isatty()
+        except (OSError, ValueError):
+            return False
+
+    def fileno(self) -> int:
+        return self._stream().fileno()
+
+    @staticmethod
+    def _stream() -> IO[str]:
+        # While a progress bar is shown, rich puts a stand-in there that writes to the bar's console, that is, here.
+        return cast(IO[str], getattr(sys.stderr, "rich_proxied_file", sys.stderr))
+
+
+people = Console(file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True)
 
 
 def say(line: str) -> None:
@@ -62,7 +99,7 @@ class _RateColumn(ProgressColumn):
 
 
 @contextmanager
-def progress(what: str, total: int, *, done: int = 0) -> Iterator[Report]:
+def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Iterator[Report]:
     """Show how far some work is, with rate, remaining time and finish time.
 
     Parameters
@@ -73,6 +110,8 @@ def progress(what: str, total: int, *, done: int = 0) -> Iterator[Report]:
         How many items there are.
     done : int
         How many are done before it starts.
+    timed : bool
+        Tell rate and remaining time; False where the notes tell better ones.
 
     Yields
     ------
@@ -80,14 +119,14 @@ def progress(what: str, total: int, *, done: int = 0) -> Iterator[Report]:
         ``report(done, total, note="")``, to be called as items are done.
     """
     if not people.is_terminal:
-        yield _line_reporter(what, done)
+        yield _line_reporter(what, done, timed=timed)
         return
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=None),
         MofNCompleteColumn(),
-        _RateColumn(),
+        *([_RateColumn()] if timed else []),
         TextColumn("{task.fields[note]}", markup=False),
     )
     with Progress(*columns, console=people, expand=True) as bar:
@@ -99,7 +138,7 @@ def progress(what: str, total: int, *, done: int = 0) -> Iterator[Report]:
         yield report
 
 
-def _line_reporter(what: str, first: int) -> Report:
+def _line_reporter(what: str, first: int, *, timed: bool) -> Report:
     """Progress as a line now and then, for when nobody watches a terminal."""
     started_s = last_s = time.monotonic()
 
@@ -109,6 +148,9 @@ def _line_reporter(what: str, first: int) -> Report:
         if now_s - last_s < LINE_EVERY_S:
             return
         last_s = now_s
+        if not timed:
+            say(f"{what}: {done} of {total}, {note}")
+            return
         rate = (done - first) / (now_s - started_s)
         left = f"{hours((total - done) / rate)} left" if rate > 0 else "no estimate yet"
         say(f"{what}: {done} of {total}, {rate:.1f}/s, {left} {note}".rstrip())

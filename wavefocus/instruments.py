@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
+from acquisition.bounded import REMEDY
+from acquisition.lane import HungError, Lane
+from acquisition.watch import Sensor
 from drivers.clock import WallClock
-from drivers.errors import InstrumentError
+from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder
 from mocks.patch_bay import PatchBay
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import Virtual
 from wavefocus.virtual_bench import virtual_rig
+
+Opened = TypeVar("Opened")
 
 # A decoder's range is a round number; what differs by more is another range.
 SAME_SENSITIVITY = 1e-3
@@ -54,6 +60,8 @@ class Openers:
         Gives its sensitivity, read from the device where its driver can.
     patch_bay : PatchBay, optional
         Where the virtual rig's cables are plugged; real ones are plugged by hand.
+    virtual_sensors : mapping from name to Sensor
+        What the virtual rig's room is like; real sensors belong to real instruments.
     """
 
     clock: Clock
@@ -62,6 +70,7 @@ class Openers:
     player: Callable[[], Player]
     vibrometer: Callable[[], Vibrometer]
     patch_bay: PatchBay | None = None
+    virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +85,7 @@ class OpenedRig:
         Of the vibrometer.
     vibrometer_latency_s : float
         How much later its voltage is than the velocity.
-    patch_bay : PatchBay, optional
+    patch_bay, virtual_sensors
         As of `Openers`.
     """
 
@@ -84,6 +93,7 @@ class OpenedRig:
     sensitivity_m_s_per_v: float
     vibrometer_latency_s: float
     patch_bay: PatchBay | None
+    virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
 
 def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
@@ -106,6 +116,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
             lambda: roles.player,
             lambda: _vibrometer(rig),
             bench.patch_bay,
+            bench.sensors,
         )
     clock = WallClock()
     return Openers(
@@ -114,6 +125,39 @@ def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
         lambda: _ni_recorder(rig),
         lambda: _stream_player(rig),
         lambda: _vibrometer(rig),
+    )
+
+
+def in_time(ways: Openers, limit_s: float) -> Openers:
+    """The same ways, each with an end: an instrument whose driver hangs while it is opened is told as lost.
+
+    Parameters
+    ----------
+    ways : Openers
+        How each is opened.
+    limit_s : float
+        Longest wait for each, on the wall's clock.
+    """
+
+    def bounded(role: str, opens: Callable[[], Opened]) -> Callable[[], Opened]:
+        def call() -> Opened:
+            lane = Lane(f"opening {role}")
+            try:
+                return lane.call(opens, limit_s)
+            except HungError:
+                cause = f"the call did not come back within {limit_s:.3g} s"
+                raise InstrumentLostError(role, "opening", cause, REMEDY) from None
+            finally:
+                lane.abandon()
+
+        return call
+
+    return replace(
+        ways,
+        mirror=bounded("mirror", ways.mirror),
+        recorder=bounded("recorder", ways.recorder),
+        player=bounded("player", ways.player),
+        vibrometer=bounded("vibrometer", ways.vibrometer),
     )
 
 
@@ -140,7 +184,9 @@ def open_rig(ways: Openers) -> OpenedRig:
         player = ways.player()
         opened.pop_all()  # from here on they are put to rest by whoever opened the rig
     instruments = Instruments(mirror, recorder, player, ways.clock)
-    return OpenedRig(instruments, vibrometer.sensitivity_m_s_per_v, vibrometer.latency_s, ways.patch_bay)
+    return OpenedRig(
+        instruments, vibrometer.sensitivity_m_s_per_v, vibrometer.latency_s, ways.patch_bay, ways.virtual_sensors
+    )
 
 
 def _serial_mirror(rig: RigConfig, clock: Clock) -> Mirror:

@@ -46,6 +46,8 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         reference_noise_v=(
             defaults.reference_noise_v if emulation.reference_noise_v is None else emulation.reference_noise_v
         ),
+        noise_per_response=emulation.noise_per_response,
+        cubic_per_v2=emulation.cubic_per_v2,
         clock_ppm=emulation.clock_ppm,
         actuator_mm=rig.actuators.position_mm,
         actuator_channels=rig.player.channels,
@@ -62,6 +64,8 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         sensitivity_m_s_per_v=rig.vibrometer.sensitivity_m_s_per_v or defaults.sensitivity_m_s_per_v,
         inter_channel_delay_s=(rig.recorder.inter_channel_delay_s if delay_s is None else delay_s),
         vibrometer_latency_s=rig.vibrometer.latency_s or 0.0,
+        room_c=defaults.room_c if virtual is None or not virtual.room_c else virtual.room_c,
+        light=defaults.light if virtual is None or not virtual.light else virtual.light,
         fault_plan=() if virtual is None else tuple(Fault(**fault.model_dump()) for fault in virtual.fault_plan),
     )
 

@@ -18,6 +18,10 @@ from drivers.protocols import Recording, RecordRequest
 ANSWER_S = 5.0
 """How long a server may take to answer beyond what a call asks for, in s."""
 
+# One period of the mains at 50 Hz; every box has a range of 10 V.
+INPUT_TIMING = Timing(5000.0, 100, (10.0, 10.0))
+READ_INPUT_S = 2.0
+
 
 class NiRecorder:
     """Records reference and response; implements `drivers.protocols.Recorder`.
@@ -91,6 +95,13 @@ class NiRecorder:
                 f"{inputs} {self._wiring.terminal}"
             )
 
+    @property
+    def input_ranges_v(self) -> tuple[float, ...]:
+        """Input ranges that the device has, ascending; none where it does not say."""
+        with self._lock:
+            known = None if self._session is None else self._session.limits.ranges_v
+            return () if known is None else tuple(sorted(known))
+
     def start(self, request: RecordRequest) -> None:
         """Start one finite record and return at once.
 
@@ -155,6 +166,42 @@ class NiRecorder:
             cause = f"samples are missing: only {count} of {request.samples} came"
             raise TransientInstrumentError(self._instrument, doing, cause, REPEAT)
         return _recording(volts, task)
+
+    def read_input_v(self, name: str) -> float:
+        """Volts at another input, the mean over 20 ms, so that no hum is left; between two records.
+
+        Parameters
+        ----------
+        name : str
+            ``"ai2"``, wired as the others are.
+
+        Raises
+        ------
+        InstrumentError
+            A record is under way, there is no such input, or the device fails.
+        """
+        doing = f"reading {name}"
+        with self._lock:
+            session = self._connected(doing)
+            if self._under_way is not None:
+                raise InstrumentError(self._instrument, doing, "a record is under way", "read or abort it first")
+            task, self._task = self._task, None
+            with session.telling(doing):
+                if task is not None:
+                    task.close()  # what is committed holds the converter
+                wiring = Wiring((name, self._wiring.inputs[1]), self._wiring.terminal, None)
+                short = RecordTask(session, wiring, INPUT_TIMING, doing)
+                try:
+                    short.start()
+                    done = short.wait(READ_INPUT_S)
+                    volts, _ = short.read() if done else (np.full((2, 1), np.nan), 0)
+                finally:
+                    short.close()
+                    self._owned = session.owned
+        if not np.isfinite(volts).all():
+            cause = f"not finished after {READ_INPUT_S:g} s"
+            raise TransientInstrumentError(self._instrument, doing, cause, REPEAT)
+        return float(volts[0].mean())
 
     def abort(self) -> None:
         """Drop a record under way; harmless when there is none. A read that waits for it fails."""

@@ -1,47 +1,50 @@
-"""Kills by the dozen: ``make soak`` (WAVEFOCUS_SOAK_KILLS sets how many)."""
+"""A few faults of every class that ``make soak`` tries by the thousand, in the same way."""
 
 from __future__ import annotations
 
-import os
 import random
-import subprocess
 import sys
-import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from wavefocus.__main__ import run
+from tests.system.crash import cuts, kills, other_faults
+from tests.system.crash.campaign import Campaign
+from tests.system.crash.shares import Share
+from tests.system.crash.soak import DRAWN, Trials
 
-KILLS = int(os.environ.get("WAVEFOCUS_SOAK_KILLS", "100"))
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and /proc are Linux's"),
+    pytest.mark.may_skip("what is loaded before the program sees the calls of Linux"),
+]
 
 
-@pytest.mark.soak
-def test_given_captures_killed_at_random_moments_then_every_resume_goes_on_and_all_end_byte_identical(
-    lab: Path,
+@pytest.fixture
+def campaign(tmp_path: Path) -> Iterator[Campaign]:
+    one = Campaign(tmp_path)
+    yield one
+    one.close()
+
+
+def test_given_kills_cuts_full_disks_flipped_bytes_and_rivals_then_nothing_is_lost_and_all_end_byte_identical(
+    campaign: Campaign,
 ) -> None:
-    reference = lab / "reference.h5"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(reference)]) == 0
-    bank, chance, kills, finished = lab / "plate.h5", random.Random(1), 0, 0
-    while kills < KILLS:
-        verb = ["resume", str(bank)] if bank.exists() else ["capture", str(lab / "run.toml"), "--bank", str(bank)]
-        with subprocess.Popen([sys.executable, "-m", "wavefocus", *verb], stderr=subprocess.PIPE) as child:
-            # From the first import to the last commit: about two seconds.
-            deadline_s = time.monotonic() + chance.uniform(0.1, 3.0)
-            while child.poll() is None and time.monotonic() < deadline_s:
-                time.sleep(0.005)
-            if child.poll() is None:
-                child.kill()
-                kills += 1
-            _, told = child.communicate()
-        if child.returncode == 0:
-            assert bank.read_bytes() == reference.read_bytes()
-            bank.unlink()
-            finished += 1
-        else:
-            assert b"Traceback" not in told
-    if bank.exists():
-        assert run(["resume", str(bank)]) == 0
-        assert bank.read_bytes() == reference.read_bytes()
-    assert kills == KILLS
-    assert finished > 0
+    classes: list[tuple[Trials, int]] = [
+        (kills.at_random, 2),
+        (kills.at_calls, 5),
+        (kills.in_repair, 2),
+        (kills.in_remeasure, 3),
+        (cuts.in_capture, 5),
+        (cuts.in_remeasure, 3),
+        (other_faults.full_disk, 3),
+        (other_faults.failing_disk, 3),
+        (other_faults.flipped_bytes, 3),
+        (other_faults.second_process, 1),
+    ]
+    for trials, count in classes:
+        found = trials(campaign, random.Random(1), Share(count))
+        verdicts = [next(found) for _ in range(count)] if trials in DRAWN else list(found)
+        found.close()
+        assert sum(verdict.faults for verdict in verdicts) >= count, trials
+        assert [note for verdict in verdicts for note in verdict.notes] == [], trials

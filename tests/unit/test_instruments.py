@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
-from drivers.errors import InstrumentError
-from drivers.protocols import Mirror
+from drivers.errors import InstrumentError, InstrumentLostError
+from drivers.protocols import Mirror, Recorder
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.instruments import Openers, open_rig, openers
+from wavefocus.instruments import Openers, in_time, open_rig, openers
 
 REAL = {
     "mirror": {"driver": "generic", "port": "/nowhere/at/all"},
@@ -70,3 +71,21 @@ def test_given_a_real_rig_with_nothing_plugged_in_then_each_opener_says_who_what
     error = told.value
     assert role in error.instrument
     assert all(text.strip() for text in (error.operation, error.cause, error.remedy))
+
+
+def test_given_a_driver_that_hangs_while_it_is_opened_then_it_is_named_and_nothing_after_it_is_opened() -> None:
+    opened = []
+
+    def note() -> Recorder:
+        opened.append("recorder")
+        raise AssertionError
+
+    ways = replace(openers(default_rig()), mirror=lambda: threading.Event().wait(), recorder=note)
+    with pytest.raises(InstrumentLostError, match=r"mirror: opening: the call did not come back within 0\.05 s"):
+        open_rig(in_time(ways, 0.05))
+    assert opened == []
+
+
+def test_given_drivers_that_open_in_time_then_the_rig_is_open() -> None:
+    opened = open_rig(in_time(openers(default_rig()), 30.0))
+    assert "virtual mirror" in opened.instruments.mirror.identify()

@@ -77,3 +77,31 @@ def test_given_two_faults_then_both_bits_stand() -> None:
 def test_given_status_bytes_then_they_are_counted_by_word() -> None:
     counts = status_counts(np.array([0, 0, 1, 2, 4, 6, 8, 16], np.uint8))
     assert counts == {"not-measured": 2, "valid": 1, "over-range": 2, "poor": 2, "failed": 1, "disabled": 1}
+
+
+@pytest.mark.parametrize("figure", ["snr_db", "residual_db", "noise_v"])
+def test_given_a_figure_that_is_no_number_then_the_position_is_not_valid(figure: str) -> None:
+    values = getattr(_estimate(), figure).copy()
+    values[1] = np.nan
+    judgement = judge(_estimate(**{figure: values}), False, LIMITS)
+    assert judgement.status == Status.POOR_SIGNAL
+    assert "actuator 1" in judgement.reason
+
+
+def test_given_every_figure_unknown_then_not_valid() -> None:
+    unknown = np.full(4, np.nan, np.float32)
+    assert not judge(_estimate(snr_db=unknown, residual_db=unknown, noise_v=unknown), False, LIMITS).good
+
+
+def test_given_a_single_sweep_whose_repeats_are_unknown_then_valid() -> None:
+    unknown = np.full(4, np.nan, np.float32)
+    assert judge(_estimate(coherence=unknown, repeat_db=unknown), False, LIMITS).good
+
+
+def test_given_an_actuator_that_is_silent_though_farther_ones_are_heard_then_it_is_named() -> None:
+    silent = np.array([1.0, 60.0, 50.0, 40.0], np.float32)
+    near = np.array([20.0, 100.0, 120.0, 140.0])
+    judgement = judge(_estimate(snr_db=silent), False, LIMITS, near)
+    assert [(defect.name, defect.actuators) for defect in judgement.defects] == [("silent", (0,))]
+    assert judge(_estimate(snr_db=silent), False, LIMITS, near[::-1]).good
+    assert judge(_estimate(snr_db=silent), False, LIMITS, np.full(4, np.nan)).good

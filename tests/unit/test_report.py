@@ -7,6 +7,7 @@ import dataclasses
 import io
 import math
 import re
+from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from rendering.field import predict
 from rendering.green_source import GreenArray
 from rendering.paths import Line
 from rendering.report import build_report
+from rendering.report_drift import DriftPoint
 from rendering.report_words import number, remarks
 from rendering.scan import Scan
 from rendering.scene import Output, Regularisation, Scene, Source
@@ -195,3 +197,15 @@ def test_given_a_few_scanned_positions_then_the_remarks_call_the_focus_not_judge
 )
 def test_given_a_figure_then_it_is_written_with_the_digits_it_deserves(value, unit, text):
     assert number(value, unit) == text
+
+
+def test_given_a_drift_history_then_it_is_drawn_with_its_limits_and_without_one_there_is_no_such_chapter(
+    good_report: Path, tmp_path: Path
+) -> None:
+    assert "<h2>Drift</h2>" not in good_report.read_text(encoding="utf-8")
+    first = datetime(2026, 1, 5, 18, tzinfo=UTC)
+    points = [DriftPoint(first + timedelta(hours=hour), -0.1 * hour, 0.0, 0.999, "steady") for hour in range(5)]
+    points.append(DriftPoint(first + timedelta(hours=5), -6.0, 0.0, 0.999, "stop", (3, 4)))
+    drawn = report_of(tmp_path, scan_of(), bank(), "scene", campaign={}, drift=points, save_pictures=True)
+    assert "<h2>Drift</h2>" in drawn.read_text(encoding="utf-8")
+    assert (tmp_path / "drift.png").read_bytes().startswith(b"\x89PNG")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from acquisition.sentinel import compare_sentinel
+from acquisition.sentinel import DriftFigures, DriftLimits, compare_sentinel
 
 
 def _responses(seed: int = 1) -> np.ndarray:
@@ -18,7 +18,7 @@ def test_given_the_same_plate_then_steady() -> None:
     then = _responses()
     noise = np.random.default_rng(2).standard_normal(then.shape).astype(np.float32)
     figures = compare_sentinel(then, then + 1e-3 * np.abs(then).max() * noise)
-    assert figures.verdict == "steady"
+    assert figures.verdict(DriftLimits()) == "steady"
     assert abs(figures.level_db) < 0.05
     assert abs(figures.delay_samples) < 0.05
     assert figures.correlation > 0.999
@@ -27,7 +27,7 @@ def test_given_the_same_plate_then_steady() -> None:
 def test_given_a_louder_plate_then_the_level_is_told() -> None:
     figures = compare_sentinel(_responses(), _responses() * np.float32(1.1))
     assert figures.level_db == pytest.approx(20 * np.log10(1.1), abs=1e-4)
-    assert figures.verdict == "warn"
+    assert figures.verdict(DriftLimits()) == "warn"
 
 
 def test_given_a_delayed_response_then_the_delay_is_told_with_its_sign() -> None:
@@ -38,12 +38,47 @@ def test_given_a_delayed_response_then_the_delay_is_told_with_its_sign() -> None
 
 def test_given_another_plate_then_stop() -> None:
     figures = compare_sentinel(_responses(1), _responses(5))
-    assert figures.verdict == "stop"
+    assert figures.verdict(DriftLimits()) == "stop"
 
 
 @pytest.mark.parametrize("silent", ["then", "now"])
 def test_given_silence_then_stop_and_no_division_by_zero(silent: str) -> None:
     loud, nothing = _responses(), np.zeros((4, 400), np.float32)
     figures = compare_sentinel(nothing, loud) if silent == "then" else compare_sentinel(loud, nothing)
-    assert figures.verdict == "stop"
+    assert figures.verdict(DriftLimits()) == "stop"
     assert figures.correlation == 0.0
+
+
+@pytest.mark.parametrize(
+    ("figures", "verdict", "cause"),
+    [
+        (DriftFigures(0.1, 0.0, 0.9995), "steady", ""),
+        (DriftFigures(-0.6, 0.0, 0.9995), "warn", "level changed"),
+        (DriftFigures(-6.0, 0.0, 0.9995), "stop", "level changed"),
+        (DriftFigures(0.0, 0.7, 0.999), "warn", "timing changed"),
+        (DriftFigures(0.0, -6.0, 0.95), "stop", "timing changed"),
+        (DriftFigures(0.2, 0.1, 0.96), "warn", "plate or mirror moved"),
+        (DriftFigures(-4.0, 0.1, 0.7), "stop", "plate or mirror moved"),
+    ],
+)
+def test_given_figures_then_they_say_how_far_and_what_has_changed(
+    figures: DriftFigures, verdict: str, cause: str
+) -> None:
+    assert figures.verdict(DriftLimits()) == verdict
+    assert figures.cause(DriftLimits()) == cause
+
+
+def test_given_limits_of_ones_own_then_they_decide() -> None:
+    figures = DriftFigures(1.0, 0.0, 0.999)
+    assert figures.verdict(DriftLimits(stop_level_db=0.9, warn_level_db=0.1)) == "stop"
+    assert figures.verdict(DriftLimits(warn_level_db=1.1)) == "steady"
+
+
+@pytest.mark.parametrize(
+    ("positions", "position_s", "passes"), [(0, 10.0, 0), (1, 10.0, 0), (50, 1.0, 0), (51, 1.0, 1), (101, 1.0, 2),
+                                            (1500, 74.5, 30), (10, 7200.0, 9)]
+)  # fmt: skip
+def test_given_a_campaign_then_the_sentinels_measurements_are_counted(
+    positions: int, position_s: float, passes: int
+) -> None:
+    assert DriftLimits().passes(positions, position_s) == passes

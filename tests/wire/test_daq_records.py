@@ -257,3 +257,21 @@ def test_given_a_closed_recorder_then_nothing_but_closing_works(bench):
     for call in (recorder.identify, recorder.reconnect, lambda: recorder.read(0.1), lambda: recorder.start(ask())):
         with pytest.raises(InstrumentError, match="it is closed"):
             call()
+
+
+def test_given_another_input_then_its_volts_are_read_between_two_records_and_records_go_on():
+    class Steady:
+        def record(self, start_ns, samples, rate_hz, inputs, channel_delay_s):
+            return np.array([[{"ai2": 0.213}.get(name, 0.0)] * samples for name in inputs])
+
+    with daq_bench(Steady()) as bench:
+        recorder = bench.recorder()
+        assert take_one(recorder, 500).volts.shape == (2, 500)
+        assert recorder.read_input_v("ai2") == pytest.approx(0.213, abs=1e-3)
+        assert take_one(recorder, 500).volts.shape == (2, 500)
+        recorder.start(ask(5000))
+        with pytest.raises(InstrumentError, match="a record is under way"):
+            recorder.read_input_v("ai2")
+        recorder.abort()
+        with pytest.raises(InstrumentError):
+            recorder.read_input_v("ai99")

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from acquisition.drift_watch import row_ranges
 from acquisition.engine import Campaign
 from acquisition.events import Event, State, Subscriber
-from acquisition.quality import STATUS_WORDS, Status
+from acquisition.quality import STATUS_WORDS, Status, not_valid
+from acquisition.raw_keeping import without_recordings
 from acquisition.stopping import StopRequest, stop_on_signals
 from calibration.bank import open_bank
 from calibration.bank_creation import create_bank
@@ -16,30 +18,88 @@ from calibration.bank_writer import BankWriter
 from calibration.errors import InputError
 from calibration.network_mount import is_network_mount
 from drivers.errors import InstrumentError
+from wavefocus.attendance import Attendance
+from wavefocus.calibration_change import refuse_other_devices, with_one_calibration
 from wavefocus.campaign_view import CampaignView
 from wavefocus.compose import Blueprint, blueprint_from_bank, blueprint_from_files, open_setup
 from wavefocus.console import progress, say
-from wavefocus.event_log import EventLines, EventLog, print_line
+from wavefocus.drift_history import DriftHistory
+from wavefocus.event_log import EventLines, EventLog, log_path, print_line
 from wavefocus.exits import Exit
+from wavefocus.messages import messenger_for
 from wavefocus.positions import parse_positions
+from wavefocus.raw_beside import opened_raw
+from wavefocus.scene_positions import needed_by
+from wavefocus.settling import as_settled, settle
 
 
-def capture(run_file: Path, bank: Path, *, as_json: bool, accept_drift: bool) -> Exit:
-    """Start a campaign in a new bank, or go on with it in the bank that is there."""
+def capture(
+    run_file: Path,
+    bank: Path,
+    scenes: Sequence[Path] = (),
+    *,
+    checks: bool = True,
+    as_json: bool,
+    accept_drift: bool,
+    accept_calibration: bool = False,
+) -> Exit:
+    """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
     blueprint = blueprint_from_files(run_file)
-    if not bank.exists():
+    needed = needed_by(scenes, blueprint.plan.position_mm, checks=checks) if scenes else None
+    told: tuple[Event, ...] = ()
+    if bank.exists():
+        blueprint = with_one_calibration(as_settled(blueprint, bank), bank, run_file, accept=accept_calibration)
+    else:
+        blueprint, told = settle(blueprint, str(run_file))
         if is_network_mount(bank.absolute().parent):
             say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
         create_bank(bank, blueprint.bank_header())
-    return _session(blueprint, bank, None, as_json=as_json, accept_drift=accept_drift)
+    if needed is None:
+        return _session(
+            blueprint,
+            bank,
+            None,
+            as_json=as_json,
+            accept_drift=accept_drift,
+            accept_calibration=accept_calibration,
+            told=told,
+        )
+    with open_bank(bank) as view:
+        left = blueprint.plan.to_do(view.status)
+    rows = [int(row) for row in left if row in needed]
+    done = Exit.DONE
+    if rows:
+        done = _session(
+            blueprint,
+            bank,
+            rows,
+            as_json=as_json,
+            accept_drift=accept_drift,
+            accept_calibration=accept_calibration,
+            told=told,
+        )
+    say(
+        f"all {len(needed)} positions that are needed are in the bank; the other "
+        f"{len(left) - len(rows)} are left, and measured by: wavefocus resume {bank}"
+    )
+    return done
 
 
-def resume(bank: Path, *, as_json: bool, accept_drift: bool) -> Exit:
+def resume(bank: Path, *, as_json: bool, accept_drift: bool, accept_calibration: bool = False) -> Exit:
     """Go on with a campaign from the configuration that its bank holds."""
-    return _session(blueprint_from_bank(bank), bank, None, as_json=as_json, accept_drift=accept_drift)
+    return _session(
+        blueprint_from_bank(bank),
+        bank,
+        None,
+        as_json=as_json,
+        accept_drift=accept_drift,
+        accept_calibration=accept_calibration,
+    )
 
 
-def remeasure(bank: Path, words: str, positions: str, *, as_json: bool, accept_drift: bool) -> Exit:
+def remeasure(
+    bank: Path, words: str, positions: str, *, as_json: bool, accept_drift: bool, accept_calibration: bool = False
+) -> Exit:
     """Measure again the positions of some status, or those named."""
     blueprint = blueprint_from_bank(bank)
     rows = parse_positions(positions, blueprint.plan.positions) if positions else []
@@ -50,7 +110,14 @@ def remeasure(bank: Path, words: str, positions: str, *, as_json: bool, accept_d
     if not chosen:
         say("no position of that status: nothing to measure again")
         return Exit.DONE
-    return _session(blueprint, bank, chosen, as_json=as_json, accept_drift=accept_drift)
+    return _session(
+        blueprint,
+        bank,
+        chosen,
+        as_json=as_json,
+        accept_drift=accept_drift,
+        accept_calibration=accept_calibration,
+    )
 
 
 def _status_bits(words: str) -> Status:
@@ -64,21 +131,32 @@ def _status_bits(words: str) -> Status:
 
 
 def _session(
-    blueprint: Blueprint, bank: Path, rows: Sequence[int] | None, *, as_json: bool, accept_drift: bool
+    blueprint: Blueprint,
+    bank: Path,
+    rows: Sequence[int] | None,
+    *,
+    as_json: bool,
+    accept_drift: bool,
+    accept_calibration: bool = False,
+    told: Sequence[Event] = (),
 ) -> Exit:
-    """Carry out one session with log, progress and signals around it."""
+    """Carry out one session with log, progress and signals around it; `told` is what happened before it."""
     stop = StopRequest()
     plan = blueprint.plan
     with (
         _told_how_to_go_on(bank),
+        messenger_for(bank, blueprint.configuration.rig.messages) as messenger,
         BankWriter.open(bank, plan_sha256=plan.sha256) as writer,
         # Outside of the instruments, so that no impatient Ctrl-C keeps them from being put to rest.
         stop_on_signals(stop),
+        Attendance(bank, stop) as attendance,
         open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
+        opened_raw(blueprint, setup, writer) as raw,
         EventLog(bank) as log,
-        progress("capture", plan.positions) as report,
+        DriftHistory(bank) as drift,
+        progress("capture", plan.positions, timed=False) as report,
     ):
-        subscribers: list[Subscriber] = [log, CampaignView(report)]
+        subscribers: list[Subscriber] = [log, drift, attendance, CampaignView(report), messenger]
         if as_json:
             subscribers.append(EventLines(print_line, "standard output"))
 
@@ -86,13 +164,25 @@ def _session(
             for subscriber in subscribers:
                 subscriber(event)
 
-        ended = Campaign(plan, setup, writer, publish, stop).run(rows, accept_drift=accept_drift)
+        if writer.status.any():
+            refuse_other_devices(blueprint.configuration.rig, setup.instruments, bank, accept=accept_calibration)
+        for event in told:
+            publish(event)
+        if raw is not None and rows is None and (bare := without_recordings(writer.status, raw)):
+            say(f"{raw.path} lacks the recordings of {len(bare)} measured position(s): measured again")
+            rows = [*plan.to_do(writer.status).tolist(), *bare]
+        ended = Campaign(plan, setup, writer, publish, stop, raw=raw).run(rows, accept_drift=accept_drift)
         if ended.state is State.STOPPED:
             say(f"nothing measured is lost; go on with: wavefocus resume {bank}")
             # From in here, so that an instrument that cannot be put to rest is told and does not hide the stop.
             raise KeyboardInterrupt
-    if poor := sum(ended.counts[word] for word in ("poor", "over-range", "failed")):
-        say(f"{poor} positions are not valid; measure them again with: wavefocus remeasure {bank}")
+        bad = not_valid(writer.status)
+    if bad:
+        rows_text = row_ranges(bad)
+        say(
+            f"{len(bad)} of {plan.positions} positions are not valid: {rows_text}; {log_path(bank)} says why; measure "
+            f"them again with: wavefocus remeasure {bank}"
+        )
     return Exit.DONE
 
 

@@ -25,6 +25,7 @@ from wavefocus.compose import bank_configuration, virtual_rig
 from wavefocus.config.run import Virtual
 from wavefocus.console import people, say
 from wavefocus.exits import Exit
+from wavefocus.render_options import RenderOptions
 from wavefocus.truth import compare_with_truth
 
 # The bank is this good at the default noise, or the demo has failed.
@@ -63,7 +64,16 @@ def demo(out: Path) -> Exit:
     watch.time("Compare with the plate's truth", lambda: outcome.append(_compare(bank)))
     watch.time(
         "Render the scene",
-        lambda: rendering.render(scene, bank, drive, out / "drive.wav", None, None, as_json=False),
+        lambda: rendering.render(
+            scene,
+            bank,
+            drive,
+            wav=out / "drive.wav",
+            picture=out / "scene.png",
+            rig_file=None,
+            options=RenderOptions(),
+            as_json=False,
+        ),
     )
     watch.time(
         "Predict ten positions of its field",

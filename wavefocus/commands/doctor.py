@@ -20,6 +20,7 @@ from wavefocus.console import people, say
 from wavefocus.exits import Exit
 from wavefocus.instruments import openers
 from wavefocus.levels import safe_amplitude_v
+from wavefocus.message_check import message_findings
 from wavefocus.surroundings import check_surroundings, versions
 
 SAMPLE_RATE_HZ = 10_000.0
@@ -28,7 +29,7 @@ CORNER_SHARE = 0.95
 STYLES = {"ok": "green", "warn": "yellow", "fail": "bold red", "skipped": "dim"}
 
 
-def doctor(rig_file: Path, *, as_json: bool, play: bool, reset_usb: str = "") -> Exit:
+def doctor(rig_file: Path, *, as_json: bool, play: bool, reset_usb: str = "", test_message: bool = False) -> Exit:
     """Examine a rig; exit code 1 when something is not good enough, whatever it is.
 
     `reset_usb` names a role whose USB device is reset first: the last resort, and never done unasked.
@@ -48,6 +49,8 @@ def doctor(rig_file: Path, *, as_json: bool, play: bool, reset_usb: str = "") ->
         examine(_patient(rig), publish, play=play)
         names = {one.instrument: one.what for one in findings if one.check == "identity"}
         check_surroundings(rig, folder, names, publish)
+        for finding in message_findings(rig, rig_file.name, send=test_message):
+            publish(finding)
     failed = sum(one.verdict == "fail" for one in findings)
     if as_json:
         facts = {

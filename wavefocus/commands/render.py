@@ -3,56 +3,84 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
+from acquisition.grid import stadium_rim
 from calibration.bank import Bank, open_bank
 from calibration.drive_file import Drive, write_drive
 from calibration.errors import InputError
+from rendering.coil_limits import Limiting, dynamic_range_db, relative_rms
 from rendering.drive import render_with_report
+from rendering.inverse_filter import REGULARISATION_DB, InverseReport, inverse_filter
 from rendering.render_report import RenderReport
-from rendering.scene import Scene
+from rendering.scene import Regularisation, Scene
 from rendering.wav import write_wav
 from wavefocus.compose import bank_configuration
+from wavefocus.config.loading import load_rig
+from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.scene import load_scene
 from wavefocus.console import progress, say
+from wavefocus.render_options import RenderOptions
+from wavefocus.rig_limits import stricter
 
 # A bank made by other means does not know the interface; then the WAV says volts at the common rate.
 DEFAULT_INTERFACE_RATE_HZ = 48_000
 DEFAULT_FULL_SCALE_V = 1.0
+OUTLINE_POINTS = 400
 
 
 def render(
     scene_file: Path,
     bank: Path,
     out: Path,
-    wav: Path | None,
-    method: Literal["sampled", "exact"] | None,
-    tolerance_db: float | None,
     *,
+    wav: Path | None,
+    picture: Path | None,
+    rig_file: Path | None,
+    options: RenderOptions,
     as_json: bool,
 ) -> None:
-    """Render a scene and write the drive file, and a WAV file when asked."""
+    """Render a scene and write the drive file, a WAV file and a picture of the scene when asked."""
     scene = load_scene(scene_file)
     with open_bank(bank) as view:
-        drive, facts = rendered(scene_file, scene, view, method=method, tolerance_db=tolerance_db)
+        rig = _rig(rig_file, view)
+        if rig_file is not None and rig is not None:
+            scene = _within(scene, rig)
+        drive, facts = rendered(scene_file, scene, view, options)
+        unsaturated = None
+        if options.focusing == "time-reversal" and _saturates(scene):
+            unsaturated = _unsaturated_rms(scene_file, scene, view, options)
         if wav is not None:
-            _write_wav(wav, drive, view)
+            _write_wav(wav, drive, rig)
+        if picture is not None:
+            _write_picture(picture, scene_file, scene, view, rig)
     write_drive(out, drive)
     for warning in facts.warnings:
         say(f"warning: {warning}")
     samples = drive.drive_v.shape[1]
-    peak_v = float(abs(drive.drive_v).max(initial=0.0))
+    peak_v = float(max(drive.drive_v.max(initial=0.0), -drive.drive_v.min(initial=0.0)))
     say(
         f"{out}: {drive.method}, {drive.drive_v.shape[0]} actuators, {samples / drive.sample_rate_hz:.3f} s, "
         f"{len(drive.focus_sample)} focus points, largest drive {peak_v:.3g} V"
     )
-    if drive.scale < 1.0:
-        say(f"scaled by {drive.scale:.4g} to stay within limit_v")
-    if tolerance_db is not None:
+    if facts.limiting.decided_by is not None:
+        say(_limited(facts.limiting, rig_file))
+    if options.tolerance_db is not None:
         say(f"left out no more than {drive.omitted_bound:.3g} of the drives (relative L2, proved)")
+    relative = relative_rms(drive.drive_v)
+    range_db = dynamic_range_db(relative)
+    without = "" if unsaturated is None else f", {dynamic_range_db(unsaturated):.1f} dB without saturation"
+    say(f"rms of the drives: actuators differ by up to {range_db:.1f} dB{without}")
+    if isinstance(facts, InverseReport):
+        frequency_hz, condition = facts.worst_condition
+        say(
+            f"{facts.control_points} control points, condition at most {condition:.3g} (at {frequency_hz:.3g} Hz), held"
+            f" to {facts.regularised_condition.max():.3g} by {facts.regularisation_db:g} dB; control points are"
+            f" {100 * facts.misfit:.3g} % off"
+        )
     if as_json:
         figures = {
             "drive": str(out),
@@ -62,20 +90,22 @@ def render(
             "focus_points": len(drive.focus_sample),
             "peak_v": peak_v,
             "scale": drive.scale,
+            "limited_by": facts.limiting.decided_by,
+            "limiting_actuator": facts.limiting.actuator,
             "omitted_bound": drive.omitted_bound,
+            "relative_rms": relative.round(6).tolist(),
+            "relative_rms_unsaturated": None if unsaturated is None else unsaturated.round(6).tolist(),
+            "dynamic_range_db": round(range_db, 3),
             "warnings": list(facts.warnings),
         }
+        if isinstance(facts, InverseReport):
+            figures |= _inverse_figures(facts)
         print(json.dumps(figures))
 
 
 def rendered(
-    scene_file: Path,
-    scene: Scene,
-    bank: Bank,
-    *,
-    method: Literal["sampled", "exact"] | None = None,
-    tolerance_db: float | None = None,
-) -> tuple[Drive, RenderReport]:
+    scene_file: Path, scene: Scene, bank: Bank, options: RenderOptions | None = None
+) -> tuple[Drive, RenderReport | InverseReport]:
     """Render a scene with progress; what is wrong with it is told with the file's name.
 
     Raises
@@ -83,22 +113,98 @@ def rendered(
     InputError
         The scene does not fit the bank.
     """
+    wanted = options or RenderOptions()
     with progress("render", 1) as report:
         try:
-            return render_with_report(scene, bank, method=method, tolerance_db=tolerance_db, on_progress=report)
+            if wanted.focusing == "inverse":
+                regularisation_db = REGULARISATION_DB if wanted.regularisation_db is None else wanted.regularisation_db
+                return inverse_filter(scene, bank, regularisation_db=regularisation_db)
+            return render_with_report(
+                scene,
+                bank,
+                method=wanted.method,
+                tolerance_db=wanted.tolerance_db,
+                interpolation_tolerance=wanted.interpolation_tolerance,
+                on_progress=report,
+            )
         except InputError as wrong:
             named = str(wrong) if str(bank.path) in str(wrong) else f"{scene_file}: {wrong}"
             raise InputError(named) from None
 
 
-def _write_wav(path: Path, drive: Drive, bank: Bank) -> None:
+def _rig(rig_file: Path | None, bank: Bank) -> RigConfig | None:
+    """The rig that was named, else the bank's own; None where neither is known."""
+    if rig_file is None:
+        return None if bank.rig_json is None or bank.run_json is None else bank_configuration(bank).rig
+    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    if len(rig.player.channels) != bank.actuators:
+        raise InputError(f"{rig_file} has {len(rig.player.channels)} actuators, {bank.path} {bank.actuators}")
+    return rig
+
+
+def _within(scene: Scene, rig: RigConfig) -> Scene:
+    """The scene with the limits of the rig where they are stricter than its own."""
+    limits = stricter(scene.output, rig.player)
+    return replace(scene, output=replace(scene.output, limit_v=limits.peak_v, limit_rms_v=limits.rms_v))
+
+
+def _limited(limiting: Limiting, rig_file: Path | None) -> str:
+    where = "" if rig_file is None else f" (the scene's or {rig_file}'s, whichever is stricter)"
+    return f"{limiting}{where}"
+
+
+def _saturates(scene: Scene) -> bool:
+    return bool(scene.regularisation.saturation or scene.regularisation.saturation_absolute)
+
+
+def _unsaturated_rms(
+    scene_file: Path, scene: Scene, bank: Bank, options: RenderOptions
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Relative rms of each actuator's drive if the scene did not saturate; limits change no ratio."""
+    plain = replace(
+        scene,
+        regularisation=Regularisation(normalise=scene.regularisation.normalise),
+        output=replace(scene.output, limit_v=None, limit_rms_v=None),
+    )
+    drive, _ = rendered(scene_file, plain, bank, options)
+    return relative_rms(drive.drive_v)
+
+
+def _inverse_figures(facts: InverseReport) -> dict[str, object]:
+    frequency_hz, condition = facts.worst_condition
+    return {
+        "control_points": facts.control_points,
+        "regularisation_db": facts.regularisation_db,
+        "condition": condition if np.isfinite(condition) else None,
+        "condition_at_hz": frequency_hz,
+        "regularised_condition": float(facts.regularised_condition.max()),
+        "misfit": facts.misfit,
+        "cut_share": facts.cut_share,
+    }
+
+
+def _write_wav(path: Path, drive: Drive, rig: RigConfig | None) -> None:
     """Write the drives at the interface's rate, full scale being what the rig's player is calibrated to."""
     rate_hz, full_scale_v, drive_v = DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V, drive.drive_v
-    if bank.rig_json is not None:
-        player = bank_configuration(bank).rig.player
+    if rig is not None:
+        player = rig.player
         rate_hz, full_scale_v = player.interface_rate_hz, player.full_scale_v
         # A file has one full scale; an output that has another gets so much more or less of it.
         each_v = np.array([player.output_full_scale_v[channel] for channel in player.channels])
         drive_v = drive_v * (full_scale_v / each_v)[:, np.newaxis]
     write_wav(path, drive_v, drive.sample_rate_hz, interface_rate_hz=rate_hz, full_scale_v=full_scale_v)
     say(f"{path}: {rate_hz} Hz, full scale {full_scale_v:g} V")
+
+
+def _write_picture(path: Path, scene_file: Path, scene: Scene, bank: Bank, rig: RigConfig | None) -> None:
+    from rendering.scene_picture import scene_picture
+
+    outline_mm = None
+    if rig is not None:
+        outline_mm = stadium_rim(rig.surface.length_mm, rig.surface.width_mm, 0.0, OUTLINE_POINTS)
+    try:
+        png = scene_picture(scene, bank, outline_mm=outline_mm).png
+    except InputError as wrong:
+        raise InputError(f"{scene_file}: {wrong}") from None
+    path.write_bytes(png)
+    say(f"{path}: the scene before and after snapping to the bank's positions")

@@ -10,6 +10,7 @@ import numpy as np
 from acquisition.durations import hours
 from acquisition.grid import stadium_rim
 from acquisition.quality import median_snr_db
+from acquisition.sentinel import DriftLimits
 from calibration.bank import Bank, open_bank
 from calibration.drive_file import Drive, write_drive
 from calibration.errors import InputError
@@ -26,6 +27,7 @@ from wavefocus.config.loading import Configuration, load_rig
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.scene import load_scene
 from wavefocus.console import progress, say
+from wavefocus.drift_history import read_drift
 from wavefocus.exits import Exit
 from wavefocus.positions import parse_positions
 
@@ -68,6 +70,8 @@ def verify(scene_file: Path, bank: Path, rig_file: Path, out: Path, positions: s
                 bank=view,
                 campaign=_facts(configuration, view, scan_s),
                 outline_mm=stadium_rim(rig.surface.length_mm, rig.surface.width_mm, 0.0, OUTLINE_POINTS),
+                drift=read_drift(bank),
+                drift_limits=DriftLimits(**configuration.run.drift.model_dump()),
                 save_pictures=True,
             )
             report(2, 2)

@@ -62,6 +62,10 @@ def load_run(path: Path) -> Configuration:
         Anything in the files is wrong, alone or against each other.
     """
     data = read_toml(path)
+    if "settled" in data:
+        raise InputError(
+            f"{path}: settled: comes from the trial before a staggered campaign and stands in its bank alone"
+        )
     virtual = data.get("virtual")
     if isinstance(virtual, dict) and isinstance(virtual.get("fault_plan"), str):
         plan_file = named_file(path, "virtual.fault_plan", virtual["fault_plan"])
@@ -76,7 +80,10 @@ def load_run(path: Path) -> Configuration:
         position_mm = read_positions_file(positions_file, surface.length_mm, surface.width_mm)
     else:
         try:
-            position_mm = stadium_grid(surface.length_mm, surface.width_mm, run.grid.margin_mm, run.grid.spacing_mm)
+            grid = run.grid
+            position_mm = stadium_grid(
+                surface.length_mm, surface.width_mm, grid.margin_mm, grid.spacing_mm, grid.lattice
+            )
         except InputError as error:
             raise InputError(printable(f"{path}: grid.{error}")) from None
     _check_mirror_reach(rig, position_mm, str(path))
@@ -169,6 +176,10 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     """
     if run.virtual is not None and not rig.is_virtual:
         raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
+    actuators = len(rig.actuators.position_mm)
+    if run.capture.groups > actuators:
+        allowed = f"must be at most {actuators}, the number of actuators"
+        raise InputError(f"{source}: capture.groups = {run.capture.groups}: {allowed}")
     amplitude_v, key = run.sweep.amplitude_v, f"{source}: sweep.amplitude_v"
     if amplitude_v > rig.player.limit_v:
         allowed = f"must be at most player.limit_v = {rig.player.limit_v:g} of the rig"
@@ -176,6 +187,10 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     weakest_v = min(rig.player.output_full_scale_v[one] for one in (*rig.player.channels, rig.player.loopback_channel))
     if amplitude_v > weakest_v:
         allowed = f"must be at most {weakest_v:g}, the full scale of the rig's weakest output"
+        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
+    rms_limit = rig.player.rms_limit
+    if rms_limit is not None and amplitude_v / 2**0.5 > rms_limit[1]:
+        allowed = f"must be at most {rms_limit[1] * 2**0.5:.4g}, or its rms is beyond the rig's {rms_limit[0]}"
         raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
     loudest_v = rig.recorder.reference_range_v / rig.recorder.reference_gain
     if amplitude_v > loudest_v:

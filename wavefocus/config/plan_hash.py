@@ -33,20 +33,28 @@ def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]
         64 hexadecimal digits: SHA-256 of canonical JSON.
     """
     capture = {"averages", "decay_s", "excitation", "taps", "sample_rate_hz"}
+    if run.capture.excitation == "staggered":
+        capture |= {"stagger_s", "groups", "periods"}
+    if run.capture.level_db != 0:
+        capture |= {"level_db"}
     essence = {
         "position_mm": (position_mm + 0.0).tolist(),
         "actuator_mm": rig.actuators.position_mm,
         "surface": rig.surface.model_dump(),
         **_rig_essence(rig),
         "sweep": run.sweep.model_dump(),
-        "capture": run.capture.model_dump(
-            include=capture | ({"stagger_s"} if run.capture.excitation == "staggered" else set())
-        ),
-        "quality": run.quality.model_dump(),
+        "capture": run.capture.model_dump(include=capture),
+        "quality": _quality_essence(run),
         "virtual": _virtual_essence(rig, run),
     }
     text = json.dumps(essence, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def _quality_essence(run: RunConfig) -> dict[str, object]:
+    """When a row counts as valid and how it was tried; keys that came later, only where they differ from what was."""
+    first = {"poor_residual_db", "excess_noise_db", "poor_snr_db", "max_attempts"}
+    return run.quality.model_dump(include=first) | run.quality.model_dump(exclude=first, exclude_defaults=True)
 
 
 def _rig_essence(rig: RigConfig) -> dict[str, object]:

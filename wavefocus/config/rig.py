@@ -13,9 +13,11 @@ from wavefocus.config.calibration_merge import with_calibration
 from wavefocus.config.fields import PointMm, Positive, Table, Text, mistake
 from wavefocus.config.rig_care import CalibrationSection, RecoverySection, UsbDevice
 from wavefocus.config.rig_emulation import Emulation
+from wavefocus.config.rig_messages import MessagesSection
 from wavefocus.config.rig_mirror import MirrorSection
 from wavefocus.config.rig_player import PlayerSection
 from wavefocus.config.rig_recorder import RecorderSection, VibrometerSection
+from wavefocus.config.rig_watch import WatchSection
 
 DEFAULT_ACTUATORS = 20
 DEFAULT_INSET_MM = 6.0
@@ -58,6 +60,8 @@ class RigConfig(Table):
     player: PlayerSection
     vibrometer: VibrometerSection = VibrometerSection()
     recovery: RecoverySection = RecoverySection()
+    watch: WatchSection = WatchSection()
+    messages: MessagesSection = MessagesSection()
     calibration: CalibrationSection = CalibrationSection()
     usb: Annotated[tuple[UsbDevice, ...], Field(max_length=64)] = ()
     emulation: Emulation = Emulation()
@@ -128,6 +132,8 @@ class RigConfig(Table):
                 raise mistake(f"{name}.driver", driver, f'{one_world}, and mirror.driver is "{self.mirror.driver}"')
         if self.is_virtual and self.vibrometer.driver != "fixed":
             raise mistake("vibrometer.driver", self.vibrometer.driver, f"{one_world}, and these are virtual")
+        if self.watch.light is not None and self.vibrometer.port is None and not self.is_virtual:
+            raise mistake("watch.light", "...", f"needs a vibrometer that tells it; {self.vibrometer.driver!r} cannot")
 
 
 def _default_actuators(surface: Any) -> list[list[float]]:

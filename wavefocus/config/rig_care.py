@@ -20,9 +20,10 @@ class CalibrationSection(Table):
 
 
 class RecoverySection(Table):
-    """How long a lost instrument is waited for."""
+    """How long a lost instrument is waited for, and when a call to one counts as hung."""
 
     give_up_after_s: Annotated[NonNegative, Field(le=7 * 86_400)] = 600.0
+    hung_after_s: Annotated[Positive, Field(le=3600)] = 20.0
 
 
 class UsbDevice(Table):

@@ -43,6 +43,8 @@ class Emulation(Table):
     seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 1
     noise_v: NonNegative | None = None
     reference_noise_v: NonNegative | None = None
+    noise_per_response: NonNegative = 0.0
+    cubic_per_v2: Finite = 0.0
     clock_ppm: Annotated[Finite, Field(ge=-1000, le=1000)] = 30.0
     inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)] | None = None
     mirror_map: Matrix | None = None
@@ -63,7 +65,8 @@ class Emulation(Table):
 
     def truth(self) -> dict[str, object]:
         """What is measured of the rig depends on this; on faults and on how a wire is emulated it does not."""
-        return self.model_dump(exclude={"fault_plan", "period_frames", "ni_product"})
+        unused = {key for key in ("noise_per_response", "cubic_per_v2") if getattr(self, key) == 0}
+        return self.model_dump(exclude={"fault_plan", "period_frames", "ni_product"} | unused)
 
     @model_validator(mode="after")
     def _one_flaw_each(self) -> Emulation:

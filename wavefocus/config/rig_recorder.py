@@ -53,6 +53,7 @@ class RecorderSection(Table):
     trigger: Text | None = None
     reference_range_v: Positive = 10.0
     response_range_v: Positive = 10.0
+    response_ranges_v: tuple[Positive, ...] | None = None
     reference_gain: Positive = 1.0
     inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)] = 5e-6
     pre_roll_s: Annotated[NonNegative, Field(le=10)] = 0.02

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from wavefocus.config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, mistake
 
@@ -18,8 +19,9 @@ SHORTEST_SWEEP_S = 0.05
 
 
 class Grid(Table):
-    """Where to measure: a square grid inside the surface, or a list of positions in its place."""
+    """Where to measure: a grid inside the surface, or a list of positions in its place."""
 
+    lattice: Literal["square", "hexagonal"] = "square"
     spacing_mm: Positive = 4.0
     margin_mm: NonNegative = 14.3
     positions_file: Text | None = None
@@ -49,7 +51,17 @@ class Capture(Table):
     taps: Annotated[Whole, Field(ge=1, le=10_000_000)] = 2000
     sample_rate_hz: Annotated[Positive, Field(le=10_000_000)] = 10_000.0
     stagger_s: Positive
+    groups: Annotated[Whole, Field(ge=1, le=1024)] = 1
+    periods: Annotated[Whole, Field(ge=1, le=1000)] = 1
+    level_db: Annotated[Finite, Field(ge=-40, le=0)] = 0.0
+    when_staggered_does_not_pay: Literal["choose", "refuse", "keep"] = "choose"
+    allowed_loss_db: NonNegative = 3.0
     keep_raw: Switch = False
+
+    @property
+    def stagger_samples(self) -> int:
+        """Samples from one actuator's start to the next one's."""
+        return round(self.stagger_s * self.sample_rate_hz)
 
     @property
     def response_s(self) -> float:
@@ -81,11 +93,14 @@ class Capture(Table):
                 f"of taps / sample_rate_hz = {self.response_s:g} s)"
             )
             raise mistake("stagger_s", self.stagger_s, allowed)
-        if self.excitation == "staggered":
-            raise mistake("excitation", self.excitation, 'must be "sequential": this version captures sequentially')
-        if self.keep_raw:
-            raise mistake("keep_raw", self.keep_raw, "must be false: this version keeps no raw recordings")
         return self
+
+
+class Settled(Table):
+    """What the trial before a staggered campaign has settled; only a bank says it, never a run file."""
+
+    asked: Capture
+    reason: Text
 
 
 class Fault(Table):
@@ -98,10 +113,11 @@ class Fault(Table):
     position: Annotated[Whole, Field(ge=0)] | None = None
     attempt: Annotated[Whole, Field(ge=1)] | None = None
     record: Annotated[Whole, Field(ge=0)] | None = None
-    purpose: Literal["capture", "sentinel", "scan"] | None = None
+    purpose: Literal["capture", "sentinel", "probe", "scan"] | None = None
     count: Annotated[Whole, Field(ge=1)] = 1
     level_db: Finite = -3.0
     tries: Annotated[Whole, Field(ge=0)] = 1
+    spot_mm: tuple[Finite, Finite, Positive] | None = None
 
     @model_validator(mode="after")
     def _known_to_the_virtual_instruments(self) -> Fault:
@@ -120,12 +136,24 @@ class FaultFile(Table):
     fault: tuple[Fault, ...] = ()
 
 
+def _rising(course: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    for (first_s, _), (second_s, _) in pairwise(course):
+        if second_s <= first_s:
+            raise mistake("", course, "must be pairs of seconds and value, the seconds rising")
+    return course
+
+
+Course = Annotated[tuple[tuple[NonNegative, Finite], ...], AfterValidator(_rising)]
+
+
 class Virtual(Table):
     """Settings of the virtual rig."""
 
     seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 1
     noise_v: NonNegative | None = None
     fault_plan: tuple[Fault, ...] = ()
+    room_c: Course = ()
+    light: Course = ()
 
 
 class Quality(Table):
@@ -135,6 +163,33 @@ class Quality(Table):
     excess_noise_db: Positive = 8.0
     poor_snr_db: Finite = 20.0
     max_attempts: Annotated[Whole, Field(ge=1, le=100)] = 3
+    poor_harmonic_db: Annotated[Finite, Field(le=0)] = -42.0
+    speckle_step_mm: Annotated[NonNegative, Field(le=2)] = 0.1
+    remeasure_pass: Annotated[Whole, Field(ge=0, le=10)] = 1
+
+
+class Drift(Table):
+    """How often the sentinel position is measured again, and how far it may be from its first measurement."""
+
+    every_positions: Annotated[Whole, Field(ge=1)] = 50
+    every_s: Positive = 3600.0
+    warn_level_db: Positive = 0.5
+    stop_level_db: Positive = 3.0
+    warn_delay_samples: Positive = 0.5
+    stop_delay_samples: Positive = 5.0
+    warn_correlation: Annotated[Finite, Field(gt=0, lt=1)] = 0.98
+    stop_correlation: Annotated[Finite, Field(gt=0, lt=1)] = 0.9
+
+    @model_validator(mode="after")
+    def _warned_first(self) -> Drift:
+        for name in ("level_db", "delay_samples"):
+            warn, stop = getattr(self, f"warn_{name}"), getattr(self, f"stop_{name}")
+            if stop < warn:
+                raise mistake(f"stop_{name}", stop, f"must be at least warn_{name} = {warn:g}")
+        if self.stop_correlation > self.warn_correlation:
+            allowed = f"must be at most warn_correlation = {self.warn_correlation:g}"
+            raise mistake("stop_correlation", self.stop_correlation, allowed)
+        return self
 
 
 class Tolerance(Table):
@@ -154,7 +209,21 @@ class RunConfig(Table):
     capture: Capture
     virtual: Virtual | None = None
     quality: Quality = Quality()
+    drift: Drift = Drift()
     tolerance: Tolerance = Tolerance()
+    settled: Settled | None = None
+
+    @property
+    def awaits_trial(self) -> bool:
+        """Whether a trial has still to say if staggered capture pays."""
+        capture = self.capture
+        return (
+            self.settled is None and capture.excitation == "staggered" and capture.when_staggered_does_not_pay != "keep"
+        )
+
+    def settled_as(self, capture: Capture, reason: str) -> RunConfig:
+        """Make it the run with the capture that a trial has settled, and why."""
+        return self.model_copy(update={"capture": capture, "settled": Settled(asked=self.capture, reason=reason)})
 
     @model_validator(mode="before")
     @classmethod

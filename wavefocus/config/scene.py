@@ -167,6 +167,7 @@ class OutputTable(Table):
 
     interpolation: Literal["nearest", "bilinear", "bicubic", "kernel"] = "nearest"
     limit_v: Positive | None = None
+    limit_rms_v: Positive | None = None
 
 
 class SceneConfig(Table):

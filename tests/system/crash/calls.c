@@ -39,7 +39,11 @@ void crash_order(const char *where, int how, long call, long bytes, int error, i
 
 long crash_calls(void) { return calls; }
 
-static int ours(const char *path) { return folder[0] && !strncmp(path, folder, strlen(folder)); }
+static int ours(const char *path)
+{
+    size_t size = strlen(folder);
+    return size && !strncmp(path, folder, size) && (!path[size] || path[size] == '/');
+}
 
 static int path_of(int fd, char *path, size_t size)
 {
@@ -96,11 +100,12 @@ static void note(int kind, int fd, const char *path, const char *other, uint64_t
     if (data) put(data, size);
 }
 
-/* Called with `turn` held; 1 when the call is to fail. */
-static int begin(void)
+/* Called with `turn` held; 1 when the call is to fail. A full disk keeps nobody from removing names. */
+static int begin(int kind)
 {
     calls++;
-    if (mode == FAIL_ON ? at && calls >= at : mode == FAIL_ONCE ? calls == at : 0) {
+    int removes = kind == UNLINK || kind == RMDIR;
+    if (!(failure == ENOSPC && removes) && (mode == FAIL_ON ? calls >= at : mode == FAIL_ONCE && calls == at)) {
         errno = failure;
         return 1;
     }
@@ -117,14 +122,14 @@ static void end(void)
 
 #define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 /* What is no write has no midst: it is killed after. */
-#define GUARDED(condition, value, real, record)   \
+#define GUARDED(condition, kind, real, record)    \
     if (!(condition)) return real;                \
     pthread_mutex_lock(&turn);                    \
-    if (begin()) {                                \
+    if (begin(kind)) {                            \
         int told = errno;                         \
         pthread_mutex_unlock(&turn);              \
         errno = told;                             \
-        return value;                             \
+        return -1;                                \
     }                                             \
     __typeof__(real) result = real;               \
     int told = errno;                             \
@@ -140,7 +145,7 @@ static ssize_t written(int fd, const void *data, size_t size, off_t offset, int 
     if (!path_of(fd, path, sizeof path))
         return positioned ? syscall(SYS_pwrite64, fd, data, size, offset) : syscall(SYS_write, fd, data, size);
     pthread_mutex_lock(&turn);
-    if (begin()) {
+    if (begin(WRITE)) {
         int told = errno;
         pthread_mutex_unlock(&turn);
         errno = told;
@@ -169,7 +174,7 @@ ssize_t pwrite64(int fd, const void *data, size_t size, off64_t offset) { return
     int name signature                                                                        \
     {                                                                                         \
         char path[4096];                                                                      \
-        GUARDED(path_of(fd, path, sizeof path), -1, call, note(kind, fd, path, NULL, offset, NULL, 0)); \
+        GUARDED(path_of(fd, path, sizeof path), kind, call, note(kind, fd, path, NULL, offset, NULL, 0)); \
     }
 ON_FD(fsync, (int fd), (int)syscall(SYS_fsync, fd), SYNC, 0)
 ON_FD(fdatasync, (int fd), (int)syscall(SYS_fdatasync, fd), SYNC, 0)
@@ -181,7 +186,7 @@ static int reserve(int fd, off_t start, off_t size)
     char path[4096];
     if (!path_of(fd, path, sizeof path)) return REAL(posix_fallocate)(fd, start, size);
     pthread_mutex_lock(&turn);
-    int result = begin() ? failure : REAL(posix_fallocate)(fd, start, size); /* it returns the error */
+    int result = begin(RESERVE) ? failure : REAL(posix_fallocate)(fd, start, size); /* it returns the error */
     if (!result) {
         note(RESERVE, fd, path, NULL, start + size, NULL, 0);
         end();
@@ -196,7 +201,7 @@ int posix_fallocate64(int fd, off64_t start, off64_t size) { return reserve(fd, 
     int name signature                                                                                     \
     {                                                                                                      \
         char path[4096];                                                                                   \
-        GUARDED(path_at(base, from, path, sizeof path), -1, call, note(kind, -1, path, NULL, 0, NULL, 0)); \
+        GUARDED(path_at(base, from, path, sizeof path), kind, call, note(kind, -1, path, NULL, 0, NULL, 0)); \
     }
 ON_PATH(unlink, (const char *name), AT_FDCWD, name, (int)syscall(SYS_unlinkat, AT_FDCWD, name, 0), UNLINK)
 ON_PATH(unlinkat, (int base, const char *name, int flags), base, name,
@@ -212,7 +217,7 @@ ON_PATH(mkdirat, (int base, const char *name, mode_t rights), base, name,
     {                                                                           \
         char path[4096], other[4096];                                           \
         path_at(base, from, path, sizeof path);                                 \
-        GUARDED(path_at(to_base, to, other, sizeof other), -1, call,            \
+        GUARDED(path_at(to_base, to, other, sizeof other), kind, call,           \
                 note(kind, -1, path, other, 0, NULL, 0));                       \
     }
 ON_PATHS(link, (const char *from, const char *to), AT_FDCWD, from, AT_FDCWD, to,
@@ -227,7 +232,7 @@ ON_PATHS(renameat, (int base, const char *from, int to_base, const char *to), ba
 static int opened(int base, const char *name, int flags, mode_t rights)
 {
     char path[4096];
-    GUARDED(flags & (O_CREAT | O_TRUNC) && path_at(base, name, path, sizeof path), -1,
+    GUARDED(flags & (O_CREAT | O_TRUNC) && path_at(base, name, path, sizeof path), CREATE,
             (int)syscall(SYS_openat, base, name, flags, rights),
             note(CREATE, result, path, NULL, flags & O_TRUNC ? 1 : 0, NULL, 0));
 }

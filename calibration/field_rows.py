@@ -1,0 +1,86 @@
+"""Reading a field file a few rows at a time, for fields that do not fit into memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration import hdf5_safety
+from calibration.errors import InputError
+from calibration.field_file import FORMAT, VERSION
+
+AT_ONCE_BYTES = 32 << 20
+
+
+class FieldRowReader:
+    """A field file open for reading; a context manager.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, no field file, or of a future version.
+    """
+
+    position_index: NDArray[np.int64]
+    """Bank row of each row of the field."""
+    samples: int
+    sample_rate_hz: float
+    start_s: float
+    response_unit: str
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        with ExitStack() as stack:
+            file = stack.enter_context(hdf5_safety.opened(self.path))
+            hdf5_safety.require_format(file, self.path, FORMAT, VERSION)
+            self._field: h5py.Dataset = hdf5_safety.plain_dataset(file, "/field", self.path)
+            if self._field.ndim != 2 or not self._field.size:
+                raise InputError(f"{self.path}: /field has shape {self._field.shape}; (position, sample) is needed")
+            rows = len(self._field)
+            self.position_index = hdf5_safety.read_integers(file, "/position_index", self.path, (rows,))
+            self.samples = int(self._field.shape[1])
+            self.sample_rate_hz = hdf5_safety.number(file, "sample_rate_hz", self.path)
+            self.start_s = hdf5_safety.number(file, "start_s", self.path)
+            self.response_unit = hdf5_safety.text(file, "response_unit", self.path) or ""
+            if not self.sample_rate_hz > 0:
+                raise InputError(f"{self.path}: sample_rate_hz is {self.sample_rate_hz}; a rate above 0 is needed")
+            self._open = stack.pop_all()
+
+    def blocks(self) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Give the first row's number and the values (rows, samples) of some rows at a time.
+
+        Raises
+        ------
+        InputError
+            A row cannot be read, or holds NaN or infinities.
+        """
+        at_once = max(1, AT_ONCE_BYTES // (8 * self.samples))
+        for first in range(0, len(self.position_index), at_once):
+            try:
+                values = np.asarray(self._field[first : first + at_once])
+            except (OSError, RuntimeError) as error:
+                complaint = hdf5_safety.hdf5_complaint(error)
+                raise InputError(f"{self.path}: /field from row {first} {complaint}") from error
+            if values.dtype.kind != "f" or not np.isfinite(values).all():
+                raise InputError(f"{self.path}: /field from row {first} holds something else than finite numbers")
+            yield first, values
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()

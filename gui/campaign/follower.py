@@ -1,0 +1,192 @@
+"""Watches a bank and what lies beside it from a thread of its own, whoever writes it, and notes what changed."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.bank import Bank, open_bank
+from calibration.bank_owner import Owner, bank_owner
+from calibration.errors import WavefocusError
+from gui.campaign.figures import Float32Array, per_position
+from gui.campaign.log_tail import LogTail
+from gui.campaign.surface import Surface, surface_of
+from gui.front_door import FrontDoor, Pulse
+from rendering.report_drift import DriftPoint
+
+LOOKS_EVERY_S = 0.05
+LIFE_EVERY_S = 1.0
+# Reading all statuses and figures of a large bank takes a while; it may take this fraction of the time at most.
+_LEDGER_SHARE = 0.03
+_LEDGER_EVERY_S = 1.0
+_ENDS_WITHIN_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The bank is there (or there again, after another took its place)."""
+
+    surface: Surface
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """New events; `anew` when the log is another than before."""
+
+    records: list[dict[str, object]]
+    anew: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """Status bits and quality figures of all positions, as the bank has them now."""
+
+    status: NDArray[np.uint8]
+    figures: Mapping[str, Float32Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Life:
+    """Who owns the bank, and its last sign of life; asked at `asked_s` of the monotonic clock."""
+
+    owner: Owner | None
+    pulse: Pulse | None
+    asked_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class DriftSeen:
+    """The whole drift history."""
+
+    points: list[DriftPoint]
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """A sentence about what cannot be read; an empty one when it can be read again."""
+
+    sentence: str
+
+
+Seen = Opened | Records | Ledger | Life | DriftSeen | Trouble
+
+
+class Follower:
+    """Follows one bank until it is ended.
+
+    Parameters
+    ----------
+    bank : Path
+        The bank; it may not exist yet.
+    front : FrontDoor
+        Names what lies beside it.
+    """
+
+    def __init__(self, bank: Path, front: FrontDoor) -> None:
+        self.bank = bank
+        self._front = front
+        self._tail = LogTail(front.log_path(bank))
+        self._seen: queue.SimpleQueue[Seen] = queue.SimpleQueue()
+        self._over = threading.Event()
+        self._identity: tuple[int, int] | None = None
+        self._owner: Owner | None = None
+        self._trouble = ""
+        self._stale = False
+        self._ledger_due_s = self._life_due_s = 0.0
+        self._thread = threading.Thread(target=self._follow, name=f"follower of {bank.name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def end(self) -> None:
+        """Stop following; a disk that hangs holds nobody up."""
+        self._over.set()
+        self._thread.join(_ENDS_WITHIN_S)
+
+    def take(self, most: int) -> list[Seen]:
+        """What was seen since the last call, at most so many findings."""
+        found: list[Seen] = []
+        while len(found) < most:
+            try:
+                found.append(self._seen.get_nowait())
+            except queue.Empty:
+                break
+        return found
+
+    def _follow(self) -> None:
+        while not self._over.is_set():
+            try:
+                self._look()
+            except (WavefocusError, OSError) as failure:
+                self._tell(str(failure))
+                self._identity = None
+                self._over.wait(LIFE_EVERY_S)
+            self._over.wait(LOOKS_EVERY_S)
+
+    def _look(self) -> None:
+        now_s = time.monotonic()
+        if now_s >= self._life_due_s:
+            self._life_due_s = now_s + LIFE_EVERY_S
+            self._look_at_bank()
+        records, anew = self._tail.read()
+        if records or anew:
+            kinds = {record.get("event") for record in records}
+            self._stale |= not kinds.isdisjoint({"position_committed", "session_ended"})
+            self._seen.put(Records(records, anew))
+            if "drift" in kinds:
+                self._seen.put(DriftSeen(self._front.read_drift(self.bank)))
+        if self._stale and self._identity is not None and time.monotonic() >= self._ledger_due_s:
+            with open_bank(self.bank) as bank:
+                self._put_ledger(bank)
+
+    def _look_at_bank(self) -> None:
+        try:
+            found = self.bank.stat()
+        except FileNotFoundError:
+            if self._identity is not None:
+                self._tell(f"{self.bank} has been deleted or moved; put it back, or open another bank")
+            self._identity = None
+            self._put_life(None)
+            return
+        identity = (found.st_dev, found.st_ino)
+        if identity != self._identity:
+            with open_bank(self.bank) as bank:
+                self._seen.put(Opened(surface_of(bank)))
+                self._put_ledger(bank)
+            self._seen.put(DriftSeen(self._front.read_drift(self.bank)))
+            self._identity = identity
+        owner = bank_owner(self.bank)
+        self._stale |= owner != self._owner
+        self._put_life(owner)
+        self._tell("")
+
+    def _put_life(self, owner: Owner | None) -> None:
+        self._owner = owner
+        self._seen.put(Life(owner, self._front.read_pulse(self.bank), time.monotonic()))
+
+    def _put_ledger(self, bank: Bank) -> None:
+        began_s = time.monotonic()
+        status = bank.status
+        self._seen.put(Ledger(status, per_position(bank.quality, status > 0)))
+        took_s = time.monotonic() - began_s
+        self._ledger_due_s = time.monotonic() + max(_LEDGER_EVERY_S, took_s / _LEDGER_SHARE)
+        self._stale = False
+
+    def _tell(self, sentence: str) -> None:
+        if sentence != self._trouble:
+            self._trouble = sentence
+            self._seen.put(Trouble(sentence))
+
+
+def same_file(one: Path, other: Path) -> bool:
+    """Whether two paths name one file, also where it does not exist yet."""
+    return os.path.normcase(one.absolute()) == os.path.normcase(other.absolute())

@@ -1,0 +1,104 @@
+"""A capture that this window started: a process of its own, which goes on when the window is closed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from gui.front_door import FrontDoor
+
+_TAIL_BYTES = 4096
+_LOST = "its process was killed, or the machine ran out of memory; resume goes on from what is in the bank"
+
+
+class OwnRun:
+    """Starts ``capture``, ``resume`` or ``remeasure`` and knows how it ended.
+
+    What the process tells people goes to a file beside the bank, which outlives the window. It hears no Ctrl-C and no
+    hang-up that are meant for the window.
+
+    Parameters
+    ----------
+    front : FrontDoor
+        Starts commands.
+    arguments : sequence of str
+        Command and arguments.
+    bank : Path
+        Whose capture.
+
+    Raises
+    ------
+    OSError
+        The process cannot be started.
+    """
+
+    def __init__(self, front: FrontDoor, arguments: Sequence[str], bank: Path) -> None:
+        self.bank = bank
+        self._said = front.said_path(bank)
+        try:
+            said = self._said.open("wb")
+        except OSError:
+            # A folder that cannot be written ends the capture with a sentence, which must be kept somewhere.
+            self._said = Path(tempfile.gettempdir()) / self._said.name
+            said = self._said.open("wb")
+        with said:
+            self._process = subprocess.Popen(
+                [*front.command, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+                **_on_its_own(),
+            )
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it still runs."""
+        return self._process.poll() is None
+
+    @property
+    def exit_code(self) -> int | None:
+        """Its exit code, None while it runs; negative when a signal ended it."""
+        return self._process.poll()
+
+    def last_said(self) -> str:
+        """The last line that it told people; empty when there was none."""
+        try:
+            with self._said.open("rb") as file:
+                size = file.seek(0, os.SEEK_END)
+                file.seek(max(0, size - _TAIL_BYTES))
+                lines = file.read().decode("utf-8", "replace").splitlines()
+        except OSError:
+            return ""
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+    def ending(self) -> str:
+        """How it ended, in a sentence; empty when all went well or while it runs."""
+        code = self.exit_code
+        if code is None or code == 0:
+            return ""
+        said = self.last_said().removeprefix("wavefocus: ")
+        if code < 0:
+            return f"the capture ended without a good-bye: {_LOST}"
+        return said or f"the capture ended with exit code {code}"
+
+    def let_go(self) -> None:
+        """Leave it running without a parent that would wait for it."""
+        # Otherwise the interpreter warns on exit that a child is still running, which is what was asked for.
+        if self._process.returncode is None:
+            self._process.returncode = 0
+
+
+def _on_its_own() -> dict[str, object]:
+    """Keep signals and the closing of consoles that are meant for the window away from the process."""
+    if os.name == "nt":  # pragma: no cover
+        return {"creationflags": 0x00000200 | 0x08000000}  # CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
+    return {"start_new_session": True}

@@ -1,0 +1,253 @@
+"""Plots of one position: Green's functions, spectrum, raw recordings; and the drift of the sentinel position."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyqtgraph
+from numpy.typing import NDArray
+from PyQt5.QtCore import QRectF, Qt
+from PyQt5.QtWidgets import QVBoxLayout, QWidget
+
+from calibration.raw_file import Recordings
+from gui.campaign.surface import Surface
+from gui.theme import LIGHT, Theme, dress_axes
+from rendering.report_drift import DriftPoint
+
+Real = NDArray[np.float32] | NDArray[np.float64]
+
+_FLOOR_DB = -60.0
+# More columns than a screen has pixels show nothing more.
+_MOST_COLUMNS = 2000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Greens:
+    """One position's Green's functions.
+
+    Parameters
+    ----------
+    position : int
+        Bank row.
+    green : array (actuators, taps)
+        As the bank has them.
+    """
+
+    position: int
+    green: Real
+
+
+class Plot(pyqtgraph.PlotWidget):
+    """A plot that takes the theme's colours and has its tools on the mouse alone."""
+
+    def __init__(self, name: str, bottom: str, left: str) -> None:
+        super().__init__()
+        self.setAccessibleName(name)
+        self.theme = LIGHT
+        plot = self.getPlotItem()
+        plot.setLabel("bottom", bottom)
+        plot.setLabel("left", left)
+        plot.hideButtons()
+        plot.setMenuEnabled(False)
+        plot.setClipToView(True)
+        self.setToolTip("Wheel: zoom. Drag: move. Double click: everything.")
+
+    def mouseDoubleClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
+        """Show everything again."""
+        super().mouseDoubleClickEvent(event)
+        self.getPlotItem().getViewBox().autoRange()
+
+    def dress(self, theme: Theme) -> None:
+        """Take the theme's colours."""
+        self.theme = theme
+        self.setBackground(theme.base)
+        dress_axes(self.getPlotItem(), theme)
+
+    def line(self, x: Real, y: Real, colour: str, width: float = 1.0) -> None:
+        """Draw a line, thinned to what can be seen without losing a peak."""
+        x, y = thinned(x, y)
+        self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width))
+
+
+class GreenPlot(Plot):
+    """Green's functions of all actuators, stacked as traces or as a waterfall in decibels."""
+
+    def __init__(self) -> None:
+        super().__init__("Green's functions", "time (ms)", "actuator")
+        self._image = pyqtgraph.ImageItem(axisOrder="row-major")
+        self._image.setColorMap(pyqtgraph.colormap.get("viridis"))
+
+    def show_green(self, surface: Surface, greens: Greens, actuator: int, *, waterfall: bool) -> None:
+        """Draw; `actuator` is emphasised, -1 for none."""
+        plot = self.getPlotItem()
+        plot.clear()
+        green = greens.green
+        largest = float(np.abs(green).max(initial=0.0))
+        time_ms = np.arange(green.shape[1]) / surface.sample_rate_hz * 1e3
+        title = f"position {greens.position}: largest {largest:.3g} {surface.unit}"
+        if largest == 0:
+            plot.setTitle(f"position {greens.position} is not measured", color=self.theme.faint)
+            return
+        if waterfall:
+            level_db = 20 * np.log10(np.maximum(np.abs(_columns(green)) / largest, 10 ** (_FLOOR_DB / 20)))
+            self._image.setImage(level_db, levels=(_FLOOR_DB, 0.0))
+            self._image.setRect(QRectF(0.0, -0.5, float(time_ms[-1]), float(len(green))))
+            plot.addItem(self._image)
+            plot.setTitle(f"{title} = 0 dB, dark is {_FLOOR_DB:.0f} dB", color=self.theme.text)
+        else:
+            for number, trace in enumerate(green):
+                chosen = number == actuator
+                colour = self.theme.fault if chosen else self.theme.traces[0]
+                self.line(time_ms, number + 0.9 * trace / largest, colour, 1.6 if chosen else 1.0)
+            plot.setTitle(f"{title} = 0.9 of a step", color=self.theme.text)
+        plot.getAxis("left").setTicks([_ticks(len(green)), []])
+        plot.setXRange(0.0, float(time_ms[-1]), padding=0.01)
+        plot.setYRange(-1.0, len(green), padding=0.0)
+
+
+class SpectrumPlot(Plot):
+    """Transfer functions of all actuators, in decibels, with the measured band."""
+
+    def __init__(self) -> None:
+        super().__init__("Spectrum", "frequency (Hz)", "level (dB)")
+
+    def show_green(self, surface: Surface, greens: Greens, actuator: int) -> None:
+        """Draw all actuators, one of them emphasised, or their mean power where none is chosen."""
+        plot = self.getPlotItem()
+        plot.clear()
+        plot.setLabel("left", f"level (dB re 1 {surface.unit})")
+        spectrum = np.abs(np.fft.rfft(greens.green, axis=1))
+        if not spectrum.any():
+            plot.setTitle(f"position {greens.position} is not measured", color=self.theme.faint)
+            return
+        frequency_hz = np.fft.rfftfreq(greens.green.shape[1], 1 / surface.sample_rate_hz)
+        low_hz, high_hz = surface.band_hz or (0.0, float(frequency_hz[-1]))
+        shown = frequency_hz <= min(1.3 * high_hz, frequency_hz[-1])
+        frequency_hz, spectrum = frequency_hz[shown], np.maximum(spectrum[:, shown], 1e-12 * spectrum.max())
+        for level in spectrum:
+            self.line(frequency_hz, 20 * np.log10(level), self.theme.grid)
+        if actuator >= 0:
+            level, told = spectrum[actuator], f"actuator {actuator}"
+        else:
+            level, told = np.sqrt(np.mean(spectrum**2, axis=0)), "root mean square of all actuators"
+        level_db = 20 * np.log10(level)
+        self.line(frequency_hz, level_db, self.theme.traces[0], 2.0)
+        for edge_hz in (low_hz, high_hz):
+            plot.addItem(pyqtgraph.InfiniteLine(edge_hz, pen=pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine)))
+        plot.setTitle(f"position {greens.position}: {told}; dashed: the measured band", color=self.theme.text)
+        in_band = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
+        top_db = float(level_db[in_band].max()) if in_band.any() else float(level_db.max())
+        plot.setXRange(0.0, float(frequency_hz[-1]), padding=0.01)
+        plot.setYRange(top_db - 60.0, top_db + 12.0, padding=0.0)
+
+
+class RecordingPlot(Plot):
+    """The two DAQ channels of one record."""
+
+    def __init__(self) -> None:
+        super().__init__("Raw recordings", "time (s)", "input (V)")
+        self.legend = self.getPlotItem().addLegend(offset=(-10, 10))
+
+    def dress(self, theme: Theme) -> None:
+        """Take the theme's colours."""
+        super().dress(theme)
+        self.legend.setLabelTextColor(theme.text)
+
+    def show_record(self, recordings: Recordings, record: int, sample_rate_hz: float, position: int) -> None:
+        """Draw one record."""
+        plot = self.getPlotItem()
+        plot.clear()
+        reference, response = recordings.reference_v[record], recordings.response_v[record]
+        time_s = np.arange(len(reference)) / sample_rate_hz
+        for name, values, colour in (
+            ("reference", reference, self.theme.grid),
+            ("response", response, self.theme.traces[0]),
+        ):
+            x, y = thinned(time_s, values)
+            plot.plot(x, y, pen=pyqtgraph.mkPen(colour, width=1.2), name=name)
+        plot.setTitle(
+            f"position {position}, record {record}: response up to {float(np.abs(response).max()):.3g} V of "
+            f"{recordings.range_v[1]:g} V",
+            color=self.theme.text,
+        )
+        plot.getViewBox().autoRange()
+
+
+class DriftPlot(QWidget):
+    """Level, delay and correlation of the sentinel position over the clock."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setAccessibleName("Drift of the sentinel position")
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        self.plots = [
+            Plot(f"Drift: {label}", "clock", label)
+            for label in ("level (dB)", "delay (samples)", "1 − correlation")
+        ]
+        for plot in self.plots:
+            plot.setAxisItems({"bottom": pyqtgraph.DateAxisItem()})
+            plot.setXLink(self.plots[0])
+            plot.getPlotItem().getAxis("left").setWidth(64)
+            column.addWidget(plot)
+
+    def dress(self, theme: Theme) -> None:
+        """Take the theme's colours."""
+        for plot in self.plots:
+            plot.dress(theme)
+
+    def show_drift(self, points: Sequence[DriftPoint]) -> None:
+        """Draw the history."""
+        at_s = np.array([point.at.timestamp() for point in points])
+        rows = (
+            [point.level_db for point in points],
+            [point.delay_samples for point in points],
+            [1 - point.correlation for point in points],
+        )
+        theme = self.plots[0].theme
+        colours = {"steady": theme.good, "warn": theme.warning}
+        symbols = {"steady": "o", "warn": "t"}
+        for plot, values in zip(self.plots, rows, strict=True):
+            item = plot.getPlotItem()
+            item.clear()
+            item.addLine(y=0.0, pen=pyqtgraph.mkPen(theme.grid))
+            item.plot(
+                at_s,
+                np.array(values, dtype=float),
+                pen=pyqtgraph.mkPen(theme.faint),
+                symbol=[symbols.get(point.verdict, "x") for point in points] or "o",
+                symbolBrush=[pyqtgraph.mkBrush(colours.get(point.verdict, theme.fault)) for point in points] or None,
+                symbolPen=None,
+                symbolSize=8,
+            )
+        told = "" if points else "the sentinel position has not been measured again yet"
+        self.plots[0].getPlotItem().setTitle(told or "circle: steady, triangle: warn, cross: stop", color=theme.text)
+        if points:
+            room_s = max(60.0, 0.05 * float(at_s[-1] - at_s[0]))
+            self.plots[0].setXRange(float(at_s[0]) - room_s, float(at_s[-1]) + room_s, padding=0)
+
+
+def thinned(x: Real, y: Real) -> tuple[Real, Real]:
+    """Smallest and largest value of each column of pixels; the line looks the same and draws quickly."""
+    step = len(y) // _MOST_COLUMNS
+    if step < 2:
+        return x, y
+    used = len(y) // step * step
+    blocks = y[:used].reshape(-1, step)
+    both = np.stack([blocks.min(axis=1), blocks.max(axis=1)], axis=1).reshape(-1)
+    return np.repeat(x[:used:step], 2), both
+
+
+def _columns(green: Real) -> Real:
+    """The largest magnitude of each column of pixels."""
+    step = max(1, green.shape[1] // _MOST_COLUMNS)
+    used = green.shape[1] // step * step
+    return np.abs(green[:, :used]).reshape(len(green), -1, step).max(axis=2)
+
+
+def _ticks(count: int) -> list[tuple[float, str]]:
+    step = max(1, -(-count // 12))
+    return [(float(number), str(number)) for number in range(0, count, step)]

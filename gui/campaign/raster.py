@@ -1,0 +1,52 @@
+"""The surface as a picture: which position each pixel belongs to, for any grid, found once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rendering.metrics import grid_spacing_mm
+
+# Cells are drawn with a gap between them; more pixels than this would cost more than they show.
+_PIXELS_PER_SPACING = 9
+_MOST_PIXELS = 400_000
+_CELL = 0.47  # of the spacing: just short of half way to the neighbour
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Raster:
+    """Pixels of a surface.
+
+    Parameters
+    ----------
+    index : int32 array (rows, columns)
+        Position that a pixel belongs to, `positions` where there is none; row 0 at the smallest y.
+    left_mm, bottom_mm, width_mm, height_mm : float
+        The rectangle that it covers.
+    """
+
+    index: NDArray[np.int32]
+    left_mm: float
+    bottom_mm: float
+    width_mm: float
+    height_mm: float
+
+
+def raster_of(position_mm: NDArray[np.float64]) -> Raster:
+    """Give each pixel to the nearest position within about half a spacing."""
+    spacing_mm = grid_spacing_mm(position_mm) if len(position_mm) > 1 else 1.0
+    low, high = position_mm.min(axis=0) - spacing_mm, position_mm.max(axis=0) + spacing_mm
+    size_mm = high - low
+    pixel_mm = max(spacing_mm / _PIXELS_PER_SPACING, float(np.sqrt(size_mm[0] * size_mm[1] / _MOST_PIXELS)))
+    columns, rows = (max(1, int(np.ceil(side / pixel_mm))) for side in size_mm)
+    x_mm = low[0] + (np.arange(columns) + 0.5) * size_mm[0] / columns
+    y_mm = low[1] + (np.arange(rows) + 0.5) * size_mm[1] / rows
+    pixels_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
+    # By the larger of both coordinates a cell is a square: right for square grids, and good enough to see others by.
+    _, index = cKDTree(position_mm).query(pixels_mm, p=np.inf, distance_upper_bound=_CELL * spacing_mm)
+    return Raster(
+        index.reshape(rows, columns).astype(np.int32), float(low[0]), float(low[1]), float(size_mm[0]), float(size_mm[1])
+    )

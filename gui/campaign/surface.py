@@ -1,0 +1,84 @@
+"""What a bank says that does not change while it fills: grid, actuators, outline, units."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.grid import stadium_rim
+from calibration.bank import Bank
+
+_OUTLINE_POINTS = 361
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A bank without what is measured.
+
+    Parameters
+    ----------
+    bank : Path
+        The file.
+    position_mm : float64 array (positions, 2)
+        The grid.
+    actuator_mm : float64 array (actuators, 2)
+        NaN where unknown.
+    outline_mm : float64 array (points, 2) or None
+        Rim of the surface, closed; None where the bank does not say.
+    sample_rate_hz, taps : float, int
+        Of the Green's functions.
+    band_hz : tuple of float or None
+        Measured band.
+    unit : str
+        Of the Green's functions.
+    """
+
+    bank: Path
+    position_mm: NDArray[np.float64]
+    actuator_mm: NDArray[np.float64]
+    outline_mm: NDArray[np.float64] | None
+    sample_rate_hz: float
+    taps: int
+    band_hz: tuple[float, float] | None
+    unit: str
+
+    @property
+    def positions(self) -> int:
+        """Number of grid positions."""
+        return len(self.position_mm)
+
+    @property
+    def actuators(self) -> int:
+        """Number of actuators."""
+        return len(self.actuator_mm)
+
+
+def surface_of(bank: Bank) -> Surface:
+    """Return what an open bank says."""
+    return Surface(
+        bank=bank.path,
+        position_mm=np.asarray(bank.position_mm, np.float64),
+        actuator_mm=np.asarray(bank.actuator_mm, np.float64),
+        outline_mm=_outline_mm(bank.rig_json),
+        sample_rate_hz=bank.sample_rate_hz,
+        taps=bank.taps,
+        band_hz=bank.band_hz,
+        unit=bank.response_unit,
+    )
+
+
+def _outline_mm(rig_json: str | None) -> NDArray[np.float64] | None:
+    """The rim by the rig's configuration; a bank made by another program may hold any text there."""
+    try:
+        surface = json.loads(rig_json or "")["surface"]
+        length_mm, width_mm = float(surface["length_mm"]), float(surface["width_mm"])
+    except (ValueError, TypeError, KeyError):
+        return None
+    if surface.get("kind") != "stadium" or not 0 < width_mm <= length_mm < np.inf:
+        return None
+    rim_mm = stadium_rim(length_mm, width_mm, 0.0, _OUTLINE_POINTS - 1)
+    return np.vstack([rim_mm, rim_mm[:1]])

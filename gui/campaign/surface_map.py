@@ -1,0 +1,235 @@
+"""The map of the surface: outline, actuators and positions, coloured by status or by a quality figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pyqtgraph
+from numpy.typing import NDArray
+from PyQt5.QtCore import QRectF, Qt, pyqtSignal
+from PyQt5.QtGui import QKeyEvent, QPainterPath
+from scipy.spatial import cKDTree
+
+from gui.campaign.figures import Figure, Float32Array
+from gui.campaign.picking import PickingBox
+from gui.campaign.raster import Raster, raster_of
+from gui.campaign.status_look import LOOKS, look_index
+from gui.campaign.surface import Surface
+from gui.theme import LIGHT, Theme, dress_axes
+
+_COLOURS = 256
+_STEPS = {
+    Qt.Key.Key_Left: (-1.0, 0.0),
+    Qt.Key.Key_Right: (1.0, 0.0),
+    Qt.Key.Key_Up: (0.0, 1.0),
+    Qt.Key.Key_Down: (0.0, -1.0),
+}
+
+
+class SurfaceMap(pyqtgraph.PlotWidget):
+    """The map; arrow keys walk from position to position, Space selects, Ctrl+A selects all, Esc nothing."""
+
+    shown_changed = pyqtSignal(int)
+    selection_changed = pyqtSignal(int)
+
+    def __init__(self) -> None:
+        self.box = PickingBox()
+        super().__init__(viewBox=self.box)
+        self.setAccessibleName("Map of the surface")
+        self.setAccessibleDescription("Arrow keys go from position to position, Space selects")
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.shown = -1
+        self.selected: set[int] = set()
+        self._theme = LIGHT
+        self._surface: Surface | None = None
+        self._raster: Raster | None = None
+        self._tree: cKDTree | None = None
+        self._status: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._bad: bytes = b""
+        self._levels: tuple[float, float] | None = None
+        self.colour_map = pyqtgraph.colormap.get("viridis")
+        self._image = pyqtgraph.ImageItem(axisOrder="row-major")
+        self._outline = pyqtgraph.PlotCurveItem(antialias=True)
+        self._actuators = pyqtgraph.ScatterPlotItem(symbol="o", size=9, pxMode=True)
+        self._marks = pyqtgraph.ScatterPlotItem(pxMode=True)
+        self._chosen = pyqtgraph.ScatterPlotItem(symbol="s", size=11, pxMode=True)
+        self._current = pyqtgraph.ScatterPlotItem(symbol="o", size=17, pxMode=True)
+        self._cross = pyqtgraph.ScatterPlotItem(symbol="crosshair", size=21, pxMode=True)
+        for item in (self._image, self._outline, self._actuators, self._marks, self._chosen, self._current, self._cross):
+            self.addItem(item)
+        plot = self.getPlotItem()
+        plot.hideButtons()
+        plot.setLabel("bottom", "x (mm)")
+        plot.setLabel("left", "y (mm)")
+        self.box.clicked.connect(self._clicked)
+        self.box.surrounded.connect(self._surrounded)
+        self.dress(LIGHT)
+
+    @property
+    def levels(self) -> tuple[float, float] | None:
+        """What the ends of the colour bar mean; None while the status is shown."""
+        return self._levels
+
+    def show_surface(self, surface: Surface) -> None:
+        """Show another bank's surface."""
+        self._surface = surface
+        self._raster = raster_of(surface.position_mm)
+        self._tree = cKDTree(surface.position_mm)
+        self._status = np.zeros(surface.positions, np.uint8)
+        self._bad = b""
+        self._image.setRect(
+            QRectF(self._raster.left_mm, self._raster.bottom_mm, self._raster.width_mm, self._raster.height_mm)
+        )
+        outline_mm = surface.outline_mm if surface.outline_mm is not None else np.zeros((0, 2))
+        self._outline.setData(outline_mm[:, 0], outline_mm[:, 1])
+        known_mm = surface.actuator_mm[np.isfinite(surface.actuator_mm).all(axis=1)]
+        self._actuators.setData(pos=known_mm)
+        self.show_position(-1)
+        self.select([])
+        self.box.autoRange()
+
+    def show_status(self, status: NDArray[np.uint8]) -> None:
+        """Colour by status."""
+        self._status = status
+        self._levels = None
+        colours = np.array([_rgba(look.colour(self._theme) or self._theme.cell) for look in LOOKS], np.uint8)
+        self._paint(colours[look_index(status)])
+
+    def show_figure(self, figure: Figure, values: Float32Array, status: NDArray[np.uint8]) -> None:
+        """Colour by a quality figure; positions without one look as not measured."""
+        self._status = status
+        known = values[np.isfinite(values)]
+        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        if figure.key == "attempts":
+            low, high = min(low, 1.0), max(high, 2.0)
+        if high - low < 1e-9 * max(1.0, abs(high)):
+            low, high = low - 0.5, high + 0.5
+        self._levels = low, high
+        table = self.colour_map.getLookupTable(nPts=_COLOURS, alpha=True)
+        colours = np.tile(_rgba(self._theme.cell), (len(values), 1))
+        at = np.isfinite(values)
+        step = np.clip((values[at] - low) / (high - low) * (_COLOURS - 1), 0, _COLOURS - 1)
+        colours[at] = table[step.astype(int)]
+        self._paint(colours)
+
+    def show_current(self, position: int) -> None:
+        """Ring the position that is being measured; -1 for none."""
+        self._put(self._current, [position] if position >= 0 else [])
+
+    def show_position(self, position: int) -> None:
+        """Mark the position whose details are shown; -1 for none."""
+        self.shown = position
+        self._put(self._cross, [position] if position >= 0 else [])
+        self.shown_changed.emit(position)
+
+    def select(self, positions: Iterable[int]) -> None:
+        """Select these and no others."""
+        self.selected = {int(position) for position in positions}
+        self._put(self._chosen, sorted(self.selected))
+        self.selection_changed.emit(len(self.selected))
+
+    def dress(self, theme: Theme) -> None:
+        """Take the theme's colours; the owner colours the positions anew."""
+        self._theme = theme
+        self.setBackground(theme.base)
+        dress_axes(self.getPlotItem(), theme)
+        self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1.5))
+        self._actuators.setPen(pyqtgraph.mkPen(theme.text, width=1.5))
+        self._actuators.setBrush(pyqtgraph.mkBrush(theme.base))
+        self._chosen.setPen(pyqtgraph.mkPen(theme.text, width=1.5))
+        self._chosen.setBrush(None)
+        self._current.setPen(pyqtgraph.mkPen(theme.text, width=2.5))
+        self._current.setBrush(None)
+        self._cross.setPen(pyqtgraph.mkPen(theme.fault, width=2))
+        self._cross.setBrush(None)
+        self._bad = b""
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        """Walk and select by the keyboard."""
+        assert event is not None
+        key = event.key()
+        if self._surface is not None and key in _STEPS:
+            self._walk(np.array(_STEPS[Qt.Key(key)]))
+        elif key == Qt.Key.Key_Space and self.shown >= 0:
+            self.select(self.selected ^ {self.shown})
+        elif key == Qt.Key.Key_A and event.modifiers() & Qt.KeyboardModifier.ControlModifier and self._surface:
+            self.select(range(self._surface.positions))
+        elif key == Qt.Key.Key_Escape and self.selected:
+            self.select([])
+        else:
+            super().keyPressEvent(event)
+
+    def _walk(self, step: NDArray[np.float64]) -> None:
+        """Go to the nearest position in a direction, within 45 degrees of it."""
+        assert self._surface is not None
+        if self.shown < 0:
+            self.show_position(0)
+            return
+        away_mm = self._surface.position_mm - self._surface.position_mm[self.shown]
+        along_mm = away_mm @ step
+        aside_mm = np.abs(away_mm @ step[::-1])
+        cost = np.where((along_mm > 0) & (aside_mm <= along_mm), along_mm + aside_mm, np.inf)
+        if np.isfinite(cost).any():
+            self.show_position(int(cost.argmin()))
+
+    def _paint(self, colours: NDArray[np.uint8]) -> None:
+        if self._raster is None or len(colours) + 1 < int(self._raster.index.max()):
+            return
+        clear = np.zeros((1, 4), np.uint8)
+        self._image.setImage(np.concatenate([colours, clear])[self._raster.index], autoLevels=False, levels=None)
+        self._mark()
+
+    def _mark(self) -> None:
+        """Shapes over what is not good; drawn anew only when another position is."""
+        index = look_index(self._status)
+        if self._surface is None or index.tobytes() == self._bad:
+            return
+        self._bad = index.tobytes()
+        ink = "#ffffff" if self._levels is not None else self._theme.text
+        spots = [
+            {
+                "pos": self._surface.position_mm[position],
+                "symbol": LOOKS[index[position]].symbol,
+                "size": 7,
+                "pen": pyqtgraph.mkPen(ink, width=1),
+                "brush": pyqtgraph.mkBrush(self._theme.base),
+            }
+            for position in np.flatnonzero(index < len(LOOKS) - 2)
+        ]
+        self._marks.setData(spots)
+
+    def _put(self, item: pyqtgraph.ScatterPlotItem, positions: list[int]) -> None:
+        if self._surface is None:
+            item.setData(pos=np.zeros((0, 2)))
+            return
+        inside = [position for position in positions if position < self._surface.positions]
+        item.setData(pos=self._surface.position_mm[inside].reshape(-1, 2))
+
+    def _clicked(self, x_mm: float, y_mm: float, adds: bool) -> None:
+        if self._tree is None or self._surface is None or self._raster is None:
+            return
+        distance_mm, position = self._tree.query([x_mm, y_mm])
+        if distance_mm > self._raster.width_mm / 10:
+            return
+        if adds:
+            self.select(self.selected ^ {int(position)})
+        else:
+            self.show_position(int(position))
+
+    def _surrounded(self, corners_mm: NDArray[np.float64], adds: bool) -> None:
+        if self._surface is None:
+            return
+        path = QPainterPath()
+        path.addPolygon(pyqtgraph.functions.arrayToQPolygonF(corners_mm[:, 0], corners_mm[:, 1]))
+        path.setFillRule(Qt.FillRule.WindingFill)
+        inside = {
+            number
+            for number, (x_mm, y_mm) in enumerate(self._surface.position_mm.tolist())
+            if path.contains(pyqtgraph.QtCore.QPointF(x_mm, y_mm))
+        }
+        self.select(self.selected | inside if adds else inside)
+
+
+def _rgba(colour: str) -> NDArray[np.uint8]:
+    return np.array(pyqtgraph.mkColor(colour).getRgb(), np.uint8)

@@ -1,0 +1,63 @@
+"""What the window remembers from one time to the next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PyQt5.QtCore import QByteArray, QSettings
+
+MOST_RECENT = 10
+
+
+class Memory:
+    """Window places, folders, recent files and choices, in the place that the system has for such things.
+
+    Parameters
+    ----------
+    settings : QSettings, optional
+        Another store, for tests.
+    """
+
+    def __init__(self, settings: QSettings | None = None) -> None:
+        self._settings = settings or QSettings("wavefocus", "wavefocus")
+
+    def text(self, key: str, default: str = "") -> str:
+        """A remembered text."""
+        value = self._settings.value(key, default)
+        return value if isinstance(value, str) else default
+
+    def whole(self, key: str, default: int) -> int:
+        """A remembered whole number."""
+        try:
+            return int(self.text(key, str(default)))
+        except ValueError:
+            return default
+
+    def bytes(self, key: str) -> QByteArray:
+        """A remembered geometry; empty when there is none."""
+        value = self._settings.value(key)
+        return value if isinstance(value, QByteArray) else QByteArray()
+
+    def keep(self, key: str, value: str | int | QByteArray) -> None:
+        """Remember something."""
+        self._settings.setValue(key, str(value) if isinstance(value, int) else value)
+
+    def folder(self, kind: str) -> Path:
+        """The folder where a file of a kind was last chosen."""
+        found = Path(self.text(f"folder/{kind}") or ".")
+        return found if found.is_dir() else Path.cwd()
+
+    def recent(self) -> list[Path]:
+        """Files opened last, the latest first."""
+        return [Path(line) for line in self.text("recent").split("\n") if line]
+
+    def opened(self, path: Path) -> None:
+        """Remember that a file was opened, and where."""
+        path = path.absolute()
+        others = [one for one in self.recent() if one != path]
+        self.keep("recent", "\n".join(str(one) for one in [path, *others][:MOST_RECENT]))
+        self.keep(f"folder/{path.suffix}", str(path.parent))
+
+    def forget_recent(self) -> None:
+        """Forget which files were opened."""
+        self.keep("recent", "")

@@ -1,0 +1,236 @@
+"""The window: tabs, menus, messages, files that are dropped on it, and what happens when it is closed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from PyQt5.QtCore import Qt, QTimer, QUrl
+from PyQt5.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
+from PyQt5.QtWidgets import (
+    QAction,
+    QActionGroup,
+    QApplication,
+    QFileDialog,
+    QMainWindow,
+    QMenu,
+    QTabWidget,
+    QVBoxLayout,
+    QWidget,
+)
+
+from gui.background import Background
+from gui.desk import Desk
+from gui.front_door import FrontDoor
+from gui.memory import Memory
+from gui.message_bar import MessageBar
+from gui.tab import Tab, make_tabs
+from gui.theme import CHOICES, put_on, resized_text, theme_named
+from gui.unexpected import Unexpected
+
+DRAWS_EVERY_MS = 50
+_SIZE = (1280, 800)
+
+
+class Window(QMainWindow):
+    """The whole window.
+
+    Parameters
+    ----------
+    front : FrontDoor
+        Starts commands, names files.
+    memory : Memory
+        What is remembered.
+    """
+
+    def __init__(self, front: FrontDoor, memory: Memory) -> None:
+        super().__init__()
+        self.memory = memory
+        self.setWindowTitle("wavefocus")
+        self.setAcceptDrops(True)
+        self.messages = MessageBar()
+        self.background = Background(self)
+        self.desk = Desk(front, self.messages, self.background, memory, self)
+        self._unexpected = Unexpected(self.tell_unexpected, self.close)
+        self._unexpected.install()
+        application = QApplication.instance()
+        assert isinstance(application, QApplication)
+        self._application = application
+        self._system_palette = application.palette()
+        self._may_close = False
+        self._let_go = False
+        put_on(application, theme_named(memory.text("theme", "system"), self._system_palette))
+        self.tabs = make_tabs(self.desk)
+        self._pages = QTabWidget()
+        self._pages.setDocumentMode(True)
+        self._pages.setAccessibleName("Tabs")
+        for tab in self.tabs:
+            self._pages.addTab(tab, tab.title)
+        centre = QWidget()
+        column = QVBoxLayout(centre)
+        column.setContentsMargins(6, 6, 6, 6)
+        column.addWidget(self.messages)
+        column.addWidget(self._pages, stretch=1)
+        self.setCentralWidget(centre)
+        self._recent = QMenu("Open &recent", self)
+        self._make_menus()
+        self._text_size = memory.whole("text_pt", application.font().pointSize())
+        self._resize_text(self._text_size - application.font().pointSize())
+        self.choose_theme(memory.text("theme", "system"))
+        if not self.restoreGeometry(memory.bytes("geometry")):
+            self.resize(*_SIZE)
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(self.refresh)
+        self._timer.start(DRAWS_EVERY_MS)
+
+    def refresh(self) -> None:
+        """Let tabs take up what came in, and draw what is seen."""
+        for tab in self.tabs:
+            tab.collect()
+        shown = self._pages.currentWidget()
+        if isinstance(shown, Tab) and self.isVisible() and not self.isMinimized():
+            shown.draw()
+
+    def open_file(self, path: Path) -> None:
+        """Open a file in the tab that it belongs to."""
+        path = path.absolute()
+        for tab in self.tabs:
+            if tab.accepts(path):
+                self._pages.setCurrentWidget(tab)
+                tab.open_file(path)
+                self.memory.opened(path)
+                return
+        endings = ", ".join(ending for tab in self.tabs for ending in tab.opens)
+        self.messages.warn(f"{path}: no tab opens such a file; they open {endings}")
+
+    def tell_unexpected(self, sentence: str, details: str) -> None:
+        """Tell an error that nobody caught."""
+        if not details:
+            self.messages.fault(sentence)
+            return
+        clipboard = self._application.clipboard()
+        self.messages.fault(sentence, ("Copy details", lambda: clipboard.setText(details) if clipboard else None))
+
+    def choose_theme(self, choice: str) -> None:
+        """Dress everything."""
+        theme = theme_named(choice, self._system_palette)
+        put_on(self._application, theme)
+        self.messages.dress(theme)
+        for tab in self.tabs:
+            tab.dress(theme)
+        self.memory.keep("theme", choice)
+
+    def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802
+        """Ask first where a tab has something to ask, inside the window."""
+        assert event is not None
+        question = None if self._may_close else next(filter(None, (tab.closing() for tab in self.tabs)), None)
+        if question is None:
+            self.memory.keep("geometry", self.saveGeometry())
+            for tab in self.tabs:
+                tab.keep()
+            self.let_go()
+            event.accept()
+            return
+        event.ignore()
+        self.messages.ask(
+            question.sentence,
+            *((word, lambda act=act: act(self._close_now)) for word, act in question.answers),
+            ("Do not close", lambda: None),
+        )
+
+    def let_go(self) -> None:
+        """End threads and timers; may be called twice."""
+        if self._let_go:
+            return
+        self._let_go = True
+        self._timer.stop()
+        for tab in self.tabs:
+            tab.closed()
+        self.background.end()
+        self._unexpected.remove()
+
+    def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
+        """Take files that a tab opens."""
+        if event is not None and any(tab.accepts(path) for path in _files(event) for tab in self.tabs):
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
+        """Open what was dropped."""
+        if event is not None:
+            event.acceptProposedAction()
+            for path in _files(event):
+                self.open_file(path)
+
+    def _close_now(self) -> None:
+        self._may_close = True
+        self.close()
+
+    def _make_menus(self) -> None:
+        bar = self.menuBar()
+        assert bar is not None
+        files = _menu(bar.addMenu("&File"))
+        _add(files, "&Open…", self._choose_file, QKeySequence.StandardKey.Open)
+        files.addMenu(self._recent)
+        self._recent.aboutToShow.connect(self._list_recent)
+        files.addSeparator()
+        _add(files, "&Quit", self.close, "Ctrl+Q")
+        for tab in self.tabs:
+            own = _menu(bar.addMenu(f"&{tab.title}"))
+            for action in tab.menu_actions():
+                own.addSeparator() if action is None else own.addAction(action)
+        view = _menu(bar.addMenu("&View"))
+        group = QActionGroup(self)
+        for choice in CHOICES:
+            words = {"system": "Colours as the &desktop", "light": "&Light", "dark": "&Dark"}[choice]
+            action = _add(view, words, lambda choice=choice: self.choose_theme(choice))
+            action.setCheckable(True)
+            action.setChecked(self.memory.text("theme", "system") == choice)
+            group.addAction(action)
+        view.addSeparator()
+        _add(view, "L&arger text", lambda: self._resize_text(1), QKeySequence.StandardKey.ZoomIn)
+        _add(view, "&Smaller text", lambda: self._resize_text(-1), QKeySequence.StandardKey.ZoomOut)
+        view.addSeparator()
+        for index, tab in enumerate(self.tabs):
+            _add(view, tab.title, lambda index=index: self._pages.setCurrentIndex(index), f"Alt+{index + 1}")
+
+    def _choose_file(self) -> None:
+        dialog = QFileDialog(self, "Open", str(self.memory.folder(".h5")))
+        dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
+        endings = " ".join(f"*{ending}" for tab in self.tabs for ending in tab.opens)
+        dialog.setNameFilters([f"What the window opens ({endings})", "All files (*)"])
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.setModal(False)
+        dialog.filesSelected.connect(lambda names: [self.open_file(Path(name)) for name in names])
+        dialog.show()
+
+    def _list_recent(self) -> None:
+        self._recent.clear()
+        for path in self.memory.recent():
+            _add(self._recent, str(path), lambda path=path: self.open_file(path))
+        self._recent.addSeparator()
+        _add(self._recent, "&Forget these", self.memory.forget_recent)
+
+    def _resize_text(self, step: int) -> None:
+        self.memory.keep("text_pt", resized_text(self._application, step))
+
+
+def _files(event: QDropEvent) -> list[Path]:
+    content = event.mimeData()
+    urls: list[QUrl] = [] if content is None else content.urls()
+    return [Path(url.toLocalFile()) for url in urls if url.isLocalFile()]
+
+
+def _menu(menu: QMenu | None) -> QMenu:
+    assert menu is not None
+    return menu
+
+
+def _add(
+    menu: QMenu, words: str, act: Callable[[], object], keys: QKeySequence.StandardKey | str | None = None
+) -> QAction:
+    action = QAction(words, menu)
+    action.triggered.connect(lambda _checked=False: act())
+    if keys is not None:
+        action.setShortcut(QKeySequence(keys))
+    menu.addAction(action)
+    return action

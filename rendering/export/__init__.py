@@ -1,0 +1,1 @@
+"""Banks in the formats of other fields: acoustics, modal analysis, sound, numerical tools."""

@@ -1,0 +1,99 @@
+"""A bank as universal files: what modal analysis reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.durable import replacement
+from calibration.errors import InputError
+from rendering.export.bank_rows import BankRows, OnProgress
+from rendering.export.packages import needed
+
+TIME_RESPONSE, NORMAL, TIME, VELOCITY = 1, 3, 17, 11
+UNITS_SI = 1
+
+
+def actuator_node(rows: BankRows, actuator: int) -> int:
+    """Node number of an actuator: positions are 1 to P by their row in the bank, actuators come after them."""
+    return rows.bank.positions + 1 + actuator
+
+
+def write_uff(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
+    """Write a universal file in ASCII: units (164), nodes (15), and a function (58) per position and actuator.
+
+    A position's node number is its row in the bank plus 1. Responses are normal to the surface (+Z), of the type time
+    response; the five identification lines say what the numbers of the format cannot.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    rows : BankRows
+        What to export, without NaN, row by row.
+    on_progress : callable, optional
+        Told rows written and rows in all.
+
+    Raises
+    ------
+    InputError
+        The package pyuff is missing, or rows are NaN, which the format does not know.
+    """
+    pyuff, bank = needed("pyuff", "uff"), rows.bank
+    if not rows.known.all():
+        raise InputError(f"{path}: universal files hold no NaN; leave missing positions out")
+    with replacement(path) as temporary:
+        temporary.unlink()  # the package looks into what is there
+        file = pyuff.UFF(str(temporary))
+        file.write_sets([_units(), _nodes(rows)], mode="overwrite")
+        time_s = np.arange(bank.taps) / bank.sample_rate_hz
+        for row, green in rows.each(on_progress):
+            file.write_sets(
+                [_function(rows, row, actuator, values, time_s) for actuator, values in enumerate(green)], mode="add"
+            )
+
+
+def _units() -> dict[str, Any]:
+    return {
+        "type": 164, "units_code": UNITS_SI, "units_description": "SI", "temp_mode": 1,
+        "length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 273.15,
+    }  # fmt: skip
+
+
+def _nodes(rows: BankRows) -> dict[str, Any]:
+    """All positions, and those actuators whose place is known, in metres."""
+    bank = rows.bank
+    numbers = [*(row + 1 for row in rows.row.tolist())]
+    places_mm = [rows.position_mm]
+    for actuator, place_mm in enumerate(bank.actuator_mm):
+        if np.isfinite(place_mm).all():
+            numbers.append(actuator_node(rows, actuator))
+            places_mm.append(place_mm[None])
+    x_m, y_m = (np.concatenate(places_mm) / 1e3).T
+    zero = [0] * len(numbers)
+    return {
+        "type": 15, "node_nums": numbers, "def_cs": zero, "disp_cs": zero, "color": zero,
+        "x": x_m.tolist(), "y": y_m.tolist(), "z": [0.0] * len(numbers),
+    }  # fmt: skip
+
+
+def _function(rows: BankRows, row: int, actuator: int, values: Any, time_s: Any) -> dict[str, Any]:
+    bank = rows.bank
+    x_mm, y_mm = bank.position_mm[row]
+    velocity = bank.response_unit == "m/s/V"
+    return {
+        "type": 58, "binary": 0, "func_type": TIME_RESPONSE, "ver_num": 1, "load_case_id": 0,
+        "id1": f"Green's function, FIR from drive to response in {bank.response_unit}"[:80],
+        "id2": f"{bank.path.name}, row {row}, actuator {actuator}, status {int(bank.status[row])}"[:80],
+        "id3": f"x = {x_mm:.6g} mm, y = {y_mm:.6g} mm, {bank.sample_rate_hz:.12g} samples a second",
+        "rsp_ent_name": "POSITION", "rsp_node": row + 1, "rsp_dir": NORMAL,
+        "ref_ent_name": "ACTUATOR", "ref_node": actuator_node(rows, actuator), "ref_dir": NORMAL,
+        "abscissa_spacing": 1, "abscissa_spec_data_type": TIME,
+        "abscissa_axis_lab": "Time", "abscissa_axis_units_lab": "s",
+        "ordinate_spec_data_type": VELOCITY if velocity else 0,
+        "orddenom_spec_data_type": 0, "orddenom_axis_lab": "Drive", "orddenom_axis_units_lab": bank.drive_unit[:20],
+        "ordinate_axis_lab": "Green's function", "ordinate_axis_units_lab": bank.response_unit[:20],
+        "x": time_s, "data": np.asarray(values, dtype=np.float64),
+    }  # fmt: skip

@@ -1,0 +1,212 @@
+"""What a drive makes the surface do, as the bank predicts it (eqs. 4 and 17), row by row."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+from scipy import fft as scipy_fft
+
+from calibration.drive_file import Drive
+from calibration.errors import InputError
+from calibration.field_file import Field
+from rendering.convolution import Convolution, Response
+from rendering.decimation import Decimation
+from rendering.green_source import GreenSource, RowReader
+from rendering.low_rate import LowRateRows
+from rendering.omission import relative_bound, tolerance_of
+from rendering.row_transforms import BankSpectra
+from rendering.threads import WORKERS, one_blas_thread
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+RealArray = NDArray[np.float32] | NDArray[np.float64]
+OnProgress = Callable[[int, int], None]
+
+LEAST_ROWS = 8
+"""Fewer rows are not worth a thread of their own."""
+LOOKED_AT_ROWS, LOOKED_AT_BLOCKS = 4, 8
+
+
+@dataclass(frozen=True, slots=True)
+class FieldRows:
+    """Some rows of a predicted field.
+
+    Parameters
+    ----------
+    first : int
+        Index of the first of them in the field.
+    position_index : int64 array, shape (k,)
+        Their bank rows.
+    field : float32 or float64 array, shape (k, samples)
+        Their responses.
+    """
+
+    first: int
+    position_index: Int64Array
+    field: RealArray
+
+
+class Prediction:
+    """The field of one drive, to be computed a few rows at a time.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drives, at the bank's rate.
+    bank : GreenSource or BankSpectra
+        Measured Green's functions; or their spectra, kept for many predictions, which then settle rate and tolerance.
+    positions : int64 array
+        Bank rows, measured.
+    dtype : {float32, float64}
+        float64: to 1e-12 of direct evaluation. float32: spectra in complex64, about twice as fast, 1e-6 of
+        each position's largest response.
+    tolerance_db : float, optional
+        Allows leaving out frequency bins, and computing at a lower rate, as long as the proved bound on the
+        relative L2 error stays below it for every part of the field, < 0.
+    rate_hz : float, optional
+        Rate of the field, an integer fraction of the bank's; the field is low-passed to it.
+
+    Raises
+    ------
+    InputError
+        A parameter is not as stated here, or the drive is not finite.
+    """
+
+    position_index: Int64Array
+    sample_rate_hz: float
+    """Rate of the field."""
+    start_s: float
+    """Time of its first sample."""
+    samples: int
+    """Samples of a response."""
+    passed_hz: float
+    """Frequencies up to this are in the field as they are, to one part in ten thousand."""
+
+    def __init__(
+        self,
+        drive: Drive,
+        bank: GreenSource | BankSpectra,
+        positions: Int64Array | Sequence[int],
+        *,
+        dtype: DTypeLike = np.float32,
+        tolerance_db: float | None = None,
+        rate_hz: float | None = None,
+    ) -> None:
+        self.position_index = np.asarray(positions, dtype=np.int64)
+        if np.dtype(dtype) not in (np.float32, np.float64):
+            raise InputError(f"dtype is {np.dtype(dtype)}; allowed are float32 and float64")
+        self._drive = drive
+        self._dtype = np.dtype(dtype)
+        spectra: BankSpectra | None = None
+        decimation: Decimation | None = None
+        if isinstance(bank, BankSpectra):
+            if rate_hz is not None or tolerance_db is not None:
+                raise InputError("rate_hz and tolerance_db are those of the bank's spectra; give them there")
+            spectra, self._bank, reader, decimation = bank, bank.bank, bank.reader, bank.decimation
+            self._tolerance = bank.tolerance
+        else:
+            self._bank, reader = bank, RowReader(bank)
+            if rate_hz is not None and rate_hz != bank.sample_rate_hz:
+                reader = low = LowRateRows(bank, rate_hz, keep=False)
+                decimation = low.decimation
+            self._tolerance = tolerance_of(tolerance_db)
+        self.start_s = drive.start_s
+        self.sample_rate_hz = float(drive.sample_rate_hz)
+        self.passed_hz = self.sample_rate_hz / 2.0
+        self.samples = int(drive.drive_v.shape[1]) + self._bank.taps - 1
+        self._skipped = 0
+        drive_v = drive.drive_v
+        if decimation is not None:
+            if not np.isfinite(drive_v).all():
+                raise InputError("the drive holds NaN or infinity; render it again")
+            drive_v = np.asarray(decimation.factor * decimation.lower(drive_v), dtype=np.float64)
+            self._skipped = 2 * decimation.half
+            self.sample_rate_hz /= decimation.factor
+            self.passed_hz = decimation.passed_hz
+            self.samples = -(-self.samples // decimation.factor)
+        self._convolution = Convolution(drive_v, reader, np.dtype(dtype), self.position_index, self._tolerance, spectra)
+        self._errors = 0.0
+        self._energy = 0.0
+
+    @property
+    def kept_share(self) -> float:
+        """Share of the frequency bins that is computed."""
+        return self._convolution.kept_share
+
+    @property
+    def omitted_bound(self) -> float:
+        """Proved bound on the relative L2 error of the rows given so far from what was left out of them."""
+        return relative_bound(float(np.sqrt(self._errors)), np.array([np.sqrt(self._energy)]))
+
+    def rows(self, on_progress: OnProgress | None = None) -> Iterator[FieldRows]:
+        """Compute all rows; `on_progress` is told positions done and positions in all."""
+        return self._rows(None, on_progress)
+
+    def field(self, on_progress: OnProgress | None = None) -> Field:
+        """Compute all rows into memory."""
+        whole = np.empty((len(self.position_index), self._convolution.padded_samples), dtype=self._dtype)
+        for _ in self._rows(whole, on_progress):
+            pass
+        return Field(
+            field=whole[:, self._skipped : self._skipped + self.samples],
+            position_index=self.position_index,
+            sample_rate_hz=self.sample_rate_hz,
+            start_s=self.start_s,
+            response_unit=self._bank.response_unit.removesuffix("/V"),
+        )
+
+    def _rows(self, whole: RealArray | None, on_progress: OnProgress | None) -> Iterator[FieldRows]:
+        index = self.position_index
+        at_once = min(self._convolution.rows_at_once, max(LEAST_ROWS, -(-len(index) // WORKERS)))
+        parts = deque((first, index[first : first + at_once]) for first in range(0, len(index), at_once))
+        under_way: deque[tuple[int, Int64Array, Future[Response]]] = deque()
+        with one_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:
+            try:
+                while parts or under_way:
+                    while parts and len(under_way) <= WORKERS:
+                        first, part = parts.popleft()
+                        out = None if whole is None else whole[first : first + len(part)]
+                        under_way.append((first, part, pool.submit(self._convolution.respond, part, out)))
+                    first, part, future = under_way.popleft()
+                    response = future.result()
+                    self._errors += response.error**2
+                    self._energy += response.energy
+                    yield FieldRows(first, part, response.field[:, self._skipped : self._skipped + self.samples])
+                    if on_progress is not None:
+                        on_progress(first + len(part), len(index))
+            finally:
+                for _, _, future in under_way:
+                    future.cancel()
+
+    def lost_share(self) -> float:
+        """Share of the response's energy above `passed_hz`: the largest of a few positions, by some of the drive."""
+        if self.passed_hz == float(self._drive.sample_rate_hz) / 2.0:
+            return 0.0
+        drive_v, rate_hz = self._drive.drive_v, float(self._drive.sample_rate_hz)
+        taps = self._bank.taps
+        samples = int(scipy_fft.next_fast_len(2 * taps, real=True))
+        hop = samples - taps + 1
+        starts = np.unique(np.linspace(0, max(drive_v.shape[1] - hop, 0), LOOKED_AT_BLOCKS).astype(int)).tolist()
+        window = np.hanning(hop + 2)[1:-1]
+        blocks = []
+        for start in starts:
+            block = drive_v[:, start : start + hop]
+            blocks.append(scipy_fft.rfft(block * window[: block.shape[1]], samples, axis=1))
+        above = scipy_fft.rfftfreq(samples, 1.0 / rate_hz) > self.passed_hz
+        chosen = self.position_index[
+            np.unique(np.linspace(0, len(self.position_index) - 1, LOOKED_AT_ROWS).astype(int))
+        ]
+        shares = [0.0]
+        reader = RowReader(self._bank)
+        for position in chosen.tolist():
+            green = scipy_fft.rfft(reader.read(position, single=False).values, samples, axis=1)
+            energy = sum(np.square(np.abs((green * block).sum(axis=0))) for block in blocks)
+            total = float(np.sum(energy))
+            if total > 0:
+                shares.append(float(np.sum(np.asarray(energy)[above])) / total)
+        return max(shares)

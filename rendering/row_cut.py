@@ -1,0 +1,133 @@
+"""What of each bank row is left out: late taps, and actuators that hardly count."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.economy_choice import Sample, sampled_energy
+from rendering.green_source import RealArray
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+SHARE = 0.15
+"""Share of the tolerance that late taps may take, weak actuators, and quiet windows, each."""
+LEAST_TAPS = 32
+FRACTIONS = np.arange(4, 14) / 16.0
+"""Fractions of the taps that are tried: keeping more saves next to nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowCut:
+    """The part of each row that is used.
+
+    Parameters
+    ----------
+    taps : int
+        Taps from the first.
+    actuators : int64 array, shape (kept,)
+        Actuators, ascending.
+    all_actuators : int
+        How many the bank has.
+    whole : bool
+        Whether that is all.
+    """
+
+    taps: int
+    actuators: Int64Array
+    all_actuators: int
+    whole: bool
+
+    @classmethod
+    def nothing(cls, taps: int, actuators: int) -> RowCut:
+        """Leave nothing out."""
+        return cls(taps, np.arange(actuators), actuators, whole=True)
+
+    def used(self, values: RealArray) -> RealArray:
+        """The part of a row (actuators, taps) that is used."""
+        return values if self.whole else values[self.actuators, : self.taps]
+
+    @property
+    def weak_actuators(self) -> tuple[int, ...]:
+        """Actuators that are not used."""
+        return tuple(np.setdiff1d(np.arange(self.all_actuators), self.actuators).tolist())
+
+    def spread(self, drives: NDArray[Any]) -> NDArray[Any]:
+        """Drives of the actuators used (kept, samples) as those of all."""
+        if len(self.actuators) == self.all_actuators:
+            return drives
+        spread = np.zeros((self.all_actuators, drives.shape[1]), dtype=drives.dtype)
+        spread[self.actuators] = drives
+        return spread
+
+    def left_out(self, values: RealArray) -> float:
+        """Norm of what is left out of a row."""
+        if self.whole:
+            return 0.0
+        rest = values.astype(np.float64)
+        rest[self.actuators, : self.taps] = 0.0
+        return float(np.sqrt(np.einsum("it,it->", rest, rest)) * (1.0 + 1e-9))
+
+
+def choose_cut(
+    samples: Sequence[Sample],
+    rows: Sequence[Sequence[RealArray]],
+    fft_samples: int,
+    overlap: int,
+    tolerance: float,
+) -> tuple[RowCut, float]:
+    """Choose what to leave out by a look at some windows of some blocks.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+        Each of another block.
+    rows : sequence of sequences of arrays, shape (actuators, taps)
+        The row of each of a sample's windows.
+    fft_samples : int
+        Transform length.
+    overlap : int
+        Blocks that one sample lies in.
+    tolerance : float
+        Relative magnitude that may be left out.
+
+    Returns
+    -------
+    cut : RowCut
+    spent : float
+        Estimate of what it takes of the tolerance.
+    """
+    actuators, taps = rows[0][0].shape if rows and len(rows[0]) else (0, 0)
+    energy = sampled_energy(samples)
+    whole = RowCut.nothing(taps, actuators)
+    if not (energy > 0 and np.isfinite(energy)):
+        return whole, 0.0
+    # Of what may be left out, the share of each block: actuator by actuator, and tap by tap from the end.
+    ends = (FRACTIONS * taps).astype(int) if taps >= LEAST_TAPS else np.zeros(0, dtype=int)
+    by_actuator, by_tap = np.zeros((len(samples), actuators)), np.zeros((len(samples), len(ends)))
+    for place, (sample, greens) in enumerate(zip(samples, rows, strict=True)):
+        for window, green in zip(sample.windows, greens, strict=True):
+            # No more than an estimate is needed, and what is small is last.
+            energy_in = np.add.reduceat(np.square(green), np.append(0, ends), axis=1).astype(np.float64)
+            largest = sample.repeats * float(window.max())
+            by_actuator[place] += largest * np.sqrt(energy_in.sum(axis=1))
+            by_tap[place] += largest * np.sqrt(np.cumsum(energy_in.sum(axis=0)[::-1])[::-1][1:])
+    scale = np.sqrt(overlap * fft_samples / 2.0 / energy)
+    joint = scale * np.linalg.norm(by_actuator, axis=0)
+    order = np.argsort(joint)
+    weak = int(np.searchsorted(np.sqrt(np.cumsum(np.square(joint[order]))), SHARE * tolerance))
+    late = scale * np.linalg.norm(by_tap, axis=0)
+    enough = np.flatnonzero(late <= SHARE * tolerance)
+    kept_taps = int(ends[enough[0]]) if len(enough) else taps
+    kept = np.sort(order[min(weak, actuators - 1) :])
+    if len(kept) == actuators and kept_taps == taps:
+        return whole, 0.0
+    spent = float(np.linalg.norm(joint[order[: actuators - len(kept)]])) + (
+        float(late[enough[0]]) if len(enough) else 0.0
+    )
+    return RowCut(kept_taps, kept.astype(np.int64), actuators, whole=False), spent

@@ -1,0 +1,215 @@
+"""Spectra of bank rows, bin by bin, as products with drives need them; kept for a whole bank where wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from calibration.errors import InputError
+from rendering.decimation import Decimation
+from rendering.economy_choice import Sample, choose_economy
+from rendering.green_source import GreenSource, RowReader
+from rendering.low_rate import LowRateRows
+from rendering.omission import Economy, tolerance_of
+from rendering.threads import WORKERS
+from rendering.upsampling import MULTIPLE
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+RealArray = NDArray[np.float32] | NDArray[np.float64]
+
+GROUP_BYTES = 2**20
+"""Rows of so many bytes are transformed together, within the cache of one core."""
+BLOCK_SHARE = 4.1
+"""Transform length in taps: longer blocks overlap less, and their spectra take as much more memory."""
+CHOICE_SHARE = 0.25
+"""Share of the tolerance that the bins left out may take for typical drives; the rest allows for others."""
+LOOKED_AT_ROWS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class RowTransforms:
+    """Spectra of some rows of size about 1.
+
+    Parameters
+    ----------
+    kept : complex array, shape (kept bins, rows, actuators)
+    norms : float64 array, shape (segments + 1, rows, actuators)
+        Norms over the segments of the economy; zeros where no error is bounded.
+    exponents : int64 array, shape (rows,)
+        The rows are these times two to such a power.
+    """
+
+    kept: NDArray[Any]
+    norms: Float64Array
+    exponents: Int64Array
+
+    def heard(self, actuators: Int64Array) -> RowTransforms:
+        """Of some actuators only."""
+        if len(actuators) == self.kept.shape[2]:
+            return self
+        return RowTransforms(self.kept[:, :, actuators], self.norms[:, :, actuators], self.exponents)
+
+
+def transform_rows(
+    reader: RowReader, positions: Sequence[int], fft_samples: int, economy: Economy, *, bounded: bool
+) -> RowTransforms:
+    """Read rows and transform them.
+
+    Parameters
+    ----------
+    reader : RowReader
+        Reads the rows.
+    positions : sequence of int
+        Which.
+    fft_samples : int
+        Transform length, at least the rows' taps.
+    economy : Economy
+        Precision, and which bins to keep.
+    bounded : bool
+        Whether norms are needed.
+    """
+    actuators, count = reader.actuators, len(positions)
+    made = RowTransforms(
+        np.empty((economy.kept, count, actuators), dtype=economy.complex),
+        np.zeros((economy.segments + 1, count, actuators)),
+        np.zeros(count, dtype=np.int64),
+    )
+    at_once = max(1, GROUP_BYTES // (actuators * fft_samples * np.dtype(economy.real).itemsize))
+    padded = np.zeros((min(at_once, count) * actuators, fft_samples), dtype=economy.real)
+    for begin in range(0, count, at_once):
+        some = positions[begin : begin + at_once]
+        for place, position in enumerate(some):
+            row = reader.read(int(position), single=economy.single)
+            padded[place * actuators : (place + 1) * actuators, : row.values.shape[1]] = row.values
+            made.exponents[begin + place] = row.exponent
+        whole = scipy_fft.rfft(padded[: len(some) * actuators], axis=1)
+        where = slice(begin, begin + len(some))
+        made.kept[:, where] = whole[:, economy.low : economy.high].T.reshape(economy.kept, len(some), actuators)
+        if bounded:
+            made.norms[:, where] = economy.norms(whole).T.reshape(-1, len(some), actuators)
+    return made
+
+
+class BankSpectra:
+    """Spectra of a bank's rows, made once and kept for the prediction of many drives.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    positions : sequence of int
+        Its rows that will be asked for, measured.
+    rate_hz : float, optional
+        Rate of the fields, an integer fraction of the bank's.
+    tolerance_db : float, optional
+        Allows to keep only the bins that matter to within this relative L2 error, < 0. The error of each field is
+        bounded, and one that has more in the other bins is computed from the bank instead.
+
+    Raises
+    ------
+    InputError
+        The rate is not such a fraction, the tolerance is not below 0, or the spectra do not fit into memory.
+    """
+
+    reader: RowReader
+    decimation: Decimation | None
+    """How the rate is lowered."""
+    fft_samples: int
+    economy: Economy
+    tolerance: float
+    """Relative magnitude that may be left out of a field, 0 where nothing may."""
+
+    def __init__(
+        self,
+        bank: GreenSource,
+        positions: Sequence[int] | Int64Array,
+        *,
+        rate_hz: float | None = None,
+        tolerance_db: float | None = None,
+    ) -> None:
+        self.bank = bank
+        self.tolerance = tolerance_of(tolerance_db)
+        self.decimation = None
+        self.reader = RowReader(bank)
+        if rate_hz is not None and rate_hz != bank.sample_rate_hz:
+            self.reader = low = LowRateRows(bank, rate_hz, keep=False)
+            self.decimation = low.decimation
+        length = int(BLOCK_SHARE * self.reader.taps / MULTIPLE) + 1
+        self.fft_samples = MULTIPLE * int(scipy_fft.next_fast_len(length, real=True))
+        rows = np.unique(np.asarray(positions, dtype=np.int64))
+        self._place = np.full(bank.positions, -1, dtype=np.int64)
+        self._place[rows] = np.arange(len(rows))
+        self.economy = self._choose(rows)
+        try:
+            self._made = self._transform(rows)
+        except MemoryError as error:
+            size = len(rows) * bank.actuators * self.economy.kept * 8 / 2**30
+            raise InputError(
+                f"the bank's spectra take {size:.3g} GiB, which do not fit into memory; ask for fewer positions, a"
+                " lower rate or a tolerance"
+            ) from error
+
+    @property
+    def size_bytes(self) -> int:
+        """Memory that the spectra take."""
+        return int(self._made.kept.nbytes + self._made.norms.nbytes)
+
+    def rows(self, positions: Int64Array) -> RowTransforms:
+        """Spectra of some rows. Raises InputError where one was not among the positions."""
+        place = self._place[positions]
+        if (place < 0).any():
+            raise InputError(
+                f"the spectra of position {int(positions[int(np.argmin(place))])} were not kept; make them for all"
+                " positions that are asked for"
+            )
+        first, last = int(place[0]), int(place[-1]) + 1
+        where: slice | Int64Array = place
+        if last - first == len(place) and (np.diff(place) == 1).all():
+            where = slice(first, last)
+        return RowTransforms(self._made.kept[:, where], self._made.norms[:, where], self._made.exponents[where])
+
+    def _choose(self, rows: Int64Array) -> Economy:
+        """Bins that matter for drives that are made from the bank, by a look at some rows."""
+        bins = self.fft_samples // 2 + 1
+        if not self.tolerance:
+            return Economy.of(bins, single=True)
+        chosen = rows[np.unique(np.linspace(0, len(rows) - 1, LOOKED_AT_ROWS).astype(int))]
+        greens = np.array(
+            [
+                np.abs(scipy_fft.rfft(self.reader.read(row, single=True).values, self.fft_samples, axis=1))
+                for row in chosen.tolist()
+            ],
+            dtype=np.float64,
+        )
+        drives = np.sqrt(np.square(greens).mean(axis=0))
+        samples = [Sample(drives, green, 1.0, np.zeros(len(green))) for green in greens]
+        return choose_economy(samples, self.fft_samples, 1, CHOICE_SHARE * self.tolerance)
+
+    def _transform(self, rows: Int64Array) -> RowTransforms:
+        actuators, economy = self.bank.actuators, self.economy
+        made = RowTransforms(
+            np.empty((economy.kept, len(rows), actuators), dtype=economy.complex),
+            np.empty((economy.segments + 1, len(rows), actuators)),
+            np.empty(len(rows), dtype=np.int64),
+        )
+        at_once = max(1, 2 * GROUP_BYTES // (actuators * self.fft_samples * 4))
+
+        def fill(first: int) -> None:
+            where = slice(first, min(first + at_once, len(rows)))
+            part = transform_rows(
+                self.reader, rows[where].tolist(), self.fft_samples, economy, bounded=self.tolerance > 0
+            )
+            made.kept[:, where], made.norms[:, where] = part.kept, part.norms
+            made.exponents[where] = part.exponents
+
+        with ThreadPoolExecutor(WORKERS) as pool:
+            for _ in pool.map(fill, range(0, len(rows), at_once)):
+                pass
+        return made

@@ -1,0 +1,90 @@
+"""Power cuts in a capture, in the repair of a crash and in the replacement of a position."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Generator, Iterator
+
+import numpy as np
+
+from tests.system.crash.campaign import Campaign, Verdict, acknowledged
+from tests.system.crash.power_cuts import Call, Disk, Image, Kind, images, read_log
+from tests.system.crash.processes import How, Order
+from tests.system.crash.shares import Share
+
+# Random subsets of what was not synced, for each call.
+FEWEST_SUBSETS, MOST_SUBSETS = 8, 128
+# Cuts of each of many repairs.
+PER_STATE = 40
+
+
+def in_capture(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+    """Cut the power in a capture, from the making of the bank on."""
+    campaign.clear()
+    yield from _cut(campaign, campaign.capture, chance, set(), share)
+
+
+def in_repair(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+    """Cut the power in a resume, after a kill within any commit."""
+    campaign.clear()
+    calls = campaign.processes.run(*campaign.capture).calls or 0
+    while True:
+        campaign.clear()
+        order = Order(How.KILL_WITHIN, chance.randrange(calls // 4, calls), chance.choice((512, 1000, 4608)))
+        ended = campaign.interrupted(campaign.capture, order)
+        if campaign.bank.exists():
+            yield from _cut(campaign, campaign.resume, chance, acknowledged(ended.out), Share(PER_STATE))
+
+
+def in_remeasure(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+    """Cut the power while a position is replaced."""
+    campaign.restore(campaign.captured)
+    everything = set(range(len(campaign.rows)))
+    yield from _cut(campaign, campaign.remeasure, chance, everything, share, remeasure=True)
+
+
+def _cut(
+    campaign: Campaign,
+    command: tuple[object, ...],
+    chance: random.Random,
+    promised: set[int],
+    share: Share,
+    *,
+    remeasure: bool = False,
+) -> Generator[Verdict, None, None]:
+    log_path = campaign.folder / "calls.log"
+    before = {path: path.read_bytes() if path.is_file() else None for path in campaign.lying_there()}
+    inodes = {path: path.stat().st_ino for path in before}
+    ended = campaign.processes.run(*command, log=log_path)
+    assert ended.code == 0, ended.err
+    log = read_log(log_path)
+    told = list(_told(log))
+    seed = chance.randrange(1 << 30)
+    # Until the bank has its name there is nothing in it to lose: torn writes alone are tried.
+    named = next((step for step, call in enumerate(log) if call.kind is Kind.LINK), 0)
+
+    def found(subsets: int) -> Iterator[Image]:
+        return images(Disk(before, inodes), log, np.random.default_rng(seed), subsets, named)
+
+    subsets, total = FEWEST_SUBSETS, 0
+    while total < share.count and subsets <= MOST_SUBSETS:
+        total = sum(1 for _ in found(subsets))
+        subsets *= 2
+    for image in share.evenly(found(subsets // 2), total):
+        so_far = promised.union(*(positions for step, positions in told if step <= image.step))
+        yield replayed(campaign, image, so_far, remeasure=remeasure)
+
+
+def replayed(campaign: Campaign, image: Image, promised: set[int], *, remeasure: bool = False) -> Verdict:
+    """Look at what a power cut left, go on to the end and look again."""
+    campaign.put(image)
+    verdict = campaign.judge(promised)
+    campaign.finish(verdict, remeasure=remeasure)
+    return verdict
+
+
+def _told(log: list[Call]) -> Iterator[tuple[int, set[int]]]:
+    """After how many calls which positions were told to be in; the log of events says so before anyone else."""
+    for step, call in enumerate(log, 1):
+        if call.kind is Kind.WRITE and call.path.endswith(".events.jsonl"):
+            yield step, acknowledged(call.data.decode())

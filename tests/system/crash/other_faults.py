@@ -1,0 +1,183 @@
+"""Disks that fill or fail, bytes that flip, and second processes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+import signal
+import time
+from collections.abc import Generator
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from tests.system.crash.campaign import Campaign, Verdict, acknowledged, require_well_told
+from tests.system.crash.kills import judged
+from tests.system.crash.processes import How, HungError, Order, Processes
+from tests.system.crash.shares import Share
+
+WRONG_INPUT, FAILED, BUSY = 2, 3, 75
+
+
+def full_disk(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+    """Let each call, and all after it that need space, find the disk full; then there is space again."""
+    yield from _failing(campaign, How.FAIL_ON, errno.ENOSPC, share)
+
+
+def failing_disk(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+    """Let each call fail once."""
+    yield from _failing(campaign, How.FAIL_ONCE, errno.EIO, share)
+
+
+def dead_disk(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+    """Let each call, and all after it, fail."""
+    yield from _failing(campaign, How.FAIL_ON, errno.EIO, share)
+
+
+def _failing(campaign: Campaign, how: How, error: int, share: Share) -> Generator[Verdict, None, None]:
+    campaign.clear()
+    calls = campaign.processes.run(*campaign.capture).calls or 0
+    for call in share.evenly(range(1, calls + 1), calls):
+        campaign.clear()
+        ended = campaign.interrupted(campaign.capture, Order(how, call, error=error))
+        verdict = campaign.judge(acknowledged(ended.out))
+        require_well_told(verdict, ended, {0, WRONG_INPUT, FAILED})
+        campaign.finish(verdict)
+        yield verdict
+
+
+def flipped_bytes(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+    """Flip bits of a byte anywhere in a bank: it is harmless, repaired or named, and no more is lost."""
+    campaign.clear()
+    half = campaign.interrupted(campaign.capture, Order(How.KILL_BEFORE, _calls(campaign) * 3 // 5))
+    assert half.killed
+    unfinished = campaign.bank.read_bytes()
+    whole = campaign.captured[campaign.bank.name]
+    places = _places(campaign)
+    while True:
+        before, name = chance.choice(((whole, "whole"), (unfinished, "half")))
+        kind = chance.choice(sorted(places))
+        start, size = chance.choice(places[kind])
+        at = start + chance.randrange(size)
+        bits = chance.randrange(1, 256)
+        content = bytearray(before)
+        content[at] ^= bits
+        campaign.restore({campaign.bank.name: bytes(content)})
+        yield _flipped(campaign, content, at, f"byte {at} of {kind}, {name}, xor {bits:#x}")
+
+
+def _flipped(campaign: Campaign, content: bytearray, at: int, what: str) -> Verdict:
+    verdict = Verdict()
+    try:
+        for command in (("check", campaign.bank), ("status", campaign.bank), campaign.resume):
+            ended = campaign.processes.run(*command)
+            require_well_told(verdict, ended, {0, 1, WRONG_INPUT})
+            if ended.code == WRONG_INPUT and str(campaign.bank) not in ended.err.splitlines()[-1]:
+                verdict.note("badly_told", "the refusal does not name the file")
+    except HungError as error:
+        verdict.note("badly_told", str(error))
+    found = campaign.bank.read_bytes()
+    if verdict.clean and ended.code == 0:
+        wanted = campaign.captured[campaign.bank.name]
+        harmless = bytearray(wanted)
+        harmless[at] = content[at]
+        if found not in (wanted, harmless):
+            verdict.note("different", "resume went on and did not end as the uninterrupted run")
+        verdict_now = campaign.judge(set(range(len(campaign.rows))))
+        for kind in ("unreadable", "lost", "wrong"):
+            setattr(verdict, kind, getattr(verdict_now, kind))
+        verdict.notes += verdict_now.notes
+    elif verdict.clean and found != content:
+        verdict.note("different", "the bank was refused, and changed")
+    verdict.notes = [f"{what}: {note}" for note in verdict.notes]
+    return verdict
+
+
+def _calls(campaign: Campaign) -> int:
+    campaign.clear()
+    calls = campaign.processes.run(*campaign.capture).calls or 0
+    campaign.clear()
+    return calls
+
+
+def _places(campaign: Campaign) -> dict[str, list[tuple[int, int]]]:
+    """Where a bank keeps what: runs of bytes by kind; what HDF5 itself keeps is everything else that is not zero."""
+    places: dict[str, list[tuple[int, int]]] = {}
+    campaign.restore(campaign.captured)
+    with h5py.File(campaign.bank, "r") as file:
+
+        def note(name: str, item: object) -> None:
+            if not isinstance(item, h5py.Dataset):
+                return
+            if item.chunks:
+                runs = []
+                item.id.chunk_iter(lambda chunk: runs.append((chunk.byte_offset, chunk.size)))
+                places[name] = runs
+            elif item.id.get_offset() is not None:
+                places[name] = [(item.id.get_offset(), item.id.get_storage_size())]
+
+        file.visititems(note)
+    content = np.frombuffer(campaign.captured[campaign.bank.name], np.uint8).copy()
+    for runs in places.values():
+        for start, size in runs:
+            content[start : start + size] = 0
+    metadata = [(int(at), 1) for at in np.flatnonzero(content)]
+    # As likely as all datasets together: it is what HDF5 reads before anything can be checked.
+    return places | {f"metadata{turn}": metadata for turn in range(len(places))}
+
+
+def second_process(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+    """Start a second process while the first is stopped at a call; then let that go on, or kill it meanwhile."""
+    rivals_folder = campaign.folder / "rival"
+    rivals_folder.mkdir(exist_ok=True)
+    calls = _calls(campaign)
+    with Processes(rivals_folder, campaign.lab, campaign.processes.library) as rival:
+        rival.warm_up(["resume", campaign.folder / "warm" / campaign.bank.name])
+        while True:
+            campaign.clear()
+            call, kill = chance.randrange(1, calls + 1), chance.random() < 0.5
+            pid = campaign.processes.start(*campaign.capture, order=Order(How.STOP_BEFORE, call))
+            if not _stopped(pid):
+                campaign.processes.wait()
+                continue
+            owned = campaign.bank.exists() and campaign.bank.with_name(campaign.bank.name + ".owner").exists()
+            rival.start(*(campaign.resume if owned else campaign.capture))
+            if kill:
+                time.sleep(chance.uniform(0, 0.15))
+                os.kill(pid, signal.SIGKILL)
+                second = rival.wait()
+            else:
+                second = rival.wait()
+                os.kill(pid, signal.SIGCONT)
+            first = campaign.processes.wait()
+            promised = acknowledged(first.out) | acknowledged(second.out)
+            # Before the bank has its owner either may become it; a maker that comes second is told so.
+            verdict = judged(campaign, first, promised, 1) if first.killed else _both(campaign, promised)
+            if not first.killed:
+                require_well_told(verdict, first, {0} if owned else {0, WRONG_INPUT, BUSY})
+            require_well_told(verdict, second, {BUSY} if owned and not kill else {0, BUSY, WRONG_INPUT})
+            if owned and not kill and f"process {pid} " not in second.err:
+                verdict.note("badly_told", f"the owner is not named: {second.err.splitlines()[-1]}")
+            yield verdict
+
+
+def _both(campaign: Campaign, promised: set[int]) -> Verdict:
+    verdict = campaign.judge(promised)
+    campaign.finish(verdict)
+    return verdict
+
+
+def _stopped(pid: int) -> bool:
+    stat = Path(f"/proc/{pid}/stat")
+    deadline_s = time.monotonic() + 20.0
+    while time.monotonic() < deadline_s:
+        try:
+            state = stat.read_text(encoding="ascii").rsplit(")", 1)[1].split()[0]
+        except (FileNotFoundError, ProcessLookupError):
+            return False
+        if state in "TZ":
+            return state == "T"
+        time.sleep(0.001)
+    return False

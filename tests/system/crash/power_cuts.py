@@ -1,0 +1,260 @@
+"""What a disk may hold after the power went: rebuilt from a log of calls.
+
+What was synced is there. Of what was not, any part may be: each sector of each write as it was, as it was to be, or,
+where it was just being written, as garbage; each name of a file made, moved or removed, or not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+
+SECTOR, PAGE = 512, 4096
+_ENTRY = struct.Struct("<IIIIQQ")
+
+
+class Kind(IntEnum):
+    """Kinds of calls, as `calls.c` knows them."""
+
+    WRITE = 1
+    SYNC = 2
+    RESIZE = 3
+    RESERVE = 4
+    LINK = 5
+    RENAME = 6
+    UNLINK = 7
+    MKDIR = 8
+    RMDIR = 9
+    CREATE = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """One call of the log: `offset` is the new size of a `RESIZE` or `RESERVE`."""
+
+    kind: Kind
+    path: str
+    other: str
+    offset: int
+    inode: int
+    data: bytes
+
+
+def read_log(path: Path) -> list[Call]:
+    """Read the log that a process was told to keep; a process killed while logging leaves a torn end."""
+    content, at, calls = path.read_bytes(), 0, []
+    while at + _ENTRY.size <= len(content):
+        kind, size, other_size, data_size, offset, inode = _ENTRY.unpack_from(content, at)
+        at += _ENTRY.size
+        end = at + size + other_size + data_size
+        if end > len(content):
+            break
+        name, other = content[at : at + size].decode(), content[at + size : at + size + other_size].decode()
+        calls.append(Call(Kind(kind), name, other, offset, inode, content[end - data_size : end]))
+        at = end
+    return calls
+
+
+@dataclass(slots=True)
+class _File:
+    synced: bytearray = field(default_factory=bytearray)
+    flying: list[Call] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """What the disk holds: `files` by path, and `folders`; `step` calls had returned when the power went."""
+
+    step: int
+    files: dict[str, bytes]
+    folders: frozenset[str]
+
+    def digest(self) -> bytes:
+        """Tell images apart."""
+        found = hashlib.sha256(repr(sorted(self.folders)).encode())
+        for name, content in sorted(self.files.items()):
+            found.update(name.encode() + b"\0" + len(content).to_bytes(8, "little") + content)
+        return found.digest()
+
+
+class Disk:
+    """A disk that takes calls one by one and may lose power at any.
+
+    Parameters
+    ----------
+    before : dict
+        What lies there, on the disk for good, before the first call: bytes by path, None for a folder.
+    inodes : dict
+        The number that the log has for each of them.
+    """
+
+    def __init__(self, before: Mapping[Path, bytes | None], inodes: Mapping[Path, int]) -> None:
+        self._files = {inodes[path]: _File(bytearray(one)) for path, one in before.items() if one is not None}
+        self._names = {str(path): None if one is None else inodes[path] for path, one in before.items()}
+        self._flying_names: list[Call] = []
+
+    def take(self, call: Call) -> None:
+        """Let a call happen."""
+        if call.kind is Kind.SYNC:
+            self._sync(call)
+        elif call.kind in (Kind.WRITE, Kind.RESIZE, Kind.RESERVE):
+            self._file(call).flying.append(call)
+        else:
+            if call.kind is Kind.CREATE:
+                self._create(call)
+            self._flying_names.append(call)
+
+    def _create(self, call: Call) -> None:
+        if call.path not in _named(self._names, self._flying_names):
+            self._files[call.inode] = _File()  # numbers of removed files are given to new ones
+        elif call.offset:  # it was opened to be written anew
+            self._file(call).flying.append(Call(Kind.RESIZE, call.path, "", 0, call.inode, b""))
+
+    def _file(self, call: Call) -> _File:
+        return self._files.setdefault(call.inode, _File())
+
+    def _sync(self, call: Call) -> None:
+        if call.inode in self._files:
+            file = self._files[call.inode]
+            for one in file.flying:
+                _apply(file.synced, one)
+            file.flying.clear()
+            return
+        here = [one for one in self._flying_names if str(Path(one.other or one.path).parent) == call.path]
+        self._names = _named(self._names, here)
+        self._flying_names = [one for one in self._flying_names if one not in here]
+
+    def cut(self, step: int, chance: np.random.Generator, last: Call | None, torn: int, subset: str) -> Image:
+        """Lose power while `last` is on its way, `torn` bytes of it done.
+
+        Parameters
+        ----------
+        step : int
+            Calls that have returned.
+        chance : Generator
+            Draws subsets and garbage.
+        last : Call or None
+            The write on its way.
+        torn : int
+            How much of it is on the disk; negative: that much, and garbage in the sector after it.
+        subset : str
+            ``"all"``, ``"none"`` or ``"some"`` of what had returned and was not synced.
+        """
+        names = [one for one in self._flying_names if subset == "all" or (subset == "some" and chance.random() < 0.5)]
+        contents = {inode: self._content(file, chance, subset) for inode, file in self._files.items()}
+        if last is not None and last.inode in contents:
+            _tear(contents[last.inode], last, torn, chance)
+        found = _named(self._names, names)
+        files = {name: bytes(contents[inode]) for name, inode in found.items() if inode is not None}
+        return Image(step, files, frozenset(name for name, inode in found.items() if inode is None))
+
+    def _content(self, file: _File, chance: np.random.Generator, subset: str) -> bytearray:
+        content = bytearray(file.synced)
+        if subset == "none":
+            return content
+        for call in file.flying:
+            if subset == "all":
+                _apply(content, call)
+            elif call.kind is Kind.WRITE:
+                for start in range(0, len(call.data), SECTOR):
+                    if chance.random() < 0.5:
+                        _put(content, call.offset + start, call.data[start : start + SECTOR])
+            elif chance.random() < 0.5:
+                _apply(content, call)
+        return content
+
+
+def images(
+    disk: Disk, log: list[Call], chance: np.random.Generator, subsets: int, drawn_from: int = 0
+) -> Iterator[Image]:
+    """Every cut that is worth a look, each image once.
+
+    Parameters
+    ----------
+    disk : Disk
+        As it was before the first call.
+    log : list of Call
+        What was done to it.
+    chance : Generator
+        Draws subsets and garbage.
+    subsets : int
+        Random subsets of what was not synced, for each call.
+    drawn_from : int
+        The first call for which they are drawn.
+    """
+    seen = set()
+
+    def new(image: Image) -> Iterator[Image]:
+        digest = image.digest()
+        if digest not in seen:
+            seen.add(digest)
+            yield image
+
+    for step, call in enumerate(log):
+        last = call if call.kind is Kind.WRITE else None
+        size = len(call.data)
+        tears = sorted({min(size, cut) for cut in (0, SECTOR, PAGE, PAGE + SECTOR, size // 2, size)}) if last else [0]
+        for subset in ("all", "none"):
+            for torn in tears:
+                yield from new(disk.cut(step, chance, last, torn, subset))
+                if torn < size:
+                    yield from new(disk.cut(step, chance, last, -torn - 1, subset))
+        for _ in range(subsets if step >= drawn_from else 0):
+            torn = int(chance.integers(0, size + 1)) // SECTOR * SECTOR
+            yield from new(disk.cut(step, chance, last, -torn - 1 if chance.random() < 0.5 else torn, "some"))
+        disk.take(call)
+    for subset in ("all", "none", *["some"] * subsets):
+        yield from new(disk.cut(len(log), chance, None, 0, subset))
+
+
+def _tear(content: bytearray, call: Call, torn: int, chance: np.random.Generator) -> None:
+    kept = -torn - 1 if torn < 0 else torn
+    _put(content, call.offset, call.data[:kept])
+    if torn < 0:
+        _put(content, call.offset + kept, chance.bytes(min(SECTOR, len(call.data) - kept)))
+
+
+def _put(content: bytearray, offset: int, data: bytes) -> None:
+    if len(content) < offset + len(data):
+        content.extend(bytes(offset + len(data) - len(content)))
+    content[offset : offset + len(data)] = data
+
+
+def _apply(content: bytearray, call: Call) -> None:
+    if call.kind is Kind.WRITE:
+        _put(content, call.offset, call.data)
+    elif len(content) < call.offset:
+        content.extend(bytes(call.offset - len(content)))
+    elif call.kind is Kind.RESIZE:
+        del content[call.offset :]
+
+
+def _named(names: dict[str, int | None], calls: list[Call]) -> dict[str, int | None]:
+    """Names after some calls; what had no ground to happen on did not happen."""
+    found = dict(names)
+    for call in calls:
+        if call.kind is Kind.MKDIR:
+            found[call.path] = None
+        elif call.kind is Kind.CREATE:
+            found[call.path] = call.inode
+        elif call.kind is Kind.LINK:
+            found[call.other] = call.inode
+        elif call.kind is Kind.RENAME:
+            found.pop(call.path, None)
+            found[call.other] = call.inode
+        else:
+            found.pop(call.path, None)
+    folders = {name for name, inode in found.items() if inode is None}
+    # A file in a folder that is not there is not there either.
+    return {name: inode for name, inode in found.items() if _placed(name, folders, names)}
+
+
+def _placed(name: str, folders: set[str], before: dict[str, int | None]) -> bool:
+    parent = Path(name).parent
+    return not parent.name.endswith(".partial") or str(parent) in folders

@@ -1,0 +1,115 @@
+"""What `plan` expects of a schedule, held against what is measured on the virtual rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from acquisition.expectation import method_of
+from acquisition.measuring import measuring_of
+from acquisition.plan import Plan
+from acquisition.pointing import point_at
+from acquisition.record import take_record
+from acquisition.setup import Setup
+from acquisition.trial import scheduled
+from acquisition.trial_verdict import Band, decibel_of_median, relative
+from calibration.expected_error import Noise, expected_error
+from drivers.protocols import Take
+from wavefocus.compose import blueprint_from_files, open_setup, virtual_rig
+from wavefocus.config.rig_emulation import Emulation
+
+POSITIONS = (0, 2, 4)
+ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0], [60.0, -50.0], [-60.0, -50.0]]
+WITHIN_DB = 1.5
+
+
+def _measured_db(plan: Plan, setup: Setup, true: np.ndarray) -> float:
+    """Median error over positions and actuators."""
+    measuring = measuring_of(plan, setup)
+    band = Band(plan.excitation.band_hz, plan.excitation.sample_rate_hz, plan.taps)
+    shares = []
+    for position in POSITIONS:
+        point_at(setup, *plan.position_mm[position])
+        for attempt in (1, 2):
+            takes = [Take(position, attempt, play.actuator, "trial") for play in measuring.plays]
+            recordings = [
+                play.cut(take_record(setup, play.signals_v, plan.excitation.sample_rate_hz, take, play.samples))
+                for play, take in zip(measuring.plays, takes, strict=True)
+            ]
+            reference_v, response_v = (np.stack([one.volts[row] for one in recordings]) for row in range(2))
+            found = measuring.estimator.estimate(reference_v, response_v, range_v=setup.range_v)
+            right = band.spectra(true[position])
+            shares.append(relative(band.spectra(found.green), right, right))
+    return decibel_of_median(np.concatenate(shares))
+
+
+def _response_v(plan: Plan, setup: Setup, green: np.ndarray) -> np.ndarray:
+    """What each actuator alone gives while its sweep sounds, in volts, (actuators, samples)."""
+    sweep = plan.excitation.base_v()[: plan.excitation.sweep_samples]
+    heard = scipy.signal.fftconvolve(green, sweep[None], axes=1)[:, : sweep.size]
+    return np.asarray(heard / setup.response_per_volt)
+
+
+@pytest.mark.parametrize(
+    "emulation",
+    [
+        "noise_v = 1e-3",
+        "noise_v = 1e-6\nnoise_per_response = 0.02",
+        "noise_v = 1e-6\ncubic_per_v2 = 0.1",
+        "noise_v = 1e-6\ncubic_per_v2 = 0.01",
+    ],
+    ids=["noise always there", "noise that grows", "a plate that distorts", "a little"],
+)
+def test_given_a_model_of_noise_then_sequential_and_staggered_capture_err_as_expected(
+    lab: Path, emulation: str
+) -> None:
+    rig = (lab / "rig.toml").read_text(encoding="utf-8").partition("[actuators]")[0]
+    (lab / "rig.toml").write_text(
+        f"{rig}[actuators]\nposition_mm = {ACTUATORS}\n[emulation]\n{emulation}\n", encoding="utf-8"
+    )
+    run = (lab / "run.toml").read_text(encoding="utf-8").replace("noise_v = 1e-4\n", "").replace("1000", "2000")
+    run = run.replace("decay_s = 0.1", 'decay_s = 0.2\nexcitation = "staggered"').replace("0.3", "1.0")
+    (lab / "run.toml").write_text(run, encoding="utf-8")
+    blueprint = blueprint_from_files(lab / "run.toml")
+    configuration, staggered = blueprint.configuration, blueprint.plan
+    truth = virtual_rig(configuration.rig, configuration.run.virtual)
+    true = np.stack([truth.truth(x_mm, y_mm, staggered.taps) for x_mm, y_mm in staggered.position_mm])
+    with open_setup(configuration.rig, configuration.run) as setup:
+        for plan in (scheduled(staggered, 0, 0.0), staggered):
+            measured_db = _measured_db(plan, setup, true)
+            expected_db = [
+                one
+                for position in POSITIONS
+                for one in _expected_db(plan, configuration.rig.emulation, _response_v(plan, setup, true[position]))
+            ]
+            assert measured_db == pytest.approx(float(np.median(expected_db)), abs=WITHIN_DB)
+
+
+def _expected_db(plan: Plan, emulated: Emulation, volts: np.ndarray) -> list[float]:
+    """What is expected of each actuator at a position where they give such responses, one at a time."""
+    rms = np.sqrt(np.mean(volts**2, axis=1))
+    # The recorder rounds to steps of its range over 32768.
+    always_v = np.hypot(emulated.noise_v or 0.0, 10.0 / 32768 / np.sqrt(12))
+    cubic_v = emulated.cubic_per_v2 * np.sqrt(np.mean(volts**6, axis=1))
+    expected = []
+    for actuator, alone in enumerate(rms):
+        noise = Noise(
+            additive_db=20 * np.log10(always_v / alone),
+            proportional_db=20 * np.log10(max(emulated.noise_per_response, 1e-9)),
+            cubic_db=20 * np.log10(max(cubic_v[actuator] / alone, 1e-9)),
+        )
+        loudness = float(np.sum(rms**2) / alone**2) if plan.staggered is not None else 1.0
+        found = expected_error(
+            method_of(plan),
+            noise,
+            band_hz=plan.excitation.band_hz,
+            sample_rate_hz=1e4,
+            taps=plan.taps,
+            loudness=loudness,
+            heard=float(np.sum(rms**2) ** 2 / np.sum(rms**4)) if plan.staggered is not None else 1.0,
+        )
+        expected.append(found.total_db)
+    return expected

@@ -1,0 +1,211 @@
+"""Power cuts replayed from a log of writes: what survives, and that the replay sees what lesser writers lose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from calibration.bank import open_bank
+from calibration.bank_creation import create_bank
+from calibration.bank_writer import BankWriter
+from calibration.durable import OpenFile
+from calibration.errors import InputError
+from calibration.raw_file import open_raw
+from calibration.raw_header import RawHeader
+from calibration.raw_writer import RawWriter, create_raw
+from calibration.schedule import sequential
+from tests.system.crash.logged import (
+    INODE,
+    LoggedFile,
+    LoggedMemory,
+    WithoutFirstBarrier,
+    WithoutSecondBarrier,
+)
+from tests.system.crash.power_cuts import Call, Disk, images
+from tests.system.crash.shares import Share
+from tests.system.test_bank_crash import green_of, header, record_of
+
+POSITIONS = 3
+TRIED = 70
+# One position twice, so that the journal is used.
+TURNS = ((2, 1), (0, 1), (2, 2), (1, 1))
+STEP_V = 2.0**-15
+
+
+@pytest.fixture(autouse=True)
+def _fresh_log() -> None:
+    LoggedFile.log.clear()
+
+
+def cuts(path: Path, before: bytes, log: list[Call]) -> Iterator[tuple[int, bytes]]:
+    """Some (calls that had returned, bytes of the file) that a power cut can leave; `make soak` tries thousands."""
+    found = list(images(Disk({path: before}, {path: INODE}), log, np.random.default_rng(1), 3))
+    assert len(found) > TRIED
+    return ((image.step, image.files[str(path)]) for image in Share(TRIED).evenly(found, len(found)))
+
+
+def measure(writer: BankWriter) -> list[tuple[int, int, int]]:
+    """Measure what is left of the turns; return (length of the log, position, attempt) at each acknowledgement."""
+    done = []
+    for position, attempt in TURNS:
+        if writer.attempts[position] < attempt:
+            writer.commit(position, green_of(position, attempt), record_of(position, attempt))
+            done.append((len(LoggedFile.log), position, attempt))
+    return done
+
+
+def logged_bank(path: Path, open_file: OpenFile) -> tuple[bytes, list[Call], list[tuple[int, int, int]]]:
+    """Measure a bank from its beginning; return that, the log and what was acknowledged when."""
+    create_bank(path, header(POSITIONS))
+    before = path.read_bytes()
+    with BankWriter.open(path, open_file=open_file) as writer:
+        LoggedFile.log.clear()
+        acknowledged = measure(writer)
+    return before, list(LoggedFile.log), acknowledged
+
+
+def promised_at(acknowledged: list[tuple[int, int, int]], step: int) -> dict[int, int]:
+    return {position: attempt for length, position, attempt in acknowledged if length <= step}
+
+
+def holds(found: np.ndarray, position: int, attempt: int) -> bool:
+    """What was acknowledged, or the newer attempt that was on its way."""
+    return any(np.array_equal(found, green_of(position, newer)) for newer in range(attempt, 3))
+
+
+def lost_in_bank(path: Path, promised: dict[int, int]) -> int:
+    """Positions that were acknowledged and are not in the bank as a reader finds it."""
+    lost = 0
+    with open_bank(path) as bank:
+        for position, attempt in promised.items():
+            try:
+                lost += not (bank.status[position] and holds(bank.green(position), position, attempt))
+            except InputError:
+                lost += 1
+    return lost
+
+
+def test_given_a_power_cut_at_any_write_of_a_bank_then_nothing_acknowledged_is_lost_and_it_ends_identical(
+    tmp_path: Path,
+) -> None:
+    before, log, acknowledged = logged_bank(tmp_path / "bank.h5", LoggedFile)
+    finished = (tmp_path / "bank.h5").read_bytes()
+    cut = tmp_path / "bank.h5"
+    for step, image in cuts(cut, before, log):
+        cut.write_bytes(image)
+        promised = promised_at(acknowledged, step)
+        assert lost_in_bank(cut, promised) == 0
+        with BankWriter.open(cut, open_file=LoggedFile) as writer:
+            for position in np.flatnonzero(writer.status).tolist():
+                assert np.array_equal(writer.green(position), green_of(position, int(writer.attempts[position])))
+            measure(writer)
+        assert cut.read_bytes() == finished
+
+
+def test_given_a_writer_without_the_second_barrier_then_the_replay_sees_acknowledged_positions_lost(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "bank.h5"
+    before, log, acknowledged = logged_bank(path, WithoutSecondBarrier)
+    lost = 0
+    for step, image in cuts(path, before, log):
+        path.write_bytes(image)
+        lost += lost_in_bank(path, promised_at(acknowledged, step))
+    assert lost > 0
+
+
+def test_given_a_writer_without_the_first_barrier_then_the_checksum_alone_keeps_wrong_positions_from_being_valid(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "bank.h5"
+    before, log, _ = logged_bank(path, WithoutFirstBarrier)
+    wrong_by_ledger = wrong_by_checksum = 0
+    for _, image in cuts(path, before, log):
+        path.write_bytes(image)
+        with open_bank(path) as bank, h5py.File(path, "r") as file:
+            for position in np.flatnonzero(bank.status).tolist():
+                attempt = int(bank.quality["attempts"][position])
+                wrong_by_ledger += not np.array_equal(file["green"][position], green_of(position, attempt))
+                try:
+                    wrong_by_checksum += not np.array_equal(bank.green(position), green_of(position, attempt))
+                except InputError:
+                    continue  # it says that it is damaged, and is measured again
+    assert wrong_by_ledger > 0
+    assert wrong_by_checksum == 0
+
+
+def test_given_plain_h5py_with_a_flush_for_each_row_then_the_replay_sees_files_ruined(tmp_path: Path) -> None:
+    path = tmp_path / "plain.h5"
+    memory = LoggedMemory(path)
+    acknowledged: list[tuple[int, int]] = []
+    rows = 20  # enough for its index to grow, as it does in a bank of any use
+    with h5py.File(memory, "w") as file:
+        green = file.create_dataset("green", (rows, 2, 16), "f4", chunks=(1, 2, 16))
+        status = file.create_dataset("status", (rows,), "u1")
+        file.flush()
+        memory.barrier()
+        before, memory.log = memory.getvalue(), []
+        for position in range(rows):
+            green[position] = green_of(position)
+            status[position] = 1
+            file.flush()
+            memory.barrier()
+            acknowledged.append((len(memory.log), position))
+    ruined = 0
+    for step, image in cuts(path, before, memory.log):
+        path.write_bytes(image)
+        try:
+            with h5py.File(path, "r") as file:
+                found, valid = file["green"][...], file["status"][...]
+        except (OSError, RuntimeError, KeyError):
+            ruined += 1
+            continue
+        promised = [position for length, position in acknowledged if length <= step]
+        ruined += any(not (valid[one] and np.array_equal(found[one], green_of(one))) for one in promised)
+    assert ruined > 0
+
+
+def raw_of(position: int, take: int) -> np.ndarray:
+    counts = np.random.default_rng([position, take]).integers(-2000, 2000, size=(2, 1, 700))
+    return (counts * STEP_V).astype(np.float32)
+
+
+def record(writer: RawWriter) -> list[tuple[int, int, int]]:
+    """Record all turns; return (length of the log, position, take) at each acknowledgement."""
+    done = []
+    for position, take in TURNS:
+        reference_v, response_v = raw_of(position, take)
+        writer.commit(position, reference_v, response_v)
+        done.append((len(LoggedFile.log), position, take))
+    return done
+
+
+def test_given_a_power_cut_at_any_write_of_kept_recordings_then_none_acknowledged_is_lost_and_they_end_identical(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "night.raw.h5"
+    grid, unknown = np.zeros((POSITIONS, 2)), np.full((1, 2), np.nan)
+    create_raw(
+        path,
+        RawHeader(1000.0, 700, 50, (20.0, 400.0), sequential(1), grid, unknown, 1.0, volts_per_count=(STEP_V, STEP_V)),
+    )
+    before = path.read_bytes()
+    with RawWriter.open(path, open_file=LoggedFile) as writer:
+        LoggedFile.log.clear()
+        acknowledged = record(writer)
+    log, finished = list(LoggedFile.log), path.read_bytes()
+    for step, image in cuts(path, before, log):
+        path.write_bytes(image)
+        with open_raw(path) as kept:
+            for position, take in promised_at(acknowledged, step).items():
+                found = kept.read(position)
+                assert found is not None
+                both = np.stack([found.reference_v, found.response_v])
+                assert any(np.array_equal(both, raw_of(position, newer)) for newer in range(take, 3))
+        with RawWriter.open(path, open_file=LoggedFile) as writer:
+            record(writer)
+        assert path.read_bytes() == finished

@@ -1,0 +1,215 @@
+"""Staggered campaigns through the command line, the trial before them, and recordings kept beside the bank."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from calibration.bank import open_bank
+from wavefocus.__main__ import run
+from wavefocus.compose import blueprint_from_bank, virtual_rig
+from wavefocus.truth import compare_with_truth
+
+KEEP = 'excitation = "staggered"\nwhen_staggered_does_not_pay = "keep"'
+
+
+def _wavefocus(*arguments: object) -> int:
+    return run([str(argument) for argument in arguments])
+
+
+def _with_capture(lab: Path, *lines: str) -> Path:
+    """The lab's run file with more lines in its capture table."""
+    path = lab / "run.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("[capture]\n", "[capture]\n" + "\n".join(lines) + "\n"), encoding="utf-8")
+    return path
+
+
+def _with_emulation(lab: Path, line: str) -> None:
+    path = lab / "rig.toml"
+    path.write_text(path.read_text(encoding="utf-8") + f"\n[emulation]\n{line}\n", encoding="utf-8")
+
+
+def _median_error_db(bank: Path) -> float:
+    configuration = blueprint_from_bank(bank).configuration
+    with open_bank(bank) as content:
+        rig = virtual_rig(configuration.rig, configuration.run.virtual)
+        return compare_with_truth(content, rig).median_db
+
+
+def _events(text: str) -> list[dict[str, object]]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_given_a_staggered_run_then_its_bank_is_as_near_the_truth_as_a_sequential_one(lab: Path) -> None:
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "sequential.h5") == 0
+    _with_capture(lab, KEEP)
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "staggered.h5") == 0
+    with h5py.File(lab / "staggered.h5") as file:
+        assert list(file["status"]) == [1] * 6
+    # A period of 0.375 s takes the place of two sweeps of 0.3 s each.
+    allowed_db = 10 * np.log10(0.6 / 0.375) + 1.5
+    assert _median_error_db(lab / "staggered.h5") < _median_error_db(lab / "sequential.h5") + allowed_db
+
+
+def test_given_a_staggered_run_then_its_records_take_the_time_that_was_planned(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_capture(lab, KEEP, "groups = 2", "periods = 2")
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5", "--json") == 0
+    events = _events(capsys.readouterr().out)
+    assert events[-1]["time_s"] == pytest.approx(events[0]["planned_s"], rel=0.1)
+    committed = [one for one in events if one["event"] == "position_committed"]
+    assert [one["clock_ppm"] for one in committed] == pytest.approx([30.0] * 6, abs=0.5)
+
+
+def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab: Path) -> None:
+    # Many periods, so that the kill meets the campaign on a machine that is busy too.
+    _with_capture(lab, KEEP, "periods = 20", "keep_raw = true")
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "reference.h5") == 0
+    bank = lab / "plate.h5"
+    arguments = ["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "wavefocus", *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if '"position_committed"' in line:
+                os.kill(process.pid, signal.SIGKILL)
+                break
+    assert process.wait() == -signal.SIGKILL
+    with h5py.File(bank) as file:
+        assert np.count_nonzero(file["status"]) < 6
+    assert _wavefocus("resume", bank) == 0
+    assert bank.read_bytes() == (lab / "reference.h5").read_bytes()
+    assert bank.with_suffix(".raw.h5").read_bytes() == (lab / "reference.raw.h5").read_bytes()
+
+
+def test_given_a_plate_that_takes_it_then_the_trial_keeps_staggered_capture_and_says_why(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_capture(lab, 'excitation = "staggered"')
+    bank = lab / "plate.h5"
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    output = capsys.readouterr()
+    settled = _events(output.out)[0]
+    assert settled["event"] == "schedule_settled"
+    assert settled["chosen"] == "staggered capture"
+    assert str(settled["reason"]) in output.err
+    assert {one["groups"] for one in settled["candidates"]} == {0, 1}
+    # The bank remembers it: nothing is tried again.
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    assert "schedule_settled" not in capsys.readouterr().out
+    assert _wavefocus("resume", bank) == 0
+
+
+def test_given_a_plate_that_distorts_then_the_trial_goes_back_to_sequential_capture(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_emulation(lab, "cubic_per_v2 = 2.0")
+    _with_capture(lab, 'excitation = "staggered"')
+    bank = lab / "plate.h5"
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    settled = _events(capsys.readouterr().out)[0]
+    assert str(settled["chosen"]).startswith("sequential capture")
+    assert "the plate distorts" in str(settled["reason"])
+    held = blueprint_from_bank(bank)
+    assert held.plan.staggered is None
+    assert held.configuration.run.settled is not None
+    assert held.configuration.run.settled.asked.excitation == "staggered"
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
+
+
+def test_given_noise_that_grows_and_a_run_that_says_refuse_then_nothing_is_measured(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_emulation(lab, "noise_per_response = 0.05")
+    _with_capture(lab, 'excitation = "staggered"', 'when_staggered_does_not_pay = "refuse"', "allowed_loss_db = 0.0")
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "its noise grows with the signal" in last
+    assert "nothing was measured" in last
+    assert not (lab / "plate.h5").exists()
+
+
+def test_given_another_excitation_then_the_bank_refuses_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    _with_capture(lab, KEEP)
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 2
+    assert "belongs to another plan" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("lines", [("keep_raw = true",), (KEEP, "keep_raw = true")], ids=["sequential", "staggered"])
+def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(lab: Path, lines: tuple[str, ...]) -> None:
+    _with_capture(lab, *lines)
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    assert _wavefocus("estimate", lab / "plate.raw.h5", "--bank", lab / "again.h5") == 0
+    with h5py.File(lab / "plate.h5") as then, h5py.File(lab / "again.h5") as now:
+        assert np.array_equal(then["green"][:], now["green"][:])
+        assert np.array_equal(then["status"][:], now["status"][:])
+
+
+def test_given_recordings_that_are_gone_then_resume_refuses_by_a_sentence(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_capture(lab, "keep_raw = true")
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    (lab / "plate.raw.h5").unlink()
+    capsys.readouterr()
+    assert _wavefocus("resume", lab / "plate.h5") == 2
+    assert "plate.raw.h5 is missing" in capsys.readouterr().err
+
+
+def test_given_recordings_of_another_plan_then_resume_refuses_by_a_sentence(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_capture(lab, "keep_raw = true")
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    _with_capture(lab, KEEP)
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "other.h5") == 0
+    (lab / "plate.raw.h5").write_bytes((lab / "other.raw.h5").read_bytes())
+    capsys.readouterr()
+    assert _wavefocus("resume", lab / "plate.h5") == 2
+    assert "plate.raw.h5 belongs to another plan" in capsys.readouterr().err
+
+
+def test_given_a_lost_row_of_recordings_then_resume_measures_that_position_again(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_capture(lab, "keep_raw = true")
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    raw = lab / "plate.raw.h5"
+    with h5py.File(raw, "r+") as file:
+        file["durability/ledger"][2] = 0
+    capsys.readouterr()
+    assert _wavefocus("resume", lab / "plate.h5") == 0
+    assert "lacks the recordings of 1 measured position" in capsys.readouterr().err
+    assert _wavefocus("estimate", raw, "--bank", lab / "again.h5") == 0
+    with h5py.File(lab / "plate.h5") as then, h5py.File(lab / "again.h5") as now:
+        assert np.array_equal(then["green"][:], now["green"][:])
+
+
+def test_given_damaged_recordings_then_estimate_tells_and_remeasuring_the_position_cures_it(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_capture(lab, "keep_raw = true")
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    raw = lab / "plate.raw.h5"
+    with h5py.File(raw, "r+") as file:
+        file["response"][2, 0, 100:200] ^= 64
+    capsys.readouterr()
+    assert _wavefocus("estimate", raw, "--bank", lab / "damaged.h5") == 0
+    assert "position 2 failed" in capsys.readouterr().err
+    assert _wavefocus("remeasure", lab / "plate.h5", "--positions", "2") == 0
+    assert _wavefocus("estimate", raw, "--bank", lab / "cured.h5") == 0
+    with h5py.File(lab / "plate.h5") as then, h5py.File(lab / "cured.h5") as now:
+        assert list(now["status"]) == [1] * 6
+        assert np.array_equal(then["green"][:], now["green"][:])

@@ -1,0 +1,488 @@
+"""A campaign that nobody watches: paused, suspended, hung, and ended in every way there is."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import pytest
+
+from calibration.bank_creation import create_bank
+from tests.system.conftest import with_faults
+from wavefocus.__main__ import run
+from wavefocus.compose import blueprint_from_files
+from wavefocus.event_log import last_events
+from wavefocus.heartbeat import read_heartbeat
+
+WAVEFOCUS = [sys.executable, "-m", "wavefocus"]
+POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of these signals nor terminals")
+
+
+def _events(text: str, kind: str) -> list[dict[str, object]]:
+    return [event for event in map(json.loads, text.splitlines()) if event["event"] == kind]
+
+
+def _states(text: str) -> list[object]:
+    return [event["state"] for event in _events(text, "state_changed")]
+
+
+def _empty_bank(lab: Path, name: str) -> Path:
+    create_bank(lab / name, blueprint_from_files(lab / "run.toml").bank_header())
+    return lab / name
+
+
+def _capture(lab: Path, bank: Path) -> int:
+    return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"])
+
+
+def _with_rig(lab: Path, text: str) -> None:
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write(text)
+
+
+def _in_run(lab: Path, old: str, new: str) -> None:
+    text = (lab / "run.toml").read_text(encoding="utf-8")
+    assert old in text
+    (lab / "run.toml").write_text(text.replace(old, new), encoding="utf-8")
+
+
+class _Listener(io.TextIOBase):
+    """Standard output that does something, once each, while the words that it waits for are being told."""
+
+    def __init__(self, *acts: tuple[str, Callable[[], object]]) -> None:
+        self._acts = list(acts)
+        self.told = ""
+
+    def write(self, text: str) -> int:
+        self.told += text
+        if self._acts and self._acts[0][0] in text:
+            self._acts.pop(0)[1]()
+        return len(text)
+
+
+class _Orders:
+    """Orders given by processes of their own while a capture runs in this one."""
+
+    def __init__(self, bank: Path) -> None:
+        self._bank = bank
+        self._given: list[subprocess.Popen[str]] = []
+
+    def give(self, word: str) -> None:
+        """Give an order, and return when the capture has heard it."""
+        before = read_heartbeat(self._bank)
+        command = [*WAVEFOCUS, word, str(self._bank), "--json", "--wait-s", "60"]
+        self._given.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        until_s = time.monotonic() + 60.0
+        while time.monotonic() < until_s:
+            beat = read_heartbeat(self._bank)
+            if beat is not None and beat.order and (before is None or beat.order != before.order):
+                return
+            time.sleep(0.01)
+        pytest.fail(f"nobody heard the order {word}")
+
+    def answers(self) -> list[tuple[int, dict[str, object], str]]:
+        """Exit code, facts and sentence of each order."""
+        ended = [(one.communicate(timeout=60), one.returncode) for one in self._given]
+        return [(code, json.loads(out), err) for (out, err), code in ended]
+
+
+def test_given_a_pause_from_another_process_then_the_position_is_finished_and_go_on_goes_on(lab: Path) -> None:
+    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
+    assert _capture(lab, quiet) == 0
+    orders = _Orders(bank)
+    listener = _Listener(
+        ('"event": "position_started"', lambda: orders.give("pause")),
+        ('"state": "paused"', lambda: orders.give("go-on")),
+    )
+    with contextlib.redirect_stdout(listener):
+        assert _capture(lab, bank) == 0
+    assert _states(listener.told) == ["running", "pausing", "paused", "running", "finished"]
+    before = listener.told[: listener.told.index('"state": "paused"')]
+    # The position under way was finished, no other was begun.
+    assert len(_events(before.rpartition("\n")[0], "position_started")) == 1
+    assert len(_events(before.rpartition("\n")[0], "position_committed")) == 1
+    # Whoever was at the plate may have touched it.
+    assert [one["verdict"] for one in _events(listener.told, "drift")] == ["steady"]
+    assert bank.read_bytes() == quiet.read_bytes()
+    assert not (lab / "plate.h5.orders").exists()
+    for code, facts, _ in orders.answers():
+        assert code == 0
+        assert facts["heard"] is True
+
+
+def test_given_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(lab: Path) -> None:
+    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
+    assert _capture(lab, quiet) == 0
+    orders = _Orders(bank)
+    listener = _Listener(('"event": "position_started"', lambda: orders.give("stop")))
+    with contextlib.redirect_stdout(listener):
+        assert _capture(lab, bank) == 130
+    assert _states(listener.told) == ["running", "stopping", "stopped"]
+    assert len(_events(listener.told, "position_committed")) == 1
+    code, facts, sentence = orders.answers()[0]
+    assert (code, facts["carried_out"]) == (0, True)
+    assert "stopped" in sentence
+    assert run(["resume", str(bank)]) == 0
+    assert bank.read_bytes() == quiet.read_bytes()
+
+
+@pytest.mark.parametrize("asked", ["pause", "stop"])
+def test_given_ctrl_c_or_stop_while_paused_then_it_ends_at_once(lab: Path, asked: str) -> None:
+    bank = _empty_bank(lab, "plate.h5")
+    orders = _Orders(bank)
+    end = (lambda: orders.give("stop")) if asked == "stop" else (lambda: signal.raise_signal(signal.SIGINT))
+    listener = _Listener(('"event": "position_started"', lambda: orders.give("pause")), ('"state": "paused"', end))
+    with contextlib.redirect_stdout(listener):
+        assert _capture(lab, bank) == 130
+    assert _states(listener.told)[-2:] == ["paused", "stopped"]
+    assert "while paused" in str(_events(listener.told, "state_changed")[-1]["reason"])
+    orders.answers()
+
+
+@pytest.mark.parametrize("word", ["pause", "go-on", "stop"])
+def test_given_an_order_to_a_bank_that_nobody_owns_then_it_says_so(
+    lab: Path, word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = _empty_bank(lab, "plate.h5")
+    assert run([word, str(bank)]) == 2
+    assert "no process owns the bank" in capsys.readouterr().err
+    assert not (lab / "plate.h5.orders").exists()
+
+
+HOLDER = """
+import sys
+from calibration.bank_writer import BankWriter
+with BankWriter.open(sys.argv[1]):
+    print("mine", flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextlib.contextmanager
+def _held(bank: Path):
+    """A process that owns a bank and says nothing."""
+    command = [sys.executable, "-c", HOLDER, str(bank)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
+        assert owner.stdout is not None
+        assert owner.stdout.readline().strip() == b"mine"
+        yield owner
+        owner.communicate(timeout=20)
+
+
+def test_given_a_process_that_does_not_answer_then_the_order_is_withdrawn_and_status_says_how_long_it_is_silent(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = _empty_bank(lab, "plate.h5")
+    with _held(bank) as owner:
+        beat = {"at": "2026-01-01T00:00:00+00:00", "pid": owner.pid, "host": "here", "state": "running", "reason": "r"}
+        (lab / "plate.h5.heartbeat").write_text(json.dumps(beat), encoding="utf-8")
+        assert run(["pause", str(bank), "--wait-s", "0"]) == 1
+        told = capsys.readouterr().err
+        assert f"process {owner.pid}" in told
+        assert "does not answer" in told
+        assert not (lab / "plate.h5.orders").exists()
+        assert run(["status", str(bank)]) == 0
+        assert "owns the bank but has been silent for" in capsys.readouterr().err
+        assert run(["status", str(bank), "--json"]) == 0
+        facts = json.loads(capsys.readouterr().out)
+    assert facts["silent"] is True
+    assert facts["last_sign_of_life"]["state"] == "running"
+    assert facts["last_sign_of_life"]["age_s"] > 86_400
+
+
+def test_given_a_campaign_then_its_heartbeat_tells_how_it_ended(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bank = lab / "plate.h5"
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 2\npurpose = "capture"')
+    assert _capture(lab, bank) == 3
+    beat = read_heartbeat(bank)
+    assert beat is not None
+    assert (beat.state, beat.done, beat.total, beat.pid) == ("failed", 2, 6, os.getpid())
+    assert "virtual recorder" in beat.reason
+    assert "recording capture of position 2" in beat.fault
+    capsys.readouterr()
+    assert run(["status", str(bank)]) == 0
+    told = capsys.readouterr().err
+    assert "failed: virtual recorder" in told
+    assert "no process owns the bank" in told
+
+
+@POSIX
+@pytest.mark.may_skip("a folder that may not be written to is another thing on Windows")
+def test_given_a_heartbeat_that_cannot_be_written_then_the_campaign_does_not_notice(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = lab / "plate.h5"
+    (lab / "plate.h5.heartbeat").mkdir()
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    assert "finished: 6 of 6 positions (6 valid)" in capsys.readouterr().err
+
+
+# -- drivers that hang ------------------------------------------------------------------------------------------
+
+HANGS = {
+    "recorder in a record": 'role = "recorder"\noperation = "read"\nposition = 2\nrecord = 1',
+    "mirror before a move": 'role = "mirror"\noperation = "move_to"\nat_call = 4',
+    "recorder asked for its name": 'role = "recorder"\noperation = "identify"\nat_call = 1',
+}
+SOON_GIVEN_UP = "\n[recovery]\nhung_after_s = 0.3\n"
+
+
+@pytest.mark.parametrize("fault", HANGS.values(), ids=HANGS.keys())
+def test_given_a_driver_call_that_hangs_then_the_instrument_is_connected_afresh_and_nothing_is_lost(
+    lab: Path, fault: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_rig(lab, SOON_GIVEN_UP)
+    quiet, disturbed = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "disturbed.h5")
+    assert _capture(lab, quiet) == 0
+    with_faults(lab, f'{fault}\nkind = "hang"')
+    capsys.readouterr()
+    assert _capture(lab, disturbed) == 0
+    told = capsys.readouterr().out
+    assert "did not come back within" in str(_events(told, "fault")[0]["cause"])
+    assert [one["connected"] for one in _events(told, "reconnect_tried")] == [True]
+    assert disturbed.read_bytes() == quiet.read_bytes()
+
+
+def test_given_a_driver_that_never_comes_back_then_the_process_ends_with_exit_3_and_the_rest_is_put_to_rest(
+    lab: Path,
+) -> None:
+    _with_rig(lab, "\n[recovery]\nhung_after_s = 0.2\ngive_up_after_s = 1.0\n")
+    # It hangs with the driver's own lock held: muting, reconnecting and closing hang as well.
+    with_faults(
+        lab,
+        'role = "player"\noperation = "play"\nkind = "hang"\nposition = 1\nrecord = 0',
+        'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1',
+    )
+    bank = lab / "plate.h5"
+    ended = subprocess.run(
+        [*WAVEFOCUS, "capture", str(lab / "run.toml"), "--bank", str(bank)],
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert ended.returncode == 3, ended.stderr
+    last = ended.stderr.splitlines()[-1]
+    assert "virtual player: playing: the call did not come back within" in last
+    assert "not back within" in last
+    assert last.endswith(f"go on with: wavefocus resume {bank}")
+    assert "on the way out: virtual mirror: parking" in ended.stderr  # so it was parked, though it said no
+    assert "Traceback" not in ended.stderr
+    with h5py.File(bank, "r") as file:
+        assert list(file["status"]) == [1, 0, 0, 0, 0, 0]
+
+
+# -- every way out ----------------------------------------------------------------------------------------------
+
+LONG_NIGHT = ("averages = 2", "averages = 40")
+
+
+def _start(lab: Path, bank: Path, **pipes: object) -> subprocess.Popen[str]:
+    """A capture of its own, under way when this returns; parking fails, so that it is told."""
+    _in_run(lab, *LONG_NIGHT)
+    with_faults(lab, 'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1')
+    start = [*WAVEFOCUS, "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
+    child = subprocess.Popen(start, stdout=subprocess.PIPE, text=True, **pipes)  # type: ignore[call-overload]
+    assert child.stdout is not None
+    for line in child.stdout:
+        if json.loads(line)["event"] == "position_committed":
+            return child
+    raise AssertionError(f"ended before its first position: {child.wait()}")
+
+
+@POSIX
+@pytest.mark.may_skip("Windows has none of these signals")
+@pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP", "SIGINT"])
+def test_given_a_signal_then_exit_130_and_the_mirror_is_parked(lab: Path, number: str) -> None:
+    bank = lab / "plate.h5"
+    child = _start(lab, bank, stderr=subprocess.PIPE)
+    child.send_signal(getattr(signal, number))
+    rest, told = child.communicate(timeout=60)
+    assert child.returncode == 130, told
+    assert "on the way out: virtual mirror: parking" in told
+    ended = [json.loads(line) for line in rest.splitlines()]
+    assert ended[-1]["event"] == "session_ended"
+    assert ended[-1]["state"] == "stopped"
+    if number == "SIGHUP":
+        assert any("terminal was closed" in str(one.get("reason")) for one in last_events(bank))
+        assert any(one["event"] == "position_committed" for one in ended)  # the one under way was finished
+
+
+@POSIX
+@pytest.mark.may_skip("a closed pipe is another thing on Windows")
+def test_given_nobody_who_reads_what_is_told_then_the_campaign_goes_on(lab: Path) -> None:
+    bank = lab / "plate.h5"
+    child = _start(lab, bank, stderr=subprocess.PIPE)
+    assert child.stdout is not None
+    assert child.stderr is not None
+    child.stdout.close()
+    child.stderr.close()
+    # Parking fails in the end, which nobody can read: the exit code alone tells it.
+    assert child.wait(timeout=60) == 3
+    newest = next(last_events(bank))
+    assert (newest["event"], newest["state"], newest["done"]) == ("session_ended", "finished", 6)
+
+
+@POSIX
+@pytest.mark.may_skip("Windows has no pseudo-terminals")
+def test_given_a_terminal_that_is_closed_then_the_position_is_finished_and_the_log_says_why(lab: Path) -> None:
+    import pty
+
+    bank = lab / "plate.h5"
+    _in_run(lab, *LONG_NIGHT)
+    command = [*WAVEFOCUS, "capture", str(lab / "run.toml"), "--bank", str(bank)]
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(command[0], command)
+    until_s = time.monotonic() + 60.0
+    told = b""
+    try:
+        while not any(one["event"] == "position_committed" for one in last_events(bank)):
+            assert time.monotonic() < until_s, told
+            if select.select([terminal], [], [], 0.1)[0]:
+                told += os.read(terminal, 65536)
+    finally:
+        os.close(terminal)
+    _, how = os.waitpid(pid, 0)
+    assert os.waitstatus_to_exitcode(how) == 130
+    reasons = [str(one["reason"]) for one in last_events(bank) if one["event"] == "state_changed"]
+    assert "stopped because its terminal was closed" in reasons[0]
+    assert run(["resume", str(bank)]) == 0
+
+
+# -- conditions -------------------------------------------------------------------------------------------------
+
+WATCHED = """
+[watch]
+probe_every_s = 10.0
+give_up_after_s = 300.0
+
+[watch.noise]
+leaves_above = 0.01
+settle_s = 20.0
+
+[watch.reference]
+leaves_below = -3.0
+leaves_above = 3.0
+settle_s = 20.0
+
+[watch.room]
+leaves_below = 18.0
+returns_above = 19.0
+settle_s = 20.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ('kind = "dark"', "V is above 0.01 V"),
+        ('kind = "faint_reference"\nlevel_db = -9.0', "reference level -9"),
+    ],
+)
+def test_given_a_condition_that_leaves_its_band_then_it_is_waited_for_and_the_bank_is_that_of_a_quiet_night(
+    lab: Path, fault: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_rig(lab, WATCHED)
+    quiet, disturbed = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "disturbed.h5")
+    assert _capture(lab, quiet) == 0
+    # From the third position's first record on: its three records, the last good position's, and two probes.
+    with_faults(lab, f'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 6\n{fault}')
+    capsys.readouterr()
+    assert _capture(lab, disturbed) == 0
+    told = capsys.readouterr().out
+    assert _states(told) == ["running", "suspended", "running", "finished"]
+    suspended = next(one for one in _events(told, "state_changed") if one["state"] == "suspended")
+    assert words in str(suspended["reason"])
+    # Two probes that are no good; from the first good one on it must settle for two more.
+    assert [one["back"] for one in _events(told, "conditions_seen")] == [False, False, True, True, True]
+    assert disturbed.read_bytes() == quiet.read_bytes()
+
+
+def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_rig(lab, WATCHED)
+    _in_run(
+        lab,
+        "noise_v = 1e-4",
+        "noise_v = 1e-4\nroom_c = [[5, 21], [6, 17], [100, 17], [101, 18.5], [150, 18.5], [151, 20]]",
+    )
+    assert _capture(lab, lab / "plate.h5") == 0
+    told = capsys.readouterr().out
+    assert _states(told) == ["running", "suspended", "running", "finished"]
+    changes = _events(told, "state_changed")
+    assert "room temperature 17 degrees C is below 18 degrees C" in str(changes[1]["reason"])
+    # 18.5 degrees would not have suspended it and do not let it go on either; 20 seconds it must stay warm.
+    assert 151 + 20 <= float(str(changes[2]["time_s"])) <= 151 + 20 + 2 * 10 + 5
+    with h5py.File(lab / "plate.h5", "r") as bank:
+        assert list(bank["status"]) == [1] * 6
+        assert list(bank["quality/attempts"]) == [1] * 6
+
+
+def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_on(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_rig(lab, WATCHED)
+    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
+    assert _capture(lab, quiet) == 0
+    sound = (lab / "run.toml").read_text(encoding="utf-8")
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 9999\nkind = "dark"')
+    capsys.readouterr()
+    assert _capture(lab, bank) == 3
+    told = capsys.readouterr()
+    last = told.err.splitlines()[-1]
+    assert "suspended for 5 min" in last
+    assert "vibrometer noise" in last
+    assert _states(told.out)[-2:] == ["suspended", "failed"]
+    with h5py.File(bank, "r") as file:
+        assert list(file["status"]) == [1, 1, 0, 0, 0, 0]  # nothing measured in the dark was called anything
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    assert _capture(lab, bank) == 0
+    assert bank.read_bytes() == quiet.read_bytes()
+
+
+def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspended(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_rig(lab, WATCHED)
+    with_faults(
+        lab, 'role = "recorder"\noperation = "read"\nkind = "dark"\nposition = 2\npurpose = "capture"\ncount = 99'
+    )
+    bank = lab / "plate.h5"
+    assert _capture(lab, bank) == 0
+    assert "suspended" not in _states(capsys.readouterr().out)
+    with h5py.File(bank, "r") as file:
+        status = list(file["status"])
+    assert status[2] & 1 == 0
+    assert status[:2] + status[3:] == [1] * 5
+
+
+def test_given_ctrl_c_while_suspended_then_it_stops_at_once(lab: Path) -> None:
+    _with_rig(lab, WATCHED)
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 9999\nkind = "dark"')
+    listener = _Listener(('"state": "suspended"', lambda: signal.raise_signal(signal.SIGINT)))
+    with contextlib.redirect_stdout(listener):
+        assert _capture(lab, lab / "plate.h5") == 130
+    assert _states(listener.told)[-2:] == ["suspended", "stopped"]
+
+
+def test_given_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it_goes_on(lab: Path) -> None:
+    _with_rig(lab, WATCHED)
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 4\nkind = "dark"')
+    bank = lab / "plate.h5"
+    orders = _Orders(bank)
+    listener = _Listener(
+        ('"state": "suspended"', lambda: orders.give("pause")), ('"state": "paused"', lambda: orders.give("go-on"))
+    )
+    with contextlib.redirect_stdout(listener):
+        assert _capture(lab, bank) == 0
+    assert _states(listener.told) == ["running", "suspended", "paused", "running", "finished"]
+    orders.answers()

@@ -1,0 +1,173 @@
+"""Drift during a campaign, and going on with what is not the same any more."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from tests.system.conftest import with_faults
+from wavefocus.__main__ import run
+from wavefocus.drift_history import read_drift
+
+DRIFT = "\n[drift]\nevery_positions = 2\n"
+LOUDER = 'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = -6.0\npurpose = "sentinel"'
+
+
+def _with_drift(lab: Path) -> None:
+    text = (lab / "run.toml").read_text(encoding="utf-8")
+    (lab / "run.toml").write_text(text.replace("[virtual]", f"{DRIFT}\n[virtual]"), encoding="utf-8")
+
+
+def _capture(lab: Path, bank: Path, *more: str) -> int:
+    return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json", *more])
+
+
+def _events(text: str, kind: str) -> list[dict[str, object]]:
+    return [event for event in map(json.loads, text.splitlines()) if event["event"] == kind]
+
+
+def _green(bank: Path) -> np.ndarray:
+    with h5py.File(bank, "r") as file:
+        return file["green"][:]
+
+
+def test_given_a_run_then_the_sentinel_is_measured_every_so_often_and_the_bank_does_not_show_it(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _capture(lab, lab / "without.h5") == 0
+    _with_drift(lab)
+    bank = lab / "plate.h5"
+    capsys.readouterr()
+    assert _capture(lab, bank) == 0
+    drift = _events(capsys.readouterr().out, "drift")
+    assert [(one["position"], one["occasion"], one["verdict"]) for one in drift] == [(0, "run", "steady")] * 2
+    assert [one.verdict for one in read_drift(bank)] == ["steady"] * 2
+    assert np.array_equal(_green(bank), _green(lab / "without.h5"))
+
+
+def test_given_a_plan_then_the_sentinels_measurements_are_in_its_hours(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
+    without_s = json.loads(capsys.readouterr().out)["duration_s"]
+    _with_drift(lab)
+    assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(without_s * 8 / 6)
+
+
+def test_given_drift_that_a_repeat_does_not_confirm_then_the_campaign_goes_on(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_drift(lab)
+    with_faults(lab, LOUDER)
+    assert _capture(lab, lab / "plate.h5") == 0
+    drift = _events(capsys.readouterr().out, "drift")
+    assert [(one["occasion"], one["verdict"]) for one in drift] == [("run", "stop"), ("repeat", "steady")] * 2
+
+
+def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspect(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_drift(lab)
+    sound = (lab / "run.toml").read_text(encoding="utf-8")
+    # The third measurement of the sentinel is the first one of a resumed session, so strike in the second.
+    with_faults(lab, f"{LOUDER}\ncount = 2")
+    bank = lab / "plate.h5"
+    assert _capture(lab, bank) == 3
+    told = capsys.readouterr()
+    last = told.err.splitlines()[-1]
+    assert "sentinel position 0 has changed during the run (level changed)" in last
+    assert f"wavefocus remeasure {bank} --positions 0-1 and resume" in last
+    assert "--accept-drift" in last
+    assert _events(told.out, "drift")[-1]["suspect"] == [0, 1]
+    with h5py.File(bank, "r") as file:
+        assert list(file["status"]) == [1, 1, 0, 0, 0, 0]
+    assert run(["status", str(bank)]) == 0
+    assert "--positions 0-1" in capsys.readouterr().err
+    assert run(["status", str(bank), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["suspect_positions"] == "0-1"
+    # Accepted on purpose, it is told and goes on.
+    assert _capture(lab, bank, "--accept-drift") == 0
+    assert "stop" in [one["verdict"] for one in _events(capsys.readouterr().out, "drift")]
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    assert _capture(lab, bank) == 0
+    capsys.readouterr()
+
+
+def test_given_a_drift_history_then_status_draws_it_and_where_there_is_none_it_says_so(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = lab / "plate.h5"
+    assert _capture(lab, bank) == 0
+    assert run(["status", str(bank), "--plot", str(lab / "drift.png")]) == 2
+    assert "holds no drift to draw" in capsys.readouterr().err
+    assert run(["remeasure", str(bank), "--positions", "3"]) == 0
+    assert run(["status", str(bank), "--plot", str(lab / "drift.png")]) == 0
+    assert (lab / "drift.png").read_bytes().startswith(b"\x89PNG")
+
+
+CALIBRATION = """
+format = "wavefocus-calibration"
+format_version = 1
+made = 2026-01-{day:02d}T12:00:00+00:00
+software = "wavefocus"
+rig = "three coils"
+
+[inputs]
+at = 2026-01-{day:02d}T12:00:00+00:00
+device = "{device}"
+inter_channel_delay_s = {delay_s}
+"""
+
+
+def _calibrate(lab: Path, name: str, day: int, delay_s: float, device: str = "virtual recorder") -> None:
+    (lab / name).write_text(CALIBRATION.format(day=day, delay_s=delay_s, device=device), encoding="utf-8")
+    rig = (lab / "rig.toml").read_text(encoding="utf-8").partition("\n[calibration]")[0]
+    table = f'\n[calibration]\nfile = "{name}"\nstale_after_days = 100000.0\n'
+    (lab / "rig.toml").write_text(rig + table, encoding="utf-8")
+
+
+def test_given_another_calibration_then_capture_refuses_it_and_says_how_to_override(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = lab / "plate.h5"
+    _calibrate(lab, "old.toml", 1, 5e-6)
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"')
+    assert _capture(lab, bank) == 3
+    before = bank.read_bytes()
+    _calibrate(lab, "new.toml", 2, 6e-6)
+    run_text = (lab / "run.toml").read_text(encoding="utf-8").partition("\n[[virtual.fault_plan]]")[0]
+    (lab / "run.toml").write_text(run_text, encoding="utf-8")
+    capsys.readouterr()
+    assert _capture(lab, bank) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1
+    assert "old.toml of 2026-01-01" in told[0]
+    assert "new.toml of 2026-01-02" in told[0]
+    assert "--accept-calibration" in told[0]
+    assert bank.read_bytes() == before
+    assert _capture(lab, bank, "--accept-calibration") == 0
+    assert "goes on with the calibration new.toml" in capsys.readouterr().err
+    with h5py.File(bank, "r") as file:
+        assert list(file["status"]) == [1] * 6
+
+
+def test_given_a_calibration_of_another_device_then_resume_refuses_it_and_says_how_to_override(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = lab / "plate.h5"
+    _calibrate(lab, "other.toml", 1, 5e-6, "NI USB-6211, serial number 0123ABCD")
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"')
+    assert _capture(lab, bank) == 3  # an empty bank has no rows of the other device yet: it is only warned of
+    assert "inputs measured on another device" in capsys.readouterr().err
+    before = bank.read_bytes()
+    assert run(["resume", str(bank)]) == 2
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "inputs measured on another device (NI USB-6211, serial number 0123ABCD)" in told
+    assert "--accept-calibration" in told
+    assert bank.read_bytes() == before
+    assert run(["remeasure", str(bank), "--positions", "1", "--accept-calibration"]) == 0

@@ -1,0 +1,129 @@
+"""Heartbeat and orders: the files beside a bank by which processes talk."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from acquisition.events import Fault, PositionStarted, Progress, SessionEnded, SessionStarted, State, StateChanged
+from acquisition.stopping import StopRequest
+from wavefocus.attendance import Attendance
+from wavefocus.heartbeat import Heartbeat, Pulse, heartbeat_path, read_heartbeat, write_heartbeat
+from wavefocus.orders import give_order, orders_path, take_order, withdraw
+
+
+def _until(condition, seconds: float = 30.0) -> None:
+    until_s = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until_s
+        time.sleep(0.005)
+
+
+def test_given_a_beat_then_it_is_read_as_it_was_written(tmp_path: Path) -> None:
+    bank, now = tmp_path / "plate.h5", datetime.now(UTC)
+    beat = Heartbeat(now, 12, "here", "running", "why", now, 7, 3, 9, 60.0, "a fault", "abc")
+    write_heartbeat(bank, beat)
+    assert read_heartbeat(bank) == beat
+    assert beat.finish_at == now + timedelta(minutes=1)
+    assert beat.age_s(now + timedelta(seconds=40)) == 40.0
+    assert [one.name for one in tmp_path.iterdir()] == ["plate.h5.heartbeat"]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[1]", '{"at": 1}', '{"at": "2026-01-01T00:00:00", "pid": 1, "host": "h"}', '{"at": "x"}',
+             '{"at": "2026-01-01T00:00:00+00:00", "pid": 1, "host": "h", "unknown": 1}']
+)  # fmt: skip
+def test_given_a_heartbeat_that_is_none_then_there_is_none(tmp_path: Path, text: str) -> None:
+    heartbeat_path(tmp_path / "plate.h5").write_text(text, encoding="utf-8")
+    assert read_heartbeat(tmp_path / "plate.h5") is None
+
+
+def test_given_events_then_the_next_beat_tells_them() -> None:
+    pulse = Pulse()
+    assert not pulse.note(SessionStarted(0.0, "plate.h5", 9, 3, 2, 7, 70.0, ()))
+    assert pulse.note(StateChanged(0.0, State.RUNNING, "7 positions to do"))
+    pulse.note(PositionStarted(0.0, 5, 1, 0.0, 0.0))
+    pulse.note(Fault(1.0, "mirror", "moving", "it is gone", "plug it in", 5, 1, True))
+    pulse.note(Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0))
+    beat = pulse.beat()
+    assert (beat.state, beat.reason, beat.position, beat.done, beat.total) == ("running", "7 positions to do", 5, 3, 9)
+    assert (beat.remaining_s, beat.fault) == (60.0, "mirror: moving: it is gone")
+    assert pulse.note(SessionEnded(3.0, State.STOPPED, 3, 9, {}))
+    assert pulse.beat().position is None
+
+
+def test_given_an_order_then_it_is_taken_once(tmp_path: Path) -> None:
+    bank = tmp_path / "plate.h5"
+    assert take_order(bank) is None
+    order = give_order(bank, "pause")
+    assert take_order(bank) == order
+    assert take_order(bank) is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_given_two_orders_then_the_later_one_counts_and_the_earlier_cannot_withdraw_it(tmp_path: Path) -> None:
+    bank = tmp_path / "plate.h5"
+    first, second = give_order(bank, "pause"), give_order(bank, "stop")
+    withdraw(bank, first)
+    assert take_order(bank) == second
+    withdraw(bank, give_order(bank, "stop"))
+    assert take_order(bank) is None
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"order": "explode", "number": "1"}', '{"order": "stop"}', "[]"])
+def test_given_something_that_is_no_order_then_it_is_taken_away_and_nothing_happens(tmp_path: Path, text: str) -> None:
+    bank = tmp_path / "plate.h5"
+    orders_path(bank).write_text(text, encoding="utf-8")
+    assert take_order(bank) is None
+    assert not orders_path(bank).exists()
+
+
+def test_given_orders_while_it_attends_then_they_are_obeyed_and_acknowledged(tmp_path: Path) -> None:
+    bank, stop = tmp_path / "plate.h5", StopRequest()
+    give_order(bank, "stop")  # left over from a session long ago
+    with Attendance(bank, stop):
+        for word, obeyed in (
+            ("pause", lambda: stop.pause_requested),
+            ("go-on", lambda: not stop.pause_requested),
+            ("stop", lambda: stop.requested),
+        ):
+            order = give_order(bank, word)
+            _until(lambda order=order: (beat := read_heartbeat(bank)) is not None and beat.order == order.number)
+            assert obeyed()
+    assert not orders_path(bank).exists()
+
+
+def test_given_a_change_of_state_then_it_is_told_before_the_next_beat_and_the_last_one_stays(tmp_path: Path) -> None:
+    bank = tmp_path / "plate.h5"
+    with Attendance(bank, StopRequest()) as attendance:
+        attendance(StateChanged(0.0, State.RUNNING, "begins"))
+        _until(lambda: (beat := read_heartbeat(bank)) is not None and beat.state == "running")
+        attendance(StateChanged(0.0, State.FINISHED, "ends"))
+    beat = read_heartbeat(bank)
+    assert beat is not None
+    assert (beat.state, beat.reason) == ("finished", "ends")
+
+
+def test_given_a_heartbeat_that_cannot_be_written_then_it_is_told_once_and_orders_are_still_obeyed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank, stop = tmp_path / "plate.h5", StopRequest()
+    heartbeat_path(bank).mkdir()
+    with Attendance(bank, stop) as attendance:
+        for number in range(5):
+            attendance(StateChanged(float(number), State.RUNNING, "again"))
+            time.sleep(0.02)
+        give_order(bank, "stop")
+        _until(lambda: stop.requested)
+    assert capsys.readouterr().err.count("heartbeat of") == 1
+
+
+def test_given_a_beat_then_every_field_is_plain_json(tmp_path: Path) -> None:
+    write_heartbeat(tmp_path / "plate.h5", Pulse().beat())
+    content = json.loads(heartbeat_path(tmp_path / "plate.h5").read_text(encoding="utf-8"))
+    assert set(content) == {one.name for one in dataclasses.fields(Heartbeat)} | {"finish_at"}

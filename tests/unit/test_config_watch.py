@@ -1,0 +1,118 @@
+"""What a rig file may say of watched conditions, and a run file of drift."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from calibration.errors import InputError
+from wavefocus.config.loading import load_rig, load_run
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.instruments import open_rig, openers
+from wavefocus.sensors import RoomSensor, watch_of
+
+REAL = """
+[mirror]
+driver = "generic"
+port = "/dev/ttyUSB0"
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+[player]
+driver = "sounddevice"
+device = "USB"
+"""
+
+
+def _rig(tmp_path: Path, text: str) -> RigConfig:
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    return load_rig(tmp_path / "rig.toml")
+
+
+def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path: Path) -> None:
+    rig = _rig(tmp_path, "[watch.reference]\nleaves_below = -3\nleaves_above = 2.0\nsettle_s = 5")
+    band = rig.watch.reference.band("reference level", "dB") if rig.watch.reference else None
+    assert band is not None
+    assert (band.leaves_below, band.returns_above) == (-3.0, pytest.approx(-2.7))
+    assert (band.leaves_above, band.returns_below) == (2.0, pytest.approx(1.8))
+    assert band.settle_s == 5.0
+
+
+def test_given_no_lower_limit_then_any_low_value_is_well(tmp_path: Path) -> None:
+    rig = _rig(tmp_path, "[watch.noise]\nleaves_above = 0.01")
+    watch = watch_of(rig, open_rig(openers(rig)))
+    assert (watch.bands["noise"].leaves_below, watch.bands["noise"].returns_above) == (-math.inf, -math.inf)
+    assert watch.bands["noise"].is_back(0.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[watch.noise]\nsettle_s = 1", "watch.noise.leaves_below"),
+        ("[watch.noise]\nleaves_above = 1\nreturns_below = 2", "watch.noise.leaves_above = 1"),
+        ("[watch.room]\nleaves_below = 18\nreturns_above = 17", "watch.room.returns_above = 17"),
+        ("[watch.room]\nleaves_below = 18\nleaves_above = 18.5", "watch.room.returns_below"),
+        ("[watch.noise]\nleaves_above = true", "watch.noise.leaves_above = true"),
+        ("[watch]\nprobe_every_s = 0", "watch.probe_every_s = 0"),
+        ("[watch.wind]\nleaves_above = 1", "watch.wind"),
+        ("[recovery]\nhung_after_s = 0", "recovery.hung_after_s = 0"),
+        (REAL + "[watch.light]\nleaves_below = 0.2", "watch.light"),
+    ],
+)
+def test_given_a_band_that_cannot_be_then_the_key_is_named(tmp_path: Path, text: str, complaint: str) -> None:
+    with pytest.raises(InputError) as told:
+        _rig(tmp_path, text)
+    assert f"rig.toml: {complaint}" in str(told.value)
+
+
+def test_given_watched_conditions_then_a_bank_holds_them_and_the_plan_is_the_same(tmp_path: Path) -> None:
+    rig = _rig(tmp_path, "[watch.room]\nleaves_below = 18\n[watch.noise]\nleaves_above = 0.01")
+    assert RigConfig.model_validate(json.loads(rig.model_dump_json())) == rig
+    (tmp_path / "run.toml").write_text('rig = "rig.toml"\n[drift]\nevery_positions = 7', encoding="utf-8")
+    watched = load_run(tmp_path / "run.toml")
+    (tmp_path / "rig.toml").write_text("", encoding="utf-8")
+    (tmp_path / "run.toml").write_text('rig = "rig.toml"', encoding="utf-8")
+    assert watched.plan_sha256 == load_run(tmp_path / "run.toml").plan_sha256
+
+
+def test_given_sensors_of_the_virtual_rig_then_they_are_asked_for_what_is_watched(tmp_path: Path) -> None:
+    rig = _rig(tmp_path, "[watch.room]\nleaves_below = 18\n[watch.light]\nleaves_below = 0.2")
+    watch = watch_of(rig, open_rig(openers(rig)))
+    assert {name: sensor.read() for name, sensor in watch.sensors.items()} == {"room": 21.0, "light": 1.0}
+    assert watch_of(default_rig(), open_rig(openers(default_rig()))).sensors == {}
+
+
+def test_given_a_transmitter_then_its_volts_become_degrees(tmp_path: Path) -> None:
+    class Box:
+        def read_input_v(self, name: str) -> float:
+            return {"ai3": 0.25}[name]
+
+    rig = _rig(tmp_path, '[watch.room]\nleaves_below = 18\ninput = "ai3"\ncelsius_per_v = 80.0\ncelsius_at_0_v = 1.5')
+    assert rig.watch.room is not None
+    assert RoomSensor(Box(), rig.watch.room).read() == 21.5
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("stop_level_db = 0.1", "drift.stop_level_db = 0.1"),
+        ("stop_delay_samples = 0.1", "drift.stop_delay_samples = 0.1"),
+        ("stop_correlation = 0.99", "drift.stop_correlation = 0.99"),
+        ("every_positions = 0", "drift.every_positions = 0"),
+        ("every_s = 0", "drift.every_s = 0"),
+    ],
+)
+def test_given_drift_limits_that_cannot_be_then_the_key_is_named(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "run.toml").write_text(f"[drift]\n{text}", encoding="utf-8")
+    with pytest.raises(InputError) as told:
+        load_run(tmp_path / "run.toml")
+    assert f"run.toml: {complaint}" in str(told.value)
+
+
+def test_given_a_course_that_runs_backwards_then_the_key_is_named(tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text("[virtual]\nroom_c = [[5, 20], [1, 21]]", encoding="utf-8")
+    with pytest.raises(InputError, match=r"virtual\.room_c"):
+        load_run(tmp_path / "run.toml")

@@ -1,0 +1,74 @@
+"""Signals that end a campaign, here and where there are others."""
+
+from __future__ import annotations
+
+import os
+import signal
+from types import SimpleNamespace
+
+import pytest
+
+from acquisition.ending_signals import EndingSignals
+from acquisition.stopping import TERMINAL_GONE, StopRequest, stop_on_signals
+
+
+def test_given_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing() -> None:
+    windows = SimpleNamespace(SIGINT=2, SIGTERM=15, SIGBREAK=21)
+    signals = EndingSignals.here(windows)
+    assert (signals.finish, signals.terminal_gone, signals.at_once) == ((2,), (), (15, 21))
+    assert signals.all == (2, 15, 21)
+
+
+def test_given_posix_then_a_terminal_that_is_gone_has_its_own_signal() -> None:
+    posix = SimpleNamespace(SIGINT=2, SIGHUP=1, SIGTERM=15)
+    assert EndingSignals.here(posix).terminal_gone == (1,)
+
+
+def test_given_this_system_then_ctrl_c_and_an_order_to_end_are_known() -> None:
+    signals = EndingSignals.here()
+    assert signal.SIGINT in signals.finish
+    assert signal.SIGTERM in signals.at_once
+
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGHUP")
+
+
+@POSIX
+@pytest.mark.may_skip("Windows has no SIGHUP")
+def test_given_a_terminal_that_is_gone_then_the_position_is_finished_and_twice_changes_nothing() -> None:
+    stop = StopRequest()
+    with stop_on_signals(stop):
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)
+        assert stop.requested
+    assert stop.reason == TERMINAL_GONE
+
+
+@POSIX
+@pytest.mark.may_skip("Windows has no SIGHUP")
+def test_given_nohup_then_a_terminal_that_is_gone_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        stop = StopRequest()
+        with stop_on_signals(stop):
+            signal.raise_signal(signal.SIGHUP)
+        assert not stop.requested
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_given_a_pause_taken_back_then_nothing_is_asked_for() -> None:
+    stop = StopRequest()
+    stop.pause()
+    assert stop.pause_requested
+    stop.go_on()
+    assert not stop.pause_requested
+    stop.wait_for_news(60.0)  # the news is there already
+
+
+def test_given_two_who_stop_it_then_the_first_is_named() -> None:
+    stop = StopRequest()
+    stop.finish_position(TERMINAL_GONE)
+    stop.finish_position()
+    assert stop.reason == TERMINAL_GONE

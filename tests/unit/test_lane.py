@@ -1,0 +1,120 @@
+"""Calls in a thread of their own: what they return, what they raise, and what becomes of those that hang."""
+
+from __future__ import annotations
+
+import _thread
+import dataclasses
+import threading
+
+import pytest
+
+from acquisition.bounded import bounded
+from acquisition.lane import HungError, Lane
+from drivers.errors import InstrumentError, InstrumentLostError
+from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+
+SOON_S = 0.05
+
+
+def test_given_calls_then_their_answers_and_their_failures_come_back_in_order() -> None:
+    lane = Lane("test")
+    assert [lane.call(lambda one=one: one * one, 5.0) for one in range(5)] == [0, 1, 4, 9, 16]
+    with pytest.raises(ZeroDivisionError):
+        lane.call(lambda: 1 // 0, 5.0)
+    assert lane.call(threading.get_ident, 5.0) == lane.call(threading.get_ident, 5.0) != threading.get_ident()
+    lane.abandon()
+
+
+def test_given_a_call_that_hangs_then_it_is_given_up_and_the_next_one_gets_a_fresh_thread() -> None:
+    lane, release = Lane("test"), threading.Event()
+    first = lane.call(threading.get_ident, 5.0)
+    with pytest.raises(HungError):
+        lane.call(release.wait, SOON_S)
+    assert lane.call(threading.get_ident, 5.0) != first
+    release.set()
+    lane.abandon()
+
+
+def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before() -> None:
+    lane, release, done = Lane("test"), threading.Event(), []
+
+    def hold() -> None:
+        # What Ctrl-C does: the main thread stops waiting while the call goes on.
+        _thread.interrupt_main()
+        release.wait()
+        done.append("held")
+
+    with pytest.raises(KeyboardInterrupt):
+        lane.call(hold, 30.0)
+    threading.Timer(SOON_S, release.set).start()
+    lane.call(lambda: done.append("next"), 30.0)
+    assert done == ["held", "next"]
+    lane.abandon()
+
+
+def test_given_a_wait_broken_off_then_an_urgent_call_overtakes_it() -> None:
+    lane, release, done = Lane("test"), threading.Event(), []
+
+    def hold() -> None:
+        _thread.interrupt_main()
+        release.wait()
+
+    with pytest.raises(KeyboardInterrupt):
+        lane.call(hold, 30.0)
+    lane.call(lambda: done.append("muted"), 30.0, yields_s=0.0)
+    assert done == ["muted"]
+    release.set()
+    lane.abandon()
+
+
+HANGS = {
+    "mirror": ("move_to", lambda roles: roles.mirror.move_to(0.0, 0.0), "moving to"),
+    "recorder": ("identify", lambda roles: roles.recorder.identify(), "identifying"),
+    "player": ("mute", lambda roles: roles.player.mute(), "muting"),
+}
+
+
+@pytest.mark.parametrize("role", HANGS)
+def test_given_a_driver_that_hangs_then_its_instrument_is_lost_by_name_operation_and_time(role: str) -> None:
+    operation, ask, doing = HANGS[role]
+    rig = VirtualRig(VirtualSettings(fault_plan=(Fault(role, operation, "hang", at_call=2),)))
+    roles = bounded(rig.instruments, SOON_S)
+    for instrument in (roles.mirror, roles.recorder, roles.player):
+        if operation != "identify":
+            instrument.identify()
+    ask(roles)
+    with pytest.raises(InstrumentLostError, match=rf"virtual {role}: {doing}.*not come back within 0\.05 s") as lost:
+        ask(roles)
+    assert lost.value.role == role
+    assert "hangs" in lost.value.remedy
+    instrument = getattr(roles, role)
+    with pytest.raises(InstrumentLostError, match="hangs"):
+        instrument.identify()  # nothing else is tried in a driver that hangs
+    instrument.reconnect()
+    assert role in instrument.identify()
+    ask(roles)  # and now it is as the first time
+
+
+def test_given_an_operation_that_takes_its_time_then_its_own_time_is_allowed_for() -> None:
+    class Slow:
+        def wait_settled(self, timeout_s: float) -> None:
+            threading.Event().wait(timeout_s)
+
+    roles = dataclasses.replace(VirtualRig(VirtualSettings()).instruments, mirror=Slow())  # type: ignore[arg-type]
+    bounded(roles, SOON_S).mirror.wait_settled(2 * SOON_S)
+
+
+def test_given_a_failure_of_the_instrument_then_it_comes_through_with_its_role() -> None:
+    rig = VirtualRig(VirtualSettings(fault_plan=(Fault("mirror", "move_to", "lost", at_call=1),)))
+    with pytest.raises(InstrumentLostError, match="does not answer any more") as lost:
+        bounded(rig.instruments, 5.0).mirror.move_to(0.0, 0.0)
+    assert lost.value.role == "mirror"
+
+
+def test_given_instruments_that_were_closed_then_they_say_so_and_closing_twice_does_no_harm() -> None:
+    roles = bounded(VirtualRig(VirtualSettings()).instruments, 5.0)
+    for instrument in (roles.mirror, roles.recorder, roles.player):
+        instrument.close()
+        instrument.close()
+        with pytest.raises(InstrumentError, match="closed"):
+            instrument.identify()

@@ -1,0 +1,174 @@
+"""What point quality sees in records of the virtual rig, with each defect put into one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from acquisition.defects import Cure
+from acquisition.pointing import point_at
+from acquisition.quality import Judgement, QualityLimits, Status, judge
+from acquisition.record import take_record
+from acquisition.setup import Setup
+from calibration.estimator import Estimator
+from calibration.mirror_map import MirrorMap
+from calibration.sweeps import Excitation
+from drivers.protocols import Take
+from mocks.virtual_rig import VirtualRig, VirtualSettings
+
+RATE_HZ = 10_000.0
+ACTUATORS = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (60.0, -60.0))
+POSITION_MM = (80.0, 4.0)
+STRONG, WEAK = 0, 2
+DISTANCE_MM = np.array([np.hypot(x - POSITION_MM[0], y - POSITION_MM[1]) for x, y in ACTUATORS])
+RANGE_V = (10.0, 10.0)
+
+Channels = tuple[np.ndarray, np.ndarray]
+Spoil = Callable[[np.ndarray, np.ndarray], Channels]
+
+
+@cache
+def estimator(averages: int, taps: int) -> Estimator:
+    return Estimator(excitation(averages), taps, inter_channel_delay_s=5e-6)
+
+
+def excitation(averages: int) -> Excitation:
+    return Excitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, averages)
+
+
+@cache
+def quiet_records(averages: int) -> Channels:
+    """Both channels of a record per actuator, without the vibrometer's noise and hardly rounded."""
+    settings = VirtualSettings(seed=5, noise_v=0.0, dropout_probability=0.0, actuator_mm=ACTUATORS, gain_spread_db=0.0)
+    rig = VirtualRig(settings)
+    signal_v = excitation(averages).signal_v()
+    taken = []
+    for actuator, range_v in enumerate((5.0, 0.2, 0.01, 0.2)):
+        setup = Setup(
+            instruments=rig.instruments,
+            mirror_map=MirrorMap.straight(settings.mirror.distance_mm),
+            actuator_channels=settings.channel_of_actuator,
+            loopback_channel=settings.channel_of_loopback,
+            range_v=(10.0, range_v),
+            response_per_volt=1.0,
+        )
+        point_at(setup, *POSITION_MM)
+        signals_v = {actuator: signal_v, settings.channel_of_loopback: signal_v}
+        taken.append(take_record(setup, signals_v, RATE_HZ, Take(0, 1, actuator)).volts)
+    volts = np.stack(taken)
+    return volts[:, 0], volts[:, 1]
+
+
+def judged(spoil: Spoil | None, record: int, *, snr_db: float = 40.0, averages: int = 3, taps: int = 2000) -> Judgement:
+    """All records with the noise that gives one of them this ratio; that one spoilt before the noise is added."""
+    reference, response = (channel.copy() for channel in quiet_records(averages))
+    level_v = float(response[record].std()) * 10 ** (-snr_db / 20)
+    if spoil is not None:
+        reference[record], response[record] = spoil(reference[record], response[record])
+    response += level_v * np.random.default_rng([averages, record]).normal(size=response.shape)
+    estimate = estimator(averages, taps).estimate(reference, response.astype(np.float32), range_v=RANGE_V)
+    return judge(estimate, False, QualityLimits(), DISTANCE_MM)
+
+
+def clipped(reference: np.ndarray, response: np.ndarray) -> Channels:
+    end_v = 0.95 * np.abs(response).max()
+    return reference, np.clip(response, -end_v, end_v)
+
+
+def one_less(samples: np.ndarray) -> np.ndarray:
+    return np.concatenate([samples[:13_000], samples[13_001:], samples[-1:]])
+
+
+def one_more(samples: np.ndarray) -> np.ndarray:
+    return np.concatenate([samples[:13_000], samples[12_999:-1]])
+
+
+def dropped_out(reference: np.ndarray, response: np.ndarray) -> Channels:
+    spoilt = response.copy()
+    spoilt[13_000:13_050] = 0.0
+    return reference, spoilt
+
+
+def early(spoil: Spoil) -> Spoil:
+    """The same in the first sweep of a record."""
+
+    def moved(reference: np.ndarray, response: np.ndarray) -> Channels:
+        spoilt = spoil(np.roll(reference, 12_000), np.roll(response, 12_000))
+        return np.roll(spoilt[0], -12_000), np.roll(spoilt[1], -12_000)
+
+    return moved
+
+
+def humming(line_hz: float) -> Spoil:
+    def hum(reference: np.ndarray, response: np.ndarray) -> Channels:
+        tone = np.sin(2 * np.pi * line_hz / RATE_HZ * np.arange(response.size) + 1.0)
+        return reference, response + np.sqrt(2) * 0.01 * response.std() * tone
+
+    return hum
+
+
+DEFECTS: dict[str, tuple[Spoil, str, str, Cure]] = {
+    "clipped at 0.95": (clipped, "clipping", "amplitude_v", Cure.RANGE),
+    "a sample of the response lost": (lambda x, y: (x, one_less(y)), "lost sample", "USB port", Cure.REPEAT),
+    "a sample of the reference lost": (lambda x, y: (one_less(x), y), "lost sample", "USB port", Cure.REPEAT),
+    "a sample doubled": (lambda x, y: (x, one_more(y)), "lost sample", "USB port", Cure.REPEAT),
+    "5 ms without light": (dropped_out, "dropout", "focus the laser", Cure.REPEAT),
+    "hum at 50 Hz": (humming(50.0), "hum", "hum at 50 Hz", Cure.NOTHING),
+    "hum at 60 Hz, off the grid of bins": (humming(60.1), "hum", "ground loop", Cure.NOTHING),
+    "hum at 150 Hz": (humming(150.0), "hum", "3 times 50 Hz", Cure.NOTHING),
+    "a fan": (humming(133.0), "tone", "133.3 Hz", Cure.NOTHING),
+}
+
+
+@pytest.mark.parametrize("record", [STRONG, WEAK], ids=["strong", "weak"])
+@pytest.mark.parametrize("name", DEFECTS)
+def test_given_a_defect_at_40_db_then_it_is_named_in_the_record_that_has_it(name: str, record: int) -> None:
+    spoil, expected, words, cure = DEFECTS[name]
+    judgement = judged(spoil, record)
+    assert not judgement.good
+    assert [(defect.name, defect.actuators) for defect in judgement.defects] == [(expected, (record,))]
+    assert words in judgement.reason
+    assert judgement.cure == cure
+
+
+@pytest.mark.parametrize("averages", [1, 2, 3])
+@pytest.mark.parametrize("snr_db", [25.0, 40.0, 60.0])
+def test_given_clean_records_then_valid_and_nothing_is_named(averages: int, snr_db: float) -> None:
+    judgement = judged(None, STRONG, snr_db=snr_db, averages=averages)
+    assert judgement.good, judgement.reason
+
+
+@pytest.mark.parametrize(("spoil", "name"), [(early(dropped_out), "dropout"), (humming(50.0), "hum")])
+def test_given_a_single_sweep_then_what_needs_no_comparison_is_still_seen(spoil: Spoil, name: str) -> None:
+    judgement = judged(spoil, STRONG, averages=1)
+    assert [(defect.name, defect.actuators) for defect in judgement.defects] == [(name, (STRONG,))]
+
+
+@pytest.mark.parametrize("record", [STRONG, WEAK], ids=["strong", "weak"])
+def test_given_fewer_taps_than_the_response_has_then_its_tail_is_named(record: int) -> None:
+    judgement = judged(None, record, taps=250)
+    tails = [defect for defect in judgement.defects if defect.name == "tail"]
+    assert len(tails) == 1
+    assert record in tails[0].actuators
+    assert "capture.taps" in judgement.reason
+
+
+def test_given_one_constant_channel_then_it_is_named_and_is_no_quietest_record() -> None:
+    reference, response = (channel.copy() for channel in quiet_records(3))
+    response += 1e-4 * np.random.default_rng(1).normal(size=response.shape).astype(np.float32)
+    response[STRONG] = 0.0123
+    estimate = estimator(3, 2000).estimate(reference, response, range_v=RANGE_V)
+    judgement = judge(estimate, False, QualityLimits(), DISTANCE_MM)
+    assert [(defect.name, defect.actuators) for defect in judgement.defects] == [("dead channel", (STRONG,))]
+    assert "cable" in judgement.reason
+
+
+def test_given_every_channel_dead_then_failed() -> None:
+    reference, response = quiet_records(2)
+    estimate = estimator(2, 2000).estimate(reference, np.full_like(response, 0.25), range_v=RANGE_V)
+    judgement = judge(estimate, False, QualityLimits())
+    assert judgement.status == Status.FAILED
+    assert "constant" in judgement.reason

@@ -1,0 +1,241 @@
+"""Keeping recordings: what is committed stays, whatever the disk does, and what is wrong is refused by a sentence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from calibration.durable import PositionedFile, PosixFile
+from calibration.errors import InputError
+from calibration.raw_file import DamagedError, open_raw
+from calibration.raw_header import RawHeader
+from calibration.raw_writer import RawWriter, create_raw
+from calibration.schedule import sequential
+
+SHAPE = (2, 300)
+STEP_V = 1 / 1024
+
+
+def header(positions: int = 3, **changes: object) -> RawHeader:
+    """Two records of 300 samples at each position."""
+    plain = RawHeader(
+        sample_rate_hz=1000.0,
+        samples=SHAPE[1],
+        taps=50,
+        band_hz=(50.0, 400.0),
+        schedule=sequential(2),
+        position_mm=np.arange(2.0 * positions).reshape(positions, 2),
+        actuator_mm=np.zeros((2, 2)),
+        response_per_volt=0.125,
+        volts_per_count=(STEP_V, STEP_V),
+        averages=1,
+        sweep_s=0.2,
+        decay_s=0.05,
+        plan_sha256="ab" * 32,
+    )
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+def volts(position: int, attempt: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Reference and response of an attempt, in whole counts."""
+    draw = np.random.default_rng([position, attempt])
+    reference, response = (draw.integers(-3000, 3000, SHAPE).astype(np.float32) * np.float32(STEP_V) for _ in range(2))
+    return reference, response
+
+
+def holds(path: Path, position: int, attempt: int) -> bool:
+    """Whether the file gives the recordings of an attempt."""
+    with open_raw(path) as raw:
+        found = raw.read(position)
+    reference, response = volts(position, attempt)
+    return found is not None and np.array_equal(found.reference_v, reference) and np.array_equal(
+        found.response_v, response
+    )
+
+
+def made(tmp_path: Path, positions: int = 3) -> Path:
+    path = tmp_path / "a.raw.h5"
+    create_raw(path, header(positions))
+    return path
+
+
+def test_given_commits_then_reading_gives_the_same_volts_and_other_positions_are_empty(tmp_path: Path) -> None:
+    path = made(tmp_path)
+    with RawWriter.open(path, plan_sha256="ab" * 32) as writer:
+        writer.commit(1, *volts(1))
+        assert writer.recorded.tolist() == [False, True, False]
+    assert holds(path, 1, 1)
+    with open_raw(path) as raw:
+        assert raw.read(0) is None
+        assert raw.header.schedule.is_sequential
+        assert (raw.header.averages, raw.header.sweep_s, raw.header.decay_s) == (1, 0.2, 0.05)
+
+
+def test_given_the_contract_then_plain_h5py_reads_what_was_kept(tmp_path: Path) -> None:
+    path = made(tmp_path)
+    with RawWriter.open(path) as writer:
+        writer.commit(2, *volts(2))
+    with h5py.File(path) as file:
+        assert file.attrs["format"] == "wavefocus-raw"
+        assert file["response"].dtype == np.int16
+        assert np.array_equal(file["response"][2] * np.float32(file["response"].attrs["volts_per_count"]), volts(2)[1])
+        assert file["schedule/actuator"][:].tolist() == [[0], [1]]
+
+
+def test_given_a_second_attempt_then_it_takes_the_place_of_the_first(tmp_path: Path) -> None:
+    path = made(tmp_path)
+    with RawWriter.open(path) as writer:
+        writer.commit(0, *volts(0, 1))
+        writer.commit(0, *volts(0, 2))
+    assert holds(path, 0, 2)
+
+
+def test_given_space_reserved_then_committing_everything_does_not_grow_the_file(tmp_path: Path) -> None:
+    path = made(tmp_path)
+    size = path.stat().st_size
+    with RawWriter.open(path) as writer:
+        for position in range(3):
+            writer.commit(position, *volts(position))
+    assert path.stat().st_size == size <= header().file_bytes
+
+
+@pytest.mark.parametrize(
+    ("position", "change", "complaint"),
+    [
+        (3, lambda one: one, "position 3 is not in raw file"),
+        (0, lambda one: one[:1], "shape"),
+        (0, lambda one: one + np.float32(100), "not finite or beyond"),
+        (0, lambda one: one * np.float32(np.nan), "not finite or beyond"),
+    ],
+)
+def test_given_recordings_that_do_not_fit_then_they_are_refused_and_nothing_is_kept(
+    tmp_path: Path, position: int, change: object, complaint: str
+) -> None:
+    path = made(tmp_path)
+    reference, response = volts(0)
+    with RawWriter.open(path) as writer:
+        with pytest.raises(InputError, match=complaint):
+            writer.commit(position, reference, change(response))  # type: ignore[operator]
+        assert not writer.recorded.any()
+
+
+def test_given_another_plan_then_the_file_is_not_recorded_into(tmp_path: Path) -> None:
+    path = made(tmp_path)
+    with pytest.raises(InputError, match="belongs to another plan"):
+        RawWriter.open(path, plan_sha256="cd" * 32)
+
+
+def test_given_a_file_that_exists_then_it_is_never_made_anew(tmp_path: Path) -> None:
+    path = made(tmp_path)
+    with pytest.raises(InputError, match="exists already"):
+        create_raw(path, header())
+
+
+def test_given_a_flipped_byte_then_that_position_alone_is_told_as_damaged(tmp_path: Path) -> None:
+    path = made(tmp_path)
+    with RawWriter.open(path) as writer:
+        writer.commit(0, *volts(0))
+        writer.commit(1, *volts(1))
+    with h5py.File(path, "r+") as file:
+        file["reference"][0, 1, 7] ^= 1
+    with open_raw(path) as raw, pytest.raises(DamagedError, match="position 0 is damaged"):
+        raw.read(0)
+    assert holds(path, 1, 1)
+
+
+def test_given_a_changed_schedule_then_the_file_is_refused(tmp_path: Path) -> None:
+    path = made(tmp_path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["taps"] = 60
+        file.attrs["plan_sha256"] = "cd" * 32
+    with pytest.raises(InputError, match="damaged"):
+        RawWriter.open(path)
+
+
+class LoggedFile(PosixFile):
+    """A file that notes what is written and synced."""
+
+    log: list[tuple[int, bytes] | None]
+
+    def write(self, offset: int, data: bytes | memoryview) -> None:
+        LoggedFile.log.append((offset, bytes(data)))
+        super().write(offset, data)
+
+    def sync(self) -> None:
+        LoggedFile.log.append(None)
+        super().sync()
+
+
+class UnsyncedFile(PosixFile):
+    """Skips the waiting for the disk, which a replay does not need."""
+
+    def sync(self) -> None:
+        return
+
+
+def unsynced(path: Path, *, write: bool = False) -> PositionedFile:
+    return UnsyncedFile(path, write=write)
+
+
+# Position and attempt in the order of commits: the third replaces the first through the journal.
+COMMITS = ((1, 1), (0, 1), (1, 2))
+
+
+def images(start: bytes, log: list[tuple[int, bytes] | None]) -> list[tuple[int, bytes]]:
+    """States that a power cut leaves: all that was synced, all or nothing of the rest, the last write torn."""
+    draw = np.random.default_rng(1)
+    found, synced, flying = [], bytearray(start), list[tuple[int, bytes]]()
+    for step, entry in enumerate(log):
+        if entry is None:
+            for offset, data in flying:
+                synced[offset : offset + len(data)] = data
+            flying.clear()
+            found.append((step + 1, bytes(synced)))
+            continue
+        offset, data = entry
+        for before in ((), tuple(flying)):
+            for kept in {min(size, len(data)) for size in (0, 512, 4608)}:
+                image = bytearray(synced)
+                for earlier, content in before:
+                    image[earlier : earlier + len(content)] = content
+                image[offset : offset + kept] = data[:kept]
+                torn = min(512, len(data) - kept)
+                image[offset + kept : offset + kept + torn] = draw.bytes(torn)
+                found.append((step, bytes(image)))
+        flying.append(entry)
+    return found
+
+
+def test_given_a_power_cut_at_any_write_then_nothing_acknowledged_is_lost_and_the_end_is_the_same(
+    tmp_path: Path,
+) -> None:
+    base = made(tmp_path, positions=2)
+    start = base.read_bytes()
+    LoggedFile.log = []
+    acknowledged: list[tuple[int, int, int]] = []
+    with RawWriter.open(base, open_file=LoggedFile) as writer:
+        LoggedFile.log.clear()
+        for position, attempt in COMMITS:
+            writer.commit(position, *volts(position, attempt))
+            acknowledged.append((len(LoggedFile.log), position, attempt))
+    finished = base.read_bytes()
+    cuts = images(start, LoggedFile.log)
+    assert len(cuts) > 50
+
+    cut = tmp_path / "cut.raw.h5"
+    for step, image in cuts:
+        cut.write_bytes(image)
+        promised = {position: attempt for length, position, attempt in acknowledged if length <= step}
+        for position, attempt in promised.items():
+            assert any(holds(cut, position, newer) for newer in range(attempt, 3))
+        with RawWriter.open(cut, open_file=unsynced) as writer:
+            assert all(writer.recorded[position] for position in promised)
+            for position in np.flatnonzero(writer.recorded).tolist():
+                assert any(holds(cut, position, attempt) for attempt in (1, 2))
+            for position, attempt in COMMITS[sum(length <= step for length, _, _ in acknowledged) :]:
+                writer.commit(position, *volts(position, attempt))
+        assert cut.read_bytes() == finished

@@ -1,0 +1,220 @@
+"""Joint estimation of actuators that sound together, against truth and against the noise's own limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.fft
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.errors import InputError
+from calibration.position_estimator import Channels, JointEstimator
+from calibration.schedule import EMPTY, Schedule, sequential, staggered
+from calibration.staggered_estimator import StaggeredEstimator
+from calibration.staggered_signal import StaggeredSignal
+from calibration.sweeps import Excitation
+from calibration.thinning import Thinning
+from calibration.timing import ReferenceMissingError
+
+RATE_HZ = 2000.0
+BAND_HZ = (20.0, 400.0)
+TAPS = 100
+SWEEP = Excitation(RATE_HZ, *BAND_HZ, 0.5, 0.05, 1.0, 1)
+SIGNAL = StaggeredSignal(SWEEP, actuators=5, taps=TAPS, stagger_samples=120)
+
+
+def played(
+    base_v: np.ndarray, delays: list[int], green: np.ndarray, ppm: float, start: float, samples: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both channels at the DAQ's instants: a periodic signal is a Fourier series, which knows any instant."""
+    period = base_v.size
+    ring = np.zeros(period)
+    for one, delay in zip(green, delays, strict=True):
+        ring[(delay + np.arange(TAPS)) % period] += one
+    series = scipy.fft.rfft(base_v) * 2 / period
+    instants = np.arange(samples) / (1 + 1e-6 * ppm) - start
+    turns = np.exp(2j * np.pi / period * np.outer(instants, np.arange(series.size - 1)))
+    reference = (turns @ series[:-1]).real - series[0].real / 2
+    return reference, (turns @ (series * scipy.fft.rfft(ring))[:-1]).real
+
+
+def in_band(green: np.ndarray) -> np.ndarray:
+    hertz = np.fft.rfftfreq(4 * TAPS, 1 / RATE_HZ)
+    return np.fft.rfft(green, 4 * TAPS)[:, (hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])]
+
+
+def error_db(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    wrong, right = in_band(found - true), in_band(true)
+    return 10 * np.log10((np.abs(wrong) ** 2).sum(axis=1) / (np.abs(right) ** 2).sum(axis=1))
+
+
+def random_firs(seed: int) -> np.ndarray:
+    draw = np.random.default_rng(seed)
+    return draw.standard_normal((5, TAPS)) * np.exp(-np.arange(TAPS) / 30)
+
+
+ESTIMATOR = StaggeredEstimator(
+    SIGNAL.base_v(), RATE_HZ, BAND_HZ, TAPS, 120.0 * np.arange(5), np.ones(5), response_per_volt=0.5
+)
+
+
+def limit_db(true: np.ndarray, noise_v: float) -> np.ndarray:
+    """What least squares with the true drives leave, in expectation."""
+    base_v, samples = SIGNAL.base_v(), SIGNAL.heard_samples
+    columns = [np.roll(base_v, 120 * slot + tap) for slot in range(5) for tap in range(TAPS)]
+    matrix = np.resize(np.stack(columns), (5 * TAPS, base_v.size))
+    matrix = np.concatenate([matrix, matrix], axis=1)[:, :samples].T / 0.5
+    covariance = noise_v**2 * np.linalg.pinv(matrix.T @ matrix, rcond=1e-8, hermitian=True)
+    fourier = in_band(np.eye(TAPS)).T
+    energy = (np.abs(in_band(true)) ** 2).sum(axis=1)
+    parts = [slice(slot * TAPS, (slot + 1) * TAPS) for slot in range(5)]
+    noise = [np.einsum("kn,nm,km->", fourier, covariance[part, part], fourier.conj()).real for part in parts]
+    return 10 * np.log10(np.array(noise) / energy)
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    ppm=st.floats(-200, 200),
+    start=st.floats(0, 599),
+)
+def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_limit(
+    seed: int, ppm: float, start: float
+) -> None:
+    green = random_firs(seed)
+    reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, ppm, start, SIGNAL.heard_samples)
+    draw = np.random.default_rng(seed + 1)
+    noise_v = 1e-3
+    response = response / 0.5 + noise_v * draw.standard_normal(response.size)
+    found = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
+    assert np.median(error_db(found.green, green) - limit_db(green, noise_v)) <= 1.5
+    assert found.clock_ratio[0] == pytest.approx(1 + 1e-6 * ppm, abs=2e-6)
+
+
+def test_given_groups_then_each_record_gives_its_own_actuators_in_order() -> None:
+    signal = StaggeredSignal(SWEEP, actuators=5, taps=TAPS, stagger_samples=120, groups=2)
+    green, schedule = random_firs(3), signal.schedule()
+    estimator = JointEstimator(signal.base_v(), RATE_HZ, BAND_HZ, schedule, TAPS, Channels())
+    channels = []
+    for record in range(2):
+        actuator, delay_s, _ = schedule.slots(record)
+        delays = np.round(delay_s * RATE_HZ).astype(int).tolist()
+        channels.append(played(signal.base_v(), delays, green[actuator], 30.0, 10.0, signal.heard_samples))
+    reference_v, response_v = (np.stack([one[row] for one in channels]).astype(np.float32) for row in range(2))
+    found = estimator.estimate(reference_v, response_v, range_v=(1e3, 1e3))
+    assert error_db(found.green, green).max() < -45
+
+
+def test_given_a_moment_without_light_then_the_residual_names_it() -> None:
+    green = random_firs(4)
+    reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, 0.0, 0.0, SIGNAL.heard_samples)
+    response = response / 0.5
+    response += 1e-3 * np.random.default_rng(5).standard_normal(response.size)
+    sound = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
+    response[200:210] = 0.0
+    spoilt = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
+    assert sound.defects["burst_db"][0] == -np.inf
+    assert spoilt.defects["burst_db"][0] > -40
+    assert spoilt.residual_db[0] > sound.residual_db[0] + 15
+
+
+def test_given_a_silent_reference_then_it_is_told_as_missing() -> None:
+    noise = np.random.default_rng(0).standard_normal(SIGNAL.heard_samples).astype(np.float32)
+    with pytest.raises(ReferenceMissingError, match="check the loopback"):
+        ESTIMATOR.estimate(noise, noise, range_v=(1e3, 1e3))
+
+
+def test_given_less_than_a_period_then_the_record_is_refused() -> None:
+    short = np.zeros(500, np.float32)
+    with pytest.raises(InputError, match="less than the period of 600"):
+        ESTIMATOR.estimate(short, short, range_v=(1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("delays", "gain", "complaint"),
+    [
+        ([0, 50], [1, 1], "allowed is 1 to the distance of two slots, 50"),
+        ([0, 600], [1, 1], "less than the period, 600"),
+        ([0, 120], [1, 0], "not 0"),
+        ([0, 120], [1], "one per slot"),
+    ],
+)
+def test_given_slots_that_cannot_be_told_apart_then_they_are_refused(
+    delays: list[float], gain: list[float], complaint: str
+) -> None:
+    with pytest.raises(InputError, match=complaint):
+        StaggeredEstimator(SIGNAL.base_v(), RATE_HZ, BAND_HZ, TAPS, np.array(delays, float), np.array(gain, float))
+
+
+def test_staggered_signals_are_one_sweep_round_the_period() -> None:
+    (base_v, sounding), *rest = SIGNAL.played_v(lead_samples=250)
+    assert not rest
+    assert sorted(sounding) == [0, 1, 2, 3, 4]
+    assert base_v.size == 250 + SIGNAL.heard_samples
+    assert np.array_equal(base_v[:600], SIGNAL.base_v())
+    for actuator, volts in sounding.items():
+        assert np.array_equal(volts[:600], np.roll(base_v[:600], 120 * actuator))
+        assert np.array_equal(volts[600:], volts[: volts.size - 600])
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"groups": 6}, "groups is 6; allowed is 1 to the number of actuators, 5"),
+        ({"periods": 0}, "periods is 0"),
+        ({"taps": 121}, "taps is 121; allowed is 1 to a stagger, 120 samples"),
+        ({"stagger_samples": 100, "taps": 1, "groups": 5, "actuators": 5}, None),
+    ],
+)
+def test_a_staggered_signal_refuses_what_cannot_be_played(changes: dict[str, int], complaint: str | None) -> None:
+    asked = {"actuators": 5, "taps": TAPS, "stagger_samples": 120, **changes}
+    if complaint is None:
+        assert StaggeredSignal(SWEEP, **asked).slots == 1
+        return
+    with pytest.raises(InputError, match=complaint):
+        StaggeredSignal(SWEEP, **asked)
+
+
+@given(actuators=st.integers(1, 30), data=st.data())
+def test_every_actuator_plays_once_whatever_the_groups(actuators: int, data: st.DataObject) -> None:
+    groups = data.draw(st.integers(1, actuators))
+    schedule = staggered(actuators, 0.25, groups)
+    driven = schedule.actuator[schedule.actuator != EMPTY]
+    assert sorted(driven.tolist()) == list(range(actuators))
+    assert schedule.records == groups
+    assert schedule.period_s == pytest.approx(0.25 * -(-actuators // groups))
+    assert sequential(actuators).is_sequential
+    assert not schedule.is_sequential
+
+
+@pytest.mark.parametrize(
+    ("actuator", "delay_s", "gain", "period_s", "complaint"),
+    [
+        ([[0, 0]], [[0, 0.1]], [[1, 1]], 1.0, "plays actuator 0 twice in record 0"),
+        ([[0, 2]], [[0, 0.1]], [[1, 1]], 1.0, "never plays actuator 1"),
+        ([[0], [-1]], [[0], [0]], [[1], [1]], 0.0, "plays nothing in record 1"),
+        ([[0, 1]], [[0, 1.0]], [[1, 1]], 1.0, "less than period_s = 1"),
+        ([[0, 1]], [[0, -0.1]], [[1, 1]], 1.0, "0 or more is needed"),
+        ([[0, 1]], [[0, 0.1]], [[1, 0]], 1.0, "each slot needs a gain"),
+        ([[0, 1]], [[0, 0.1]], [[1, 1]], -1.0, "0 or a period in seconds"),
+    ],
+)
+def test_a_schedule_that_cannot_be_is_refused(
+    actuator: object, delay_s: object, gain: object, period_s: float, complaint: str
+) -> None:
+    with pytest.raises(InputError, match=complaint):
+        Schedule(np.array(actuator), np.array(delay_s), np.array(gain), period_s)
+
+
+@given(highest=st.floats(0.005, 0.3), cycles=st.floats(0.1, 0.95))
+def test_thinning_keeps_every_frequency_of_its_band(highest: float, cycles: float) -> None:
+    samples, turn = 2000, 2 * np.pi * cycles * highest
+    window = np.hanning(samples)
+    tone = (window * np.cos(turn * np.arange(samples))).astype(np.float32)[None]
+    thinning = Thinning(highest)
+    thinned = thinning(tone)
+    assert thinned.values.shape[1] <= tone.shape[1] + 2 * abs(thinned.first) + 1
+    found = thinning.spectrum(thinned, turn, 1, 1)[0, 0]
+    right = (tone[0] * np.exp(-1j * turn * np.arange(samples))).sum()
+    assert abs(found - right) < 1e-3 * abs(right)

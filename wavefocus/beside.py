@@ -1,0 +1,49 @@
+"""Small files beside a bank that one process writes whole and others read whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+# A file that somebody reads just now cannot be replaced on Windows; the reader is done at once.
+_TRIES = 5
+_PAUSE_S = 0.02
+# More than any of these files ever is.
+_MOST_BYTES = 65536
+
+
+def write_whole(path: Path, content: Mapping[str, object]) -> None:
+    """Write a JSON object so that a reader finds the old one or the new one and nothing in between.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+    new = path.with_name(f"{path.name}.{os.getpid()}.new")
+    try:
+        new.write_text(json.dumps(content) + "\n", encoding="utf-8")
+        for left in reversed(range(_TRIES)):
+            try:
+                new.replace(path)
+                return
+            except PermissionError:
+                if left == 0:
+                    raise
+                time.sleep(_PAUSE_S)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def read_whole(path: Path) -> dict[str, object] | None:
+    """The JSON object in a file; None where there is no such file or none in it."""
+    try:
+        with path.open("rb") as file:
+            content = json.loads(file.read(_MOST_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None

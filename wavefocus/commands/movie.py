@@ -1,0 +1,122 @@
+"""``wavefocus movie``: a predicted or scanned field as a GIF, and at its focus instants as a picture."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.grid import stadium_rim
+from calibration.bank import Bank, open_bank
+from calibration.drive_file import Drive, read_drive
+from calibration.errors import InputError
+from calibration.field_rows import FieldRowReader
+from rendering.movie import snapshots, surface_of, write_movie
+from rendering.movie_frames import FramePlan, plan_frames
+from wavefocus.compose import bank_configuration
+from wavefocus.console import progress, say
+
+OUTLINE_POINTS = 400
+FRAMES_PER_PERIOD = 2.5
+"""Fewer frames in a period of the band's upper end, and the movie strobes."""
+
+
+@dataclass(frozen=True, slots=True)
+class MovieOptions:
+    """What a movie shows, as asked for on the command line; None for what follows from the field."""
+
+    from_s: float | None = None
+    to_s: float | None = None
+    slow: float | None = None
+    frame_rate_hz: float = 25.0
+    width_px: int = 720
+    limit: float | None = None
+
+
+def movie(
+    field_file: Path,
+    bank: Path,
+    out: Path | None,
+    snapshot_file: Path | None,
+    drive_file: Path | None,
+    options: MovieOptions,
+    *,
+    as_json: bool,
+) -> None:
+    """Draw a field file.
+
+    Raises
+    ------
+    InputError
+        The files cannot be read or do not belong together, or there is nothing to show.
+    """
+    if out is None and snapshot_file is None:
+        raise InputError("nothing to draw: give --out FILE.gif, --snapshots FILE.png, or both")
+    if snapshot_file is not None and drive_file is None:
+        raise InputError("--snapshots needs the focus instants: add --drive DRIVE.h5")
+    for path in (out, snapshot_file):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise InputError(f"{path}: there is no folder {path.absolute().parent}")
+    drive = None if drive_file is None else read_drive(drive_file)
+    told: dict[str, object] = {"field": str(field_file)}
+    with open_bank(bank) as view, FieldRowReader(field_file) as field:
+        _check_together(field, field_file, view, drive, drive_file)
+        surface = surface_of(view, drive, _outline(view))
+        if out is not None:
+            plan = plan_frames(
+                field,
+                drive,
+                from_s=options.from_s,
+                to_s=options.to_s,
+                slow=options.slow,
+                frame_rate_hz=options.frame_rate_hz,
+            )
+            _tell_strobing(plan, view)
+            with progress("movie", len(plan.sample)) as report:
+                limit = write_movie(
+                    out, field, surface, drive, plan, width_px=options.width_px, limit=options.limit, on_progress=report
+                )
+            say(
+                f"{out}: {len(plan.sample)} frames, {plan.step_s * 1e3:.3g} ms apart, {plan.slowed:.3g} times slower"
+                f" than life, colours to {limit:.3g} {field.response_unit}"
+            )
+            told |= {"movie": str(out), "frames": len(plan.sample), "slowed": plan.slowed, "limit": limit}
+        if snapshot_file is not None and drive is not None:
+            snapshot_file.write_bytes(snapshots(field, surface, drive).png)
+            say(f"{snapshot_file}: the field at focus instants")
+            told["snapshots"] = str(snapshot_file)
+    if as_json:
+        print(json.dumps(told))
+
+
+def _check_together(
+    field: FieldRowReader, field_file: Path, bank: Bank, drive: Drive | None, drive_file: Path | None
+) -> None:
+    index = field.position_index
+    if index.min() < 0 or index.max() >= bank.positions:
+        raise InputError(f"{field_file} has position {index.max()}, {bank.path} has {bank.positions}: of another bank?")
+    if drive is None or not len(drive.focus_position):
+        return
+    if drive.focus_position.min() < 0 or drive.focus_position.max() >= bank.positions:
+        raise InputError(f"{drive_file} has foci at positions that {bank.path} does not have: of another bank?")
+
+
+def _outline(bank: Bank) -> NDArray[np.float64] | None:
+    if bank.rig_json is None or bank.run_json is None:
+        return None
+    surface = bank_configuration(bank).rig.surface
+    return stadium_rim(surface.length_mm, surface.width_mm, 0.0, OUTLINE_POINTS)
+
+
+def _tell_strobing(plan: FramePlan, bank: Bank) -> None:
+    if bank.band_hz is None:
+        return
+    enough_s = 1.0 / (FRAMES_PER_PERIOD * bank.band_hz[1])
+    if plan.step_s > enough_s:
+        say(
+            f"frames are {plan.step_s * 1e3:.3g} ms apart, too far to see waves of {bank.band_hz[1]:g} Hz travel:"
+            f" choose --from-s and --to-s, or --slow {1 / (enough_s * plan.frame_rate_hz):.0f}"
+        )

@@ -1,0 +1,161 @@
+"""``wavefocus play``: a drive on the rig's actuators, live."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.bounded import BoundedPlayer
+from acquisition.durations import hours
+from acquisition.ending_signals import EndingSignals
+from calibration.drive_file import Drive, read_drive
+from calibration.errors import InputError
+from drivers.errors import InstrumentError
+from drivers.protocols import Clock, Player
+from wavefocus.config.loading import load_rig
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.console import Report, progress, say
+from wavefocus.instruments import openers
+from wavefocus.rig_limits import check_drive
+
+# What the player's process holds is kept in memory whole, so that nothing but a play that fits is begun.
+MOST_BYTES = 4 * 2**30
+TELL_EVERY_S = 0.2
+# A play may take longer than its signal by the interface's latency and what opening a stream takes.
+LATE_S = 10.0
+
+
+def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool) -> None:
+    """Play a drive file as one finite signal, several times without a gap where asked for.
+
+    Raises
+    ------
+    InputError
+        The drive does not fit the rig, or would give an actuator more than it may get.
+    InstrumentError
+        The interface failed; it was muted.
+    """
+    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    drive = read_drive(drive_file)
+    if gain_db:
+        drive = replace(drive, drive_v=drive.drive_v * 10.0 ** (gain_db / 20.0))
+    actuators, samples = drive.drive_v.shape
+    if actuators != len(rig.player.channels):
+        raise InputError(
+            f"{drive_file} is for {actuators} actuators, {rig_file} has {len(rig.player.channels)}; render it from a"
+            " bank of this rig"
+        )
+    remedy = "use --gain-db {gain_db}, or set output.limit_v and limit_rms_v in the scene and render again"
+    check_drive(drive, rig.player, str(drive_file), remedy, repeated=loop > 1, gain_db=gain_db)
+    needed = _bytes_needed(drive, loop, rig)
+    if needed > MOST_BYTES:
+        raise InputError(
+            f"{drive_file}: {loop} times {samples / drive.sample_rate_hz:.4g} s on {actuators} actuators take"
+            f" {needed / 2**30:.3g} GiB at once, and {MOST_BYTES / 2**30:.3g} GiB are allowed: lower --loop, or render"
+            " a shorter scene"
+        )
+    seconds = loop * samples / drive.sample_rate_hz
+    peak_v = float(np.abs(drive.drive_v).max())
+    with _ending_at_once(), _open_player(rig) as (player, clock):
+        times = f"{loop} times, " if loop > 1 else ""
+        memory = f"{needed / 2**20:.0f} MB of memory"
+        say(f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V, {memory}")
+        signals_v = {
+            channel: _repeated(volts, loop) for channel, volts in zip(rig.player.channels, drive.drive_v, strict=True)
+        }
+        with progress("play", math.ceil(seconds), timed=False) as report:
+            player.play(signals_v, drive.sample_rate_hz)
+            with _told(report, clock, seconds):
+                player.wait(1.1 * seconds + LATE_S)
+            report(math.ceil(seconds), math.ceil(seconds), "seconds")
+    say(f"{drive_file}: played; the outputs are muted")
+    if as_json:
+        figures = {"drive": str(drive_file), "seconds": seconds, "loops": loop, "peak_v": peak_v, "gain_db": gain_db}
+        print(json.dumps(figures))
+
+
+def _bytes_needed(drive: Drive, loop: int, rig: RigConfig) -> int:
+    """Volts in float64, as they are here and as the player keeps them, and the interface's frames in float32, twice."""
+    actuators, samples = drive.drive_v.shape
+    frames = samples * rig.player.interface_rate_hz / drive.sample_rate_hz
+    return int(actuators * (8 * samples + loop * (2 * 8 * samples + 2 * 4 * frames)))
+
+
+def _repeated(volts: NDArray[np.float64], loop: int) -> NDArray[np.float64]:
+    return volts if loop == 1 else np.tile(volts, loop)
+
+
+@contextmanager
+def _open_player(rig: RigConfig) -> Iterator[tuple[Player, Clock]]:
+    """Open the interface alone; whatever happens, its outputs are muted and released on the way out."""
+    ways = openers(rig)
+    player = BoundedPlayer(ways.player(), rig.recovery.hung_after_s)
+    try:
+        yield player, ways.clock
+    except BaseException:
+        # The first failure is the one to act on; what else fails on the way out is told and does not hide it.
+        for step in (player.mute, player.close):
+            try:
+                step()
+            except Exception as failure:
+                say(f"on the way out: {failure}")
+        raise
+    try:
+        player.mute()
+    finally:
+        player.close()
+
+
+@contextmanager
+def _told(report: Report, clock: Clock, seconds: float) -> Iterator[None]:
+    """Tell how far a play is, by the clock, while the calling thread waits for its end."""
+    started_s, over = clock.now_s(), threading.Event()
+
+    def tell() -> None:
+        while not over.wait(TELL_EVERY_S):
+            played_s = min(clock.now_s() - started_s, seconds)
+            report(int(played_s), math.ceil(seconds), "seconds")
+
+    teller = threading.Thread(target=tell, name="play progress", daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        over.set()
+        teller.join()
+
+
+@contextmanager
+def _ending_at_once() -> Iterator[None]:
+    """Let every signal that ends a program mute the outputs first; a second one does not disturb that."""
+    signals, begun = EndingSignals.here(), False
+
+    def receive(number: int, frame: FrameType | None) -> None:
+        nonlocal begun
+        if not begun:
+            begun = True
+            raise KeyboardInterrupt
+
+    former = {}
+    if threading.current_thread() is threading.main_thread():
+        caught = [one for one in signals.all if signal.getsignal(one) is not signal.SIG_IGN or one in signals.finish]
+        former = {number: signal.signal(number, receive) for number in caught}
+    try:
+        yield
+    except InstrumentError as failure:
+        if begun:
+            raise KeyboardInterrupt from failure
+        raise
+    finally:
+        for number, disposition in former.items():
+            signal.signal(number, disposition)
