@@ -39,7 +39,8 @@ def raw_header(plan: Plan, setup: Setup, *, rig_json: str, run_json: str, softwa
     plan : Plan
         What is measured.
     setup : Setup
-        With what. One count is a 32768th of the largest range that the recorder may be switched to.
+        With what. One count is a 32768th of the range that the campaign begins with: counts of the widest range would
+        bury quiet positions in their rounding.
     rig_json, run_json, software : str
         As of the bank's header.
     """
@@ -58,7 +59,7 @@ def raw_header(plan: Plan, setup: Setup, *, rig_json: str, run_json: str, softwa
         response_per_volt=channels.response_per_volt,
         reference_gain=channels.reference_gain,
         inter_channel_delay_s=channels.inter_channel_delay_s,
-        volts_per_count=(setup.range_v[0] / COUNTS, setup.widest_response_v / COUNTS),
+        volts_per_count=(setup.range_v[0] / COUNTS, setup.range_v[1] / COUNTS),
         averages=excitation.averages if signal is None else None,
         sweep_s=excitation.duration_s if signal is None else signal.period_samples / rate,
         decay_s=excitation.decay_s if signal is None else None,
@@ -87,7 +88,10 @@ def require_same(raw: RawWriter, wanted: RawHeader) -> None:
 
 
 def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recording]) -> None:
-    """Commit all records of an attempt; beyond the range of the file's counts they are cut to it.
+    """Commit all records of an attempt.
+
+    Of an attempt that was taken in a wider range, what lies beyond the file's counts is cut to them: an estimate then
+    tells the position as over-range, while the bank has it right.
 
     Raises
     ------

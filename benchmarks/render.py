@@ -10,66 +10,42 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.render_fields import compare_fields, field_memory
+from benchmarks.render_precision import draw_precision
+from benchmarks.render_timing import Mark, Result, Timing, best_of, relative_error
 from benchmarks.render_workloads import (
     RATE_HZ,
     Workload,
     circle,
     convolve_and_overlap_add,
     convolve_each,
-    convolve_positions,
     floor,
     modal_bank,
-    noise,
     sum_directly,
     workloads,
 )
 from rendering.drive import render_with_report
 from rendering.field import predict
 from rendering.green_source import GreenArray
-from rendering.paths import Circle
-from rendering.scene import Output, Regularisation, Scene, Source
-
-Float64Array = NDArray[np.float64]
-T = TypeVar("T")
+from rendering.scene import Output, Regularisation, Scene
 
 TOLERANCE_DB = -60.0
 PLAIN_SEGMENTS = 250
 DIRECT_SAMPLES = 4000
-
-
-@dataclass(frozen=True, slots=True)
-class Result:
-    """One line of the table.
-
-    Parameters
-    ----------
-    work, method : str
-        What was done, and how.
-    seconds : float
-        Best of the repeats.
-    error : float or None
-        Relative L2 error, None for the reference itself and for the floor.
-    times : float or None
-        How many times faster than the method that the work names as its peer.
-    remark : str
-        What a reader must know to judge the figure.
-    """
-
-    work: str
-    method: str
-    seconds: float
-    error: float | None
-    times: float | None
-    remark: str = ""
+DRIVE_MARKS = {
+    "path": {"exact": Mark("times", 25.0), "loose": Mark("times", 100.0)},
+    "random rows": {"loose": Mark("times", 30.0)},
+}
+"""How many times faster than gpuRIR's method, by the kind of workload."""
 
 
 def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
@@ -87,57 +63,87 @@ def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
     dict
         ``results``: one entry per line of the table.
     """
-    repeats = 1 if quick else 3
+    repeats = 1 if quick else 7
     bank = modal_bank(columns=50 if not quick else 20, rows=30 if not quick else 20)
     results = [line for workload in workloads(bank, quick=quick) for line in compare_drives(workload, repeats)]
     for points in (500,) if quick else (500, 5000):
         results += compare_exact(circle(f"path, M = {points}, dt = 2 ms", bank, points, 0.2), repeats)
     results += compare_fields(bank, repeats, seconds=1.0 if quick else 4.0)
+    results += field_memory(quick=quick)
     results += compare_denormals(repeats)
     results += measure_exponents(bank, repeats, 100 if quick else 1000)
+    if quick:
+        # Small workloads say nothing about the marks.
+        results = [replace(result, mark=None) for result in results]
     show(results)
+    precision = draw_precision(out, quick=quick)
     return {
         "quick": quick,
-        "results": [{name: getattr(result, name) for name in Result.__dataclass_fields__} for result in results],
+        "results": [asdict(result) for result in results],
+        "marks": [
+            asdict(result.mark) | {"work": result.work, "method": result.method, "met": result.mark.met(result)}
+            for result in results
+            if result.mark is not None
+        ],
+        "precision": precision,
     }
 
 
 def compare_drives(workload: Workload, repeats: int) -> list[Result]:
-    """Time the drive by each method."""
-    peer_s, reference = timed(lambda: convolve_and_overlap_add(workload), 1)
-    lines = [Result(workload.name, "gpuRIR's method (convolve + overlap-add)", peer_s, None, 1.0, "reference")]
+    """Time the drive by each method, the methods taking turns."""
+    scene, bank = workload.scene, workload.bank
     segments = len(workload.segments()[1])
     some = min(PLAIN_SEGMENTS, segments)
-    plain_s, _ = timed(lambda: convolve_each(workload, some), 1)
-    plain_s *= segments / some
-    scaled = "" if some == segments else f"timed on {some} of {segments} segments and scaled"
-    lines.append(Result(workload.name, "fftconvolve per segment and actuator", plain_s, None, peer_s / plain_s, scaled))
-    exact_s, exact = timed(lambda: render_with_report(workload.scene, workload.bank, method="sampled")[0], repeats)
-    lines.append(Result(workload.name, "ours, all bins", exact_s, _error(exact.drive_v, reference), peer_s / exact_s))
-    loose_s, (loose, report) = timed(
-        lambda: render_with_report(workload.scene, workload.bank, method="sampled", tolerance_db=TOLERANCE_DB),
+    found = best_of(
+        {
+            "peer": lambda: convolve_and_overlap_add(workload),
+            "plain": lambda: convolve_each(workload, some),
+            "exact": lambda: render_with_report(scene, bank, method="sampled"),
+            "loose": lambda: render_with_report(scene, bank, method="sampled", tolerance_db=TOLERANCE_DB),
+            "floor64": lambda: floor(workload, np.float64),
+            "floor32": lambda: floor(workload, np.float32),
+        },
         repeats,
+        once=("plain",),
     )
+    peer, reference = found["peer"], found["peer"].result
+    exact, (loose, report) = found["exact"].result[0], found["loose"].result
+    name, marks = workload.name, DRIVE_MARKS.get(workload.kind, {})
+    scaled = "" if some == segments else f"timed on {some} of {segments} segments and scaled"
     remark = f"bound {loose.omitted_bound:.1e}, {report.kept_bins} of {report.bins} bins"
-    lines.append(
-        Result(
-            workload.name,
+    lines = [
+        Result.of(name, "gpuRIR's method (convolve + overlap-add)", peer, peer, remark="reference"),
+        Result.of(
+            name, "fftconvolve per segment and actuator", found["plain"].times(segments / some), peer, remark=scaled
+        ),
+        Result.of(
+            name,
+            "ours, all bins",
+            found["exact"],
+            peer,
+            error=relative_error(exact.drive_v, reference),
+            mark=marks.get("exact"),
+        ),
+        Result.of(
+            name,
             f"ours, to {TOLERANCE_DB:g} dB",
-            loose_s,
-            _error(loose.drive_v, reference),
-            peer_s / loose_s,
-            remark,
-        )
-    )
-    for name, dtype, ours_s in (("float64", np.float64, exact_s), ("float32", np.float32, loose_s)):
-        floor_s, _ = timed(lambda d=dtype: floor(workload, d), repeats)  # type: ignore[misc]
-        remark = f"rows read and transformed, drives transformed back; ours / floor {ours_s / floor_s:.1f}"
-        lines.append(Result(workload.name, f"floor, {name}", floor_s, None, peer_s / floor_s, remark))
+            found["loose"],
+            peer,
+            error=relative_error(loose.drive_v, reference),
+            remark=remark,
+            mark=marks.get("loose"),
+        ),
+    ]
+    for kind, ours, dtype in (("floor64", "exact", "float64"), ("floor32", "loose", "float32")):
+        over = found[ours].cpu_s / found[kind].cpu_s
+        remark = f"rows read and transformed, drives transformed back; ours / floor {over:.1f} (CPU)"
+        mark = Mark("ours / floor", 2.5, at_most=True, measured=over) if kind == "floor32" and marks else None
+        lines.append(Result.of(name, f"floor, {dtype}", found[kind], peer, remark=remark, mark=mark))
     return lines
 
 
 def measure_exponents(bank: GreenArray, repeats: int, points: int) -> list[Result]:
-    """Fit run time ~ size**exponent, over the points of one path and over scene length."""
+    """Fit CPU time ~ size**exponent, over the points of one path, scene length, and positions of a field."""
     lines = []
     made: tuple[tuple[str, list[int], Callable[[int], Workload]], ...] = (
         ("path points M, 10 s", [points * k for k in (1, 2, 4, 8)], lambda m: circle("", bank, m, 1000.0 / m)),
@@ -145,17 +151,31 @@ def measure_exponents(bank: GreenArray, repeats: int, points: int) -> list[Resul
     )
     for what, sizes, make in made:
         for name, tolerance_db in (("all bins", None), (f"to {TOLERANCE_DB:g} dB", TOLERANCE_DB)):
-            seconds = [_render_seconds(make(size), tolerance_db, repeats) for size in sizes]
-            exponent = float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
-            remark = f"exponent {exponent:.2f} from {sizes[0]} to {sizes[-1]} points"
-            lines.append(Result(f"cost against {what}", f"ours, {name}", seconds[-1], None, None, remark))
+            each = {str(size): make(size) for size in sizes}
+            found = best_of(
+                {
+                    size: partial(
+                        render_with_report, load.scene, load.bank, method="sampled", tolerance_db=tolerance_db
+                    )
+                    for size, load in each.items()
+                },
+                repeats,
+            )
+            lines.append(_exponent(f"cost against {what}", f"ours, {name}", sizes, [found[size] for size in each]))
+    drive, _ = render_with_report(circle("", bank, 1000, 0.2).scene, bank)
+    sizes = [bank.positions // k for k in (8, 4, 2, 1)]
+    fields = best_of(
+        {str(size): partial(predict, drive, bank, range(size), dtype=np.float32) for size in sizes}, min(repeats, 3)
+    )
+    lines.append(_exponent("cost against positions, 2 s", "ours, float32", sizes, list(fields.values())))
     return lines
 
 
-def _render_seconds(workload: Workload, tolerance_db: float | None, repeats: int) -> float:
-    return timed(
-        lambda: render_with_report(workload.scene, workload.bank, method="sampled", tolerance_db=tolerance_db), repeats
-    )[0]
+def _exponent(work: str, method: str, sizes: list[int], timings: list[Timing]) -> Result:
+    exponent = float(np.polyfit(np.log(sizes), np.log([timing.cpu_s for timing in timings]), 1)[0])
+    remark = f"exponent {exponent:.2f} from {sizes[0]} to {sizes[-1]}"
+    mark = Mark("exponent", 1.05, at_most=True, measured=exponent)
+    return Result(work, method, timings[-1].wall_s, timings[-1].cpu_s, None, None, None, remark, mark)
 
 
 def compare_exact(workload: Workload, repeats: int) -> list[Result]:
@@ -163,50 +183,27 @@ def compare_exact(workload: Workload, repeats: int) -> list[Result]:
     name = f"exact moving source, bilinear, {workload.name}"
     samples = len(workload.segments()[2])
     some = min(DIRECT_SAMPLES, samples)
-    direct_s, direct = timed(lambda: sum_directly(workload, some), 1)
-    direct_s *= samples / some
     scene = Scene(name, (workload.source,), output=Output("bilinear"))
-    lines = [Result(name, "direct summation", direct_s, None, 1.0, f"timed on {some} of {samples} samples and scaled")]
-    for how, tolerance_db in (("all bins", None), (f"to {TOLERANCE_DB:g} dB", TOLERANCE_DB)):
-        ours_s, ours = timed(
-            lambda t=tolerance_db: render_with_report(scene, workload.bank, method="exact", tolerance_db=t)[0],  # type: ignore[misc]
-            repeats,
-        )
+    ways = {"all bins": None, f"to {TOLERANCE_DB:g} dB": TOLERANCE_DB}
+    found = best_of(
+        {"direct": lambda: sum_directly(workload, some)}
+        | {
+            how: partial(render_with_report, scene, workload.bank, method="exact", tolerance_db=tolerance_db)
+            for how, tolerance_db in ways.items()
+        },
+        repeats,
+        once=("direct",),
+    )
+    direct = found["direct"].times(samples / some)
+    remark = f"timed on {some} of {samples} samples and scaled"
+    lines = [Result.of(name, "direct summation", direct, direct, remark=remark)]
+    for how in ways:
+        ours = found[how].result[0]
         # Earlier samples of the drive are complete: nothing emitted after sample s reaches array index s.
-        error = _error(ours.drive_v[:, :some], direct[:, :some])
-        lines.append(Result(name, f"ours, {how}", ours_s, error, direct_s / ours_s, f"bound {ours.omitted_bound:.1e}"))
-    return lines
-
-
-def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Result]:
-    """Time the field of a drive at all positions, and at 30 of them."""
-    path = Circle((0.0, 0.0), 30.0, seconds * 100.0 / (2.0 * np.pi * 30.0))
-    scene = Scene("field", (Source(path, noise(seconds), 0.0, 100.0, 1.0),))
-    drive, _ = render_with_report(scene, bank)
-    some = list(range(0, bank.positions, bank.positions // 6))[:6]
-    naive_s, naive = timed(lambda: convolve_positions(bank, drive.drive_v, some), 1)
-    lines = []
-    for count in (bank.positions, 30):
-        positions = np.unique(np.linspace(0, bank.positions - 1, count).astype(int)).tolist()
-        work = f"field of {seconds:g} s at {len(positions)} positions"
-        own_naive_s = naive_s * len(positions) / len(some)
-        remark = f"timed on {len(some)} positions and scaled"
-        lines.append(Result(work, "fftconvolve per position and actuator", own_naive_s, None, 1.0, remark))
-        for dtype in (np.float64, np.float32):
-            ours_s, field = timed(lambda p=positions, d=dtype: predict(drive, bank, p, dtype=d), repeats)  # type: ignore[misc]
-            check = predict(drive, bank, some, dtype=dtype).field
-            remark = "bank read and transformed each time"
-            lines.append(
-                Result(
-                    work,
-                    f"ours, {np.dtype(dtype)}",
-                    ours_s,
-                    _error(check, naive),
-                    own_naive_s / ours_s,
-                    remark,
-                )
-            )
-            del field
+        error = relative_error(ours.drive_v[:, :some], found["direct"].result[:, :some])
+        mark = Mark("times", 150.0) if samples > 10 * some else None
+        bound = f"bound {ours.omitted_bound:.1e}"
+        lines.append(Result.of(name, f"ours, {how}", found[how], direct, error=error, remark=bound, mark=mark))
     return lines
 
 
@@ -218,27 +215,27 @@ def compare_denormals(repeats: int) -> list[Result]:
     plain = Workload(plain.name, GreenArray(bank.values.astype(np.float64), bank.position_mm, RATE_HZ), plain.source)
     # Not normalised: 1 / R(0) of denormal rows does not fit into float64.
     denormal = Workload(plain.name, tiny, plain.source)
-    plain_s, _ = timed(lambda: _unnormalised(plain), repeats)
-    denormal_s, _ = timed(lambda: _unnormalised(denormal), repeats)
-    return [
-        Result("denormal bank", "ours, normal numbers", plain_s, None, 1.0),
-        Result("denormal bank", "ours, denormals", denormal_s, None, plain_s / denormal_s),
-    ]
+    found = best_of({"plain": lambda: _unnormalised(plain), "denormal": lambda: _unnormalised(denormal)}, repeats)
+    tails = GreenArray(_with_denormal_tails(plain.bank.values), bank.position_mm, RATE_HZ)
+    tailed = Workload(plain.name, tails, plain.source)
+    found |= best_of({"short": lambda: _unnormalised(plain), "tails": lambda: _unnormalised(tailed)}, repeats)
+    lines = []
+    for name, ours, base in (("denormals", "denormal", "plain"), ("tails that decay into denormals", "tails", "short")):
+        over = found[ours].cpu_s / found[base].cpu_s
+        mark = Mark("ours / normal numbers", 1.5, at_most=True, measured=over)
+        remark = f"{over:.2f} times as long (CPU)"
+        lines.append(Result.of("denormal bank", f"ours, {name}", found[ours], found[base], remark=remark, mark=mark))
+    return [Result.of("denormal bank", "ours, normal numbers", found["plain"], found["plain"]), *lines]
+
+
+def _with_denormal_tails(values: NDArray[Any]) -> NDArray[np.float64]:
+    """The same Green's functions, dying away to 1e-320 at their last tap."""
+    return values.astype(np.float64) * np.geomspace(1.0, 1e-320, values.shape[2])
 
 
 def _unnormalised(workload: Workload) -> None:
     scene = Scene(workload.name, (workload.source,), Regularisation(normalise=False))
     render_with_report(scene, workload.bank)
-
-
-def timed(action: Callable[[], T], repeats: int) -> tuple[float, T]:
-    """Best time of some repeats, and the last result."""
-    best = float("inf")
-    for _ in range(repeats):
-        start = time.perf_counter()
-        result = action()
-        best = min(best, time.perf_counter() - start)
-    return best, result
 
 
 def show(results: list[Result]) -> None:
@@ -250,11 +247,11 @@ def show(results: list[Result]) -> None:
             print(f"\n{work}")
         error = "" if result.error is None else f"{result.error:.1e}"
         times = "" if result.times is None else f"{result.times:.1f} x"
-        print(f"  {result.method:42s} {result.seconds:9.3f} s {times:>9s} {error:>9s}  {result.remark}")
-
-
-def _error(found: NDArray[Any], expected: Float64Array) -> float:
-    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+        cpu_times = "" if result.cpu_times is None else f"{result.cpu_times:.1f} x"
+        print(
+            f"  {result.method:42s} {result.wall_s:9.4f} s {times:>9s}  CPU {result.cpu_s:9.4f} s {cpu_times:>9s}"
+            f" {error:>9s}  {result.remark}{'' if result.mark is None else result.mark.told(result)}"
+        )
 
 
 def main() -> None:

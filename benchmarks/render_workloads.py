@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
@@ -37,11 +37,14 @@ class Workload:
         Green's functions.
     source : Source
         Continuous emission.
+    kind : str
+        "path" or "random rows" where a mark is set for it.
     """
 
     name: str
     bank: GreenArray
     source: Source
+    kind: str = ""
 
     @property
     def scene(self) -> Scene:
@@ -80,9 +83,9 @@ def workloads(bank: GreenArray, *, quick: bool) -> list[Workload]:
     many = 5000 if not quick else 1000
     return [
         circle("path, M = 500, dt = 2 ms", bank, 500, 0.2),
-        circle(f"path, M = {many}, dt = 2 ms", bank, many, 0.2),
+        replace(circle(f"path, M = {many}, dt = 2 ms", bank, many, 0.2), kind="path"),
         circle(f"path, M = {many}, dt = 25 ms", bank, many, 2.5),
-        jumping(bank, min(FEW_ROWS, bank.positions), many),
+        replace(jumping(bank, min(FEW_ROWS, bank.positions), many), kind="random rows"),
         jumping(bank, bank.positions, many),
     ]
 

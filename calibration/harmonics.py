@@ -14,6 +14,9 @@ LEAST_BIN = 3
 OVER_FLOOR = 10.0
 # The stretch around the peak that is nearly as loud.
 HIGH = 0.97
+# So many samples just after the largest that are as large as it, to a part in a thousand.
+TIED = 0.999
+TIES = 8
 # Between these a second look tells.
 UNSURE_DB = -72.0
 SURE_DB = -36.0
@@ -64,7 +67,10 @@ class ThirdHarmonic:
             return np.full(which.size, np.nan, np.float32)
         figure = self._level(response_v, which, loudest[which])
         # The first sample of a cut stretch is as large as all others, and its window half before it.
-        unsure = np.flatnonzero((figure > UNSURE_DB) & (figure < SURE_DB))
+        after = np.minimum(loudest[which, None] + np.arange(2 * length), samples - 1)
+        level_v = np.abs(response_v[which, loudest[which]])[:, None]
+        flat = np.count_nonzero(np.abs(response_v[which[:, None], after]) >= np.float32(TIED) * level_v, axis=1)
+        unsure = np.flatnonzero(((figure > UNSURE_DB) | (flat >= TIES)) & ~(figure > SURE_DB))
         middle = np.array([self._middle(response_v[which[one]], int(loudest[which[one]])) for one in unsure], int)
         if unsure.size:
             figure[unsure] = np.fmax(figure[unsure], self._level(response_v, which[unsure], middle))

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
-from PyQt5.QtCore import QObject, Qt, pyqtSignal
+from PyQt5.QtCore import QObject, pyqtSignal
 
 
 class Background(QObject):
@@ -23,7 +23,7 @@ class Background(QObject):
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="window work")
         self._asked: dict[str, int] = {}
         self._then: dict[str, tuple[Callable[[object], object], Callable[[Exception], object]]] = {}
-        self._finished.connect(self._deliver, Qt.ConnectionType.QueuedConnection)
+        self._finished.connect(self._deliver)  # emitted in another thread, and so queued for this one
 
     def ask(
         self,

@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rendering.report_drift import DriftPoint
+if TYPE_CHECKING:
+    from rendering.report_drift import DriftPoint
 
 
 @dataclass(frozen=True, slots=True)

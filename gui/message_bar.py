@@ -30,7 +30,9 @@ class MessageBar(QFrame):
         self._label = QLabel()
         self._label.setWordWrap(True)
         self._label.setTextInteractionFlags(
-            Qt.TextInteractionFlag.TextSelectableByMouse | Qt.TextInteractionFlag.TextSelectableByKeyboard
+            Qt.TextInteractionFlags(
+                Qt.TextInteractionFlag.TextSelectableByMouse | Qt.TextInteractionFlag.TextSelectableByKeyboard
+            )
         )
         self._label.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self._buttons = QHBoxLayout()
@@ -58,8 +60,9 @@ class MessageBar(QFrame):
 
     def buttons(self) -> list[QPushButton]:
         """The answers that can be given."""
-        found = (self._buttons.itemAt(index) for index in range(self._buttons.count()))
-        return [item.widget() for item in found if item is not None and isinstance(item.widget(), QPushButton)]
+        items = (self._buttons.itemAt(index) for index in range(self._buttons.count()))
+        widgets = (None if item is None else item.widget() for item in items)
+        return [widget for widget in widgets if isinstance(widget, QPushButton)]
 
     def note(self, sentence: str) -> None:
         """Tell something that went as it should; it goes away by itself."""
@@ -96,7 +99,8 @@ class MessageBar(QFrame):
 
     def _show(self, kind: str, sentence: str, answers: Sequence[Answer]) -> None:
         if self._asking:
-            self._waiting = [one for one in self._waiting if one[1] != sentence][-4:] + [(kind, sentence, answers)]
+            others = [one for one in self._waiting if one[1] != sentence]
+            self._waiting = [*others[-4:], (kind, sentence, answers)]
             return
         self._kind = kind
         self._label.setText(sentence)
@@ -123,6 +127,5 @@ class MessageBar(QFrame):
         colour = {"note": self._theme.accent, "question": self._theme.accent, "warning": self._theme.warning}.get(
             self._kind, self._theme.fault
         )
-        self.setStyleSheet(
-            f"MessageBar {{ border: 1px solid {colour}; border-left: 6px solid {colour}; background: {self._theme.base}; }}"
-        )
+        border = f"border: 1px solid {colour}; border-left: 6px solid {colour};"
+        self.setStyleSheet(f"MessageBar {{ {border} background: {self._theme.base}; }}")

@@ -66,7 +66,7 @@ def _require_answer(display: str) -> None:
     number = number.partition(".")[0]
     if not colon or host not in ("", "unix") or not number.isdigit():
         return
-    for address in (f"/tmp/.X11-unix/X{number}", f"\0/tmp/.X11-unix/X{number}"):  # noqa: S108
+    for address in (f"/tmp/.X11-unix/X{number}", f"\0/tmp/.X11-unix/X{number}"):
         with socket.socket(socket.AF_UNIX) as server:
             server.settimeout(5.0)
             try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import Qt, QTimer, QUrl
@@ -134,7 +135,7 @@ class Window(QMainWindow):
         event.ignore()
         self.messages.ask(
             question.sentence,
-            *((word, lambda act=act: act(self._close_now)) for word, act in question.answers),
+            *((word, partial(act, self._close_now)) for word, act in question.answers),
             ("Do not close", lambda: None),
         )
 
@@ -182,7 +183,7 @@ class Window(QMainWindow):
         group = QActionGroup(self)
         for choice in CHOICES:
             words = {"system": "Colours as the &desktop", "light": "&Light", "dark": "&Dark"}[choice]
-            action = _add(view, words, lambda choice=choice: self.choose_theme(choice))
+            action = _add(view, words, partial(self.choose_theme, choice))
             action.setCheckable(True)
             action.setChecked(self.memory.text("theme", "system") == choice)
             group.addAction(action)
@@ -191,7 +192,7 @@ class Window(QMainWindow):
         _add(view, "&Smaller text", lambda: self._resize_text(-1), QKeySequence.StandardKey.ZoomOut)
         view.addSeparator()
         for index, tab in enumerate(self.tabs):
-            _add(view, tab.title, lambda index=index: self._pages.setCurrentIndex(index), f"Alt+{index + 1}")
+            _add(view, tab.title, partial(self._pages.setCurrentIndex, index), f"Alt+{index + 1}")
 
     def _choose_file(self) -> None:
         dialog = QFileDialog(self, "Open", str(self.memory.folder(".h5")))
@@ -200,13 +201,17 @@ class Window(QMainWindow):
         dialog.setNameFilters([f"What the window opens ({endings})", "All files (*)"])
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.setModal(False)
-        dialog.filesSelected.connect(lambda names: [self.open_file(Path(name)) for name in names])
+        dialog.filesSelected.connect(self._open_named)
         dialog.show()
+
+    def _open_named(self, names: list[str]) -> None:
+        for name in names:
+            self.open_file(Path(name))
 
     def _list_recent(self) -> None:
         self._recent.clear()
         for path in self.memory.recent():
-            _add(self._recent, str(path), lambda path=path: self.open_file(path))
+            _add(self._recent, str(path), partial(self.open_file, path))
         self._recent.addSeparator()
         _add(self._recent, "&Forget these", self.memory.forget_recent)
 
@@ -229,7 +234,11 @@ def _add(
     menu: QMenu, words: str, act: Callable[[], object], keys: QKeySequence.StandardKey | str | None = None
 ) -> QAction:
     action = QAction(words, menu)
-    action.triggered.connect(lambda _checked=False: act())
+
+    def triggered(_checked: bool = False) -> None:
+        act()
+
+    action.triggered.connect(triggered)
     if keys is not None:
         action.setShortcut(QKeySequence(keys))
     menu.addAction(action)

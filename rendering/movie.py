@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from calibration.drive_file import Drive
 from calibration.durable import replacement
+from calibration.errors import InputError
 from calibration.field_rows import FieldRowReader
 from rendering.gif_stream import GifStream
 from rendering.green_source import GreenSource
-from rendering.movie_frames import FramePlan, colour_limit, focus_samples, read_frames
+from rendering.movie_frames import Foci, FramePlan, colour_limit, read_frames
 from rendering.report_canvas import CSS_PPI, FAINT, INK, STYLE, Canvas, Picture, drawn_in_style
 from rendering.report_figures import scaled_unit
 from rendering.report_surface import Surface, draw_cells, draw_surface
@@ -25,15 +26,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 OnProgress = Callable[[int, int], None]
 
 COLOURS = "RdBu_r"
 LEFT_PX, TOP_PX, BAR_PX, BOTTOM_PX = 52, 30, 92, 42
 LEAST_WIDTH_PX = 240
 SNAPSHOT_PX, MOST_SNAPSHOTS = 346, 6
-FOCUS_SHOWN_S = 0.01
-"""A focus is marked so long before and after its instant, or half a frame."""
 
 
 def surface_of(bank: GreenSource, drive: Drive | None, outline_mm: Float64Array | None) -> Surface:
@@ -60,8 +58,8 @@ def write_movie(
 ) -> float:
     """Write a GIF of a field on the surface.
 
-    Positive and negative responses have opposite colours; the scale is symmetric, holds all but the outermost
-    thousandth, and is the same for all frames. Memory holds the field at the frames' instants and one drawn frame.
+    Positive and negative responses have opposite colours; the scale is symmetric, goes to the largest response at a
+    focus, and is the same for all frames. Memory holds the field at the frames' instants and one drawn frame.
 
     Parameters
     ----------
@@ -72,7 +70,7 @@ def write_movie(
     surface : Surface
         Where its positions are, outline, actuators and paths.
     drive : Drive, optional
-        Whose foci are marked at their instants.
+        Whose foci are marked while they last.
     plan : FramePlan
         Which instants.
     width_px : int
@@ -90,7 +88,7 @@ def write_movie(
     from matplotlib import rc_context
 
     frames = read_frames(field, plan.sample)
-    top = limit or colour_limit(frames)
+    top = limit or colour_limit(frames, None if drive is None else Foci.of(drive).seen(field))
     with rc_context(STYLE):
         stage = _Stage(field, surface, drive, plan, top, max(width_px, LEAST_WIDTH_PX))
         with replacement(path) as temporary, temporary.open("wb") as file:
@@ -116,7 +114,8 @@ class _Stage:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        self._field, self._surface, self._drive, self._plan = field, surface, drive, plan
+        self._field, self._surface, self._plan = field, surface, plan
+        self._drive_foci = None if drive is None else Foci.of(drive)
         self._factor, unit = scaled_unit(top, field.response_unit)
         map_px = width_px - LEFT_PX - BAR_PX
         height = surface.height_px(map_px)
@@ -154,7 +153,8 @@ class _Stage:
         """Draw one frame; uint8 (height, width, 3)."""
         time_s = self._field.start_s + int(self._plan.sample[frame]) / self._field.sample_rate_hz
         self._cells.set_array(self._factor * frames[frame])
-        self._foci.set_data(*self._near(time_s).T)
+        rows = self._drive_foci.at(time_s) if self._drive_foci is not None else []
+        self._foci.set_data(*self._surface.position_mm[rows].reshape(-1, 2).T)
         self._time.set_text(f"t = {1e3 * time_s:.1f} ms")
         self._canvas.restore_region(self._background)
         # Outline, actuators and paths lie above the cells, so that they are drawn anew with them.
@@ -171,19 +171,12 @@ class _Stage:
         lower = self._size_px[1] - BOTTOM_PX + 4
         return np.ascontiguousarray(pixels[:lower, LEFT_PX - 4 : right]), LEFT_PX - 4, 0
 
-    def _near(self, time_s: float) -> Float64Array:
-        """Places of the foci whose instant is now."""
-        drive = self._drive
-        if drive is None or not len(drive.focus_sample):
-            return np.empty((0, 2))
-        off_s = np.abs(drive.focus_sample / drive.sample_rate_hz - time_s)
-        now = off_s <= max(0.5 * self._plan.step_s, min(FOCUS_SHOWN_S, 0.5 * _between(drive)))
-        return np.asarray(self._surface.position_mm[drive.focus_position[now]])
-
 
 @drawn_in_style
 def snapshots(field: FieldRowReader, surface: Surface, drive: Drive, *, most: int = MOST_SNAPSHOTS) -> Picture:
     """Draw the field at focus instants, evenly chosen among them, all on one symmetric colour scale.
+
+    The instant is where the response at the focus is largest between its emission and the next one of its source.
 
     Parameters
     ----------
@@ -199,11 +192,16 @@ def snapshots(field: FieldRowReader, surface: Surface, drive: Drive, *, most: in
     Raises
     ------
     InputError
-        The field holds no focus instant.
+        The field holds no focus of the drive.
     """
-    sample, focus = focus_samples(field, drive, most)
+    foci = Foci.of(drive)
+    seen = foci.seen(field)
+    if not len(seen.focus):
+        raise InputError(f"{field.path} holds no focus of the drive; predict it from this drive, with its positions")
+    seen = seen.some(most)
+    sample, focus = seen.sample, seen.focus
     frames = read_frames(field, sample)
-    top = colour_limit(frames)
+    top = colour_limit(frames, seen)
     factor, unit = scaled_unit(top, field.response_unit)
     columns = min(3, len(sample))
     lines = math.ceil(len(sample) / columns)
@@ -217,20 +215,14 @@ def snapshots(field: FieldRowReader, surface: Surface, drive: Drive, *, most: in
         cells = draw_cells(
             axes, surface, field.position_index, factor * values, colours=COLOURS, limits=(-factor * top, factor * top)
         )
-        axes.plot(*surface.position_mm[drive.focus_position[focus[place]]], "o", ms=13, mfc="none", mec=INK, mew=1.2)
+        axes.plot(*surface.position_mm[foci.position[focus[place]]], "o", ms=13, mfc="none", mec=INK, mew=1.2)
         time_s = field.start_s + int(sample[place]) / field.sample_rate_hz
-        axes.set_title(f"t = {1e3 * time_s:.1f} ms, source {drive.focus_source[focus[place]]}")
+        axes.set_title(f"t = {1e3 * time_s:.1f} ms, source {foci.source[focus[place]]}")
         axes.tick_params(labelleft=column == 0, labelbottom=place + columns >= len(sample))
         axes.set(ylabel="y (mm)" if column == 0 else "", xlabel="x (mm)" if place + columns >= len(sample) else "")
     bar = canvas.axes(width / 2 - 150, 8, 300, 10)
     canvas.figure.colorbar(cells, cax=bar, label=f"y ({unit}), all panels", orientation="horizontal", extend="both")
     return canvas.picture()
-
-
-def _between(drive: Drive) -> float:
-    """Shortest time from one focus instant to the next, of all sources."""
-    instants = np.unique(drive.focus_sample)
-    return float(np.diff(instants).min()) / drive.sample_rate_hz if len(instants) > 1 else math.inf
 
 
 def _speed(slowed: float) -> str:

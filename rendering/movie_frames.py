@@ -20,7 +20,6 @@ MOST_FRAMES = 5000
 AROUND_S = 0.02
 """What is shown before the first focus and after the last."""
 TOP_SHARE = 0.999
-"""Share of positions and frames that the colour scale holds; a few beside the actuators move far more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,21 +102,87 @@ def plan_frames(
     return FramePlan(np.minimum(sample, field.samples - 1), step_s, frame_rate_hz)
 
 
-def focus_samples(field: FieldRowReader, drive: Drive, most: int) -> tuple[Int64Array, Int64Array]:
-    """Samples of the field at focus instants, and the index of each focus: evenly chosen among those it holds.
+@dataclass(frozen=True, slots=True)
+class Foci:
+    """When and where a drive focuses, in the samples of a field.
 
-    Raises
-    ------
-    InputError
-        The field holds no focus instant.
+    Parameters
+    ----------
+    start_s, stop_s : float64 array, shape (foci,)
+        Each focus counts from its instant to the next one of its source; the last as long as the one before it.
+    position, source : int64 array, shape (foci,)
+        Bank row and source of each.
     """
-    sample = np.rint((drive.focus_sample / drive.sample_rate_hz - field.start_s) * field.sample_rate_hz)
-    there = np.flatnonzero((sample >= 0) & (sample < field.samples))
-    if not len(there):
-        raise InputError(f"{field.path} holds no focus instant of the drive; predict it from this drive")
-    order = there[np.argsort(sample[there], kind="stable")]
-    chosen = order[np.unique(np.linspace(0, len(order) - 1, most).round().astype(int))]
-    return sample[chosen].astype(np.int64), chosen
+
+    start_s: NDArray[np.float64]
+    stop_s: NDArray[np.float64]
+    position: Int64Array
+    source: Int64Array
+
+    @classmethod
+    def of(cls, drive: Drive) -> Foci:
+        """The foci of a drive."""
+        start_s = drive.focus_sample / drive.sample_rate_hz
+        stop_s = start_s + AROUND_S
+        for source in np.unique(drive.focus_source):
+            own = np.flatnonzero(drive.focus_source == source)
+            own = own[np.argsort(start_s[own], kind="stable")]
+            if len(own) > 1:
+                lengths = np.diff(start_s[own])
+                stop_s[own] = start_s[own] + np.append(lengths, lengths[-1])
+        return cls(start_s, stop_s, drive.focus_position, drive.focus_source)
+
+    def at(self, time_s: float) -> Int64Array:
+        """Bank rows of the foci that count at an instant."""
+        return self.position[(self.start_s <= time_s) & (time_s < self.stop_s)]
+
+    def seen(self, field: FieldRowReader) -> Seen:
+        """What the field holds of them: of those whose position and instant it has."""
+        row_of = {int(position): row for row, position in enumerate(field.position_index.tolist())}
+        windows: dict[int, list[tuple[int, int, int]]] = {}
+        for focus in range(len(self.position)):
+            first = round((self.start_s[focus] - field.start_s) * field.sample_rate_hz)
+            last = max(first + 1, round((self.stop_s[focus] - field.start_s) * field.sample_rate_hz))
+            row = row_of.get(int(self.position[focus]))
+            if row is not None and 0 <= first < field.samples:
+                windows.setdefault(row, []).append((focus, first, min(last, field.samples)))
+        found: dict[int, tuple[int, float]] = {}
+        for start, values in field.blocks():
+            for row in range(start, start + len(values)):
+                for focus, first, last in windows.get(row, ()):
+                    magnitude = np.abs(values[row - start, first:last])
+                    found[focus] = (first + int(np.argmax(magnitude)), float(magnitude.max()))
+        focus_index = np.array(sorted(found), dtype=np.int64)
+        return Seen(
+            focus_index,
+            np.array([found[int(one)][0] for one in focus_index], dtype=np.int64),
+            np.array([found[int(one)][1] for one in focus_index]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Foci as a field has them.
+
+    Parameters
+    ----------
+    focus : int64 array, shape (n,)
+        Which foci of the drive.
+    sample : int64 array, shape (n,)
+        Where the response at the focus is largest between its instant and the next.
+    peak : float64 array, shape (n,)
+        Its magnitude there.
+    """
+
+    focus: Int64Array
+    sample: Int64Array
+    peak: NDArray[np.float64]
+
+    def some(self, most: int) -> Seen:
+        """Some of them, evenly chosen in time."""
+        order = np.argsort(self.sample, kind="stable")
+        chosen = order[np.unique(np.linspace(0, len(order) - 1, most).round().astype(int))]
+        return Seen(self.focus[chosen], self.sample[chosen], self.peak[chosen])
 
 
 def read_frames(field: FieldRowReader, sample: Int64Array) -> Float32Array:
@@ -136,8 +201,14 @@ def read_frames(field: FieldRowReader, sample: Int64Array) -> Float32Array:
     return frames
 
 
-def colour_limit(frames: Float32Array) -> float:
-    """Magnitude that a colour scale ends at: all of it but the outermost thousandth; > 0."""
+def colour_limit(frames: Float32Array, seen: Seen | None) -> float:
+    """Magnitude that a colour scale ends at, > 0: the largest response at a focus, if any is seen.
+
+    Beside an actuator the surface may move far more; a scale for that would hide the focus. Without foci it holds all
+    but the outermost thousandth.
+    """
+    top = float(seen.peak.max()) if seen is not None and len(seen.peak) else 0.0
+    if top > 0:
+        return top
     magnitude = np.abs(frames)
-    top = float(np.quantile(magnitude, TOP_SHARE))
-    return top or float(magnitude.max()) or 1.0
+    return float(np.quantile(magnitude, TOP_SHARE)) or float(magnitude.max()) or 1.0

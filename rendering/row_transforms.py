@@ -17,7 +17,7 @@ from rendering.economy_choice import Sample, choose_economy
 from rendering.green_source import GreenSource, RowReader
 from rendering.low_rate import LowRateRows
 from rendering.omission import Economy, tolerance_of
-from rendering.threads import WORKERS
+from rendering.threads import WORKERS, one_blas_thread
 from rendering.upsampling import MULTIPLE
 
 Float64Array = NDArray[np.float64]
@@ -209,7 +209,7 @@ class BankSpectra:
             made.kept[:, where], made.norms[:, where] = part.kept, part.norms
             made.exponents[where] = part.exponents
 
-        with ThreadPoolExecutor(WORKERS) as pool:
+        with one_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:
             for _ in pool.map(fill, range(0, len(rows), at_once)):
                 pass
         return made

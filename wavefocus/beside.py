@@ -1,4 +1,4 @@
-"""Small files beside a bank that one process writes whole and others read whole."""
+"""What lies beside a bank: names, and small files that one process writes whole and others read whole."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ _TRIES = 5
 _PAUSE_S = 0.02
 # More than any of these files ever is.
 _MOST_BYTES = 65536
+
+
+def raw_path(bank: Path) -> Path:
+    """Where the raw recordings of a bank are kept: ``plate.h5`` -> ``plate.raw.h5``."""
+    return bank.with_name(f"{bank.stem if bank.suffix == '.h5' else bank.name}.raw.h5")
 
 
 def write_whole(path: Path, content: Mapping[str, object]) -> None:

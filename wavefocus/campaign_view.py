@@ -73,7 +73,7 @@ class CampaignView:
                 say(f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})")
             case ReconnectTried():
                 say(_reconnect_line(event))
-            case Drift():
+            case Drift() if event.occasion == "resume" or event.verdict != "steady":
                 say(
                     f"sentinel position {event.position}: level {event.level_db:+.2f} dB, "
                     f"delay {event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: "

@@ -419,12 +419,24 @@ def predict(
     positions: Annotated[
         str, typer.Option("--positions", metavar="I,J,...", help="Bank rows; by default all measured.")
     ] = "",
+    rate_hz: Annotated[
+        float | None, typer.Option("--rate", metavar="HZ", help="Of the field: the bank's over a whole number.")
+    ] = None,
+    tolerance_db: Annotated[
+        float | None, typer.Option("--tolerance-db", help="Leave out what a proved bound allows to, e.g. -60.")
+    ] = None,
+    spectra: Annotated[
+        bool, typer.Option("--spectra", help="Energy spectra alone, into an .npz file: far faster than the field.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Predict the field that a drive makes, from the bank."""
     from wavefocus.commands import predict as command
 
-    command.predict(drive, bank, out, positions, as_json=json)
+    if spectra:
+        command.predict_energy(drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, as_json=json)
+        return
+    command.predict(drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, as_json=json)
 
 
 @app.command()
@@ -473,7 +485,7 @@ def play(
     """Play drives on the rig's actuators. Ctrl-C mutes at once."""
     from wavefocus.commands import play as command
 
-    command.play(drive, rig, loop=loop, gain_db=gain_db, as_json=json)
+    raise typer.Exit(command.play(drive, rig, loop=loop, gain_db=gain_db, as_json=json))
 
 
 @app.command()
@@ -531,6 +543,16 @@ def bench(
     from wavefocus.commands import bench as command
 
     command.bench(what.value, out, quick=quick)
+
+
+@app.command()
+def gui(
+    files: Annotated[list[Path] | None, typer.Argument(metavar="[RUN.toml|BANK.h5]...", help="What to open.")] = None,
+) -> None:
+    """Open the window: start, watch and mend campaigns; everything works without it."""
+    from wavefocus.commands import gui as command
+
+    raise typer.Exit(command.gui(files or ()))
 
 
 @app.command()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
 
 import numpy as np
 
@@ -12,12 +11,8 @@ from acquisition.setup import Setup
 from calibration.bank_writer import BankWriter
 from calibration.errors import InputError
 from calibration.raw_writer import RawWriter, create_raw
+from wavefocus.beside import raw_path
 from wavefocus.compose import Blueprint
-
-
-def raw_path(bank: Path) -> Path:
-    """``plate.raw.h5`` for ``plate.h5``."""
-    return bank.with_name(f"{bank.stem if bank.suffix == '.h5' else bank.name}.raw.h5")
 
 
 def opened_raw(

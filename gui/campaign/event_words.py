@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from enum import IntEnum
 
 from acquisition.durations import hours
-from acquisition.quality import STATUS_WORDS
+from gui.campaign.statuses import VALID, status_text
 
 
 class Weight(IntEnum):
@@ -73,11 +74,6 @@ def instant_s(record: Record) -> float:
         return float("nan")
 
 
-def status_text(status: int) -> str:
-    """Status bits in words."""
-    return ", ".join(word for word, bit in STATUS_WORDS.items() if bit and status & bit) or "not measured"
-
-
 def line_of(record: Record) -> Line | None:
     """The line of an event; None for what is shown in other ways alone (progress)."""
     kind = record.get("event")
@@ -116,7 +112,7 @@ def _position_started(record: Record) -> tuple[Weight, str]:
 
 def _position_committed(record: Record) -> tuple[Weight, str]:
     status = whole(record, "status")
-    weight = Weight.DETAIL if status == STATUS_WORDS["valid"] else Weight.WARNING
+    weight = Weight.DETAIL if status == VALID else Weight.WARNING
     return weight, (
         f"position {whole(record, 'position')} is in: {status_text(status)}, signal-to-noise ratio "
         f"{number(record, 'snr_db'):.1f} dB, residual {number(record, 'residual_db'):.1f} dB"
@@ -143,7 +139,7 @@ def _reconnect_tried(record: Record) -> tuple[Weight, str]:
         return Weight.NOTE, f"{record.get('instrument')}: connected again (try {whole(record, 'number')})"
     line = f"{record.get('instrument')}: try {whole(record, 'number')} to connect again failed: {record.get('outcome')}"
     next_s = number(record, "next_try_s")
-    return Weight.WARNING, line if next_s != next_s else f"{line}; next try in {hours(next_s)}"
+    return Weight.WARNING, line if math.isnan(next_s) else f"{line}; next try in {hours(next_s)}"
 
 
 def _drift(record: Record) -> tuple[Weight, str]:

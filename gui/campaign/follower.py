@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,9 @@ from gui.campaign.figures import Float32Array, per_position
 from gui.campaign.log_tail import LogTail
 from gui.campaign.surface import Surface, surface_of
 from gui.front_door import FrontDoor, Pulse
-from rendering.report_drift import DriftPoint
+
+if TYPE_CHECKING:
+    from rendering.report_drift import DriftPoint
 
 LOOKS_EVERY_S = 0.05
 LIFE_EVERY_S = 1.0

@@ -80,7 +80,7 @@ class Legend(QWidget):
         self._stack = QStackedLayout(self)
         self._stack.addWidget(self._statuses)
         self._stack.addWidget(self._bar)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Maximum)
 
     def show_status(self, status: NDArray[np.uint8]) -> None:
         """Say what the statuses look like and how many positions have each."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,9 @@ from gui.campaign.instruments import Instruments
 from gui.campaign.standing import GOING, OVER, Extra, Standing
 from gui.campaign.surface import Surface
 from gui.front_door import Pulse
-from rendering.report_drift import DriftPoint
+
+if TYPE_CHECKING:
+    from rendering.report_drift import DriftPoint
 
 # A week of a night's events; what is older is in the log.
 KEPT_LINES = 20_000
@@ -116,6 +119,13 @@ class Campaign:
     def measured(self) -> int:
         """Positions that the bank holds."""
         return int(np.count_nonzero(self.status))
+
+    def forget(self) -> None:
+        """Know nothing: another bank will be followed."""
+        self.surface, self.owner, self.pulse, self.trouble = None, None, None, ""
+        self.status, self.figures, self.drift = np.zeros(0, np.uint8), {}, []
+        self._forget_log()
+        self._changed("surface", "drift")
 
     def standing(self, *, starting: bool = False) -> Standing:
         """How the campaign stands; `starting` when a process of the window's own has not shown itself yet."""

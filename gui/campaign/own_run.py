@@ -11,6 +11,7 @@ from pathlib import Path
 from gui.front_door import FrontDoor
 
 _TAIL_BYTES = 4096
+_ON_ITS_OWN = 0x00000200 | 0x08000000  # Windows: CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
 _LOST = "its process was killed, or the machine ran out of memory; resume goes on from what is in the bank"
 
 
@@ -45,13 +46,15 @@ class OwnRun:
             self._said = Path(tempfile.gettempdir()) / self._said.name
             said = self._said.open("wb")
         with said:
+            # Signals and the closing of consoles that are meant for the window are kept away from it.
             self._process = subprocess.Popen(
                 [*front.command, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=said,
                 env={**os.environ, "PYTHONIOENCODING": "utf-8"},
-                **_on_its_own(),
+                start_new_session=os.name == "posix",
+                creationflags=0 if os.name == "posix" else _ON_ITS_OWN,
             )
 
     @property
@@ -95,10 +98,3 @@ class OwnRun:
         # Otherwise the interpreter warns on exit that a child is still running, which is what was asked for.
         if self._process.returncode is None:
             self._process.returncode = 0
-
-
-def _on_its_own() -> dict[str, object]:
-    """Keep signals and the closing of consoles that are meant for the window away from the process."""
-    if os.name == "nt":  # pragma: no cover
-        return {"creationflags": 0x00000200 | 0x08000000}  # CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
-    return {"start_new_session": True}

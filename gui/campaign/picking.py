@@ -1,4 +1,4 @@
-"""The mouse on the map: a click shows a position, Ctrl-click and a drag with Shift select some, all else pans and zooms."""
+"""The mouse on the map: a click shows a position, Ctrl-click and Shift-drag select some, all else pans and zooms."""
 
 from __future__ import annotations
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyqtgraph
@@ -14,7 +15,9 @@ from PyQt5.QtWidgets import QVBoxLayout, QWidget
 from calibration.raw_file import Recordings
 from gui.campaign.surface import Surface
 from gui.theme import LIGHT, Theme, dress_axes
-from rendering.report_drift import DriftPoint
+
+if TYPE_CHECKING:
+    from rendering.report_drift import DriftPoint
 
 Real = NDArray[np.float32] | NDArray[np.float64]
 
@@ -135,7 +138,9 @@ class SpectrumPlot(Plot):
         level_db = 20 * np.log10(level)
         self.line(frequency_hz, level_db, self.theme.traces[0], 2.0)
         for edge_hz in (low_hz, high_hz):
-            plot.addItem(pyqtgraph.InfiniteLine(edge_hz, pen=pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine)))
+            plot.addItem(
+                pyqtgraph.InfiniteLine(edge_hz, pen=pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine))
+            )
         plot.setTitle(f"position {greens.position}: {told}; dashed: the measured band", color=self.theme.text)
         in_band = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
         top_db = float(level_db[in_band].max()) if in_band.any() else float(level_db.max())
@@ -185,8 +190,7 @@ class DriftPlot(QWidget):
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
         self.plots = [
-            Plot(f"Drift: {label}", "clock", label)
-            for label in ("level (dB)", "delay (samples)", "1 − correlation")
+            Plot(f"Drift: {label}", "clock", label) for label in ("level (dB)", "delay (samples)", "1 − correlation")
         ]
         for plot in self.plots:
             plot.setAxisItems({"bottom": pyqtgraph.DateAxisItem()})
@@ -236,16 +240,19 @@ def thinned(x: Real, y: Real) -> tuple[Real, Real]:
     if step < 2:
         return x, y
     used = len(y) // step * step
+    both: Real
     blocks = y[:used].reshape(-1, step)
     both = np.stack([blocks.min(axis=1), blocks.max(axis=1)], axis=1).reshape(-1)
-    return np.repeat(x[:used:step], 2), both
+    twice: Real = np.repeat(x[:used:step], 2)
+    return twice, both
 
 
 def _columns(green: Real) -> Real:
     """The largest magnitude of each column of pixels."""
     step = max(1, green.shape[1] // _MOST_COLUMNS)
     used = green.shape[1] // step * step
-    return np.abs(green[:, :used]).reshape(len(green), -1, step).max(axis=2)
+    largest: Real = np.abs(green[:, :used]).reshape(len(green), -1, step).max(axis=2)
+    return largest
 
 
 def _ticks(count: int) -> list[tuple[float, str]]:

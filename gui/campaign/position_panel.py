@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -13,6 +14,7 @@ from PyQt5.QtWidgets import (
     QHBoxLayout,
     QHeaderView,
     QLabel,
+    QSizePolicy,
     QSpinBox,
     QSplitter,
     QTableWidget,
@@ -24,9 +26,9 @@ from PyQt5.QtWidgets import (
 
 from calibration.bank import open_bank
 from calibration.raw_file import Recordings, open_raw
-from gui.campaign.event_words import status_text
 from gui.campaign.model import Attempt, Campaign
 from gui.campaign.plots import DriftPlot, GreenPlot, Greens, RecordingPlot, SpectrumPlot
+from gui.campaign.statuses import status_text
 from gui.desk import Desk
 from gui.theme import Theme
 
@@ -62,6 +64,7 @@ class PositionPanel(QTabWidget):
         self._record.setToolTip("Record of this position, from 0")
         self._raw_said = QLabel()
         self._raw_said.setWordWrap(True)
+        self._raw_said.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self._raw_said.setProperty("role", "faint")
         self.attempts, self.actuators = _table(_ATTEMPTS), _table(_ACTUATORS)
         self.attempts.setAccessibleName("Quality history of the position")
@@ -70,23 +73,15 @@ class PositionPanel(QTabWidget):
         tables.addWidget(self.attempts)
         tables.addWidget(self.actuators)
         tables.setSizes([200, 300])
-        chooser = QWidget()
-        row = QHBoxLayout(chooser)
-        row.setContentsMargins(4, 2, 4, 2)
-        row.addWidget(self._actuator)
-        row.addWidget(self._view)
-        self.setCornerWidget(chooser)
-        self.addTab(_with_top(None, self.green_plot), "Green's functions")
-        self.addTab(_with_top(None, self.spectrum_plot), "Spectrum")
+        self._spectrum_actuator = _combo("Actuator whose spectrum is drawn", ["all actuators"])
+        self.addTab(_with_top(_row(self._view, self._actuator), self.green_plot), "Green's functions")
+        self.addTab(_with_top(_row(self._spectrum_actuator), self.spectrum_plot), "Spectrum")
         self.addTab(tables, "Quality")
-        raw_row = QWidget()
-        line = QHBoxLayout(raw_row)
-        line.setContentsMargins(4, 2, 4, 2)
-        line.addWidget(self._record)
-        line.addWidget(self._raw_said, stretch=1)
-        self.addTab(_with_top(raw_row, self.recording_plot), "Recordings")
+        self.addTab(_with_top(_row(self._record, self._raw_said), self.recording_plot), "Recordings")
         self.addTab(self.drift_plot, "Drift")
         self._view.currentIndexChanged.connect(self._draw_plots)
+        self._actuator.currentIndexChanged.connect(self._spectrum_actuator.setCurrentIndex)
+        self._spectrum_actuator.currentIndexChanged.connect(self._actuator.setCurrentIndex)
         self._actuator.currentIndexChanged.connect(self._draw_plots)
         self._record.valueChanged.connect(self._draw_recording)
         self.currentChanged.connect(self._page_changed)
@@ -111,10 +106,11 @@ class PositionPanel(QTabWidget):
         if self._seen.get("surface") != seen["surface"]:
             surface = self._campaign.surface
             names = [f"actuator {number}" for number in range(surface.actuators if surface else 0)]
-            self._actuator.blockSignals(True)
-            self._actuator.clear()
-            self._actuator.addItems(["all actuators", *names])
-            self._actuator.blockSignals(False)
+            for combo in (self._actuator, self._spectrum_actuator):
+                combo.blockSignals(True)
+                combo.clear()
+                combo.addItems(["all actuators", *names])
+                combo.blockSignals(False)
         if self._seen.get("history") != seen["history"] and self.position >= 0:
             history = self._campaign.history.get(self.position, [])
             if len(history) != self.attempts.rowCount():
@@ -153,8 +149,6 @@ class PositionPanel(QTabWidget):
         self.spectrum_plot.show_green(surface, self.greens, actuator)
 
     def _page_changed(self) -> None:
-        self._view.setVisible(self.currentIndex() == 0)
-        self._actuator.setVisible(self.currentIndex() < 2)
         self._read_recordings()
 
     def _read_recordings(self) -> None:
@@ -211,7 +205,7 @@ class PositionPanel(QTabWidget):
 
 def clock(at_s: float) -> str:
     """An instant for people, with the day; empty where it is unknown."""
-    return "" if at_s != at_s else datetime.fromtimestamp(at_s).astimezone().strftime("%a %H:%M:%S")
+    return "" if math.isnan(at_s) else datetime.fromtimestamp(at_s).astimezone().strftime("%a %H:%M:%S")
 
 
 def _read(path: Path, position: int) -> Details:
@@ -233,12 +227,21 @@ def _combo(name: str, choices: Sequence[str]) -> QComboBox:
     return combo
 
 
-def _with_top(top: QWidget | None, plot: QWidget) -> QWidget:
+def _row(*widgets: QWidget) -> QHBoxLayout:
+    row = QHBoxLayout()
+    row.setContentsMargins(4, 4, 4, 2)
+    for widget in widgets:
+        row.addWidget(widget)
+    if not isinstance(widgets[-1], QLabel):
+        row.addStretch(1)
+    return row
+
+
+def _with_top(top: QHBoxLayout, plot: QWidget) -> QWidget:
     page = QWidget()
     column = QVBoxLayout(page)
     column.setContentsMargins(0, 0, 0, 0)
-    if top is not None:
-        column.addWidget(top)
+    column.addLayout(top)
     column.addWidget(plot, stretch=1)
     return page
 
@@ -263,4 +266,4 @@ def _put(table: QTableWidget, row: int, column: int, text: str) -> None:
 
 
 def _figure(value: float, digits: int) -> str:
-    return "" if value != value else f"{value:.{digits}f}"
+    return "" if math.isnan(value) else f"{value:.{digits}f}"

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rendering.metrics import grid_spacing_mm
-
 # Cells are drawn with a gap between them; more pixels than this would cost more than they show.
 _PIXELS_PER_SPACING = 9
 _MOST_PIXELS = 400_000
+_REACH = 1.5  # spacings
 _CELL = 0.47  # of the spacing: just short of half way to the neighbour
 
 
@@ -26,6 +25,10 @@ class Raster:
         Position that a pixel belongs to, `positions` where there is none; row 0 at the smallest y.
     left_mm, bottom_mm, width_mm, height_mm : float
         The rectangle that it covers.
+    spacing_mm : float
+        Median distance of neighbouring positions.
+    tree : cKDTree
+        Of the positions.
     """
 
     index: NDArray[np.int32]
@@ -33,11 +36,19 @@ class Raster:
     bottom_mm: float
     width_mm: float
     height_mm: float
+    spacing_mm: float
+    tree: cKDTree
+
+    def nearest(self, x_mm: float, y_mm: float) -> int:
+        """The position nearest to a point, -1 when it is further away than any click that means it."""
+        distance_mm, position = self.tree.query([x_mm, y_mm])
+        return int(position) if distance_mm <= max(_REACH * self.spacing_mm, self.width_mm / 40) else -1
 
 
 def raster_of(position_mm: NDArray[np.float64]) -> Raster:
     """Give each pixel to the nearest position within about half a spacing."""
-    spacing_mm = grid_spacing_mm(position_mm) if len(position_mm) > 1 else 1.0
+    tree = cKDTree(position_mm)
+    spacing_mm = float(np.median(tree.query(position_mm, k=[2])[0])) if len(position_mm) > 1 else 1.0
     low, high = position_mm.min(axis=0) - spacing_mm, position_mm.max(axis=0) + spacing_mm
     size_mm = high - low
     pixel_mm = max(spacing_mm / _PIXELS_PER_SPACING, float(np.sqrt(size_mm[0] * size_mm[1] / _MOST_PIXELS)))
@@ -46,7 +57,13 @@ def raster_of(position_mm: NDArray[np.float64]) -> Raster:
     y_mm = low[1] + (np.arange(rows) + 0.5) * size_mm[1] / rows
     pixels_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     # By the larger of both coordinates a cell is a square: right for square grids, and good enough to see others by.
-    _, index = cKDTree(position_mm).query(pixels_mm, p=np.inf, distance_upper_bound=_CELL * spacing_mm)
+    _, index = tree.query(pixels_mm, p=np.inf, distance_upper_bound=_CELL * spacing_mm)
     return Raster(
-        index.reshape(rows, columns).astype(np.int32), float(low[0]), float(low[1]), float(size_mm[0]), float(size_mm[1])
+        index.reshape(rows, columns).astype(np.int32),
+        float(low[0]),
+        float(low[1]),
+        float(size_mm[0]),
+        float(size_mm[1]),
+        spacing_mm,
+        tree,
     )

@@ -1,4 +1,4 @@
-"""How each status looks on the map: a colour and, where a position is not good, a shape, so that colour is never all."""
+"""How each status looks on the map: a colour and, where it is not good, a shape, so that colour is never all."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality import Status
+from gui.campaign.statuses import DISABLED, FAILED, NOT_MEASURED, OVER_RANGE, POOR_SIGNAL, VALID
 from gui.theme import LIGHT, Theme
 
 
@@ -19,7 +19,7 @@ class Look:
     ----------
     word : str
         What the legend calls it.
-    bit : Status
+    bit : int
         Which bit it is.
     light, dark : str
         Colour, after Okabe and Ito.
@@ -28,7 +28,7 @@ class Look:
     """
 
     word: str
-    bit: Status
+    bit: int
     light: str
     dark: str
     symbol: str
@@ -40,12 +40,12 @@ class Look:
 
 # A position with several bits looks like the first of these that it has.
 LOOKS = (
-    Look("disabled", Status.DISABLED, "#8c959f", "#6b7580", "+"),
-    Look("failed", Status.FAILED, "#d55e00", "#ff7f3f", "x"),
-    Look("over-range", Status.OVER_RANGE, "#cc79a7", "#e29ac6", "s"),
-    Look("poor", Status.POOR_SIGNAL, "#e69f00", "#f0b030", "t"),
-    Look("valid", Status.VALID, "#0072b2", "#2f8fd0", ""),
-    Look("not measured", Status.NOT_MEASURED, "", "", ""),
+    Look("disabled", DISABLED, "#8c959f", "#6b7580", "+"),
+    Look("failed", FAILED, "#d55e00", "#ff7f3f", "x"),
+    Look("over-range", OVER_RANGE, "#cc79a7", "#e29ac6", "s"),
+    Look("poor", POOR_SIGNAL, "#e69f00", "#f0b030", "t"),
+    Look("valid", VALID, "#0072b2", "#2f8fd0", ""),
+    Look("not measured", NOT_MEASURED, "", "", ""),
 )
 
 
@@ -53,5 +53,5 @@ def look_index(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Which of `LOOKS` each position has."""
     index = np.full(len(status), len(LOOKS) - 1, np.uint8)
     for number in reversed(range(len(LOOKS) - 1)):
-        index[(status & int(LOOKS[number].bit)) > 0] = number
+        index[(status & LOOKS[number].bit) > 0] = number
     return index

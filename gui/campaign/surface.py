@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.grid import stadium_rim
 from calibration.bank import Bank
+
+if TYPE_CHECKING:
+    from gui.campaign.raster import Raster
 
 _OUTLINE_POINTS = 361
 
@@ -35,6 +39,8 @@ class Surface:
         Measured band.
     unit : str
         Of the Green's functions.
+    raster : Raster
+        Which position each pixel of a picture belongs to.
     """
 
     bank: Path
@@ -45,6 +51,7 @@ class Surface:
     taps: int
     band_hz: tuple[float, float] | None
     unit: str
+    raster: Raster
 
     @property
     def positions(self) -> int:
@@ -59,15 +66,19 @@ class Surface:
 
 def surface_of(bank: Bank) -> Surface:
     """Return what an open bank says."""
+    from gui.campaign.raster import raster_of  # scipy is loaded by whoever opens a bank, not by the window's start
+
+    position_mm = np.asarray(bank.position_mm, np.float64)
     return Surface(
         bank=bank.path,
-        position_mm=np.asarray(bank.position_mm, np.float64),
+        position_mm=position_mm,
         actuator_mm=np.asarray(bank.actuator_mm, np.float64),
         outline_mm=_outline_mm(bank.rig_json),
         sample_rate_hz=bank.sample_rate_hz,
         taps=bank.taps,
         band_hz=bank.band_hz,
         unit=bank.response_unit,
+        raster=raster_of(position_mm),
     )
 
 

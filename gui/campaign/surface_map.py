@@ -9,11 +9,9 @@ import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtCore import QRectF, Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QPainterPath
-from scipy.spatial import cKDTree
 
 from gui.campaign.figures import Figure, Float32Array
 from gui.campaign.picking import PickingBox
-from gui.campaign.raster import Raster, raster_of
 from gui.campaign.status_look import LOOKS, look_index
 from gui.campaign.surface import Surface
 from gui.theme import LIGHT, Theme, dress_axes
@@ -43,10 +41,9 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         self.selected: set[int] = set()
         self._theme = LIGHT
         self._surface: Surface | None = None
-        self._raster: Raster | None = None
-        self._tree: cKDTree | None = None
         self._status: NDArray[np.uint8] = np.zeros(0, np.uint8)
         self._bad: bytes = b""
+        self._unplaced = True
         self._levels: tuple[float, float] | None = None
         self.colour_map = pyqtgraph.colormap.get("viridis")
         self._image = pyqtgraph.ImageItem(axisOrder="row-major")
@@ -56,7 +53,15 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         self._chosen = pyqtgraph.ScatterPlotItem(symbol="s", size=11, pxMode=True)
         self._current = pyqtgraph.ScatterPlotItem(symbol="o", size=17, pxMode=True)
         self._cross = pyqtgraph.ScatterPlotItem(symbol="crosshair", size=21, pxMode=True)
-        for item in (self._image, self._outline, self._actuators, self._marks, self._chosen, self._current, self._cross):
+        for item in (
+            self._image,
+            self._outline,
+            self._actuators,
+            self._marks,
+            self._chosen,
+            self._current,
+            self._cross,
+        ):
             self.addItem(item)
         plot = self.getPlotItem()
         plot.hideButtons()
@@ -74,20 +79,25 @@ class SurfaceMap(pyqtgraph.PlotWidget):
     def show_surface(self, surface: Surface) -> None:
         """Show another bank's surface."""
         self._surface = surface
-        self._raster = raster_of(surface.position_mm)
-        self._tree = cKDTree(surface.position_mm)
         self._status = np.zeros(surface.positions, np.uint8)
         self._bad = b""
-        self._image.setRect(
-            QRectF(self._raster.left_mm, self._raster.bottom_mm, self._raster.width_mm, self._raster.height_mm)
-        )
         outline_mm = surface.outline_mm if surface.outline_mm is not None else np.zeros((0, 2))
         self._outline.setData(outline_mm[:, 0], outline_mm[:, 1])
         known_mm = surface.actuator_mm[np.isfinite(surface.actuator_mm).all(axis=1)]
         self._actuators.setData(pos=known_mm)
+        self._unplaced = True
         self.show_position(-1)
         self.select([])
-        self.box.autoRange()
+
+    def clear_surface(self) -> None:
+        """Show nothing."""
+        self._surface = None
+        self._image.clear()
+        self._outline.setData([], [])
+        for item in (self._actuators, self._marks, self._current):
+            item.clear()
+        self.show_position(-1)
+        self.select([])
 
     def show_status(self, status: NDArray[np.uint8]) -> None:
         """Colour by status."""
@@ -174,10 +184,14 @@ class SurfaceMap(pyqtgraph.PlotWidget):
             self.show_position(int(cost.argmin()))
 
     def _paint(self, colours: NDArray[np.uint8]) -> None:
-        if self._raster is None or len(colours) + 1 < int(self._raster.index.max()):
+        if self._surface is None or len(colours) != self._surface.positions:
             return
-        clear = np.zeros((1, 4), np.uint8)
-        self._image.setImage(np.concatenate([colours, clear])[self._raster.index], autoLevels=False, levels=None)
+        raster, clear = self._surface.raster, np.zeros((1, 4), np.uint8)
+        self._image.setImage(np.concatenate([colours, clear])[raster.index], autoLevels=False, levels=None)
+        if self._unplaced:
+            self._unplaced = False
+            self._image.setRect(QRectF(raster.left_mm, raster.bottom_mm, raster.width_mm, raster.height_mm))
+            self.box.autoRange()
         self._mark()
 
     def _mark(self) -> None:
@@ -207,15 +221,11 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         item.setData(pos=self._surface.position_mm[inside].reshape(-1, 2))
 
     def _clicked(self, x_mm: float, y_mm: float, adds: bool) -> None:
-        if self._tree is None or self._surface is None or self._raster is None:
-            return
-        distance_mm, position = self._tree.query([x_mm, y_mm])
-        if distance_mm > self._raster.width_mm / 10:
-            return
-        if adds:
-            self.select(self.selected ^ {int(position)})
-        else:
-            self.show_position(int(position))
+        position = -1 if self._surface is None else self._surface.raster.nearest(x_mm, y_mm)
+        if position >= 0 and adds:
+            self.select(self.selected ^ {position})
+        elif position >= 0:
+            self.show_position(position)
 
     def _surrounded(self, corners_mm: NDArray[np.float64], adds: bool) -> None:
         if self._surface is None:

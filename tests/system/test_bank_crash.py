@@ -19,8 +19,10 @@ from calibration.bank_check import check_bank
 from calibration.bank_creation import create_bank
 from calibration.bank_header import BankHeader
 from calibration.bank_ledger import PointRecord
+from calibration.bank_owner import owner_path
 from calibration.bank_writer import BankWriter
 
+ROOT = Path(__file__).parents[2]
 POSITIONS, ACTUATORS, TAPS = 3, 2, 16
 
 
@@ -123,3 +125,42 @@ def assert_nothing_lost(path: Path, acknowledged: dict[int, int]) -> None:
             assert found >= attempt  # more when the kill came between a commit and its acknowledgement
             assert np.array_equal(bank.green(position), green_of(position, found))
     assert [finding for finding in check_bank(path) if finding.severity == "error"] == []
+
+
+# HDF5 on a disk that fails loses what it could not write, or takes the process along: it must not be on the disk.
+MAKE = """
+import resource, sys
+from calibration.bank_creation import create_bank
+from calibration.errors import InputError
+from tests.system.test_bank_crash import header
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+try:
+    create_bank(sys.argv[1], header(4))
+except InputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no limit on the size of files")
+@pytest.mark.parametrize("limit", [0, 20_000, 130_000])
+def test_a_disk_that_takes_no_more_while_a_bank_is_made_then_it_is_told_and_nothing_is_left(
+    tmp_path: Path, limit: int
+) -> None:
+    command = [sys.executable, "-c", MAKE, str(tmp_path / "bank.h5"), str(limit)]
+    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stderr) == (0, "")
+    assert told.stdout.startswith(f"{tmp_path / 'bank.h5'} ")
+    assert "File too large" in told.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no limit on the size of files")
+def test_a_disk_without_room_for_the_owners_name_then_the_bank_is_measured_all_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    create_bank(path, header(4))
+    owner_path(path).mkdir()  # a name that cannot be written, whoever asks
+    with BankWriter.open(path) as writer:
+        writer.commit(0, green_of(0), record_of(0))
+        owner_path(path).rmdir()
+    with open_bank(path) as bank:
+        assert bank.status.tolist() == [1, 0, 0, 0]

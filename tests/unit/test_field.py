@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,9 @@ from calibration.drive_file import Drive
 from calibration.errors import InputError
 from rendering.field import measured_positions, predict, predict_rows
 from rendering.green_source import GreenArray
+from rendering.prediction import Prediction
+from rendering.response_spectra import predict_spectra
+from rendering.row_transforms import BankSpectra
 
 NONE = np.zeros(0, np.int64)
 
@@ -151,3 +156,97 @@ def test_a_bank_without_a_measured_row_is_refused():
 def test_another_precision_is_refused():
     with pytest.raises(InputError, match="dtype is float16"):
         predict(make_drive([[1.0]]), make_bank(np.ones((2, 1, 3))), dtype=np.float16)
+
+
+def band_limited(rng, shape, share=0.25):
+    spectrum = np.fft.rfft(rng.standard_normal(shape))
+    frequency = np.linspace(0, 1, spectrum.shape[-1])
+    return np.fft.irfft(spectrum / (1 + (frequency / (0.5 * share)) ** 8), shape[-1])
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    positions=st.integers(1, 6),
+    actuators=st.integers(1, 4),
+    taps=st.integers(40, 300),
+    samples=st.sampled_from([50, 700, 5000]),
+    tolerance_db=st.sampled_from([-20.0, -40.0, -60.0]),
+    white=st.booleans(),
+    scale=st.sampled_from([1.0, 1e-25]),
+)
+@settings(max_examples=25, deadline=None)
+def test_with_kept_spectra_the_bound_holds_and_the_tolerance_too(
+    seed, positions, actuators, taps, samples, tolerance_db, white, scale
+):
+    rng = np.random.default_rng(seed)
+    bank = make_bank(band_limited(rng, (positions, actuators, taps)) * scale)
+    volts = rng.standard_normal((actuators, samples)) if white else band_limited(rng, (actuators, samples))
+    drive = make_drive(volts)
+    spectra = BankSpectra(bank, range(positions), tolerance_db=tolerance_db)
+    prediction = Prediction(drive, spectra, range(positions))
+    error = relative_error(prediction.field().field / scale, convolved(bank, drive, range(positions)) / scale)
+    # What is not left out is computed in single precision.
+    assert error <= max(prediction.omitted_bound, 3e-6)
+    assert prediction.omitted_bound <= 10 ** (tolerance_db / 20)
+
+
+def test_kept_spectra_give_the_positions_asked_for_in_any_order():
+    rng = np.random.default_rng(1)
+    bank = make_bank(rng.standard_normal((9, 2, 60)), status=np.array([1, 1, 0, 1, 1, 1, 1, 1, 1], np.uint8))
+    drive = make_drive(rng.standard_normal((2, 900)))
+    spectra = BankSpectra(bank, measured_positions(bank)[0])
+    found = Prediction(drive, spectra, [7, 0, 3]).field()
+    assert relative_error(found.field, convolved(bank, drive, [7, 0, 3])) < 2e-6
+    np.testing.assert_array_equal(found.position_index, [7, 0, 3])
+    with pytest.raises(InputError, match="position 2 were not kept"):
+        Prediction(drive, spectra, [1, 2]).field()
+
+
+def test_a_silent_actuator_and_a_silent_drive_go_with_kept_spectra():
+    rng = np.random.default_rng(2)
+    bank = make_bank(rng.standard_normal((3, 3, 50)))
+    volts = rng.standard_normal((3, 400))
+    volts[1] = 0
+    spectra = BankSpectra(bank, range(3), tolerance_db=-60.0)
+    drive = make_drive(volts)
+    assert relative_error(Prediction(drive, spectra, range(3)).field().field, convolved(bank, drive, range(3))) < 1e-3
+    assert not Prediction(make_drive(np.zeros((3, 400))), spectra, range(3)).field().field.any()
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_field_at_a_lower_rate_is_the_field_without_what_lies_above(kept):
+    rng = np.random.default_rng(3)
+    bank = make_bank(band_limited(rng, (4, 2, 400), 0.2))
+    drive = make_drive(band_limited(rng, (2, 3000), 0.2))
+    if kept:
+        prediction = Prediction(drive, BankSpectra(bank, range(4), rate_hz=250.0), range(4))
+    else:
+        prediction = Prediction(drive, bank, range(4), rate_hz=250.0)
+    found = prediction.field()
+    assert (found.sample_rate_hz, found.start_s) == (250.0, drive.start_s)
+    assert relative_error(found.field, convolved(bank, drive, range(4))[:, ::4]) < 1e-3
+    assert prediction.lost_share() < 1e-4
+
+
+def test_a_rate_that_is_no_fraction_of_the_banks_is_refused():
+    bank = make_bank(np.ones((1, 1, 30)))
+    with pytest.raises(InputError, match="whole number"):
+        Prediction(make_drive(np.ones((1, 20))), bank, [0], rate_hz=300.0)
+
+
+@pytest.mark.parametrize("kept", [False, True])
+@pytest.mark.parametrize("scale", [1.0, 1e-30])
+def test_energy_spectra_tell_the_fields_energy_by_band(kept, scale):
+    rng = np.random.default_rng(4)
+    bank = make_bank(rng.standard_normal((3, 2, 80)) * np.exp(-np.arange(80) / 15) * scale)
+    drive = make_drive(rng.standard_normal((2, 6000)))
+    field = convolved(bank, drive, range(3)) / scale
+    found = predict_spectra(drive, BankSpectra(bank, range(3)) if kept else bank, range(3))
+    spectrum = np.square(np.abs(np.fft.rfft(field))) * 2 / field.shape[1] / 1000.0
+    edges = np.array([0, 100, 250, 400, 500.5])
+    at = np.searchsorted(np.fft.rfftfreq(field.shape[1], 1e-3), edges)
+    expected = np.stack([spectrum[:, a:b].sum(axis=1) for a, b in itertools.pairwise(at)], axis=1)
+    np.testing.assert_allclose(found.band_energy(edges) / scale**2, expected, rtol=0.15)
+    np.testing.assert_allclose(
+        found.band_energy([0, 501]).sum(axis=1) / scale**2, np.square(field).sum(axis=1) / 1000.0, rtol=0.05
+    )

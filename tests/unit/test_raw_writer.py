@@ -52,8 +52,10 @@ def holds(path: Path, position: int, attempt: int) -> bool:
     with open_raw(path) as raw:
         found = raw.read(position)
     reference, response = volts(position, attempt)
-    return found is not None and np.array_equal(found.reference_v, reference) and np.array_equal(
-        found.response_v, response
+    return (
+        found is not None
+        and np.array_equal(found.reference_v, reference)
+        and np.array_equal(found.response_v, response)
     )
 
 

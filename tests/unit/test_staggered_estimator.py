@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 import scipy.fft
@@ -59,18 +61,21 @@ ESTIMATOR = StaggeredEstimator(
 )
 
 
-def limit_db(true: np.ndarray, noise_v: float) -> np.ndarray:
-    """What least squares with the true drives leave, in expectation."""
+@cache
+def least_noise() -> float:
+    """Energy in band that noise of 1 V leaves in each FIR by least squares with the true drives, in expectation."""
     base_v, samples = SIGNAL.base_v(), SIGNAL.heard_samples
     columns = [np.roll(base_v, 120 * slot + tap) for slot in range(5) for tap in range(TAPS)]
     matrix = np.resize(np.stack(columns), (5 * TAPS, base_v.size))
     matrix = np.concatenate([matrix, matrix], axis=1)[:, :samples].T / 0.5
-    covariance = noise_v**2 * np.linalg.pinv(matrix.T @ matrix, rcond=1e-8, hermitian=True)
+    covariance = np.linalg.pinv(matrix.T @ matrix, rcond=1e-8, hermitian=True)[:TAPS, :TAPS]
     fourier = in_band(np.eye(TAPS)).T
-    energy = (np.abs(in_band(true)) ** 2).sum(axis=1)
-    parts = [slice(slot * TAPS, (slot + 1) * TAPS) for slot in range(5)]
-    noise = [np.einsum("kn,nm,km->", fourier, covariance[part, part], fourier.conj()).real for part in parts]
-    return 10 * np.log10(np.array(noise) / energy)
+    return float(np.sum((fourier @ covariance) * fourier.conj()).real)
+
+
+def limit_db(true: np.ndarray, noise_v: float) -> np.ndarray:
+    """The error that noise alone must leave."""
+    return 10 * np.log10(noise_v**2 * least_noise() / (np.abs(in_band(true)) ** 2).sum(axis=1))
 
 
 @settings(max_examples=8, deadline=None)
@@ -85,7 +90,7 @@ def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_lim
     green = random_firs(seed)
     reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, ppm, start, SIGNAL.heard_samples)
     draw = np.random.default_rng(seed + 1)
-    noise_v = 1e-3
+    noise_v = 0.02
     response = response / 0.5 + noise_v * draw.standard_normal(response.size)
     found = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
     assert np.median(error_db(found.green, green) - limit_db(green, noise_v)) <= 1.5
@@ -114,7 +119,7 @@ def test_given_a_moment_without_light_then_the_residual_names_it() -> None:
     sound = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
     response[200:210] = 0.0
     spoilt = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
-    assert sound.defects["burst_db"][0] == -np.inf
+    assert sound.defects["burst_db"][0] < -60
     assert spoilt.defects["burst_db"][0] > -40
     assert spoilt.residual_db[0] > sound.residual_db[0] + 15
 

@@ -104,6 +104,21 @@ def test_given_emulated_wires_then_the_bank_is_as_good_as_the_in_process_rigs(la
     assert np.median(through_wires) <= np.median(in_process) + 1
 
 
+def test_given_emulated_wires_and_staggered_capture_then_all_actuators_sound_at_once_and_the_bank_is_as_good(lab):
+    staggered = 'excitation = "staggered"\nperiods = 2\nwhen_staggered_does_not_pay = "keep"\nkeep_raw = true\n'
+    for name in ("run.toml", "virtual-run.toml"):
+        (lab / name).write_text((lab / name).read_text(encoding="utf-8") + staggered, encoding="utf-8")
+    with far_sides(lab / "rig.toml") as sides:
+        wavefocus("capture", lab / "run.toml", "--bank", lab / "wires.h5", sides=sides)
+    wavefocus("capture", lab / "virtual-run.toml", "--bank", lab / "virtual.h5")
+    wavefocus("estimate", lab / "wires.raw.h5", "--bank", lab / "again.h5")
+    names = ("wires.h5", "again.h5", "virtual.h5")
+    through_wires, again, in_process = (errors_db(lab / name, lab / "virtual-rig.toml") for name in names)
+    assert np.median(in_process) < -45
+    assert np.median(through_wires) <= np.median(in_process) + 1
+    assert np.median(again) <= np.median(through_wires) + 0.1
+
+
 def events(capture: subprocess.Popen[str]) -> Iterator[dict[str, object]]:
     assert capture.stdout is not None
     for line in capture.stdout:

@@ -25,6 +25,7 @@ from drivers.protocols import Clock, Player
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.console import Report, progress, say
+from wavefocus.exits import Exit
 from wavefocus.instruments import openers
 from wavefocus.rig_limits import check_drive
 
@@ -35,8 +36,13 @@ TELL_EVERY_S = 0.2
 LATE_S = 10.0
 
 
-def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool) -> None:
+def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool) -> Exit:
     """Play a drive file as one finite signal, several times without a gap where asked for.
+
+    Returns
+    -------
+    Exit
+        `Exit.STOPPED` where a person ended it, else `Exit.DONE`.
 
     Raises
     ------
@@ -66,22 +72,30 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
         )
     seconds = loop * samples / drive.sample_rate_hz
     peak_v = float(np.abs(drive.drive_v).max())
-    with _ending_at_once(), _open_player(rig) as (player, clock):
-        times = f"{loop} times, " if loop > 1 else ""
-        memory = f"{needed / 2**20:.0f} MB of memory"
-        say(f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V, {memory}")
-        signals_v = {
-            channel: _repeated(volts, loop) for channel, volts in zip(rig.player.channels, drive.drive_v, strict=True)
-        }
-        with progress("play", math.ceil(seconds), timed=False) as report:
-            player.play(signals_v, drive.sample_rate_hz)
-            with _told(report, clock, seconds):
-                player.wait(1.1 * seconds + LATE_S)
-            report(math.ceil(seconds), math.ceil(seconds), "seconds")
+    try:
+        with _ending_at_once(), _open_player(rig) as (player, clock):
+            times = f"{loop} times, " if loop > 1 else ""
+            memory = f"{needed / 2**20:.0f} MB of memory"
+            say(
+                f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V, {memory}"
+            )
+            signals_v = {
+                channel: _repeated(volts, loop)
+                for channel, volts in zip(rig.player.channels, drive.drive_v, strict=True)
+            }
+            with progress("play", math.ceil(seconds), timed=False) as report:
+                player.play(signals_v, drive.sample_rate_hz)
+                with _told(report, clock, seconds):
+                    player.wait(1.1 * seconds + LATE_S)
+                report(math.ceil(seconds), math.ceil(seconds), "seconds")
+    except KeyboardInterrupt:
+        say("stopped by the user; the outputs are muted")
+        return Exit.STOPPED
     say(f"{drive_file}: played; the outputs are muted")
     if as_json:
         figures = {"drive": str(drive_file), "seconds": seconds, "loops": loop, "peak_v": peak_v, "gain_db": gain_db}
         print(json.dumps(figures))
+    return Exit.DONE
 
 
 def _bytes_needed(drive: Drive, loop: int, rig: RigConfig) -> int:

@@ -9,38 +9,116 @@ import numpy as np
 
 from calibration.bank import open_bank
 from calibration.drive_file import read_drive
+from calibration.durable import replacement
+from calibration.errors import InputError
 from calibration.field_file import FieldWriter
-from rendering.field import chosen_positions, field_samples, field_unit, predict_rows
+from rendering.field import chosen_positions
+from rendering.prediction import Prediction
+from rendering.response_spectra import predict_spectra
 from wavefocus.console import progress, say
 from wavefocus.positions import parse_positions
 
 
-def predict(drive_file: Path, bank: Path, out: Path, positions: str, *, as_json: bool) -> None:
+def predict(
+    drive_file: Path,
+    bank: Path,
+    out: Path,
+    positions: str,
+    *,
+    rate_hz: float | None = None,
+    tolerance_db: float | None = None,
+    as_json: bool,
+) -> None:
     """Predict the field at the positions asked for and write it row by row.
 
-    Computed in float64 and rounded once, to the float32 of the file.
+    Computed in float64 and rounded once, to the float32 of the file; in complex64 where a lower rate or a
+    tolerance asks for no more.
     """
     drive = read_drive(drive_file)
+    dtype = np.float64 if rate_hz is None and tolerance_db is None else np.float32
     with open_bank(bank) as view:
         wanted = parse_positions(positions, view.positions) if positions else None
         index = chosen_positions(drive, view, wanted)
-        samples, unit, peak = field_samples(drive, view), field_unit(view), 0.0
+        prediction = Prediction(drive, view, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz)
+        unit, peak = view.response_unit.removesuffix("/V"), 0.0
         with (
             FieldWriter(
                 out,
                 index,
-                samples,
-                sample_rate_hz=drive.sample_rate_hz,
-                start_s=drive.start_s,
+                prediction.samples,
+                sample_rate_hz=prediction.sample_rate_hz,
+                start_s=prediction.start_s,
                 response_unit=unit,
             ) as writer,
             progress("predict", len(index)) as report,
         ):
-            for rows in predict_rows(drive, view, wanted, dtype=np.float64, on_progress=report):
+            for rows in prediction.rows(report):
                 writer.write(rows.first, rows.field)
                 peak = max(peak, float(np.abs(rows.field).max(initial=0.0)))
+        lost = prediction.lost_share()
         if left_out := view.positions - len(index) if wanted is None else 0:
             say(f"{left_out} positions are not measured and are left out")
-    say(f"{out}: {len(index)} positions, {samples} samples, largest response {peak:.4g} {unit}")
+    say(f"{out}: {len(index)} positions, {prediction.samples} samples, largest response {peak:.4g} {unit}")
+    if rate_hz is not None and prediction.passed_hz < drive.sample_rate_hz / 2:
+        say(
+            f"at {prediction.sample_rate_hz:g} Hz, low-passed above {prediction.passed_hz:g} Hz;"
+            f" {lost:.2g} of the response's energy is above that"
+        )
+    if tolerance_db is not None:
+        say(
+            f"left out no more than {prediction.omitted_bound:.3g} of the field (relative L2, proved),"
+            f" {prediction.kept_share:.0%} of the frequency bins computed"
+        )
     if as_json:
-        print(json.dumps({"field": str(out), "positions": len(index), "samples": samples, "peak": peak}))
+        figures = {
+            "field": str(out),
+            "positions": len(index),
+            "samples": prediction.samples,
+            "peak": peak,
+            "sample_rate_hz": prediction.sample_rate_hz,
+            "passed_hz": prediction.passed_hz,
+            "lost_share": lost,
+            "omitted_bound": prediction.omitted_bound,
+        }
+        print(json.dumps(figures))
+
+
+def predict_energy(
+    drive_file: Path,
+    bank: Path,
+    out: Path,
+    positions: str,
+    *,
+    rate_hz: float | None,
+    tolerance_db: float | None,
+    as_json: bool,
+) -> None:
+    """Write the energy spectra of the responses as an .npz file.
+
+    Raises
+    ------
+    InputError
+        The file is not called so, or a rate or a tolerance is asked for too.
+    """
+    if out.suffix != ".npz":
+        raise InputError(f"--out is {out}; --spectra writes an .npz file")
+    if rate_hz is not None or tolerance_db is not None:
+        raise InputError("--spectra goes neither with --rate nor with --tolerance-db; leave them out")
+    drive = read_drive(drive_file)
+    with open_bank(bank) as view:
+        index = chosen_positions(drive, view, parse_positions(positions, view.positions) if positions else None)
+        found = predict_spectra(drive, view, index)
+    try:
+        with replacement(out) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file,
+                frequency_hz=found.frequency_hz,
+                energy_density=found.energy_density,
+                position_index=found.position_index,
+            )
+    except OSError as error:
+        raise InputError(f"{out} cannot be written: {error.strerror or error}") from error
+    unit = f"({found.response_unit})^2 s/Hz"
+    say(f"{out}: {len(index)} positions, {len(found.frequency_hz)} frequencies, energy density in {unit}")
+    if as_json:
+        print(json.dumps({"spectra": str(out), "positions": len(index), "frequencies": len(found.frequency_hz)}))

@@ -24,7 +24,7 @@ name = "two coils"
 [actuators]
 position_mm = [[110.0, 0.0], [0.0, 60.0]]
 """
-# Position 2 stays poor until it is measured a fourth time, so that there is something to measure again.
+# Position 2 stays poor for a while, so that there is something to measure again.
 RUN = """
 rig = "rig.toml"
 [grid]
@@ -44,8 +44,10 @@ role = "recorder"
 operation = "read"
 kind = "dropout"
 position = 2
-count = 3
+count = {poor}
 """
+# Attempts that may leave it poor: as many as one session makes of it, whatever that is.
+POOR_ATTEMPTS = (3, 6, 9, 12)
 POSITIONS = "x_mm,y_mm\n0,0\n4,0\n8,0\n8,4\n"
 BANK, RAW = "plate.h5", "plate.raw.h5"
 # What a verdict counts.
@@ -93,10 +95,10 @@ class Verdict:
         self.notes.append(f"{kind}: {message}")
 
 
-def write_lab(folder: Path, *, keep_raw: bool = False) -> Path:
+def write_lab(folder: Path, *, keep_raw: bool = False, poor: int = POOR_ATTEMPTS[0]) -> Path:
     """Write the campaign's files; return the run file."""
     folder.mkdir(parents=True, exist_ok=True)
-    run = RUN.replace("[capture]", "[capture]\nkeep_raw = true") if keep_raw else RUN
+    run = RUN.replace("{poor}", str(poor)).replace("[capture]", f"[capture]\nkeep_raw = {str(keep_raw).lower()}")
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
     (folder / "run.toml").write_text(run, encoding="utf-8")
     (folder / "positions.csv").write_text(POSITIONS, encoding="utf-8")
@@ -153,11 +155,16 @@ class Campaign:
         self.processes.warm_up(
             ["capture", run_file, "--bank", bank, "--json"], ["resume", bank], ["remeasure", bank], ["check", bank]
         )  # fmt: skip
-        self.rows: list[list[np.ndarray]] = [[] for _ in range(POSITIONS.count("\n") - 1)]
-        self.recordings: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self.rows]
-        self.captured = self._uninterrupted(self.capture)
-        self.remeasured = self._uninterrupted(self.remeasure)
-        assert self.captured[BANK] != self.remeasured[BANK]
+        for poor in POOR_ATTEMPTS:
+            self.clear()
+            write_lab(self.lab, keep_raw=keep_raw, poor=poor)
+            self.rows: list[list[np.ndarray]] = [[] for _ in range(POSITIONS.count("\n") - 1)]
+            self.recordings: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self.rows]
+            self.captured = self._uninterrupted(self.capture)
+            self.remeasured = self._uninterrupted(self.remeasure)
+            if self.captured != self.remeasured:
+                return
+        raise AssertionError("no number of poor attempts leaves a session something to measure again")
 
     def _uninterrupted(self, command: Iterable[object]) -> dict[str, bytes]:
         """Carry out a command to its end; note what may be in the files from then on, and return their bytes."""

@@ -12,8 +12,8 @@ from tests.system.crash.power_cuts import Call, Disk, Image, Kind, images, read_
 from tests.system.crash.processes import How, Order
 from tests.system.crash.shares import Share
 
-# Random subsets of what was not synced, for each call.
-FEWEST_SUBSETS, MOST_SUBSETS = 8, 128
+# Random subsets of what was not synced, for each call: as few as give the cuts that are wanted.
+SUBSETS = (0, 8, 16, 32, 64, 128)
 # Cuts of each of many repairs.
 PER_STATE = 40
 
@@ -66,11 +66,11 @@ def _cut(
     def found(subsets: int) -> Iterator[Image]:
         return images(Disk(before, inodes), log, np.random.default_rng(seed), subsets, named)
 
-    subsets, total = FEWEST_SUBSETS, 0
-    while total < share.count and subsets <= MOST_SUBSETS:
+    for subsets in SUBSETS:
         total = sum(1 for _ in found(subsets))
-        subsets *= 2
-    for image in share.evenly(found(subsets // 2), total):
+        if total >= share.count:
+            break
+    for image in share.evenly(found(subsets), total):
         so_far = promised.union(*(positions for step, positions in told if step <= image.step))
         yield replayed(campaign, image, so_far, remeasure=remeasure)
 

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import h5py
 
-from tests.system.crash import cuts, kills, other_faults
+from tests.system.crash import cuts, kills, other_faults, small_disk
 from tests.system.crash.campaign import COUNTS, Campaign, Verdict
 from tests.system.crash.page import table
 from tests.system.crash.shares import Share
@@ -77,6 +77,7 @@ def classes() -> list[tuple[str, str, Trials, int]]:
         ("power cut while resume repairs", "cut", cuts.in_repair, of_cuts * 20 // 100),
         ("power cut while a position is replaced", "cut", cuts.in_remeasure, of_cuts * 20 // 100),
         ("disk full from any call on", "disk", other_faults.full_disk, of_calls),
+        ("disk really full after some positions", "disk", small_disk.really_full, of_calls),
         ("any call fails once", "disk", other_faults.failing_disk, of_calls),
         ("disk dead from any call on", "disk", other_faults.dead_disk, of_calls),
         ("flipped byte", "flip", other_faults.flipped_bytes, size("FLIPS", 600)),

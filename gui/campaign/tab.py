@@ -1,0 +1,225 @@
+"""The Campaign tab: composes map, details, lists and buttons, and turns buttons into commands."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from PyQt5.QtCore import Qt
+from PyQt5.QtWidgets import QAction, QHBoxLayout, QSplitter, QVBoxLayout
+
+from gui.campaign.campaign_run import CampaignRun
+from gui.campaign.controls import Controls
+from gui.campaign.event_list import EventList
+from gui.campaign.follower import Follower, same_file
+from gui.campaign.instrument_list import InstrumentList
+from gui.campaign.map_panel import MapPanel
+from gui.campaign.model import Campaign
+from gui.campaign.position_panel import PositionPanel
+from gui.campaign.progress_row import ProgressRow
+from gui.campaign.standing import possible
+from gui.campaign.statuses import FAILED, OVER_RANGE, POOR_SIGNAL
+from gui.desk import Desk
+from gui.path_field import PathField
+from gui.tab import Question, Tab
+from gui.theme import Theme
+
+_BAD = POOR_SIGNAL | OVER_RANGE | FAILED
+# What is taken up in one go; the rest of a long log comes with the next ticks, so that the window answers meanwhile.
+_FINDINGS_PER_TICK = 4
+_DEFAULT_BANK = "plate.h5"
+
+
+class CampaignTab(Tab):
+    """Start, watch, interrupt and mend a campaign, whoever started it."""
+
+    title = "Campaign"
+    opens = (".h5", ".toml")
+
+    def __init__(self, desk: Desk) -> None:
+        super().__init__(desk)
+        self.campaign = Campaign()
+        self.follower: Follower | None = None
+        self.run = CampaignRun(desk, self)
+        self._told_trouble = ""
+        self.run_field = PathField("&Run", ".toml", "run file", desk.memory)
+        self.bank_field = PathField("&Bank", ".h5", "bank file", desk.memory, saves=True)
+        self.controls = Controls(
+            {
+                "plan": self._plan,
+                "start": lambda: self._start("capture", str(self.run_field.path), "--bank", str(self.bank_field.path)),
+                "resume": lambda: self._start("resume", str(self.bank_field.path)),
+                "pause": self._pause_or_go_on,
+                "stop": lambda: self.run.order("stop", self.bank_field.path),
+                "selected": self._remeasure_selected,
+                "poor": lambda: self._start("remeasure", str(self.bank_field.path)),
+            }
+        )
+        self.progress = ProgressRow()
+        self.map_panel = MapPanel(self.campaign)
+        self.position_panel = PositionPanel(desk, self.campaign)
+        self.events = EventList(self.campaign)
+        self.instruments = InstrumentList(self.campaign)
+        self._lay_out()
+        self.run_field.chosen.connect(self._run_chosen)
+        self.bank_field.chosen.connect(self._bank_chosen)
+        self.map_panel.map.shown_changed.connect(self.position_panel.show_position)
+        self.events.position_wanted.connect(self.map_panel.map.show_position)
+
+    def menu_actions(self) -> list[QAction | None]:
+        """What the buttons do, and what a resume may accept."""
+        find = QAction("&Find in events", self)
+        find.setShortcut("Ctrl+F")
+        find.triggered.connect(lambda: self.events.text.setFocus(Qt.FocusReason.ShortcutFocusReason))
+        return [*self.controls.actions_by_name.values(), None, self.run.accept_drift, self.run.accept_calibration,
+                None, find]  # fmt: skip
+
+    def accepts(self, path: Path) -> bool:
+        """Banks, and TOML files that are neither rigs nor scenes."""
+        name = path.name.lower()
+        if name.endswith(".toml"):
+            return _may_be_run(path)
+        return name.endswith(".h5") and not name.endswith(".raw.h5")
+
+    def open_file(self, path: Path) -> None:
+        """Open a run file, or a bank to follow."""
+        if path.suffix.lower() == ".toml":
+            self.run_field.show_path(path)
+            self._run_chosen(path)
+        else:
+            self.follow(path)
+
+    def follow(self, bank: Path) -> None:
+        """Follow a bank, whoever writes it; read-only."""
+        self.bank_field.show_path(bank)
+        if self.follower is not None:
+            if same_file(self.follower.bank, bank):
+                return
+            self.follower.end()
+        self._told_trouble = ""
+        self.campaign.forget()
+        self.map_panel.map.clear_surface()
+        self.follower = Follower(bank, self.desk.front)
+        self.follower.start()
+
+    def collect(self) -> None:
+        """Take up what the follower saw, and how the own run is."""
+        if self.follower is not None:
+            for seen in self.follower.take(_FINDINGS_PER_TICK):
+                self.campaign.take(seen)
+        if self.campaign.trouble != self._told_trouble:
+            self._told_trouble = self.campaign.trouble
+            if self._told_trouble:
+                self.desk.messages.fault(self._told_trouble)
+        self.run.look()
+
+    def draw(self) -> None:
+        """Draw what changed."""
+        campaign, bank = self.campaign, self.bank_field.path
+        standing = campaign.standing(starting=self.run.runs(bank))
+        owner = campaign.owner
+        who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
+        self.progress.show_standing(standing, self.run.said(bank) if owner is None or not campaign.pace else "", who)
+        total = campaign.surface.positions if campaign.surface else 0
+        self.progress.show_progress(campaign.measured, total, campaign.pace, measuring=standing.measuring)
+        has_run = self.run_field.path is not None
+        orders = possible(
+            standing,
+            has_run=has_run and bank is not None,
+            has_bank=campaign.surface is not None,
+            left=total - campaign.measured,
+        )
+        self.controls.show_possible(
+            orders,
+            has_run=has_run,
+            selected=len(self.map_panel.map.selected),
+            poor=int(((campaign.status & _BAD) > 0).sum()),
+        )
+        self.map_panel.draw()
+        self.position_panel.draw()
+        self.events.draw()
+        self.instruments.draw()
+
+    def dress(self, theme: Theme) -> None:
+        """Take a theme's colours."""
+        for part in (self.progress, self.map_panel, self.position_panel, self.events, self.instruments):
+            part.dress(theme)
+
+    def closing(self) -> Question | None:
+        """Ask what is to become of a run that this window started."""
+        return self.run.closing()
+
+    def closed(self) -> None:
+        """End following; leave the run alone."""
+        if self.follower is not None:
+            self.follower.end()
+        self.run.let_go()
+
+    def keep(self) -> None:
+        """Remember how the room is divided."""
+        for name, splitter in self._splitters.items():
+            self.desk.memory.keep(f"campaign/{name}", splitter.saveState())
+
+    def _lay_out(self) -> None:
+        files = QHBoxLayout()
+        files.addWidget(self.run_field, stretch=1)
+        files.addWidget(self.bank_field, stretch=1)
+        upper, lower = QSplitter(Qt.Orientation.Horizontal), QSplitter(Qt.Orientation.Horizontal)
+        upper.addWidget(self.map_panel)
+        upper.addWidget(self.position_panel)
+        upper.setSizes([700, 560])
+        lower.addWidget(self.instruments)
+        lower.addWidget(self.events)
+        lower.setSizes([480, 780])
+        both = QSplitter(Qt.Orientation.Vertical)
+        both.addWidget(upper)
+        both.addWidget(lower)
+        both.setSizes([470, 190])
+        both.setStretchFactor(0, 1)
+        self._splitters = {"upper": upper, "lower": lower, "both": both}
+        for name, splitter in self._splitters.items():
+            splitter.setChildrenCollapsible(False)
+            splitter.restoreState(self.desk.memory.bytes(f"campaign/{name}"))
+        column = QVBoxLayout(self)
+        column.setContentsMargins(4, 6, 4, 4)
+        column.addLayout(files)
+        column.addWidget(self.controls)
+        column.addWidget(self.progress)
+        column.addWidget(both, stretch=1)
+
+    def _run_chosen(self, path: Path) -> None:
+        self.desk.memory.opened(path)
+        if self.bank_field.path is None or self.campaign.surface is None:
+            self.follow(path.parent / _DEFAULT_BANK)
+
+    def _bank_chosen(self, path: Path) -> None:
+        self.desk.memory.opened(path)
+        self.follow(path)
+
+    def _plan(self) -> None:
+        if self.run_field.path is not None:
+            self.run.plan(self.run_field.path)
+
+    def _start(self, *arguments: str) -> None:
+        bank = self.bank_field.path
+        if bank is not None:
+            self.follow(bank)
+            self.run.start(arguments, bank)
+
+    def _pause_or_go_on(self) -> None:
+        word = "go-on" if self.controls.actions_by_name["pause"].text() == "Go on" else "pause"
+        self.run.order(word, self.bank_field.path)
+
+    def _remeasure_selected(self) -> None:
+        rows = ",".join(str(row) for row in sorted(self.map_panel.map.selected))
+        if rows:
+            self._start("remeasure", str(self.bank_field.path), "--positions", rows)
+
+
+def _may_be_run(path: Path) -> bool:
+    """Whether a TOML file is neither a rig nor a scene; one that cannot be read is told about by the capture."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return True
+    return "source" not in content and "scene" not in content and not isinstance(content.get("rig"), dict)

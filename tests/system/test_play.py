@@ -1,0 +1,121 @@
+"""Drives played on the virtual rig through the command line, and what is refused before anything sounds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.drive_file import Drive, write_drive
+from wavefocus.__main__ import run
+
+RATE_HZ = 10_000.0
+RIG = """
+[actuators]
+position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+
+[player]
+limit_v = 2.0
+coil_resistance_ohm = 8.0
+limit_power_w = 0.04
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    write(tmp_path, 0.5)
+    return tmp_path
+
+
+def write(lab: Path, amplitude_v: float, actuators: int = 3, seconds: float = 1.5) -> None:
+    time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    drive_v = np.zeros((actuators, time_s.size))
+    drive_v[1] = amplitude_v * np.sin(2 * np.pi * 100.0 * time_s)
+    none = np.zeros(0, np.int64)
+    write_drive(lab / "drive.h5", Drive(drive_v, RATE_HZ, -0.1999, "sampled", 1.0, 0.0, none, none, none))
+
+
+def play(lab: Path, *options: str) -> int:
+    return run(["play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml"), "--json", *options])
+
+
+def test_given_a_drive_then_it_is_played_and_told(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert play(lab, "--loop", "3", "--gain-db", "-6.0206") == 0
+    told = capsys.readouterr()
+    figures = json.loads(told.out)
+    assert (figures["seconds"], figures["loops"]) == (4.5, 3)
+    assert figures["peak_v"] == pytest.approx(0.25, rel=1e-5)
+    assert "muted" in told.err
+
+
+def refused(lab: Path, capsys: pytest.CaptureFixture[str], *options: str) -> str:
+    assert play(lab, *options) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.count("\n") == 1
+    return told.err
+
+
+def test_given_more_than_an_actuator_may_get_then_the_gain_that_would_do_does(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(lab, 4.0)
+    told = refused(lab, capsys, "--gain-db", "1")
+    assert "actuator 1" in told
+    assert "player.limit_v" in told
+    assert play(lab, "--gain-db", "-6.03") == 2  # that is within 2 V, and the coil's power counts next
+    told = capsys.readouterr().err
+    assert "player.limit_power_w" in told
+    assert "V rms" in told
+    gain_db = told.split("--gain-db ")[1].split(",")[0]
+    assert play(lab, "--gain-db", gain_db) == 0
+    assert 20 * np.log10(4.0 / 2**0.5 / 0.32**0.5) == pytest.approx(-float(gain_db), abs=0.011)
+
+
+def test_given_a_loop_then_the_power_counts_across_its_seam(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time_s = np.arange(15_000) / RATE_HZ
+    drive_v = 0.9 * np.sin(2 * np.pi * 100.0 * time_s)
+    drive_v[3_000:12_000] = 0.0  # loud at both ends: 0.3 s of each within a second, and 0.6 s where they meet
+    none = np.zeros(0, np.int64)
+    drive = Drive(np.tile(drive_v, (3, 1)), RATE_HZ, 0.0, "sampled", 1.0, 0.0, none, none, none)
+    write_drive(lab / "drive.h5", drive)
+    text = (lab / "rig.toml").read_text(encoding="utf-8").replace("0.04", "0.02")
+    (lab / "rig.toml").write_text(text, encoding="utf-8")
+    assert play(lab) == 0
+    assert "V rms" in (capsys.readouterr().err + refused(lab, capsys, "--loop", "2"))
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [(("--loop", "1000000"), "GiB"), (("--gain-db", "400"), "--gain-db"), (("--loop", "0"), "--loop")],
+)
+def test_given_options_that_cannot_be_then_they_are_named(
+    lab: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], told: str
+) -> None:
+    assert told in refused(lab, capsys, *options)
+
+
+def test_given_a_drive_for_another_rig_then_it_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(lab, 0.1, actuators=4)
+    assert "for 4 actuators" in refused(lab, capsys)
+
+
+def test_given_power_without_a_resistance_then_the_rig_file_is_refused(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (lab / "rig.toml").read_text(encoding="utf-8").replace("coil_resistance_ohm = 8.0", "")
+    (lab / "rig.toml").write_text(text, encoding="utf-8")
+    assert "player.coil_resistance_ohm" in refused(lab, capsys)
+
+
+def test_given_a_sweep_beyond_the_coils_power_then_the_run_is_refused(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (lab / "run.toml").write_text('rig = "rig.toml"\n\n[sweep]\namplitude_v = 1.0\n', encoding="utf-8")
+    assert run(["plan", str(lab / "run.toml")]) == 2
+    told = capsys.readouterr().err
+    assert "sweep.amplitude_v" in told
+    assert "player.limit_power_w" in told

@@ -1,0 +1,180 @@
+"""What ``render`` and ``movie`` do besides drives: limits, ways of focusing, figures, pictures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from PIL import Image
+
+from calibration.drive_file import read_drive
+from wavefocus.__main__ import run
+
+RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
+SCENE = """
+[scene]
+name = "two"
+
+[[source]]
+speed_mm_s = 200.0
+step_mm = 4.0
+path = { kind = "line", start_mm = [0.5, 0], end_mm = [12, 4] }
+signal = { kind = "sine", frequency_hz = 150.0, duration_s = 0.03 }
+emission = "per_point"
+
+[[source]]
+start_s = 0.02
+path = { kind = "point", at_mm = [4, 8] }
+signal = { kind = "impulse" }
+
+[regularisation]
+saturation = 0.7
+"""
+RIG = """
+[actuators]
+position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+
+[player]
+limit_v = 2.0
+limit_rms_v = 1e-3
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    random = np.random.default_rng(4)
+    x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
+    green = random.standard_normal((15, ACTUATORS, TAPS)) * np.exp(-np.arange(TAPS) / 15) * [[[1.0], [2.0], [8.0]]]
+    with h5py.File(tmp_path / "bank.h5", "w") as file:
+        file["green"], file["position_mm"] = green, np.column_stack([x_mm.ravel(), y_mm.ravel()])
+        file.attrs["sample_rate_hz"] = RATE_HZ
+    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    return tmp_path
+
+
+def render(lab: Path, *options: str) -> int:
+    place = [str(lab / "scene.toml"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "drive.h5")]
+    return run(["render", *place, "--json", *options])
+
+
+def figures(lab: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
+    assert render(lab, *options) == 0
+    return dict(json.loads(capsys.readouterr().out))
+
+
+def test_given_a_saturated_scene_then_levels_are_told_with_and_without_saturation(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = figures(lab, capsys)
+    rms = np.sqrt(np.mean(read_drive(lab / "drive.h5").drive_v ** 2, axis=1))
+    assert told["relative_rms"] == pytest.approx(rms / rms.max(), abs=1e-6)
+    (lab / "scene.toml").write_text(SCENE.split("[regularisation]", maxsplit=1)[0], encoding="utf-8")
+    plain = figures(lab, capsys)
+    assert plain["relative_rms_unsaturated"] is None
+    assert told["relative_rms_unsaturated"] == pytest.approx(plain["relative_rms"], abs=1e-6)
+    assert told["dynamic_range_db"] < plain["dynamic_range_db"]
+
+
+@pytest.mark.parametrize("focusing", ["time-reversal", "inverse"])
+def test_given_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_named(
+    lab: Path, capsys: pytest.CaptureFixture[str], focusing: str
+) -> None:
+    way = ("--focusing", focusing)
+    free_v = (figures(lab, capsys, *way), read_drive(lab / "drive.h5").drive_v)[1]
+    (lab / "scene.toml").write_text(SCENE + "\n[output]\nlimit_rms_v = 2e-3\n", encoding="utf-8")
+    told = figures(lab, capsys, *way)
+    drive = read_drive(lab / "drive.h5")
+    rms_v = np.sqrt(np.mean(drive.drive_v**2, axis=1))
+    assert rms_v.max() == pytest.approx(2e-3, rel=1e-9)
+    assert (told["limited_by"], told["limiting_actuator"]) == ("limit_rms_v", int(np.argmax(rms_v)))
+    assert np.allclose(drive.drive_v, drive.scale * free_v, rtol=1e-12, atol=0)
+    told = figures(lab, capsys, *way, "--rig", str(lab / "rig.toml"))
+    rms_v = np.sqrt(np.mean(read_drive(lab / "drive.h5").drive_v ** 2, axis=1))
+    assert rms_v.max() == pytest.approx(1e-3, rel=1e-9)
+    assert told["scale"] == pytest.approx(drive.scale / 2, rel=1e-9)
+
+
+def test_given_the_inverse_filter_then_its_condition_is_told(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = figures(lab, capsys, "--focusing", "inverse", "--regularisation-db", "-40")
+    assert told["method"] == "inverse-filter"
+    assert told["regularisation_db"] == -40.0
+    assert told["condition"] > told["regularised_condition"] > 1.0
+    assert 0 < told["misfit"] < 1
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (("--regularisation-db", "-20"), "--regularisation-db"),
+        (("--focusing", "inverse", "--method", "exact"), "--method"),
+        (("--focusing", "inverse", "--tolerance-db", "-60"), "--tolerance-db"),
+        (("--focusing", "inverse", "--interpolation-tolerance", "0.1"), "--interpolation-tolerance"),
+        (("--focusing", "inverse", "--regularisation-db", "3"), "regularisation_db"),
+        (("--interpolation-tolerance", "0.0001"), "scene.toml"),
+        (("--rig", "virtual"), "actuators"),
+    ],
+)
+def test_given_options_that_do_not_go_together_then_one_sentence_names_them(
+    lab: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], named: str
+) -> None:
+    assert render(lab, *options) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert named in told[-1]
+    assert not (lab / "drive.h5").exists()
+
+
+@pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
+@pytest.mark.parametrize("normalise", ["true", "false"])
+def test_given_a_picture_then_it_shows_the_scene_before_and_after_snapping(
+    lab: Path, interpolation: str, normalise: str
+) -> None:
+    text = f'{SCENE}normalise = {normalise}\n\n[output]\ninterpolation = "{interpolation}"\n'
+    (lab / "scene.toml").write_text(text, encoding="utf-8")
+    assert render(lab, "--picture", str(lab / "scene.png")) == 0
+    with Image.open(lab / "scene.png") as picture:
+        colours = {colour for _, colour in picture.convert("RGB").getcolors(1 << 24)}
+        assert picture.width > 2000
+    assert len(colours) > 50
+    near = [min(max(abs(a - b) for a, b in zip(one, colour, strict=True)) for one in colours) for colour in
+            ((0, 114, 178), (213, 94, 0))]  # fmt: skip
+    assert max(near) < 24  # both sources are there in their colours
+
+
+def test_given_a_field_then_the_movie_command_draws_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = figures(lab, capsys)
+    bank = ["--bank", str(lab / "bank.h5")]
+    assert run(["predict", str(lab / "drive.h5"), *bank, "--out", str(lab / "field.h5")]) == 0
+    draw = ["movie", str(lab / "field.h5"), *bank, "--drive", str(lab / "drive.h5"), "--json"]
+    files = ["--out", str(lab / "field.gif"), "--snapshots", str(lab / "foci.png")]
+    assert run([*draw, *files, "--slow", "5", "--width-px", "300"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    with Image.open(lab / "field.gif") as gif, Image.open(lab / "foci.png") as picture:
+        assert gif.n_frames == told["frames"] > 5
+        assert gif.width == 300
+        assert picture.width > 1000
+    assert told["slowed"] == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ((), "--out"),
+        (("--snapshots", "foci.png"), "--drive"),
+        (("--out", "nowhere/field.gif"), "there is no folder"),
+        (("--out", "field.gif", "--from-s", "9"), "nothing to show"),
+    ],
+)
+def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(
+    lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], named: str
+) -> None:
+    monkeypatch.chdir(lab)
+    assert render(lab) == 0
+    assert run(["predict", "drive.h5", "--bank", "bank.h5", "--out", "field.h5"]) == 0
+    assert run(["movie", "field.h5", "--bank", "bank.h5", *options]) == 2
+    assert named in capsys.readouterr().err.splitlines()[-1]
+    assert not list(lab.glob("*.gif"))

@@ -1,0 +1,139 @@
+"""Movies and snapshots of fields: which instants they show, and what the files hold."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from calibration.drive_file import Drive
+from calibration.errors import InputError
+from calibration.field_file import Field, write_field
+from calibration.field_rows import FieldRowReader
+from rendering.green_source import GreenArray
+from rendering.movie import snapshots, surface_of, write_movie
+from rendering.movie_frames import Foci, colour_limit, plan_frames, read_frames
+
+RATE_HZ, START_S, SAMPLES = 1000.0, -0.05, 400
+PLACES_MM = np.array([[x, y] for y in (0.0, 4.0, 8.0) for x in (0.0, 4.0, 8.0, 12.0)])
+
+
+def bank() -> GreenArray:
+    return GreenArray(np.ones((12, 2, 51)), PLACES_MM, RATE_HZ, actuator_mm=np.array([[20.0, 4.0], [np.nan, np.nan]]))
+
+
+def drive() -> Drive:
+    """Two sources: one moves over rows 4, 5, 6 every 40 ms, the other focuses once on row 11 at 0.15 s."""
+    return Drive(
+        drive_v=np.zeros((2, 300)), sample_rate_hz=RATE_HZ, start_s=START_S, method="sampled", scale=1.0,
+        omitted_bound=0.0, focus_sample=np.array([60, 100, 140, 150]), focus_position=np.array([4, 5, 6, 11]),
+        focus_source=np.array([0, 0, 0, 1]),
+    )  # fmt: skip
+
+
+def values() -> np.ndarray:
+    """Row k is k + 1 all the time, but peaks of 100 where the foci of rows 4 and 6 are, somewhat late."""
+    field = np.tile(np.arange(1.0, 13.0, dtype=np.float32)[:, None], (1, SAMPLES))
+    field[4, 60 + 50 + 7] = -100.0
+    field[6, 140 + 50 + 3] = 100.0
+    return field
+
+
+@pytest.fixture
+def field_file(tmp_path: Path) -> Path:
+    write_field(tmp_path / "field.h5", Field(values(), np.arange(12), RATE_HZ, START_S, "m/s"))
+    return tmp_path / "field.h5"
+
+
+def test_given_foci_then_the_movie_is_of_them_and_of_what_was_asked_for_else(field_file: Path) -> None:
+    with FieldRowReader(field_file) as field:
+        plan = plan_frames(field, drive())
+        assert plan.sample[0] == 60 + 50 - 20
+        assert plan.sample[-1] == 150 + 50 + 20
+        assert plan.slowed == pytest.approx(RATE_HZ / 25)
+        whole = plan_frames(field, None, frame_rate_hz=10.0)
+        assert (whole.sample[0], whole.sample[-1]) == (0, SAMPLES - 2)
+        some = plan_frames(field, drive(), from_s=0.0, to_s=0.1, slow=10.0, frame_rate_hz=20.0)
+        assert some.sample.tolist() == list(range(50, 151, 5))
+        assert some.slowed == pytest.approx(10.0)
+        with pytest.raises(InputError, match="nothing to show"):
+            plan_frames(field, None, from_s=5.0)
+        with pytest.raises(InputError, match="lower --slow"):
+            plan_frames(field, None, slow=1e5)
+
+
+def test_given_a_field_then_frames_hold_it_and_the_scale_goes_to_the_largest_focus(field_file: Path) -> None:
+    sample = np.array([0, 117, 193])
+    with FieldRowReader(field_file) as field:
+        frames = read_frames(field, sample)
+        seen = Foci.of(drive()).seen(field)
+    assert np.array_equal(frames, values()[:, sample].T)
+    assert seen.focus.tolist() == [0, 1, 2, 3]
+    assert seen.sample[[0, 2]].tolist() == [117, 193]
+    assert seen.peak.tolist() == [100.0, 6.0, 100.0, 12.0]
+    assert colour_limit(frames, seen) == 100.0
+    assert colour_limit(frames, None) <= 100.0
+    assert colour_limit(np.zeros((2, 3), np.float32), None) == 1.0
+
+
+def test_given_an_instant_then_each_source_is_at_its_last_focus_as_long_as_it_lasts() -> None:
+    foci = Foci.of(drive())
+    assert [foci.at(time_s).tolist() for time_s in (0.05, 0.06, 0.11, 0.155, 0.175, 0.2)] == [
+        [], [4], [5], [6, 11], [6], [],
+    ]  # fmt: skip
+
+
+def test_given_a_movie_then_the_gif_has_its_frames_and_colours(field_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "field.gif"
+    with FieldRowReader(field_file) as field:
+        surface = surface_of(bank(), drive(), None)
+        plan = plan_frames(field, drive(), from_s=0.0, to_s=0.1, slow=10.0, frame_rate_hz=20.0)
+        limit = write_movie(out, field, surface, drive(), plan, width_px=400)
+    assert limit == 100.0
+    with Image.open(out) as gif:
+        assert (gif.n_frames, gif.width, gif.info["duration"], gif.info["loop"]) == (21, 400, 50, 0)
+        pictures = []
+        for frame in range(gif.n_frames):
+            gif.seek(frame)
+            pictures.append(np.asarray(gif.convert("RGB"), dtype=int))
+    # Row 4 has its trough in sample 117, which no frame shows: all the map is nearly white, but labels move on.
+    assert all(np.any(one != other) for one, other in itertools.pairwise(pictures))
+
+
+def test_given_a_peak_then_its_cell_is_red_and_a_trough_blue(field_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "field.gif"
+    blue, red = np.array([5, 48, 97]), np.array([103, 0, 31])  # the ends of the colour map
+    seen = []
+    with FieldRowReader(field_file) as field:
+        surface = surface_of(bank(), None, None)
+        plan = plan_frames(field, None, from_s=0.067, to_s=0.143, slow=0.5, frame_rate_hz=1000 / 38)
+        write_movie(out, field, surface, None, plan, width_px=400, limit=90.0)
+    with Image.open(out) as gif:
+        for frame in range(gif.n_frames):
+            gif.seek(frame)
+            cells = np.asarray(gif.convert("RGB"), dtype=int)[:, 52:300]
+            seen.append([int((np.abs(cells - colour).max(axis=2) < 12).sum()) for colour in (blue, red)])
+    assert len(seen) == 2
+    assert seen[0][0] > 500 > seen[0][1]
+    assert seen[1][1] > 500 > seen[1][0]
+
+
+def test_given_snapshots_then_the_picture_is_drawn_and_a_field_without_foci_is_refused(
+    field_file: Path, tmp_path: Path
+) -> None:
+    with FieldRowReader(field_file) as field:
+        picture = snapshots(field, surface_of(bank(), drive(), None), drive(), most=3)
+    assert picture.png.startswith(b"\x89PNG")
+    assert (picture.width_px, picture.height_px) > (1000, 200)
+    write_field(tmp_path / "other.h5", Field(values()[:2], np.arange(2), RATE_HZ, START_S, "m/s"))
+    with FieldRowReader(tmp_path / "other.h5") as field, pytest.raises(InputError, match="holds no focus"):
+        snapshots(field, surface_of(bank(), drive(), None), drive())
+
+
+def test_given_a_file_that_is_no_field_then_it_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "no.h5").write_text("nothing", encoding="utf-8")
+    with pytest.raises(InputError, match=r"no\.h5"), FieldRowReader(tmp_path / "no.h5"):
+        pass

@@ -1,0 +1,103 @@
+"""The hidden folder where a file is made: gone afterwards, and what a killed maker left of it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from calibration.workplace import clear_leftovers, workplace
+
+
+def leftover(path: Path, name: str = "dead", **files: bytes) -> Path:
+    """What a maker that was killed left beside `path`."""
+    folder = path.with_name(f".{path.name}.{name}.partial")
+    folder.mkdir()
+    for key, content in files.items():
+        (folder / {"made": path.name}.get(key, key)).write_bytes(content)
+    return folder
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def test_given_a_workplace_then_it_is_gone_afterwards(tmp_path: Path) -> None:
+    with workplace(tmp_path / "bank.h5") as place:
+        place.temporary.write_bytes(b"half")
+        assert place.temporary.parent.parent == tmp_path
+    assert names(tmp_path) == []
+
+
+def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path: Path) -> None:
+    def fail() -> None:
+        with workplace(tmp_path / "bank.h5") as place:
+            place.temporary.write_bytes(b"half")
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        fail()
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("files", [{}, {"owner": b""}, {"owner": b"", "made": b"half"}, {"made": b"half"}])
+def test_given_what_a_killed_maker_left_then_it_is_removed(tmp_path: Path, files: dict[str, bytes]) -> None:
+    leftover(tmp_path / "bank.h5", **files)
+    clear_leftovers(tmp_path / "bank.h5")
+    assert names(tmp_path) == []
+
+
+def test_given_a_maker_that_lives_then_its_folder_stays(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    with workplace(path) as place:
+        place.temporary.write_bytes(b"half")
+        clear_leftovers(path)
+        assert place.temporary.read_bytes() == b"half"
+
+
+def test_given_folders_of_others_then_they_stay(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    with_more = leftover(path, "more", owner=b"", made=b"half", notes=b"mine")
+    of_another = leftover(tmp_path / "bank.h5.old", owner=b"", made=b"half")
+    clear_leftovers(path)
+    assert names(with_more) == ["bank.h5", "notes", "owner"]
+    assert names(of_another) == ["bank.h5.old", "owner"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs symbolic links")
+def test_given_a_link_to_elsewhere_then_it_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "bank.h5").write_bytes(b"precious")
+    (tmp_path / ".bank.h5.link.partial").symlink_to(tmp_path / "elsewhere")
+    clear_leftovers(tmp_path / "bank.h5")
+    assert names(tmp_path / "elsewhere") == ["bank.h5"]
+
+
+def test_given_a_name_that_was_claimed_and_not_filled_then_the_complete_file_takes_it(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    path.write_bytes(b"")
+    leftover(path, owner=b"complete", made=b"whole")
+    clear_leftovers(path)
+    assert path.read_bytes() == b"whole"
+    assert names(tmp_path) == ["bank.h5"]
+
+
+@pytest.mark.parametrize("note", [b"", b"complet"])
+def test_given_a_claimed_name_and_no_word_that_the_file_is_complete_then_it_does_not_take_it(
+    tmp_path: Path, note: bytes
+) -> None:
+    path = tmp_path / "bank.h5"
+    path.write_bytes(b"")
+    leftover(path, owner=note, made=b"ha")
+    clear_leftovers(path)
+    assert path.read_bytes() == b""
+    assert names(tmp_path) == ["bank.h5"]
+
+
+def test_given_a_file_of_that_name_then_a_complete_leftover_does_not_replace_it(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    path.write_bytes(b"precious")
+    leftover(path, owner=b"complete", made=b"whole")
+    clear_leftovers(path)
+    assert path.read_bytes() == b"precious"

@@ -1,0 +1,117 @@
+"""``wavefocus play`` on an emulated audio interface: what leaves its outputs, to the end and interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.drive_file import Drive, write_drive
+from mocks.wire.jack_server import JackServer
+from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding, wait_until
+
+pytestmark = [pytest.mark.long, *needs_audio_server]
+
+RATE_HZ = 48_000
+# The mirror and the recorder of this rig are nowhere: play needs neither.
+RIG = """
+[actuators]
+position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+
+[mirror]
+driver = "asi-tiger"
+port = "/nowhere"
+
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+address = "localhost:1"
+
+[player]
+driver = "sounddevice"
+host_api = "JACK Audio Connection Kit"
+device = "wavefocus interface"
+channels = [2, 0, 1]
+full_scale_v = 4.0
+limit_v = 3.0
+"""
+
+
+@pytest.fixture
+def server() -> Iterator[JackServer]:
+    with ExitStack() as stack:
+        yield AudioBench(stack).serve()
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    return tmp_path
+
+
+def write(lab: Path, drive_v: np.ndarray) -> None:
+    none = np.zeros(0, np.int64)
+    write_drive(lab / "drive.h5", Drive(drive_v, RATE_HZ, 0.0, "sampled", 1.0, 0.0, none, none, none))
+
+
+def start(lab: Path, server: JackServer, *options: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "wavefocus", "play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml")]
+    environment = {**os.environ, **server.environment}
+    return subprocess.Popen([*command, *options], env=environment, stderr=subprocess.PIPE, text=True)
+
+
+def heard_now(server: JackServer, seconds: float = 0.1) -> np.ndarray:
+    now = int(server.played.frame_at(time.monotonic_ns()))
+    return server.played.read(now - round(seconds * RATE_HZ), now)
+
+
+def test_given_a_loop_then_every_sample_leaves_its_output_twice_without_a_gap(lab: Path, server: JackServer) -> None:
+    drive_v = np.random.default_rng(1).uniform(0.5, 2.0, (3, RATE_HZ // 2))
+    write(lab, drive_v)
+    meant = np.tile(drive_v[[1, 2, 0]] / 4.0, (1, 2)).astype(np.float32)
+    for _ in range(10):  # a machine that is too busy makes an underflow, which ends in 3 and says so
+        begun = int(server.played.frame_at(time.monotonic_ns()))
+        with start(lab, server, "--loop", "2") as child:
+            told = child.communicate(timeout=60)[1]
+        if child.returncode == 0:
+            break
+        assert child.returncode == 3
+        assert "underflow" in told
+    assert child.returncode == 0, told
+    heard = sounding(server.played.read(begun, int(server.played.frame_at(time.monotonic_ns()))))
+    np.testing.assert_array_equal(heard[:3], meant)
+    assert not heard[3:].any()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_given_a_signal_then_the_outputs_fall_silent_and_it_ends_in_130(
+    lab: Path, server: JackServer, number: signal.Signals
+) -> None:
+    write(lab, np.full((3, 60 * RATE_HZ), 1.0))
+    with start(lab, server) as child:
+        wait_until(lambda: heard_now(server).any(), "the drive sounds")
+        child.send_signal(number)
+        told = child.communicate(timeout=60)[1]
+    assert child.returncode == 130, told
+    assert "Traceback" not in told
+    assert told.splitlines()[-1] == "stopped by the user; the outputs are muted"
+    assert not heard_now(server).any()
+
+
+def test_given_an_interface_that_is_lost_then_it_ends_in_3_and_says_what_to_do(lab: Path, server: JackServer) -> None:
+    write(lab, np.full((3, 60 * RATE_HZ), 1.0))
+    with start(lab, server) as child:
+        wait_until(lambda: heard_now(server).any(), "the drive sounds")
+        server.kill()
+        told = child.communicate(timeout=60)[1]
+    assert child.returncode == 3, told
+    assert "Traceback" not in told
+    assert "reconnect" in told.splitlines()[-1]

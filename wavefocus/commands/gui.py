@@ -1,0 +1,58 @@
+"""``wavefocus gui``: opens the window."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gui.front_door import FrontDoor, Pulse
+from gui.start import open_window
+from wavefocus.beside import raw_path
+from wavefocus.event_log import log_path
+from wavefocus.heartbeat import SILENT_AFTER_S, read_heartbeat
+
+if TYPE_CHECKING:
+    from rendering.report_drift import DriftPoint
+
+
+def gui(files: Sequence[Path]) -> int:
+    """Show the window until it is closed.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Run files and banks to open.
+
+    Raises
+    ------
+    InputError
+        There is no display, Qt cannot be loaded, or the system has no font.
+    """
+    return open_window(front_door(), files)
+
+
+def front_door() -> FrontDoor:
+    """What the window needs to know of the command line."""
+    return FrontDoor(
+        command=(sys.executable, "-m", "wavefocus"),
+        log_path=log_path,
+        raw_path=raw_path,
+        said_path=lambda bank: bank.with_name(f"{bank.name}.said"),
+        read_drift=_drift,
+        read_pulse=_pulse,
+    )
+
+
+def _drift(bank: Path) -> list[DriftPoint]:
+    from wavefocus.drift_history import read_drift  # in the window's own time: it draws pictures, too
+
+    return read_drift(bank)
+
+
+def _pulse(bank: Path) -> Pulse | None:
+    beat = read_heartbeat(bank)
+    if beat is None:
+        return None
+    return Pulse(beat.at, beat.pid, beat.state, beat.reason, beat.position, beat.age_s() > SILENT_AFTER_S)
