@@ -71,6 +71,8 @@ class LiveDrive:
     """Samples of the whole drive."""
     start_s: float
     """Time of the first one."""
+    sample_rate_hz: float
+    actuators: int
     latency_samples: int
     """How much later than a drive sample the source samples may be that it is made of, lead-in included."""
 
@@ -106,11 +108,13 @@ class LiveDrive:
                 transform=partial(source.fft_samples, actuators=bank.actuators, multiple=MULTIPLE if tolerance else 1),
                 tolerance=tolerance,
                 live=True,
+                expected_rows=source.expected_rows,
             )
             for source in sources
         ]
         self._naming = [source.naming for source in sources]
         self.samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
+        self.sample_rate_hz, self.actuators = float(bank.sample_rate_hz), bank.actuators
         self.start_s = -(bank.taps - 1) / float(bank.sample_rate_hz)
         self.latency_samples = 2 * max(maker.block_samples for maker in self._makers)
 

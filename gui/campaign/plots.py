@@ -240,10 +240,9 @@ def thinned(x: Real, y: Real) -> tuple[Real, Real]:
     if step < 2:
         return x, y
     used = len(y) // step * step
-    both: Real
     blocks = y[:used].reshape(-1, step)
-    both = np.stack([blocks.min(axis=1), blocks.max(axis=1)], axis=1).reshape(-1)
-    twice: Real = np.repeat(x[:used:step], 2)
+    both = np.asarray(np.stack([blocks.min(axis=1), blocks.max(axis=1)], axis=1).reshape(-1), np.float64)
+    twice = np.asarray(np.repeat(x[:used:step], 2), np.float64)
     return twice, both
 
 

@@ -46,7 +46,7 @@ MISTAKES = [
     ("[grid]\nspacing_m = 4", "grid.spacing_m = 4: unknown key; did you mean spacing_mm?"),
     ("[grid]\nspacing = 4", "grid.spacing = 4: unknown key; did you mean spacing_mm?"),
     ("[grid]\ntaps = 4", "grid.taps = 4: unknown key; it belongs to [capture]"),
-    ("[grid]\ncolour = 4", "grid.colour = 4: unknown key; allowed: spacing_mm, margin_mm, positions_file"),
+    ("[grid]\ncolour = 4", "grid.colour = 4: unknown key; allowed: lattice, spacing_mm, margin_mm, positions_file"),
     ("taps = 4", "taps = 4: unknown key; it belongs to [capture]"),
     ("[gird]\nspacing_mm = 4", "gird = { spacing_mm }: unknown key; did you mean grid?"),
     ("grid = 4", "grid = 4: must be a table"),

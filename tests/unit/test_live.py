@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+import soundfile
 
 from calibration.errors import InputError
 from rendering.drive import render_with_report
@@ -14,6 +15,8 @@ from rendering.live import LiveDrive
 from rendering.paths import Circle, Line, Point
 from rendering.scene import Output, Scene, Source
 from rendering.signals import Noise, Sine
+from rendering.wav import write_wav
+from rendering.wav_stream import stream_wav
 
 RATE_HZ = 1000.0
 MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)
@@ -75,3 +78,27 @@ def test_a_drive_beyond_the_limit_is_refused_and_a_gain_keeps_it_below():
 def test_what_cannot_be_given_out_is_refused(options):
     with pytest.raises(InputError):
         LiveDrive(Scene("s", (MOVING,)), make_bank(), **options)
+
+
+@pytest.mark.parametrize("interface_rate_hz", [1000, 4800, 44_100])
+@pytest.mark.parametrize("block_samples", [97, 4096])
+def test_a_streamed_wav_is_the_whole_one(tmp_path, monkeypatch, interface_rate_hz, block_samples):
+    monkeypatch.setattr("rendering.wav_stream.CHUNK_SAMPLES", 128)
+    scene = Scene("s", (MOVING, REPEATING))
+    whole, _ = render_with_report(scene, make_bank())
+    scale_v = 1.1 * float(np.abs(whole.drive_v).max())
+    write_wav(tmp_path / "a.wav", whole.drive_v, RATE_HZ, interface_rate_hz=interface_rate_hz, full_scale_v=scale_v)
+    live = LiveDrive(scene, make_bank(), block_samples=block_samples)
+    stream_wav(tmp_path / "b.wav", live, interface_rate_hz=interface_rate_hz, full_scale_v=scale_v)
+    expected, rate_hz = soundfile.read(tmp_path / "a.wav")
+    found, _ = soundfile.read(tmp_path / "b.wav")
+    assert rate_hz == interface_rate_hz
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-7)
+
+
+def test_a_streamed_wav_beyond_full_scale_is_refused_and_leaves_no_file(tmp_path):
+    with pytest.raises(InputError, match="beyond the interface's full scale"):
+        stream_wav(
+            tmp_path / "b.wav", LiveDrive(Scene("s", (MOVING,)), make_bank()), interface_rate_hz=1000, full_scale_v=1e-9
+        )
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,180 @@
+"""Work spread over a dask cluster: parts in, results out in their order, a bounded number of them under way."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+from calibration.errors import InputError, WavefocusError
+from calibration.raw_estimation import PositionResult
+from wavefocus.console import say
+
+Part = TypeVar("Part")
+Result = TypeVar("Result")
+
+LOCAL = "local"
+CONNECTING_S = 20.0
+PARTS_PER_THREAD = 2
+"""Under way at a time: one that is worked on, one that waits for it."""
+POSITIONS_AT_ONCE = 4
+
+
+@contextmanager
+def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
+    """Connect to a cluster, or start one of processes on this machine.
+
+    Parameters
+    ----------
+    address : str
+        ``"tcp://HOST:8786"`` of a scheduler, or ``"local"``.
+    workers : int, optional
+        Processes of a local cluster; by default one per processor.
+
+    Yields
+    ------
+    distributed.Client
+
+    Raises
+    ------
+    InputError
+        Dask is missing, or no scheduler answers at the address.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise InputError(f"--cluster needs dask ({error}): pip install 'wavefocus[cluster]'") from None
+    with ExitStack() as opened:
+        try:
+            if address == LOCAL:
+                where = opened.enter_context(
+                    distributed.LocalCluster(  # type: ignore[no-untyped-call]
+                        n_workers=workers or os.cpu_count() or 1,
+                        threads_per_worker=1,
+                        dashboard_address=None,
+                        silence_logs=logging.CRITICAL,
+                    )
+                )
+            else:
+                where = address
+            client = opened.enter_context(
+                distributed.Client(where, timeout=CONNECTING_S, set_as_default=False)  # type: ignore[no-untyped-call]
+            )
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(f"--cluster {address}: no scheduler answers there: {error}") from None
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise InputError(f"--cluster {address}: the scheduler there has no worker; start some with: dask worker")
+        say(f"cluster {address}: {len(client.nthreads())} workers, {threads} threads")
+        yield client
+
+
+def spread(
+    client: Any, function: Callable[[Part], Result], parts: Iterable[Part], *, stopped: str = "the work"
+) -> Iterator[Result]:
+    """Carry out a function on the cluster for every part, and give the results in the parts' order.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        The cluster.
+    function : callable
+        Of a module that the workers have too.
+    parts : iterable
+        Small, for they travel.
+    stopped : str
+        What failed, for messages.
+
+    Raises
+    ------
+    InputError
+        A worker raised it.
+    WavefocusError
+        Workers were lost, again and again.
+    """
+    under_way: deque[Any] = deque()
+    most = PARTS_PER_THREAD * max(1, sum(client.nthreads().values()))
+    try:
+        for part in parts:
+            under_way.append(client.submit(function, part, pure=False))
+            if len(under_way) >= most:
+                yield _result(under_way.popleft(), stopped)
+        while under_way:
+            yield _result(under_way.popleft(), stopped)
+    finally:
+        if under_way:
+            client.cancel(list(under_way), force=True)
+
+
+def estimate_on_cluster(
+    address: str, raw: Path, positions: Sequence[int], workers: int | None
+) -> Iterator[PositionResult]:
+    """Estimate positions on a cluster, in their order; each by itself, so that it is the same as here.
+
+    Parameters
+    ----------
+    address, workers
+        As of `cluster_client`.
+    raw : Path
+        The file of recordings, which all workers have at the same path.
+    positions : sequence of int
+        Rows of the file.
+    """
+    from wavefocus.cluster_tasks import estimated_part, identity_of
+
+    file = identity_of(raw)
+    parts = [
+        (file, list(positions[first : first + POSITIONS_AT_ONCE]))
+        for first in range(0, len(positions), POSITIONS_AT_ONCE)
+    ]
+    with cluster_client(address, workers) as client:
+        for results in spread(client, _Spread(estimated_part), parts, stopped=f"estimating {raw}"):
+            yield from results
+
+
+class _Spread:
+    """Calls a function with a part's items."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    def __call__(self, part: tuple[Any, ...]) -> Any:
+        return self._function(*part)
+
+
+def field_on_cluster(client: Any, drive: Path, bank: Path, positions: Sequence[int], parts: Sequence[range]) -> Any:
+    """Predict the parts of a field on a cluster, in their order; float32 arrays (rows, samples).
+
+    Parameters
+    ----------
+    client : distributed.Client
+        The cluster.
+    drive, bank : Path
+        Files that all workers have at the same path.
+    positions : sequence of int
+        Bank rows of the field.
+    parts : sequence of range
+        Which rows are computed together.
+    """
+    from wavefocus.cluster_tasks import field_part, identity_of
+
+    files, index = (identity_of(drive), identity_of(bank)), [int(one) for one in positions]
+    tasks = ((*files, index, (part.start, part.stop)) for part in parts)
+    return spread(client, _Spread(field_part), tasks, stopped=f"predicting {drive}")
+
+
+def _result(future: Any, stopped: str) -> Any:
+    import distributed
+
+    try:
+        return future.result()
+    except WavefocusError:
+        raise
+    except (distributed.KilledWorker, distributed.client.FutureCancelledError) as error:
+        raise WavefocusError(
+            f"{stopped}: workers of the cluster were lost: {error}; look at their logs, and start it again"
+        ) from None

@@ -1,0 +1,106 @@
+"""What a worker of a cluster does: some rows of a field, some positions of raw recordings.
+
+Workers open files by their path, once for all tasks, and hold BLAS to one thread, as every command does.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.bank import open_bank
+from calibration.blas import one_blas_thread
+from calibration.drive_file import read_drive
+from calibration.errors import InputError
+from calibration.position_estimator import PositionEstimator
+from calibration.raw_estimation import PositionResult, estimate_positions
+from calibration.raw_file import RawFile, open_raw
+from rendering.prediction import Prediction
+from wavefocus.raw_estimator import estimator_for, own_plan
+
+Identity = tuple[str, int, int]
+"""A file as all machines must see it: path, bytes, when it was changed last in ns."""
+
+
+def identity_of(path: Path) -> Identity:
+    """A file's identity, to be compared on another machine."""
+    facts = path.stat()
+    return str(path.absolute()), facts.st_size, facts.st_mtime_ns
+
+
+def field_part(drive: Identity, bank: Identity, positions: Sequence[int], rows: tuple[int, int]) -> NDArray[np.float32]:
+    """Predict rows of a field as one part, computed in float64 and rounded once.
+
+    Parameters
+    ----------
+    drive, bank : tuple
+        The files.
+    positions : sequence of int
+        Bank rows of the whole field, by which its parts are cut.
+    rows : tuple of int
+        First row and the one after the last.
+
+    Returns
+    -------
+    float32 array, shape (rows, samples)
+
+    Raises
+    ------
+    InputError
+        This machine does not have the files.
+    """
+    prediction = _prediction(_here(drive), _here(bank), tuple(positions))
+    with one_blas_thread():
+        return prediction.part(range(*rows)).astype(np.float32)
+
+
+def estimated_part(raw: Identity, positions: Sequence[int]) -> list[PositionResult]:
+    """Estimate some positions of raw recordings.
+
+    Parameters
+    ----------
+    raw : tuple
+        The file.
+    positions : sequence of int
+        Rows of the file.
+
+    Raises
+    ------
+    InputError
+        This machine does not have the file, or recordings in it cannot be used.
+    """
+    recordings, estimator = _recordings(_here(raw))
+    with one_blas_thread():
+        return list(estimate_positions(recordings, estimator, positions, 1))
+
+
+def _here(file: Identity) -> Identity:
+    path = Path(file[0])
+    if not path.exists():
+        raise InputError(f"cluster worker {_name()}: {path} does not exist there; workers need the same files by path")
+    if identity_of(path)[1] != file[1]:
+        raise InputError(f"cluster worker {_name()}: {path} is another file there, it has {path.stat().st_size} bytes")
+    return file
+
+
+def _name() -> str:
+    return f"{socket.gethostname()} (process {os.getpid()})"
+
+
+# One scene and one bank at a time; the next one takes its place. A bank that is dropped closes its file.
+@lru_cache(maxsize=1)
+def _prediction(drive: Identity, bank: Identity, positions: tuple[int, ...]) -> Prediction:
+    return Prediction(read_drive(drive[0]), open_bank(bank[0]), positions, dtype=np.float64)
+
+
+@lru_cache(maxsize=1)
+def _recordings(raw: Identity) -> tuple[RawFile, PositionEstimator]:
+    recordings = open_raw(raw[0])
+    with one_blas_thread():
+        return recordings, estimator_for(recordings, own_plan(recordings.header, Path(raw[0])))
