@@ -257,6 +257,7 @@ class Campaign:
                 self._setup,
                 self._plan.quality,
                 self._plan.position_mm[attempt.position],
+                joint=self._plan.staggered is not None,
             )
             self._session.repeat(result, following)
             self._queue.appendleft(following)

@@ -26,7 +26,14 @@ FUTILE_IN_A_ROW = 10
 
 
 def next_attempt(
-    attempt: Attempt, judgement: Judgement, earlier: Status, setup: Setup, limits: QualityLimits, place_mm: Float64Array
+    attempt: Attempt,
+    judgement: Judgement,
+    earlier: Status,
+    setup: Setup,
+    limits: QualityLimits,
+    place_mm: Float64Array,
+    *,
+    joint: bool = False,
 ) -> Attempt:
     """The try after one that was not good enough.
 
@@ -47,6 +54,8 @@ def next_attempt(
         How far a step aside is.
     place_mm : float64 array, shape (2,)
         The position.
+    joint : bool
+        Whether several actuators sound in a record: then one loss shows in all of them, and is tried again in place.
 
     Returns
     -------
@@ -57,7 +66,7 @@ def next_attempt(
         used_v = attempt.response_range_v or setup.range_v[1]
         larger_v = min((one for one in setup.response_ranges_v if one > used_v * (1 + 1e-9)), default=used_v)
         following = replace(following, response_range_v=larger_v)
-    dark = any(defect.cure is Cure.MOVE for defect in judgement.defects)
+    dark = not joint and any(defect.cure is Cure.MOVE for defect in judgement.defects)
     again = judgement.status & earlier & Status.POOR_SIGNAL and any(
         defect.cure in (Cure.MOVE, Cure.REPEAT) and not defect.over_range for defect in judgement.defects
     )

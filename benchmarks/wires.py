@@ -43,6 +43,7 @@ from drivers.protocols import Float64Array, Instruments, Take
 from mocks.settings import VirtualSettings
 
 MARK_OVERHEAD_S = 0.150
+MARK_WALL_OVER_SOUNDING = 1.03
 MARK_RATIO_PPM = 0.1
 MARK_OFFSET_SAMPLES = 0.01
 ACTUATOR_MM = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (20.0, -60.0))
@@ -53,6 +54,11 @@ RATE_HZ = 10_000.0
 INTERFACE_RATE_HZ = 48_000
 TAPS = 2000
 FULL_SCALE_V = 5.0
+PERIOD_FRAMES = 4096
+"""Of the audio server: the emulated interface never runs dry on a busy machine, and answers late."""
+QUICK_PERIOD_FRAMES = 1024
+POST_ROLL_S = 0.4
+QUICK_POST_ROLL_S = 0.1
 
 
 def settings() -> VirtualSettings:
@@ -76,7 +82,7 @@ def excitation(sweep_s: float, averages: int) -> Excitation:
 # -- the far sides ------------------------------------------------------------------------------------------------
 
 
-def serve_far_sides() -> None:
+def serve_far_sides(period_frames: int) -> None:
     """Be the far sides until standard input ends; a line asks for the starts that were heard since the last."""
     from mocks.wire.emulated_rig import EmulatedRig, Wiring
 
@@ -89,6 +95,7 @@ def serve_far_sides() -> None:
         ni_address="localhost:0",
         full_scale_v=(FULL_SCALE_V,) * virtual.player_channels,
         interface_rate_hz=INTERFACE_RATE_HZ,
+        period_frames=period_frames,
     )
     with EmulatedRig(virtual, wiring) as sides:
         places = {"mirror": sides.mirror.address, "recorder": sides.recorder.address}
@@ -101,9 +108,9 @@ def serve_far_sides() -> None:
 class FarSides:
     """The far sides in a process of their own."""
 
-    def __init__(self) -> None:
+    def __init__(self, period_frames: int = PERIOD_FRAMES) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.wires", "--far-sides"],
+            [sys.executable, "-m", "benchmarks.wires", "--far-sides", str(period_frames)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -130,7 +137,7 @@ class FarSides:
 
 
 @contextmanager
-def opened(sides: FarSides) -> Iterator[Setup]:
+def opened(sides: FarSides, post_roll_s: float = POST_ROLL_S) -> Iterator[Setup]:
     """Production drivers on the far sides."""
     virtual, clock = settings(), WallClock()
     mirror = SerialMirror(
@@ -167,7 +174,7 @@ def opened(sides: FarSides) -> Iterator[Setup]:
         range_v=(5.0, 10.0),
         response_per_volt=virtual.sensitivity_m_s_per_v,
         inter_channel_delay_s=1.4e-5,
-        post_roll_s=0.4,
+        post_roll_s=post_roll_s,
     )
     try:
         yield setup
@@ -180,6 +187,27 @@ def opened(sides: FarSides) -> Iterator[Setup]:
 
 def overheads_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArray[np.float64], int]:
     """Seconds from one position's start to the next beyond their records, and how many records were repeated."""
+    position_s, disturbed = positions_s(setup, positions, sweep)
+    samples = record_samples(setup, sweep.averages * sweep.period_samples, RATE_HZ)
+    return position_s - len(ACTUATOR_MM) * samples / RATE_HZ, disturbed
+
+
+def wall_over_sounding(positions: int, sweep: Excitation) -> NDArray[np.float64]:
+    """Wall time over the time in which sweeps and the silence after them play, for each undisturbed position.
+
+    The interface answers within four periods, so a record needs no long post-roll.
+    """
+    with (
+        closing(FarSides(QUICK_PERIOD_FRAMES)) as sides,
+        opened(sides, QUICK_POST_ROLL_S) as setup,
+    ):
+        position_s, _ = positions_s(setup, positions, sweep)
+    sounding_s = len(ACTUATOR_MM) * sweep.averages * sweep.period_samples / RATE_HZ
+    return position_s / sounding_s
+
+
+def positions_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArray[np.float64], int]:
+    """Seconds from one undisturbed position's start to the next, and of how many a record was repeated."""
     position_mm = np.column_stack([4.0 * np.arange(positions), np.zeros(positions)])
     plan = Plan(position_mm, np.array(ACTUATOR_MM), np.arange(positions), sweep, TAPS, "0" * 64)
     header = BankHeader(
@@ -212,11 +240,9 @@ def overheads_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArra
         create_bank(bank, header)
         with BankWriter.open(bank, plan_sha256=plan.sha256) as writer:
             Campaign(plan, setup, writer, note, StopRequest()).run()
-    samples = record_samples(setup, sweep.averages * sweep.period_samples, RATE_HZ)
-    records_s = len(ACTUATOR_MM) * samples / RATE_HZ
     # The last position has no next; one with a repeated record says nothing of the overhead.
     quiet = [row for row in range(positions - 1) if row not in disturbed and row + 1 in starts]
-    return np.array([starts[row + 1] - starts[row] - records_s for row in quiet]), len(disturbed)
+    return np.array([starts[row + 1] - starts[row] for row in quiet]), len(disturbed)
 
 
 def clock_errors(setup: Setup, sides: FarSides, records: int, sweep: Excitation) -> tuple[Float64Array, Float64Array]:
@@ -257,7 +283,9 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, object]:
     with closing(FarSides()) as sides, opened(sides) as setup:
         beyond_s, repeated = overheads_s(setup, positions, excitation(0.3, 1))
         ratio_ppm, offset = clock_errors(setup, sides, records, excitation(sweep_s, averages))
+    sounding = wall_over_sounding(3 if quick else 5, excitation(sweep_s, averages))
     figures: dict[str, object] = {
+        "wall_over_sounding": {"values": sounding.tolist(), "mark": MARK_WALL_OVER_SOUNDING},
         "overhead_s": {"median": float(np.median(beyond_s)), "worst": float(beyond_s.max()), "mark": MARK_OVERHEAD_S},
         "positions_with_a_repeated_record": repeated,
         "clock_ratio_ppm": {"rms": _rms(ratio_ppm), "worst": float(np.abs(ratio_ppm).max()), "mark": MARK_RATIO_PPM},
@@ -278,6 +306,9 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, object]:
     ):
         typical = float(np.median(values)) if "median" in words else _rms(values)
         print(f"{words:44}{scale * typical:12.4g}{scale * float(np.abs(values).max()):12.4g}{scale * mark:10.4g}")
+    shown = f"{np.median(sounding):12.4g}{sounding.max():12.4g}" if len(sounding) else f"{'disturbed':>24}"
+    words = f"wall over sounding time, {averages} x {sweep_s:g} s sweeps, median"
+    print(f"{words:44}{shown}{MARK_WALL_OVER_SOUNDING:10.4g}")
     print(f"positions of which a record was repeated (the audio server ran dry): {repeated}")
     return figures
 
@@ -289,9 +320,11 @@ def _rms(values: Float64Array) -> float:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--far-sides", action="store_true", help="be the far sides; used by the benchmark itself")
+    parser.add_argument(
+        "--far-sides", type=int, metavar="PERIOD_FRAMES", help="be the far sides; used by the benchmark itself"
+    )
     asked = parser.parse_args()
-    if asked.far_sides:
-        serve_far_sides()
+    if asked.far_sides is not None:
+        serve_far_sides(asked.far_sides)
     else:
         run(quick=asked.quick)

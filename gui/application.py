@@ -57,7 +57,7 @@ def show(front: FrontDoor, files: Sequence[Path]) -> int:
     for path in files:
         window.open_file(path)
     window.show()
-    former = signal.signal(signal.SIGTERM, lambda _number, _frame: window.close())
+    former = signal.signal(signal.SIGTERM, lambda _number, _frame: window.close_at_once())
     try:
         return int(application.exec_())
     finally:

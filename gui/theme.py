@@ -96,6 +96,8 @@ def put_on(application: QApplication, theme: Theme) -> None:
     pyqtgraph.setConfigOptions(background=theme.base, foreground=theme.text)
     application.setStyleSheet(
         f"QToolTip {{ color: {theme.text}; background: {theme.base}; border: 1px solid {theme.grid}; padding: 3px; }}"
+        f"QToolButton:checked {{ background: {theme.accent}; color: {theme.window}; border: 1px solid {theme.accent};"
+        " border-radius: 3px; padding: 3px 4px; }"
         f"QLabel[role='faint'] {{ color: {theme.faint}; }}"
         f"QLabel[role='strong'] {{ font-weight: 600; }}"
     )

@@ -31,6 +31,7 @@ from gui.unexpected import Unexpected
 
 DRAWS_EVERY_MS = 50
 _SIZE = (1280, 800)
+_MISHAPS_KEPT = 20
 
 
 class Window(QMainWindow):
@@ -59,6 +60,7 @@ class Window(QMainWindow):
         self._application = application
         self._system_palette = application.palette()
         self._may_close = False
+        self.mishaps: list[str] = []
         self._let_go = False
         put_on(application, theme_named(memory.text("theme", "system"), self._system_palette))
         self.tabs = make_tabs(self.desk)
@@ -109,6 +111,7 @@ class Window(QMainWindow):
         if not details:
             self.messages.fault(sentence)
             return
+        self.mishaps = [*self.mishaps[-_MISHAPS_KEPT:], details]
         clipboard = self._application.clipboard()
         self.messages.fault(sentence, ("Copy details", lambda: clipboard.setText(details) if clipboard else None))
 
@@ -135,9 +138,14 @@ class Window(QMainWindow):
         event.ignore()
         self.messages.ask(
             question.sentence,
-            *((word, partial(act, self._close_now)) for word, act in question.answers),
+            *((word, partial(act, self.close_at_once)) for word, act in question.answers),
             ("Do not close", lambda: None),
         )
+
+    def close_at_once(self) -> None:
+        """Close without a question; a run of this window's own goes on."""
+        self._may_close = True
+        self.close()
 
     def let_go(self) -> None:
         """End threads and timers; may be called twice."""
@@ -161,10 +169,6 @@ class Window(QMainWindow):
             event.acceptProposedAction()
             for path in _files(event):
                 self.open_file(path)
-
-    def _close_now(self) -> None:
-        self._may_close = True
-        self.close()
 
     def _make_menus(self) -> None:
         bar = self.menuBar()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from PIL.Image import Image
+    from PIL.Image import Image as Picture
 
 COLOURS = 256
 CENTISECONDS = 100
@@ -44,7 +44,7 @@ class GifStream:
 
         self._file = file
         self._delay = max(2, round(CENTISECONDS / frame_rate_hz))
-        self._palette: Image = Image.fromarray(palette_of).quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
+        self._palette: Picture = Image.fromarray(palette_of).quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
         colours = bytes(self._palette.getpalette() or b"").ljust(3 * COLOURS, b"\0")
         height, width = first.shape[:2]
         file.write(b"GIF89a" + struct.pack("<HHBBB", width, height, 0b1111_0111, 0, 0) + colours)

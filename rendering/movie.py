@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +122,7 @@ class _Stage:
         height_px = round(TOP_PX + height + BOTTOM_PX)
         self._size_px = (width_px, height_px)
         figure = Figure(figsize=(width_px / CSS_PPI, height_px / CSS_PPI), dpi=CSS_PPI)
-        self._canvas: Any = FigureCanvasAgg(figure)
+        self._canvas = cast(Any, FigureCanvasAgg(figure))
         axes = figure.add_axes(
             (LEFT_PX / width_px, BOTTOM_PX / height_px, map_px / width_px, height / height_px)
         )  # fmt: skip
@@ -142,6 +142,7 @@ class _Stage:
         told = _speed(plan.slowed)
         figure.text((LEFT_PX + map_px) / width_px, 1 - 20 / height_px, told, color=FAINT, ha="right", fontsize=9)
         self._axes: Axes = axes
+        self._figure: Any = figure
         moving = (self._cells, self._foci, self._time)
         for artist in moving:
             artist.set_animated(True)
@@ -153,8 +154,8 @@ class _Stage:
         """Draw one frame; uint8 (height, width, 3)."""
         time_s = self._field.start_s + int(self._plan.sample[frame]) / self._field.sample_rate_hz
         self._cells.set_array(self._factor * frames[frame])
-        rows = self._drive_foci.at(time_s) if self._drive_foci is not None else []
-        self._foci.set_data(*self._surface.position_mm[rows].reshape(-1, 2).T)
+        rows = np.empty(0, np.int64) if self._drive_foci is None else self._drive_foci.at(time_s)
+        self._foci.set_data(*self._surface.position_mm[rows].T)
         self._time.set_text(f"t = {1e3 * time_s:.1f} ms")
         self._canvas.restore_region(self._background)
         # Outline, actuators and paths lie above the cells, so that they are drawn anew with them.
@@ -162,7 +163,7 @@ class _Stage:
         for artist in sorted(self._still, key=lambda one: one.get_zorder()):
             self._axes.draw_artist(artist)
         self._axes.draw_artist(self._foci)
-        self._axes.figure.draw_artist(self._time)
+        self._figure.draw_artist(self._time)
         return np.array(self._canvas.buffer_rgba())[:, :, :3]
 
     def changing(self, pixels: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], int, int]:

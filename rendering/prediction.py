@@ -112,7 +112,7 @@ class Prediction:
         else:
             self._bank, reader = bank, RowReader(bank)
             if rate_hz is not None and rate_hz != bank.sample_rate_hz:
-                reader = low = LowRateRows(bank, rate_hz, keep=False)
+                reader = low = LowRateRows(bank, rate_hz)
                 decimation = low.decimation
             self._tolerance = tolerance_of(tolerance_db)
         self.start_s = drive.start_s
@@ -160,10 +160,21 @@ class Prediction:
             response_unit=self._bank.response_unit.removesuffix("/V"),
         )
 
+    def parts(self) -> list[range]:
+        """Which rows of the field are computed together; the last bits of a row depend on its part."""
+        count = len(self.position_index)
+        at_once = min(self._convolution.rows_at_once, max(LEAST_ROWS, -(-count // WORKERS)))
+        return [range(first, min(first + at_once, count)) for first in range(0, count, at_once)]
+
+    def respond(self, positions: Int64Array) -> RealArray:
+        """Compute some bank rows as one part, in the calling thread, (rows, samples)."""
+        with one_blas_thread():
+            response = self._convolution.respond(positions)
+        return response.field[:, self._skipped : self._skipped + self.samples]
+
     def _rows(self, whole: RealArray | None, on_progress: OnProgress | None) -> Iterator[FieldRows]:
         index = self.position_index
-        at_once = min(self._convolution.rows_at_once, max(LEAST_ROWS, -(-len(index) // WORKERS)))
-        parts = deque((first, index[first : first + at_once]) for first in range(0, len(index), at_once))
+        parts = deque((rows.start, index[rows.start : rows.stop]) for rows in self.parts())
         under_way: deque[tuple[int, Int64Array, Future[Response]]] = deque()
         with one_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:
             try:

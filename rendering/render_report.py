@@ -94,6 +94,11 @@ class RenderReport:
     tail: ResponseTail | None = None
 
     @property
+    def left_out_words(self) -> tuple[str, ...]:
+        """What was left out, a phrase each."""
+        return _left_out_words(self)
+
+    @property
     def scale(self) -> float:
         """What the limits did to the drive, 1 if nothing."""
         return self.limiting.scale
@@ -102,6 +107,22 @@ class RenderReport:
     def dynamic_range_db(self) -> float:
         """Largest over smallest rms of all actuators that are driven at all, in dB."""
         return dynamic_range_db(self.relative_rms_drive)
+
+
+def _left_out_words(report: RenderReport) -> tuple[str, ...]:
+    words = []
+    if report.kept_bins < report.bins:
+        words.append(f"{report.bins - report.kept_bins} of {report.bins} frequency bins")
+    words += [f"the last {taps} taps of source {index}" for index, taps in enumerate(report.left_out_taps) if taps]
+    words += [
+        f"actuator {_listed(list(some))} of source {index}"
+        for index, some in enumerate(report.left_out_actuators)
+        if some
+    ]
+    if report.left_out_pairs:
+        whole = report.left_out_pairs + report.pairs
+        words.append(f"{report.left_out_pairs} of {whole} stretches of the path that hardly emit")
+    return tuple(words)
 
 
 def report_render(

@@ -139,7 +139,7 @@ class BankSpectra:
         self.decimation = None
         self.reader = RowReader(bank)
         if rate_hz is not None and rate_hz != bank.sample_rate_hz:
-            self.reader = low = LowRateRows(bank, rate_hz, keep=False)
+            self.reader = low = LowRateRows(bank, rate_hz)
             self.decimation = low.decimation
         length = int(BLOCK_SHARE * self.reader.taps / MULTIPLE) + 1
         self.fft_samples = MULTIPLE * int(scipy_fft.next_fast_len(length, real=True))

@@ -20,6 +20,7 @@ from rendering.snapping import PositionGrid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import PolyCollection
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -143,7 +144,7 @@ def _draw_direction(axes: Axes, line_mm: Float64Array, colour: str) -> None:
 
 def _draw_snapped(
     axes: Axes, surface: Surface, sources: list[_Drawn], rows: Int64Array, scene: Scene, bank: GreenSource
-) -> tuple[object, str]:
+) -> tuple[PolyCollection, str]:
     draw_cells(axes, surface, np.arange(len(surface.position_mm)), colour="#eef1f4")
     gain = _gains(scene, bank, rows) if scene.regularisation.normalise else None
     if gain is not None:

@@ -17,10 +17,11 @@ from rendering.live import LiveDrive
 Float64Array = NDArray[np.float64]
 
 CHUNK_SAMPLES = 2**15
-"""About so many samples of drive are converted at a time."""
 
 
-def stream_wav(path: Path, live: LiveDrive, *, interface_rate_hz: int, full_scale_v: float) -> float:
+def stream_wav(
+    path: Path, live: LiveDrive, *, interface_rate_hz: int, full_scale_v: float, chunk_samples: int = CHUNK_SAMPLES
+) -> float:
     """Write the drives as `rendering.wav.write_wav` does, as they come.
 
     Parameters
@@ -33,6 +34,8 @@ def stream_wav(path: Path, live: LiveDrive, *, interface_rate_hz: int, full_scal
         Rate of the audio interface.
     full_scale_v : float
         Volts at the interface's output for the value 1.0.
+    chunk_samples : int
+        About so many samples of drive are converted at a time, > 0.
 
     Returns
     -------
@@ -58,7 +61,7 @@ def stream_wav(path: Path, live: LiveDrive, *, interface_rate_hz: int, full_scal
         with soundfile.SoundFile(
             path, "w", samplerate=interface_rate_hz, channels=live.actuators, subtype="FLOAT", format="WAV"
         ) as file:
-            for chunk in _chunks(live, around, down * max(1, CHUNK_SAMPLES // down)):
+            for chunk in _chunks(live, around, down * max(1, chunk_samples // down)):
                 count = min((chunk.shape[1] - 2 * around) * up // down, whole - written)
                 played_v = converted(chunk, ratio)[:, skipped : skipped + count]
                 peak_v = float(max(played_v.max(initial=0.0), -played_v.min(initial=0.0)))

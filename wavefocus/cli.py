@@ -41,6 +41,13 @@ class Focusing(StrEnum):
     INVERSE = "inverse"
 
 
+class ComputingDevice(StrEnum):
+    """Where ``predict`` computes."""
+
+    CPU = "cpu"
+    CUDA = "cuda"
+
+
 class ExportFormat(StrEnum):
     """What ``export`` writes."""
 
@@ -68,6 +75,7 @@ class Per(StrEnum):
 class Benchmark(StrEnum):
     """What ``bench`` measures."""
 
+    BANK = "bank"
     RENDER = "render"
     ESTIMATE = "estimate"
     INTERPOLATION = "interpolation"
@@ -92,6 +100,10 @@ WaitOption = Annotated[float, typer.Option("--wait-s", min=0, max=86_400, help="
 ScenesOption = Annotated[
     list[Path] | None,
     typer.Option("--scene", metavar="SCENE.toml", help="Only the positions that this scene needs; may be repeated."),
+]
+ClusterOption = Annotated[
+    str,
+    typer.Option("--cluster", metavar="ADDRESS", help="A dask scheduler, tcp://HOST:8786, or local: processes here."),
 ]
 NoChecksOption = Annotated[
     bool, typer.Option("--no-checks", help="With --scene: leave out the positions that only `verify` looks at.")
@@ -347,14 +359,16 @@ def estimate(
     raw: Annotated[Path, typer.Argument(metavar="RAW.h5", help="The file of raw recordings.")],
     bank: BankOption,
     workers: Annotated[
-        int | None, typer.Option("--workers", min=1, max=256, help="Threads; by default one per processor.")
+        int | None,
+        typer.Option("--workers", min=1, max=256, help="Threads, or processes of --cluster local; one per processor."),
     ] = None,
+    cluster: ClusterOption = "",
     json: JsonOption = False,
 ) -> None:
     """Green's functions from kept recordings; goes on where a stopped estimate left off."""
     from wavefocus.commands import estimate as command
 
-    command.estimate(raw, bank, workers, as_json=json)
+    command.estimate(raw, bank, workers, cluster=cluster, as_json=json)
 
 
 def _method_name(method: Method) -> Literal["sampled", "exact"]:
@@ -428,6 +442,10 @@ def predict(
     spectra: Annotated[
         bool, typer.Option("--spectra", help="Energy spectra alone, into an .npz file: far faster than the field.")
     ] = False,
+    cluster: ClusterOption = "",
+    device: Annotated[ComputingDevice, typer.Option("--device", help="cuda: on a GPU, through CuPy.")] = (
+        ComputingDevice.CPU
+    ),
     json: JsonOption = False,
 ) -> None:
     """Predict the field that a drive makes, from the bank."""
@@ -436,7 +454,10 @@ def predict(
     if spectra:
         command.predict_energy(drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, as_json=json)
         return
-    command.predict(drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, as_json=json)
+    command.predict(
+        drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, cluster=cluster, device=device.value,
+        as_json=json,
+    )  # fmt: skip
 
 
 @app.command()

@@ -19,6 +19,8 @@ Result = TypeVar("Result")
 
 LOCAL = "local"
 CONNECTING_S = 20.0
+DASHBOARD = "127.0.0.1:0"
+"""Any free port that this machine alone can reach."""
 PARTS_PER_THREAD = 2
 """Under way at a time: one that is worked on, one that waits for it."""
 POSITIONS_AT_ONCE = 4
@@ -55,7 +57,7 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
                     distributed.LocalCluster(  # type: ignore[no-untyped-call]
                         n_workers=workers or os.cpu_count() or 1,
                         threads_per_worker=1,
-                        dashboard_address=None,
+                        dashboard_address=DASHBOARD,
                         silence_logs=logging.CRITICAL,
                     )
                 )
@@ -64,8 +66,9 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
             client = opened.enter_context(
                 distributed.Client(where, timeout=CONNECTING_S, set_as_default=False)  # type: ignore[no-untyped-call]
             )
-        except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"--cluster {address}: no scheduler answers there: {error}") from None
+        except (OSError, ValueError, TimeoutError, RuntimeError) as error:
+            what = "could not be started" if address == LOCAL else "no scheduler answers there"
+            raise InputError(f"--cluster {address}: {what}: {error}") from None
         threads = sum(client.nthreads().values())
         if not threads:
             raise InputError(f"--cluster {address}: the scheduler there has no worker; start some with: dask worker")
@@ -146,7 +149,9 @@ class _Spread:
         return self._function(*part)
 
 
-def field_on_cluster(client: Any, drive: Path, bank: Path, positions: Sequence[int], parts: Sequence[range]) -> Any:
+def field_on_cluster(
+    client: Any, drive: Path, bank: Path, rate_hz: float | None, parts: Iterable[Sequence[int]]
+) -> Iterator[Any]:
     """Predict the parts of a field on a cluster, in their order; float32 arrays (rows, samples).
 
     Parameters
@@ -155,15 +160,15 @@ def field_on_cluster(client: Any, drive: Path, bank: Path, positions: Sequence[i
         The cluster.
     drive, bank : Path
         Files that all workers have at the same path.
-    positions : sequence of int
-        Bank rows of the field.
-    parts : sequence of range
-        Which rows are computed together.
+    rate_hz : float or None
+        Rate of the field; None for the bank's.
+    parts : iterable of sequences of int
+        Bank rows that are computed together.
     """
     from wavefocus.cluster_tasks import field_part, identity_of
 
-    files, index = (identity_of(drive), identity_of(bank)), [int(one) for one in positions]
-    tasks = ((*files, index, (part.start, part.stop)) for part in parts)
+    files = (identity_of(drive), identity_of(bank))
+    tasks = ((*files, rate_hz, list(part)) for part in parts)
     return spread(client, _Spread(field_part), tasks, stopped=f"predicting {drive}")
 
 

@@ -34,30 +34,29 @@ def identity_of(path: Path) -> Identity:
     return str(path.absolute()), facts.st_size, facts.st_mtime_ns
 
 
-def field_part(drive: Identity, bank: Identity, positions: Sequence[int], rows: tuple[int, int]) -> NDArray[np.float32]:
-    """Predict rows of a field as one part, computed in float64 and rounded once.
+def field_part(drive: Identity, bank: Identity, rate_hz: float | None, positions: Sequence[int]) -> NDArray[np.float32]:
+    """Predict some rows of a field as one part, rounded once to the float32 of its file.
 
     Parameters
     ----------
     drive, bank : tuple
         The files.
+    rate_hz : float or None
+        Rate of the field; None for the bank's.
     positions : sequence of int
-        Bank rows of the whole field, by which its parts are cut.
-    rows : tuple of int
-        First row and the one after the last.
+        Bank rows.
 
     Returns
     -------
-    float32 array, shape (rows, samples)
+    float32 array, shape (positions, samples)
 
     Raises
     ------
     InputError
         This machine does not have the files.
     """
-    prediction = _prediction(_here(drive), _here(bank), tuple(positions))
-    with one_blas_thread():
-        return prediction.part(range(*rows)).astype(np.float32)
+    prediction = _prediction(_here(drive), _here(bank), rate_hz)
+    return prediction.respond(np.asarray(positions, dtype=np.int64)).astype(np.float32)
 
 
 def estimated_part(raw: Identity, positions: Sequence[int]) -> list[PositionResult]:
@@ -95,8 +94,9 @@ def _name() -> str:
 
 # One scene and one bank at a time; the next one takes its place. A bank that is dropped closes its file.
 @lru_cache(maxsize=1)
-def _prediction(drive: Identity, bank: Identity, positions: tuple[int, ...]) -> Prediction:
-    return Prediction(read_drive(drive[0]), open_bank(bank[0]), positions, dtype=np.float64)
+def _prediction(drive: Identity, bank: Identity, rate_hz: float | None) -> Prediction:
+    dtype = np.float64 if rate_hz is None else np.float32
+    return Prediction(read_drive(drive[0]), open_bank(bank[0]), (), dtype=dtype, rate_hz=rate_hz)
 
 
 @lru_cache(maxsize=1)

@@ -10,7 +10,9 @@ SAFE_SHARE = 0.25
 
 
 def safe_amplitude_v(rig: RigConfig) -> float:
-    """A peak voltage well below the rig's limit and below the ends of the recorder's ranges."""
+    """A peak voltage well below the rig's limits, of volts and of rms, and below the ends of the recorder's ranges."""
     recorder = rig.recorder
     half_range_v = min(recorder.reference_range_v / recorder.reference_gain, recorder.response_range_v) / 2
-    return min(MOST_AMPLITUDE_V, SAFE_SHARE * rig.player.largest_v, half_range_v)
+    rms_v = rig.player.largest_rms_v
+    peak_v = rig.player.largest_v if rms_v is None else min(rig.player.largest_v, 2**0.5 * rms_v)
+    return min(MOST_AMPLITUDE_V, SAFE_SHARE * peak_v, half_range_v)

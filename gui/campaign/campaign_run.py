@@ -6,13 +6,13 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from PyQt5.QtCore import QObject
-from PyQt5.QtWidgets import QAction
+from PyQt5.QtWidgets import QAction, QWidget
 
 from gui.campaign.follower import same_file
 from gui.campaign.own_run import OwnRun
 from gui.desk import Desk, sentence_of
 from gui.errand import Answer, Errand
+from gui.long_text import show_text
 from gui.tab import Question
 
 _STOPPED = 130
@@ -26,12 +26,13 @@ class CampaignRun:
     ----------
     desk : Desk
         Starts commands and tells sentences.
-    owner : QObject
-        Owns the actions.
+    owner : QWidget
+        Owns actions and dialogs.
     """
 
-    def __init__(self, desk: Desk, owner: QObject) -> None:
+    def __init__(self, desk: Desk, owner: QWidget) -> None:
         self._desk = desk
+        self._owner = owner
         self.own: OwnRun | None = None
         self._errand: Errand | None = None
         self._arguments: Sequence[str] = ()
@@ -85,11 +86,14 @@ class CampaignRun:
 
         def answered(answer: Answer) -> None:
             self._errand = None
-            lines = [line.strip() for line in answer.said.splitlines() if line.strip()]
             if answer.code != 0:
                 self._desk.messages.fault(answer.sentence or "the dry run was ended")
-            else:
-                self._desk.messages.warn("\n".join(lines))
+                return
+            told = {line[:12].strip(): line[12:].strip() for line in answer.said.splitlines()}
+            main = "; ".join(f"{key} {told[key]}" for key in ("positions", "duration", "bank") if key in told)
+            self._desk.messages.warn(
+                f"{run_file.name}: {main}", ("Everything", lambda: show_text("Dry run", answer.said, self._owner))
+            )
 
         self._desk.messages.warn(f"dry run of {run_file.name}…", ("Cancel", self._cancel))
         self._errand = self._desk.run(["plan", str(run_file)], answered)
@@ -148,7 +152,7 @@ class CampaignRun:
             self._errand.cancel()
 
 
-def _choice(words: str, tip: str, owner: QObject) -> QAction:
+def _choice(words: str, tip: str, owner: QWidget) -> QAction:
     action = QAction(words, owner)
     action.setCheckable(True)
     action.setToolTip(tip)

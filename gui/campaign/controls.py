@@ -49,6 +49,7 @@ class Controls(QWidget):
         row.setContentsMargins(0, 0, 0, 0)
         for button in _BUTTONS:
             action = QAction(button.words, self)
+            action.setEnabled(False)
             action.setShortcut(QKeySequence(button.keys))
             action.setToolTip(f"{button.tip} ({button.keys})")
             action.triggered.connect(lambda _checked=False, act=acts[button.name]: act())

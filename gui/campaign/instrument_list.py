@@ -23,12 +23,13 @@ class InstrumentList(QWidget):
         self.table = QTableWidget(0, 3)
         self.table.setHorizontalHeaderLabels(["instrument", "state", "last message"])
         self.table.setAccessibleName("Instruments")
+        self.table.setWordWrap(False)
         self.table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
         side, top = self.table.verticalHeader(), self.table.horizontalHeader()
         assert side is not None
         assert top is not None
         side.hide()
-        top.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+        top.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
         top.setSectionResizeMode(1, QHeaderView.ResizeMode.ResizeToContents)
         top.setSectionResizeMode(2, QHeaderView.ResizeMode.Stretch)
         title = QLabel("Instruments")
@@ -48,10 +49,14 @@ class InstrumentList(QWidget):
         colours = {"in use": self._theme.good, "faulty": self._theme.warning, "away": self._theme.fault}
         for row, instrument in enumerate(instruments):
             told = f"{clock(instrument.at_s)}  {instrument.message}".strip()
-            words = (instrument.name, f"{_MARKS[instrument.state]} {instrument.state}", told or "nothing to tell")
+            words = (
+                instrument.name.partition(",")[0],
+                f"{_MARKS[instrument.state]} {instrument.state}",
+                told or "nothing to tell",
+            )
             for column, text in enumerate(words):
                 item = QTableWidgetItem(text)
-                item.setToolTip(text)
+                item.setToolTip(instrument.name if column == 0 else text)
                 if column == 1:
                     item.setForeground(QColor(colours[instrument.state]))
                 self.table.setItem(row, column, item)

@@ -33,10 +33,14 @@ class ColourBar(QWidget):
         """As high, and narrow."""
         return QSize(160, self.sizeHint().height())
 
-    def show_range(self, title: str, unit: str, low: float, high: float) -> None:
-        """Say what it means."""
+    def show_range(self, title: str, unit: str, low: float, high: float, beyond: tuple[bool, bool]) -> None:
+        """Say what it means, and whether there are values beyond its ends."""
         self._title = f"{title} ({unit})" if unit else title
-        self._ends = _figure(low, high - low), _figure(high, high - low)
+        below, above = beyond
+        self._ends = (
+            ("≤ " if below else "") + _figure(low, high - low),
+            ("≥ " if above else "") + _figure(high, high - low),
+        )
         self.setAccessibleName(f"Colour bar: {self._title} from {self._ends[0]} to {self._ends[1]}")
         self.setToolTip(f"{self._title}: dark is {self._ends[0]}, bright is {self._ends[1]}")
         self.update()
@@ -93,9 +97,9 @@ class Legend(QWidget):
             words.setText(f"{look.word} {count}")
         self._stack.setCurrentWidget(self._statuses)
 
-    def show_range(self, title: str, unit: str, low: float, high: float) -> None:
+    def show_range(self, title: str, unit: str, low: float, high: float, beyond: tuple[bool, bool]) -> None:
         """Say what the colours of a figure mean."""
-        self._bar.show_range(title, unit, low, high)
+        self._bar.show_range(title, unit, low, high, beyond)
         self._stack.setCurrentWidget(self._bar)
 
     def dress(self, theme: Theme) -> None:

@@ -82,7 +82,7 @@ class MapPanel(QWidget):
         else:
             self.map.show_figure(FIGURES[index], values, campaign.status)
             low, high = self.map.levels or (0.0, 1.0)
-            self.legend.show_range(FIGURES[index].title, FIGURES[index].unit, low, high)
+            self.legend.show_range(FIGURES[index].title, FIGURES[index].unit, low, high, self.map.beyond)
         self.map.show_current(campaign.current)
 
     def _drag(self, way: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -54,7 +55,8 @@ class Plot(pyqtgraph.PlotWidget):
         plot.setLabel("left", left)
         plot.hideButtons()
         plot.setMenuEnabled(False)
-        plot.setClipToView(True)
+        for side in ("left", "bottom"):
+            plot.getAxis(side).enableAutoSIPrefix(False)
         self.setToolTip("Wheel: zoom. Drag: move. Double click: everything.")
 
     def mouseDoubleClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
@@ -114,7 +116,7 @@ class SpectrumPlot(Plot):
     """Transfer functions of all actuators, in decibels, with the measured band."""
 
     def __init__(self) -> None:
-        super().__init__("Spectrum", "frequency (Hz)", "level (dB)")
+        super().__init__("Spectrum", "frequency (Hz); dashed: the measured band", "level (dB)")
 
     def show_green(self, surface: Surface, greens: Greens, actuator: int) -> None:
         """Draw all actuators, one of them emphasised, or their mean power where none is chosen."""
@@ -134,14 +136,14 @@ class SpectrumPlot(Plot):
         if actuator >= 0:
             level, told = spectrum[actuator], f"actuator {actuator}"
         else:
-            level, told = np.sqrt(np.mean(spectrum**2, axis=0)), "root mean square of all actuators"
+            level, told = np.sqrt(np.mean(spectrum**2, axis=0)), "rms of all actuators; each in grey"
         level_db = 20 * np.log10(level)
         self.line(frequency_hz, level_db, self.theme.traces[0], 2.0)
         for edge_hz in (low_hz, high_hz):
             plot.addItem(
                 pyqtgraph.InfiniteLine(edge_hz, pen=pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine))
             )
-        plot.setTitle(f"position {greens.position}: {told}; dashed: the measured band", color=self.theme.text)
+        plot.setTitle(f"position {greens.position}: {told}", color=self.theme.text)
         in_band = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
         top_db = float(level_db[in_band].max()) if in_band.any() else float(level_db.max())
         plot.setXRange(0.0, float(frequency_hz[-1]), padding=0.01)
@@ -190,12 +192,12 @@ class DriftPlot(QWidget):
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
         self.plots = [
-            Plot(f"Drift: {label}", "clock", label) for label in ("level (dB)", "delay (samples)", "1 − correlation")
+            Plot(f"Drift: {label}", "clock", label) for label in ("level (dB)", "delay (samples)", "1 − corr.")
         ]
         for plot in self.plots:
             plot.setAxisItems({"bottom": pyqtgraph.DateAxisItem()})
             plot.setXLink(self.plots[0])
-            plot.getPlotItem().getAxis("left").setWidth(64)
+            plot.getPlotItem().getAxis("left").setWidth(96)
             column.addWidget(plot)
 
     def dress(self, theme: Theme) -> None:
@@ -218,15 +220,17 @@ class DriftPlot(QWidget):
             item = plot.getPlotItem()
             item.clear()
             item.addLine(y=0.0, pen=pyqtgraph.mkPen(theme.grid))
-            item.plot(
-                at_s,
-                np.array(values, dtype=float),
-                pen=pyqtgraph.mkPen(theme.faint),
-                symbol=[symbols.get(point.verdict, "x") for point in points] or "o",
-                symbolBrush=[pyqtgraph.mkBrush(colours.get(point.verdict, theme.fault)) for point in points] or None,
-                symbolPen=None,
-                symbolSize=8,
-            )
+            item.plot(at_s, np.array(values, dtype=float), pen=pyqtgraph.mkPen(theme.faint))
+            marks = [
+                {
+                    "pos": (x, y),
+                    "symbol": symbols.get(point.verdict, "x"),
+                    "brush": pyqtgraph.mkBrush(colours.get(point.verdict, theme.fault)),
+                }
+                for x, y, point in zip(at_s.tolist(), values, points, strict=True)
+                if math.isfinite(y)
+            ]
+            item.addItem(pyqtgraph.ScatterPlotItem(spots=marks, pen=None, size=8))
         told = "" if points else "the sentinel position has not been measured again yet"
         self.plots[0].getPlotItem().setTitle(told or "circle: steady, triangle: warn, cross: stop", color=theme.text)
         if points:

@@ -66,7 +66,7 @@ class PositionPanel(QTabWidget):
         self._raw_said.setWordWrap(True)
         self._raw_said.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self._raw_said.setProperty("role", "faint")
-        self.attempts, self.actuators = _table(_ATTEMPTS), _table(_ACTUATORS)
+        self.attempts, self.actuators = _table(_ATTEMPTS, 2), _table(_ACTUATORS, -1)
         self.attempts.setAccessibleName("Quality history of the position")
         self.actuators.setAccessibleName("Quality per actuator")
         tables = QSplitter(Qt.Orientation.Vertical)
@@ -102,8 +102,10 @@ class PositionPanel(QTabWidget):
 
     def draw(self) -> None:
         """Draw what changed."""
-        seen = self._campaign.revision
-        if self._seen.get("surface") != seen["surface"]:
+        # Noted first: what cannot be drawn is told once, not twenty times a second.
+        before, seen = self._seen, dict(self._campaign.revision)
+        self._seen = seen
+        if before.get("surface") != seen["surface"]:
             surface = self._campaign.surface
             names = [f"actuator {number}" for number in range(surface.actuators if surface else 0)]
             for combo in (self._actuator, self._spectrum_actuator):
@@ -111,13 +113,12 @@ class PositionPanel(QTabWidget):
                 combo.clear()
                 combo.addItems(["all actuators", *names])
                 combo.blockSignals(False)
-        if self._seen.get("history") != seen["history"] and self.position >= 0:
+        if before.get("history") != seen["history"] and self.position >= 0:
             history = self._campaign.history.get(self.position, [])
             if len(history) != self.attempts.rowCount():
                 self.show_position(self.position)
-        if self._seen.get("drift") != seen["drift"]:
+        if before.get("drift") != seen["drift"]:
             self.drift_plot.show_drift(self._campaign.drift)
-        self._seen = dict(seen)
 
     def dress(self, theme: Theme) -> None:
         """Take the theme's colours."""
@@ -246,7 +247,7 @@ def _with_top(top: QHBoxLayout, plot: QWidget) -> QWidget:
     return page
 
 
-def _table(titles: Sequence[str]) -> QTableWidget:
+def _table(titles: Sequence[str], wide: int) -> QTableWidget:
     table = QTableWidget(0, len(titles))
     table.setHorizontalHeaderLabels(titles)
     table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
@@ -255,7 +256,10 @@ def _table(titles: Sequence[str]) -> QTableWidget:
     assert side is not None
     assert top is not None
     side.hide()
-    top.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+    top.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents if wide >= 0 else QHeaderView.ResizeMode.Stretch)
+    if wide >= 0:
+        top.setSectionResizeMode(wide, QHeaderView.ResizeMode.Stretch)
+    side.setDefaultSectionSize(table.fontMetrics().height() + 5)
     return table
 
 

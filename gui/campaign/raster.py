@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 # Cells are drawn with a gap between them; more pixels than this would cost more than they show.
-_PIXELS_PER_SPACING = 9
+_PIXELS_PER_SPACING = 12
 _MOST_PIXELS = 400_000
 _REACH = 1.5  # spacings
-_CELL = 0.47  # of the spacing: just short of half way to the neighbour
+_CELL = 0.46  # of the spacing: just short of half way to the neighbour
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,15 +8,19 @@ import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtCore import QRectF, Qt, pyqtSignal
-from PyQt5.QtGui import QKeyEvent, QPainterPath
+from PyQt5.QtGui import QKeyEvent, QMouseEvent, QPainterPath
 
 from gui.campaign.figures import Figure, Float32Array
 from gui.campaign.picking import PickingBox
 from gui.campaign.status_look import LOOKS, look_index
+from gui.campaign.statuses import status_text
 from gui.campaign.surface import Surface
 from gui.theme import LIGHT, Theme, dress_axes
 
 _COLOURS = 256
+_MARK = "#ff7a1a"
+# On a large map a few outliers must not press all others into one colour.
+_MANY, _OUTLIERS_PERCENT = 100, 1.0
 _STEPS = {
     Qt.Key.Key_Left: (-1.0, 0.0),
     Qt.Key.Key_Right: (1.0, 0.0),
@@ -45,12 +49,14 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         self._bad: bytes = b""
         self._unplaced = True
         self._levels: tuple[float, float] | None = None
+        self.beyond = False, False
         self.colour_map = pyqtgraph.colormap.get("viridis")
         self._image = pyqtgraph.ImageItem(axisOrder="row-major")
         self._outline = pyqtgraph.PlotCurveItem(antialias=True)
         self._actuators = pyqtgraph.ScatterPlotItem(symbol="o", size=9, pxMode=True)
         self._marks = pyqtgraph.ScatterPlotItem(pxMode=True)
         self._chosen = pyqtgraph.ScatterPlotItem(symbol="s", size=11, pxMode=True)
+        self._current_rim = pyqtgraph.ScatterPlotItem(symbol="o", size=17, pxMode=True)
         self._current = pyqtgraph.ScatterPlotItem(symbol="o", size=17, pxMode=True)
         self._cross = pyqtgraph.ScatterPlotItem(symbol="crosshair", size=21, pxMode=True)
         for item in (
@@ -59,6 +65,7 @@ class SurfaceMap(pyqtgraph.PlotWidget):
             self._actuators,
             self._marks,
             self._chosen,
+            self._current_rim,
             self._current,
             self._cross,
         ):
@@ -94,7 +101,7 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         self._surface = None
         self._image.clear()
         self._outline.setData([], [])
-        for item in (self._actuators, self._marks, self._current):
+        for item in (self._actuators, self._marks, self._current_rim, self._current):
             item.clear()
         self.show_position(-1)
         self.select([])
@@ -110,7 +117,9 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         """Colour by a quality figure; positions without one look as not measured."""
         self._status = status
         known = values[np.isfinite(values)]
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        outliers = _OUTLIERS_PERCENT if known.size > _MANY and figure.key != "attempts" else 0.0
+        low, high = np.percentile(known, [outliers, 100.0 - outliers]).tolist() if known.size else (0.0, 1.0)
+        self.beyond = bool(known.size and known.min() < low), bool(known.size and known.max() > high)
         if figure.key == "attempts":
             low, high = min(low, 1.0), max(high, 2.0)
         if high - low < 1e-9 * max(1.0, abs(high)):
@@ -125,7 +134,8 @@ class SurfaceMap(pyqtgraph.PlotWidget):
 
     def show_current(self, position: int) -> None:
         """Ring the position that is being measured; -1 for none."""
-        self._put(self._current, [position] if position >= 0 else [])
+        for ring in (self._current_rim, self._current):
+            self._put(ring, [position] if position >= 0 else [])
 
     def show_position(self, position: int) -> None:
         """Mark the position whose details are shown; -1 for none."""
@@ -147,12 +157,13 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1.5))
         self._actuators.setPen(pyqtgraph.mkPen(theme.text, width=1.5))
         self._actuators.setBrush(pyqtgraph.mkBrush(theme.base))
-        self._chosen.setPen(pyqtgraph.mkPen(theme.text, width=1.5))
-        self._chosen.setBrush(None)
-        self._current.setPen(pyqtgraph.mkPen(theme.text, width=2.5))
-        self._current.setBrush(None)
-        self._cross.setPen(pyqtgraph.mkPen(theme.fault, width=2))
-        self._cross.setBrush(None)
+        # On any of the map's colours, in either theme.
+        self._chosen.setPen(pyqtgraph.mkPen(_MARK, width=2))
+        self._current_rim.setPen(pyqtgraph.mkPen("#000000", width=4.5))
+        self._current.setPen(pyqtgraph.mkPen("#ffffff", width=2))
+        self._cross.setPen(pyqtgraph.mkPen(_MARK, width=2))
+        for item in (self._chosen, self._current_rim, self._current, self._cross):
+            item.setBrush(None)
         self._bad = b""
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
@@ -169,6 +180,21 @@ class SurfaceMap(pyqtgraph.PlotWidget):
             self.select([])
         else:
             super().keyPressEvent(event)
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        """Say which position is beneath the mouse."""
+        super().mouseMoveEvent(event)
+        if self._surface is None or event is None:
+            return
+        point = self.box.mapSceneToView(self.mapToScene(event.pos()))
+        position = self._surface.raster.nearest(point.x(), point.y())
+        if position < 0:
+            self.setToolTip("")
+            return
+        x_mm, y_mm = self._surface.position_mm[position]
+        self.setToolTip(
+            f"position {position} at ({x_mm:.1f}, {y_mm:.1f}) mm: {status_text(int(self._status[position]))}"
+        )
 
     def _walk(self, step: NDArray[np.float64]) -> None:
         """Go to the nearest position in a direction, within 45 degrees of it."""

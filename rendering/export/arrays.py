@@ -48,7 +48,7 @@ def write_mat(path: Path, rows: BankRows, on_progress: OnProgress | None = None)
             " export some --positions at a time, or as npz"
         )
     with replacement(path) as temporary, temporary.open("wb") as file:
-        savemat(file, _arrays(rows, on_progress), oned_as="column")
+        savemat(file, _arrays(rows, on_progress), oned_as="column")  # type: ignore[arg-type]
 
 
 def _arrays(rows: BankRows, on_progress: OnProgress | None) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import focusing, interpolation, paper
+from benchmarks import bank, focusing, interpolation, paper
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.long]
 
@@ -41,3 +41,11 @@ def test_the_focusing_benchmark_compares_methods_on_one_scene(capsys):
     two = [one for one in results if one["scene"].startswith("two") and one["method"].startswith("inverse")]
     assert all(one["condition"] > 1.0 for one in two)
     assert "artefacts" in capsys.readouterr().out
+
+
+def test_the_bank_s_benchmark_commits_every_position_and_reads_it_back(tmp_path, capsys):
+    figures = bank.run(tmp_path, quick=True)
+    assert figures["positions"] == 40
+    assert 0 < figures["commit_ms"]["median"] <= figures["commit_ms"]["worst"]
+    assert "every row's checksum verified" in capsys.readouterr().out
+    assert not list(tmp_path.iterdir())

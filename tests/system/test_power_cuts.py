@@ -169,6 +169,20 @@ def test_given_plain_h5py_with_a_flush_for_each_row_then_the_replay_sees_files_r
     assert ruined > 0
 
 
+def test_given_plain_h5py_without_a_flush_then_a_kill_between_rows_loses_what_was_acknowledged(tmp_path: Path) -> None:
+    path = tmp_path / "plain.h5"
+    memory = LoggedMemory(path)
+    with h5py.File(memory, "w") as file:
+        green = file.create_dataset("green", (4, 2, 16), "f4", chunks=(1, 2, 16))
+        file.flush()
+        for position in range(4):
+            green[position] = green_of(position)
+        path.write_bytes(memory.getvalue())  # what the operating system has of it when the process is killed here
+    with h5py.File(path, "r") as file:
+        lost = [position for position in range(4) if not np.array_equal(file["green"][position], green_of(position))]
+    assert lost
+
+
 def raw_of(position: int, take: int) -> np.ndarray:
     counts = np.random.default_rng([position, take]).integers(-2000, 2000, size=(2, 1, 700))
     return (counts * STEP_V).astype(np.float32)

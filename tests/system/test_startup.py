@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-SLOW = {"h5py", "matplotlib", "scipy", "soundfile", "mocks", "rendering"}
+SLOW = {"h5py", "matplotlib", "scipy", "soundfile", "mocks", "rendering", "gui", "PyQt5", "pyqtgraph"}
 SHOW_MODULES = "\nimport json, sys\nprint(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))"
 
 
@@ -27,7 +27,7 @@ def test_importing_the_command_loads_nothing_slow(tmp_path: Path) -> None:
     assert not loaded & SLOW
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["capture", "--help"], ["verify", "--help"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["capture", "--help"], ["verify", "--help"], ["gui", "--help"]])
 def test_asking_for_help_loads_nothing_slow(tmp_path: Path, arguments: list[str]) -> None:
     loaded = loaded_by(f"from wavefocus.__main__ import run\nrun({arguments!r})", tmp_path)
     assert "wavefocus" in loaded

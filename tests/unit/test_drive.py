@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +15,7 @@ from rendering.green_source import GreenArray
 from rendering.paths import Circle, Line, Point, Polyline
 from rendering.render_report import RenderWarning
 from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse, Noise, Sine
+from rendering.signals import Impulse, Noise, Sine, SoundFile
 
 RATE_HZ = 1000.0
 COLUMNS, ROWS, PITCH_MM = 9, 7, 4.0
@@ -269,6 +270,58 @@ def test_a_tolerance_on_a_banded_bank_leaves_bins_out():
     assert report.kept_bins < report.bins
     assert 0 < drive.omitted_bound <= 0.1
     assert 0 < relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    weak=st.sampled_from([0.0, 1e-9, 1e-5, 1e-2]),
+    decay=st.sampled_from([4, 12, 60]),
+    quiet=st.sampled_from([0.0, 1e-7, 1e-4]),
+    tolerance_db=st.floats(-75, -10),
+    threshold=st.sampled_from([None, 0.5]),
+)
+@settings(max_examples=40, deadline=None)
+def test_the_bound_holds_for_taps_actuators_and_windows_that_are_left_out(
+    tmp_path_factory, seed, weak, decay, quiet, tolerance_db, threshold
+):
+    bank = banded_bank(seed, 300, 0.0)
+    values = bank.values * np.exp(-np.arange(300) / decay)
+    values[:, 1] *= weak
+    bank = GreenArray(values, bank.position_mm, RATE_HZ, band_hz=(50.0, 150.0))
+    signal = np.random.default_rng(seed).standard_normal(900)
+    signal[300:700] *= quiet
+    file = tmp_path_factory.mktemp("signal") / "quiet.wav"
+    soundfile.write(file, signal / np.abs(signal).max(), int(RATE_HZ), subtype="DOUBLE")
+    source = Source(Line((-13, 5), (14, -9)), SoundFile(file), 0.0, 32.0, 0.5)
+    scene = Scene("s", (source,), Regularisation(saturation=threshold))
+    exact, _ = render_with_report(scene, bank)
+    drive, _ = render_with_report(scene, bank, tolerance_db=tolerance_db)
+    assert relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound + 1e-13
+    assert drive.omitted_bound <= 10 ** (tolerance_db / 20)
+
+
+def test_the_report_tells_taps_actuators_and_windows_that_are_left_out(tmp_path):
+    bank = banded_bank(5, 400, 0.0)
+    values = bank.values * np.exp(-np.arange(400) / 12)
+    values[:, 1] *= 1e-9
+    bank = GreenArray(values, bank.position_mm, RATE_HZ, band_hz=(50.0, 150.0))
+    signal = np.random.default_rng(0).standard_normal(20_000)
+    signal[3000:15_000] *= 1e-9
+    soundfile.write(tmp_path / "quiet.wav", signal / np.abs(signal).max(), int(RATE_HZ), subtype="DOUBLE")
+    source = Source(Line((-13, 5), (14, -9)), SoundFile(tmp_path / "quiet.wav"), 0.0, 1.5, 0.5)
+    scene = Scene("s", (source,), Regularisation(normalise=False))
+    drive, report = render_with_report(scene, bank, method="sampled", tolerance_db=-40)
+    assert report.left_out_actuators == ((1,),)
+    assert not drive.drive_v[1].any()
+    assert report.left_out_taps[0] > 0
+    assert report.left_out_pairs > 0
+    # So short a decay fills all frequencies.
+    assert report.kept_bins == report.bins
+    assert report.left_out_words == (
+        f"the last {report.left_out_taps[0]} taps of source 0",
+        "actuator 1 of source 0",
+        f"{report.left_out_pairs} of {report.left_out_pairs + report.pairs} stretches of the path that hardly emit",
+    )
 
 
 @pytest.mark.parametrize("tolerance_db", [0.0, 3.0, float("nan"), float("-inf")])

@@ -38,9 +38,23 @@ def rendered(source, bank, regularisation=None, **options):
     return render_with_report(scene, bank, **options)
 
 
+ERRORS = []
+
+
+@pytest.fixture(autouse=True)
+def measured(record_property):
+    """Tells tools/stiff_cases.py the largest error that the test found."""
+    ERRORS.clear()
+    yield
+    if ERRORS:
+        record_property("measured", f"relative error {max(ERRORS):.1g}")
+
+
 def relative_error(found, expected):
     assert found.shape == expected.shape
-    return np.linalg.norm(found - expected) / np.linalg.norm(expected)
+    error = float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+    ERRORS.append(error)
+    return error
 
 
 def static_drive(green, signal, lead_samples=0):
@@ -141,7 +155,8 @@ def test_row_6_denormals_render_like_normal_numbers():
     values[..., TAPS // 2 :] = 0.0
     cut, _ = rendered(CONTINUOUS, make_bank(values))
     assert relative_error(tail.drive_v, cut.drive_v) < 1e-12
-    assert relative_error(exact.drive_v, cut.drive_v) > 0.1
+    # The tails that were cut off are no small part.
+    assert np.linalg.norm(exact.drive_v - cut.drive_v) > 0.1 * np.linalg.norm(cut.drive_v)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

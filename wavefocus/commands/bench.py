@@ -10,6 +10,7 @@ from typing import Any
 from wavefocus.console import people, say
 
 BENCHMARKS = {
+    "bank": "what durability costs",
     "estimate": "estimators side by side",
     "render": "renderers side by side",
     "interpolation": "the bank between its positions",

@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
-from acquisition.measuring import position_estimator
-from acquisition.plan import Plan
 from acquisition.quality import QualityLimits, Status, judge, status_counts
 from calibration.bank_creation import create_bank
 from calibration.bank_header import BankHeader
@@ -22,29 +20,28 @@ from calibration.bank_writer import BankWriter
 from calibration.blas import one_blas_thread
 from calibration.errors import InputError
 from calibration.network_mount import is_network_mount
-from calibration.position_estimator import Channels, PositionEstimator
-from calibration.raw_estimation import PositionResult, estimate_positions, estimator_of
-from calibration.raw_file import RawFile, open_raw
+from calibration.raw_estimation import PositionResult, estimate_positions
+from calibration.raw_file import open_raw
 from calibration.raw_header import RawHeader
-from wavefocus.compose import blueprint_of
-from wavefocus.config.loading import configuration_from_json
+from wavefocus.cluster import estimate_on_cluster
 from wavefocus.console import progress, say
+from wavefocus.raw_estimator import estimator_for, own_plan
 
 # So many faults are told one by one.
 MOST_LINES = 10
 
 
-def estimate(raw: Path, bank: Path, workers: int | None, *, as_json: bool) -> None:
+def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", as_json: bool) -> None:
     """Estimate all positions of a raw file that the bank does not hold yet; a new bank is made where none is."""
     with open_raw(raw) as recordings, one_blas_thread():
         header = recordings.header
-        plan = _own_plan(header, raw)
+        plan = own_plan(header, raw)
         limits = QualityLimits() if plan is None else plan.quality
         if bank.exists() and bank.samefile(raw):
             raise InputError(f"--bank {bank}: is the raw file itself; name another file")
         if not bank.exists():
             # What was played must be known before a bank is made of it.
-            estimator = _estimator(recordings, plan)
+            estimator = estimator_for(recordings, plan)
             if is_network_mount(bank.absolute().parent):
                 say(f"{bank} is on a network drive, where locks and syncs are unreliable: estimate to a local disk")
             create_bank(bank, _bank_header(header))
@@ -55,13 +52,18 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, as_json: bool) -> No
             to_do = np.flatnonzero(writer.status == 0).tolist()
             done = first = header.positions - len(to_do)
             if to_do and estimator is None:
-                estimator = _estimator(recordings, plan)
+                estimator = estimator_for(recordings, plan)
             started_s = time.monotonic()
             faults: list[str] = []
             with progress("estimate", header.positions, done=first) as report:
                 if to_do and estimator is not None:
                     count = workers or os.cpu_count() or 1
-                    for result in estimate_positions(recordings, estimator, to_do, count):
+                    results = (
+                        estimate_on_cluster(cluster, raw, to_do, workers)
+                        if cluster
+                        else estimate_positions(recordings, estimator, to_do, count)
+                    )
+                    for result in results:
                         if fault := _commit(writer, result, limits):
                             faults.append(fault)
                         done += 1
@@ -73,28 +75,6 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, as_json: bool) -> No
         if len(faults) > MOST_LINES:
             say(f"and {len(faults) - MOST_LINES} positions more that are not valid")
     _tell(bank, raw, header, status, done - first, took_s, as_json=as_json)
-
-
-def _own_plan(header: RawHeader, raw: Path) -> Plan | None:
-    """The plan that the recordings were made by; None where the file does not carry one that this version knows."""
-    if not (header.rig_json and header.run_json):
-        return None
-    try:
-        plan = blueprint_of(
-            configuration_from_json(header.rig_json, header.run_json, header.position_mm, str(raw))
-        ).plan
-    except InputError:
-        return None
-    return plan if plan.sha256 == header.plan_sha256 else None
-
-
-def _estimator(recordings: RawFile, plan: Plan | None) -> PositionEstimator:
-    """The campaign's own estimator, which gives its bank to the bit; else what the reference channels tell."""
-    if plan is None:
-        return estimator_of(recordings)
-    header = recordings.header
-    channels = Channels(header.reference_gain, header.response_per_volt, header.inter_channel_delay_s)
-    return position_estimator(plan, channels)
 
 
 def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits) -> str:

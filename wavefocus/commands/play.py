@@ -77,7 +77,8 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
             times = f"{loop} times, " if loop > 1 else ""
             memory = f"{needed / 2**20:.0f} MB of memory"
             say(
-                f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V, {memory}"
+                f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V,"
+                f" {memory}"
             )
             signals_v = {
                 channel: _repeated(volts, loop)

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.bank import open_bank
 from calibration.drive_file import read_drive
 from calibration.durable import replacement
 from calibration.errors import InputError
 from calibration.field_file import FieldWriter
+from rendering.device import cuda_device
+from rendering.device_prediction import DevicePrediction
 from rendering.field import chosen_positions
 from rendering.prediction import Prediction
 from rendering.response_spectra import predict_spectra
-from wavefocus.console import progress, say
+from wavefocus.cluster import cluster_client, field_on_cluster
+from wavefocus.console import Report, progress, say
 from wavefocus.positions import parse_positions
 
 
@@ -27,13 +33,19 @@ def predict(
     *,
     rate_hz: float | None = None,
     tolerance_db: float | None = None,
+    cluster: str = "",
+    device: str = "cpu",
     as_json: bool,
 ) -> None:
-    """Predict the field at the positions asked for and write it row by row.
+    """Predict the field at the positions asked for and write it row by row, here or on a cluster.
 
     Computed in float64 and rounded once, to the float32 of the file; in complex64 where a lower rate or a
     tolerance asks for no more.
     """
+    if cluster and tolerance_db is not None:
+        raise InputError("--cluster computes all; leave out --tolerance-db")
+    if device != "cpu" and (cluster or tolerance_db is not None or rate_hz is not None):
+        raise InputError(f"--device {device} goes neither with --cluster nor with --tolerance-db or --rate")
     drive = read_drive(drive_file)
     dtype = np.float64 if rate_hz is None and tolerance_db is None else np.float32
     with open_bank(bank) as view:
@@ -52,9 +64,14 @@ def predict(
             ) as writer,
             progress("predict", len(index)) as report,
         ):
-            for rows in prediction.rows(report):
-                writer.write(rows.first, rows.field)
-                peak = max(peak, float(np.abs(rows.field).max(initial=0.0)))
+            if device == "cpu":
+                parts = _parts(prediction, drive_file, bank, rate_hz, cluster, report)
+            else:
+                there = DevicePrediction(drive, view, index, cuda_device())
+                parts = ((rows.first, rows.field) for rows in there.rows(report))
+            for first, field in parts:
+                writer.write(first, field)
+                peak = max(peak, float(np.abs(field).max(initial=0.0)))
         lost = prediction.lost_share()
         if left_out := view.positions - len(index) if wanted is None else 0:
             say(f"{left_out} positions are not measured and are left out")
@@ -81,6 +98,23 @@ def predict(
             "omitted_bound": prediction.omitted_bound,
         }
         print(json.dumps(figures))
+
+
+def _parts(
+    prediction: Prediction, drive_file: Path, bank: Path, rate_hz: float | None, cluster: str, report: Report
+) -> Iterator[tuple[int, NDArray[Any]]]:
+    """The first row's number and the values of each part of the field, in their order."""
+    if not cluster:
+        for rows in prediction.rows(report):
+            yield rows.first, rows.field
+        return
+    parts, index = prediction.parts(), prediction.position_index
+    positions = [index[part.start : part.stop].tolist() for part in parts]
+    with cluster_client(cluster) as client:
+        fields = field_on_cluster(client, drive_file, bank, rate_hz, positions)
+        for part, field in zip(parts, fields, strict=True):
+            yield part.start, field
+            report(part.stop, len(index))
 
 
 def predict_energy(

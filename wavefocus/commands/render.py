@@ -69,7 +69,9 @@ def render(
     if facts.limiting.decided_by is not None:
         say(_limited(facts.limiting, rig_file))
     if options.tolerance_db is not None:
-        say(f"left out no more than {drive.omitted_bound:.3g} of the drives (relative L2, proved)")
+        words = [] if isinstance(facts, InverseReport) else list(facts.left_out_words)
+        what = f": {', '.join(words)}" if words else ""
+        say(f"left out no more than {drive.omitted_bound:.3g} of the drives (relative L2, proved){what}")
     relative = relative_rms(drive.drive_v)
     range_db = dynamic_range_db(relative)
     without = "" if unsaturated is None else f", {dynamic_range_db(unsaturated):.1f} dB without saturation"

@@ -12,7 +12,7 @@ from acquisition.grid import stadium_rim
 from acquisition.quality import median_snr_db
 from acquisition.sentinel import DriftLimits
 from calibration.bank import Bank, open_bank
-from calibration.drive_file import Drive, write_drive
+from calibration.drive_file import write_drive
 from calibration.errors import InputError
 from calibration.field_file import write_field
 from rendering.field import predict as predict_field
@@ -30,6 +30,7 @@ from wavefocus.console import progress, say
 from wavefocus.drift_history import read_drift
 from wavefocus.exits import Exit
 from wavefocus.positions import parse_positions
+from wavefocus.rig_limits import check_drive
 
 # Enough for an outline that looks round on any screen.
 OUTLINE_POINTS = 400
@@ -46,7 +47,7 @@ def verify(scene_file: Path, bank: Path, rig_file: Path, out: Path, positions: s
         drive, facts = rendered(scene_file, scene, view)
         for warning in facts.warnings:
             say(f"warning: {warning}")
-        _check_level(drive, rig, scene_file)
+        check_drive(drive, rig.player, str(scene_file), "set output.limit_v or output.limit_rms_v in the scene")
         write_drive(out / "drive.h5", drive)
         with progress("predict", view.positions) as report:
             prediction = predict_field(drive, view, rows, dtype=np.float32, on_progress=report)
@@ -119,16 +120,6 @@ def _line(check: Check) -> str:
         return f"-     {check.name}: the positions it needs were not scanned"
     word = "pass" if check.passed else "FAIL"
     return f"{word}  {check.name}: {check.value:.4g} {check.unit} ({check.relation} {check.limit:.4g})"
-
-
-def _check_level(drive: Drive, rig: RigConfig, scene_file: Path) -> None:
-    """Refuse a drive that the rig is not meant to play; only the scene's author may scale it."""
-    peak_v = float(np.abs(drive.drive_v).max(initial=0.0))
-    if peak_v > rig.player.largest_v:
-        raise InputError(
-            f"{scene_file}: the drive reaches {peak_v:.3g} V; the rig's actuators may get {rig.player.largest_v:g} V "
-            "(player.limit_v, or the full scale of the weakest output): set output.limit_v in the scene"
-        )
 
 
 def _checked_rig(rig_file: Path, configuration: Configuration, bank: Bank) -> RigConfig:

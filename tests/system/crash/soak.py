@@ -108,12 +108,15 @@ def work(folder: Path, index: int, of: int, out: Path) -> None:
         campaign = Campaign(place, keep_raw=keep_raw)
         for name, kind, trials, count in chosen:
             rows.append(Row(name, kind))
-            _go_through(rows[-1], campaign, trials, Share(count, index, of))
-            out.write_text(json.dumps([asdict(one) for one in rows]), encoding="utf-8")
+
+            def save() -> None:
+                out.write_text(json.dumps([asdict(one) for one in rows]), encoding="utf-8")
+
+            _go_through(rows[-1], campaign, trials, Share(count, index, of), save)
         campaign.close()
 
 
-def _go_through(row: Row, campaign: Campaign, trials: Trials, share: Share) -> None:
+def _go_through(row: Row, campaign: Campaign, trials: Trials, share: Share, save: Callable[[], None]) -> None:
     chance = random.Random(f"{row.name} {share.index if trials in DRAWN else 0}")
     start_s = said_s = time.monotonic()
     found = trials(campaign, chance, share)
@@ -124,7 +127,9 @@ def _go_through(row: Row, campaign: Campaign, trials: Trials, share: Share) -> N
         if time.monotonic() > said_s + _SAY_EVERY_S:
             said_s = time.monotonic()
             _say(f"{share.index}: {row.name}: {row.trials} of {share.mine}")
+            save()
     found.close()
+    save()
     _say(f"{share.index}: {row.name}: {row.trials} in {time.monotonic() - start_s:.0f} s")
 
 
@@ -186,7 +191,7 @@ def _command() -> str:
 
 def _machine() -> str:
     return (
-        f"{platform.system()} {platform.release()} on {platform.machine()}, {os.cpu_count()} processors, "
+        f"{platform.system()} on {platform.machine()}, {os.cpu_count()} processors, "
         f"Python {platform.python_version()}, h5py {version('h5py')} with HDF5 {h5py.version.hdf5_version}"
     )
 

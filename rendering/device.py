@@ -1,0 +1,63 @@
+"""Where arrays are computed: this processor, or a GPU through CuPy; both by the array API's names alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.errors import InputError
+
+REMEDY = "install CuPy for this machine's CUDA (pip install cupy-cuda12x or -cuda13x), or leave out --device"
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A namespace of the array API, and the way back from it.
+
+    Parameters
+    ----------
+    name : str
+        For people.
+    xp : module
+        The namespace: NumPy's own, CuPy's, or another that follows the standard.
+    to_host : callable
+        Makes a NumPy array of one of its arrays.
+    memory_bytes : int
+        What one part of a computation may take.
+    """
+
+    name: str
+    xp: Any
+    to_host: Callable[[Any], NDArray[Any]]
+    memory_bytes: int
+
+
+def host_device() -> Device:
+    """The processor that runs this, by NumPy."""
+    return Device("cpu", np, np.asarray, 256 * 2**20)
+
+
+def cuda_device() -> Device:
+    """The first GPU that CUDA sees, by CuPy.
+
+    Raises
+    ------
+    InputError
+        CuPy is missing, or it finds no GPU.
+    """
+    try:
+        import cupy
+    except ImportError as error:
+        raise InputError(f"--device cuda needs CuPy ({error}): {REMEDY}") from None
+    try:
+        count = int(cupy.cuda.runtime.getDeviceCount())
+        free_bytes = int(cupy.cuda.runtime.memGetInfo()[0]) if count else 0
+    except Exception as error:  # CuPy's errors are its own, and differ between its versions
+        raise InputError(f"--device cuda: CUDA says {' '.join(str(error).split())}; {REMEDY}") from None
+    if not count:
+        raise InputError(f"--device cuda: there is no GPU; {REMEDY}")
+    return Device("cuda", cupy, cupy.asnumpy, free_bytes // 8)

@@ -1,0 +1,132 @@
+"""Windows that are real but for the screen, and campaigns on the virtual rig in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Generator
+from pathlib import Path
+
+import pytest
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+# One pixel is one unit, whatever the platform thinks of its screen.
+os.environ.setdefault("QT_FONT_DPI", "96")
+
+from PyQt5.QtCore import QSettings
+from PyQt5.QtWidgets import QApplication
+from pytestqt.exceptions import TimeoutError
+from pytestqt.qtbot import QtBot
+
+from gui.application import require_fonts
+from gui.campaign.tab import CampaignTab
+from gui.memory import Memory
+from gui.window import Window
+from wavefocus.__main__ import run
+from wavefocus.commands.gui import front_door
+
+RIG = """
+[rig]
+name = "three coils"
+
+[actuators]
+position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+"""
+
+RUN = """
+rig = "rig.toml"
+
+[grid]
+positions_file = "positions.csv"
+
+[sweep]
+duration_s = 0.3
+
+[capture]
+averages = 2
+decay_s = 0.1
+taps = 1000
+keep_raw = {raw}
+
+[virtual]
+seed = 3
+noise_v = 1e-4
+"""
+
+# What a busy machine may take; nothing is judged by it.
+SOON_MS = 30_000
+
+
+def write_lab(folder: Path, columns: int, rows: int, *, raw: bool = False) -> Path:
+    """Write the files of a campaign on a grid of 1.5 mm; return the run file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+    (folder / "run.toml").write_text(RUN.format(raw=str(raw).lower()), encoding="utf-8")
+    lines = "".join(f"{1.5 * column},{1.5 * row}\n" for row in range(rows) for column in range(columns))
+    (folder / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    return folder / "run.toml"
+
+
+@pytest.fixture(scope="session")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a finished campaign of 4 x 3 positions whose recordings were kept; to be copied."""
+    run_file = write_lab(tmp_path_factory.mktemp("measured"), 4, 3, raw=True)
+    assert run(["capture", str(run_file), "--bank", str(run_file.with_name("plate.h5"))]) == 0
+    return run_file.parent
+
+
+@pytest.fixture
+def finished(measured: Path, tmp_path: Path) -> Path:
+    """The bank of a finished campaign, with all that lies beside it."""
+    shutil.copytree(measured, tmp_path / "lab")
+    return tmp_path / "lab" / "plate.h5"
+
+
+@pytest.fixture
+def long_run(tmp_path: Path) -> Path:
+    """The run file of a campaign that takes longer than any order on a busy machine; no test waits for its end."""
+    return write_lab(tmp_path / "lab", 50, 40)
+
+
+@pytest.fixture
+def memory(tmp_path: Path) -> Memory:
+    """What the windows of a test remember."""
+    return Memory(QSettings(str(tmp_path / "memory.ini"), QSettings.Format.IniFormat))
+
+
+@pytest.fixture
+def open_window(qtbot: QtBot, memory: Memory) -> Generator[Callable[..., Window]]:
+    """Opens windows, and fails when anything went wrong in them that the test did not ask for."""
+    opened: list[Window] = []
+    require_fonts()
+
+    def make(*files: Path) -> Window:
+        window = Window(front_door(), memory)
+        opened.append(window)
+        for path in files:
+            window.open_file(path)
+        window.show()
+        return window
+
+    yield make
+    for window in opened:
+        window.close_at_once()
+        assert window.mishaps == []
+        window.deleteLater()
+
+
+def campaign_of(window: Window) -> CampaignTab:
+    """The Campaign tab of a window."""
+    tab = window.tabs[0]
+    assert isinstance(tab, CampaignTab)
+    return tab
+
+
+def wait(qtbot: QtBot, true: Callable[[], bool]) -> None:
+    """Let the window live until something is so; else say what it showed."""
+    try:
+        qtbot.waitUntil(true, timeout=SOON_MS)
+    except TimeoutError:
+        windows = [widget for widget in QApplication.topLevelWidgets() if isinstance(widget, Window)]
+        shown = [(campaign_of(window).progress.state.text(), window.messages.sentence) for window in windows]
+        pytest.fail(f"it did not come about; the windows show {shown}")

@@ -1,0 +1,216 @@
+"""The map and what it shows of a position, by mouse and by keyboard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PyQt5.QtCore import QEvent, QMimeData, QPoint, QPointF, Qt, QUrl
+from PyQt5.QtGui import QDragEnterEvent, QDropEvent, QMouseEvent
+from PyQt5.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QLineEdit,
+    QProgressBar,
+    QTableView,
+)
+from pytestqt.qtbot import QtBot
+
+from acquisition.quality import STATUS_WORDS
+from calibration.bank import open_bank
+from gui.campaign import statuses
+from gui.campaign.surface_map import SurfaceMap
+from gui.campaign.tab import CampaignTab
+from gui.memory import Memory
+from gui.theme import DARK
+from gui.window import Window
+from tests.gui.conftest import campaign_of, wait, write_lab
+
+LEFT = Qt.MouseButton.LeftButton
+NONE = Qt.KeyboardModifier.NoModifier
+
+
+def opened(qtbot: QtBot, open_window: Callable[..., Window], bank: Path) -> CampaignTab:
+    tab = campaign_of(open_window(bank))
+    wait(qtbot, lambda: tab.campaign.surface is not None and len(tab.campaign.lines) > 0)
+    tab.draw()
+    return tab
+
+
+def pixel(shown: SurfaceMap, x_mm: float, y_mm: float) -> QPoint:
+    return shown.mapFromScene(shown.box.mapViewToScene(QPointF(x_mm, y_mm)))
+
+
+def mouse(shown: SurfaceMap, kind: QEvent.Type, at: QPoint, keys: Qt.KeyboardModifier, *, held: bool) -> None:
+    button = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseMove else LEFT
+    buttons = LEFT if held else Qt.MouseButton.NoButton
+    viewport = shown.viewport()
+    place = QPointF(viewport.mapToGlobal(at))
+    QApplication.sendEvent(viewport, QMouseEvent(kind, QPointF(at), place, button, Qt.MouseButtons(buttons), keys))
+
+
+def click(shown: SurfaceMap, at: QPoint, keys: Qt.KeyboardModifier = NONE) -> None:
+    mouse(shown, QEvent.Type.MouseMove, at, keys, held=False)
+    mouse(shown, QEvent.Type.MouseButtonPress, at, keys, held=True)
+    mouse(shown, QEvent.Type.MouseButtonRelease, at, keys, held=False)
+
+
+def drag(shown: SurfaceMap, points: list[QPoint], keys: Qt.KeyboardModifier) -> None:
+    mouse(shown, QEvent.Type.MouseMove, points[0], keys, held=False)
+    mouse(shown, QEvent.Type.MouseButtonPress, points[0], keys, held=True)
+    for one, other in zip(points, points[1:], strict=False):
+        for part in range(1, 11):
+            mouse(shown, QEvent.Type.MouseMove, one + (other - one) * part / 10, keys, held=True)
+    mouse(shown, QEvent.Type.MouseButtonRelease, points[-1], keys, held=False)
+
+
+def test_given_a_click_on_the_map_then_green_s_functions_quality_and_recordings_of_that_position_are_shown(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+) -> None:
+    tab = opened(qtbot, open_window, finished)
+    panel, shown = tab.position_panel, tab.map_panel.map
+    click(shown, pixel(shown, 3.0, 1.5))
+    wait(qtbot, lambda: panel.greens is not None)
+    assert panel.greens is not None
+    assert panel.greens.position == 6
+    with open_bank(finished) as bank:
+        np.testing.assert_array_equal(panel.greens.green, bank.green(6))
+        snr_db = bank.quality["snr_db"][6, 2]
+    assert panel.attempts.item(0, 2).text() == "committed: valid"
+    assert panel.actuators.item(2, 1).text() == f"{snr_db:.1f}"
+    for page in range(panel.count()):
+        panel.setCurrentIndex(page)
+    panel.setCurrentIndex(3)
+    wait(qtbot, lambda: panel.recordings is not None)
+    assert panel.recordings is not None
+    assert panel.recordings.response_v.shape[0] == 3
+    panel._view.setCurrentIndex(1)
+    panel._actuator.setCurrentIndex(2)
+    assert "position 6: actuator 1" in panel.spectrum_plot.getPlotItem().titleLabel.text
+
+
+def test_given_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_a_mouse(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+) -> None:
+    tab = opened(qtbot, open_window, finished)
+    shown = tab.map_panel.map
+    for key, position in (
+        (Qt.Key.Key_Right, 0),
+        (Qt.Key.Key_Right, 1),
+        (Qt.Key.Key_Up, 5),
+        (Qt.Key.Key_Left, 4),
+        (Qt.Key.Key_Left, 4),
+        (Qt.Key.Key_Down, 0),
+    ):
+        qtbot.keyClick(shown, key)
+        assert shown.shown == position
+    qtbot.keyClick(shown, Qt.Key.Key_Space)
+    assert shown.selected == {0}
+    qtbot.keyClick(shown, Qt.Key.Key_A, Qt.KeyboardModifier.ControlModifier)
+    assert shown.selected == set(range(12))
+
+
+def test_given_ctrl_clicks_a_rectangle_and_a_lasso_then_those_positions_are_selected(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+) -> None:
+    tab = opened(qtbot, open_window, finished)
+    shown = tab.map_panel.map
+    shown.box.setRange(xRange=(-2, 7), yRange=(-2, 5))
+    click(shown, pixel(shown, 0, 0), Qt.KeyboardModifier.ControlModifier)
+    click(shown, pixel(shown, 4.5, 3), Qt.KeyboardModifier.ControlModifier)
+    assert shown.selected == {0, 11}
+    drag(shown, [pixel(shown, -1, -1), pixel(shown, 2, 2)], Qt.KeyboardModifier.ShiftModifier)
+    assert shown.selected == {0, 1, 4, 5}
+    qtbot.mouseClick(tab.map_panel.ways["lasso"], LEFT)
+    corners = [(-1.0, -1.0), (5.5, -1.0), (5.5, 0.7), (2.2, 0.7), (2.2, 4.0), (-1.0, 4.0)]
+    drag(shown, [pixel(shown, *corner) for corner in corners], NONE)
+    assert shown.selected == {0, 1, 2, 3, 4, 5, 8, 9}
+    tab.draw()
+    assert tab.controls.actions_by_name["selected"].text() == "Remeasure selected (8)"
+
+
+def test_given_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_bank_holds(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+) -> None:
+    tab = opened(qtbot, open_window, finished)
+    tab.map_panel.colour_by.setCurrentIndex(1)
+    with open_bank(finished) as bank:
+        snr_db = np.median(bank.quality["snr_db"], axis=1)
+    np.testing.assert_allclose(tab.map_panel.map.levels, (snr_db.min(), snr_db.max()), rtol=1e-6)
+    assert "(dB)" in tab.map_panel.legend._bar.accessibleName()
+    tab.map_panel.colour_by.setCurrentIndex(0)
+    assert tab.map_panel.map.levels is None
+    assert {look: bit for bit, look in statuses.WORDS.items()} == {
+        word: int(bit) for word, bit in STATUS_WORDS.items() if bit
+    }
+
+
+def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_listed(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+) -> None:
+    tab = opened(qtbot, open_window, finished)
+    events = tab.events
+    notes = events.lines.rowCount()
+    events.weight.setCurrentIndex(0)
+    assert events.lines.rowCount() == len(tab.campaign.lines) > notes > 0
+    qtbot.keyClicks(events.text, "position 7 is in")
+    assert events.lines.rowCount() == 1
+    events.view.doubleClicked.emit(events.lines.index(0, 2))
+    assert tab.map_panel.map.shown == 7
+
+
+def test_given_a_dropped_file_then_it_is_opened_and_stands_among_the_recent_ones(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path, memory: Memory, tmp_path: Path
+) -> None:
+    window = open_window()
+    other = write_lab(tmp_path / "other", 2, 2)
+    for path in (finished, other):
+        content = QMimeData()
+        content.setUrls([QUrl.fromLocalFile(str(path))])
+        arguments = (content, LEFT, NONE)
+        enter = QDragEnterEvent(QPoint(9, 9), Qt.DropAction.CopyAction, *arguments)
+        window.dragEnterEvent(enter)
+        assert enter.isAccepted()
+        window.dropEvent(QDropEvent(QPointF(9, 9), Qt.DropAction.CopyAction, *arguments))
+    tab = campaign_of(window)
+    assert tab.bank_field.path == finished.with_name("plate.h5") or tab.run_field.path == other
+    assert memory.recent() == [other, finished]
+    window.open_file(tmp_path / "lab" / "rig.toml")
+    assert "no tab opens such a file" in window.messages.sentence
+
+
+def test_given_a_theme_and_larger_text_then_they_are_remembered(
+    qtbot: QtBot, open_window: Callable[..., Window], memory: Memory
+) -> None:
+    window = open_window()
+    window.choose_theme("dark")
+    assert window.palette().window().color().name() == DARK.window
+    before = QApplication.font().pointSize()
+    window._resize_text(2)
+    window.close()
+    assert QApplication.font().pointSize() == before + 2
+    window._resize_text(-2)
+    assert memory.text("theme") == "dark"
+    assert memory.whole("text_pt", 0) == before
+
+
+def test_every_control_has_a_name_for_those_who_cannot_see_it_and_buttons_have_tooltips(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+) -> None:
+    window = open_window(finished)
+    kinds = (QAbstractButton, QAbstractSpinBox, QComboBox, QLineEdit, QProgressBar, QTableView)
+    controls = [control for kind in kinds for control in window.findChildren(kind)]
+    own = [
+        control
+        for control in controls
+        if not control.objectName().startswith("qt_") and type(control).__name__ not in ("QTableCornerButton",)
+        and not isinstance(control.parent(), QTableView | QComboBox | QAbstractSpinBox | QLineEdit)
+        and type(control.parent()).__name__ != "QTabBar"
+    ]  # fmt: skip
+    assert len(own) > 20
+    assert [type(control).__name__ for control in own if not control.accessibleName()] == []
+    buttons = [control for control in own if isinstance(control, QAbstractButton)]
+    assert [button.text() for button in buttons if not button.toolTip()] == []

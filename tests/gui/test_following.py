@@ -1,0 +1,159 @@
+"""The tail of a log and the reading model, without any window."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.events import State
+from calibration.bank_owner import Owner
+from gui.campaign.event_words import Weight
+from gui.campaign.figures import per_position
+from gui.campaign.follower import Life, Records
+from gui.campaign.log_tail import LogTail
+from gui.campaign.model import KEPT_LINES, Campaign
+from gui.campaign.raster import raster_of
+from gui.campaign.standing import Extra, Order, Standing, possible
+from gui.front_door import Pulse
+
+
+def test_given_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path: Path) -> None:
+    log = tmp_path / "plate.events.jsonl"
+    tail = LogTail(log)
+    assert tail.read() == ([], False)
+    log.write_bytes(b'{"event": "a"}\n{"ev')
+    assert tail.read() == ([{"event": "a"}], False)
+    assert tail.read() == ([], False)
+    with log.open("ab") as file:
+        file.write(b'ent": "b"}\n{"torn\n[1]\n{"event": "c"}\n')
+    assert tail.read() == ([{"event": "b"}, {"event": "c"}], False)
+
+
+def test_given_a_log_that_was_replaced_then_it_is_read_anew(tmp_path: Path) -> None:
+    log = tmp_path / "plate.events.jsonl"
+    log.write_text('{"event": "a"}\n{"event": "b"}\n', encoding="utf-8")
+    tail = LogTail(log)
+    tail.read()
+    other = tmp_path / "other"
+    other.write_text('{"event": "c"}\n' * 5, encoding="utf-8")
+    other.replace(log)
+    records, anew = tail.read()
+    assert anew
+    assert len(records) == 5
+    log.write_text("", encoding="utf-8")
+    assert tail.read() == ([], True)
+
+
+def _said(campaign: Campaign, **record: object) -> None:
+    campaign.take(Records([{"at": "2026-01-01T00:00:00+00:00", **record}], anew=False))
+
+
+def _asked(campaign: Campaign, *, owned: bool, silent: bool = False) -> None:
+    import time
+    from datetime import UTC, datetime
+
+    owner = Owner("here", 7) if owned else None
+    pulse = Pulse(datetime.now(UTC), 7, "running", "", 3, silent)
+    campaign.take(Life(owner, pulse, time.monotonic() + 1.0))
+
+
+def test_given_events_and_an_owner_then_the_standing_tells_who_is_at_it_and_who_is_gone() -> None:
+    campaign = Campaign()
+    assert campaign.standing().word is Extra.NO_BANK
+    assert campaign.standing(starting=True).word is Extra.STARTING
+    _asked(campaign, owned=True)
+    assert campaign.standing().word is Extra.PREPARING
+    _said(campaign, event="state_changed", state="running", reason="6 positions to do")
+    assert campaign.standing() == Standing(State.RUNNING, "6 positions to do")
+    _asked(campaign, owned=True, silent=True)
+    assert campaign.standing().word is Extra.SILENT
+    _asked(campaign, owned=False)
+    assert campaign.standing().word is Extra.GONE
+    _said(campaign, event="state_changed", state="finished", reason="every position is committed")
+    assert campaign.standing().word is not State.RUNNING
+
+
+@pytest.mark.parametrize(
+    ("word", "orders"),
+    [
+        (State.RUNNING, {Order.PAUSE, Order.STOP}),
+        (State.PAUSED, {Order.GO_ON, Order.STOP}),
+        (State.STOPPING, set()),
+        (State.STOPPED, {Order.START, Order.RESUME, Order.REMEASURE}),
+        (Extra.GONE, {Order.START, Order.RESUME, Order.REMEASURE}),
+        (Extra.STARTING, set()),
+    ],
+)
+def test_given_a_standing_then_only_what_makes_sense_can_be_asked_for(word: State | Extra, orders: set[Order]) -> None:
+    assert possible(Standing(word), has_run=True, has_bank=True, left=3) == orders
+
+
+def test_given_a_finished_bank_then_there_is_nothing_to_resume() -> None:
+    found = possible(Standing(State.FINISHED), has_run=False, has_bank=True, left=0)
+    assert found == {Order.REMEASURE}
+
+
+def test_given_faults_then_the_instrument_they_name_is_shown_with_its_last_message() -> None:
+    campaign = Campaign()
+    _said(
+        campaign, event="session_started", instruments=["virtual mirror, within +-250 mrad", "virtual recorder, 2 ch"]
+    )
+    fault = {"instrument": "virtual recorder", "operation": "recording", "cause": "no answer", "remedy": "look"}
+    _said(campaign, event="fault", retried=True, **fault)
+    mirror, recorder = campaign.instruments.all
+    assert (mirror.state, recorder.state) == ("in use", "faulty")
+    assert "no answer" in recorder.message
+    assert campaign.lines[-1].weight is Weight.FAULT
+    _said(campaign, event="reconnect_tried", instrument="virtual recorder", role="recorder", connected=False, number=1)
+    assert recorder.state == "away"
+    _said(campaign, event="position_committed", position=1, status=1, attempts=1)
+    assert recorder.state == "in use"
+
+
+def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept() -> None:
+    campaign = Campaign()
+    record = {"event": "position_repeated", "position": 1, "attempt": 1, "reason": "a burst"}
+    for _ in range(30):
+        campaign.take(Records([dict(record) for _ in range(1000)], anew=False))
+    assert KEPT_LINES <= len(campaign.lines) <= 1.1 * KEPT_LINES
+
+
+def test_given_records_of_a_later_version_then_they_are_shown_and_harm_nothing() -> None:
+    campaign = Campaign()
+    _said(campaign, event="new_kind", position="x")
+    _said(campaign, event="state_changed", state="dancing", reason=3)
+    _said(campaign, event="position_committed", position=None, status="x")
+    _said(campaign)
+    assert campaign.standing().word is Extra.NO_BANK
+    assert len(campaign.lines) == 4
+
+
+def test_given_figures_per_actuator_then_each_position_has_its_own_and_unmeasured_ones_none() -> None:
+    quality = {
+        "snr_db": np.array([[1, 2, 3], [4, 5, np.nan], [0, 0, 0]], np.float32),
+        "attempts": np.ones(3, np.float32),
+    }
+    found = per_position(quality, np.array([True, True, False]))
+    np.testing.assert_array_equal(found["snr_db"], np.array([2.0, 4.5, np.nan], np.float32))
+    np.testing.assert_array_equal(found["attempts"], np.array([1, 1, np.nan], np.float32))
+    assert np.isnan(found["coherence"]).all()
+
+
+def test_given_any_grid_then_every_position_has_pixels_of_its_own_and_a_click_finds_it() -> None:
+    square = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 4.0
+    shifted = square + np.where(square[:, 1:] % 8 == 0, 0.0, 2.0) * [1, 0]
+    for position_mm in (square, shifted, np.array([[3.0, 4.0]])):
+        raster = raster_of(position_mm)
+        assert set(np.unique(raster.index)) == set(range(len(position_mm) + 1))
+        assert [raster.nearest(*point) for point in position_mm.tolist()] == list(range(len(position_mm)))
+        assert raster.nearest(1e4, 0.0) == -1
+
+
+def test_given_json_lines_of_a_real_kind_then_they_are_sentences() -> None:
+    campaign = Campaign()
+    line = json.loads('{"event": "session_ended", "state": "finished", "done": 6, "total": 6, "counts": {"valid": 6}}')
+    _said(campaign, **line, time_s=17.0)
+    assert campaign.lines[-1].text == "session over, finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"

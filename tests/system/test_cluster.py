@@ -1,0 +1,123 @@
+"""Fields and banks made on a cluster of processes: the same to the byte as those made here."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from calibration.drive_file import Drive, write_drive
+from calibration.errors import InputError
+from tests.system.raw_script import RATE_HZ, Script, sweep
+from wavefocus.__main__ import run
+from wavefocus.cluster_tasks import field_part, identity_of
+
+SCHEDULER = """
+import sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.readline()
+"""
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A scheduler with two worker processes, as on other machines."""
+    script = tmp_path_factory.mktemp("cluster") / "cluster.py"
+    script.write_text(SCHEDULER, encoding="utf-8")
+    command = [sys.executable, str(script)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, text=True, **pipes) as scheduler:
+        yield scheduler.stdout.readline().strip()
+        scheduler.stdin.write("\n")
+        scheduler.stdin.flush()
+        assert scheduler.wait(60) == 0
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """A bank of 60 positions, one not measured, and a drive."""
+    random = np.random.default_rng(3)
+    green = (random.standard_normal((60, 4, 200)) * np.exp(-np.arange(200) / 40)).astype(np.float32)
+    green[7] = 0.0
+    with h5py.File(tmp_path / "bank.h5", "w") as file:
+        file["green"], file["position_mm"] = green, np.column_stack([4.0 * np.arange(60), np.zeros(60)])
+        file.attrs["sample_rate_hz"] = 2000.0
+    none = np.zeros(0, np.int64)
+    drive_v = random.standard_normal((4, 3000))
+    write_drive(tmp_path / "drive.h5", Drive(drive_v, 2000.0, -0.1, "sampled", 1.0, 0.0, none, none, none))
+    return tmp_path
+
+
+def wavefocus(*arguments: object) -> str:
+    """Run a command in a process of its own to its good end; what it told people."""
+    command = [sys.executable, "-W", "error", "-m", "wavefocus", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stderr
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("rate", [(), ("--rate", "500")])
+def test_given_a_cluster_then_the_field_is_the_same_to_the_byte(lab: Path, address: str, rate: tuple[str, ...]) -> None:
+    predict = ["predict", lab / "drive.h5", "--bank", lab / "bank.h5", *rate, "--out"]
+    assert "2 workers" in wavefocus(*predict, lab / "there.h5", "--cluster", address)
+    wavefocus(*predict, lab / "here.h5")
+    assert (lab / "there.h5").read_bytes() == (lab / "here.h5").read_bytes()
+    with h5py.File(lab / "there.h5") as file:
+        assert file["position_index"][:].tolist() == [row for row in range(60) if row != 7]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("where", ["address", "local"])
+def test_given_a_cluster_then_the_estimated_bank_is_the_same_to_the_byte(
+    tmp_path: Path, request: pytest.FixtureRequest, where: str
+) -> None:
+    script = Script(base=sweep(0.8), slots=[[(0, 0.0, 1.0)], [(1, 0.0, 0.5)]], samples=round(RATE_HZ))
+    raw = script.write(tmp_path / "a.raw.h5")
+    cluster = "local" if where == "local" else request.getfixturevalue("address")
+    wavefocus("estimate", raw, "--bank", tmp_path / "here.h5", "--workers", "1")
+    wavefocus("estimate", raw, "--bank", tmp_path / "there.h5", "--workers", "2", "--cluster", cluster)
+    assert (tmp_path / "there.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
+
+
+@pytest.mark.long
+def test_given_no_scheduler_at_the_address_then_exit_2_and_one_sentence(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
+    assert run([*predict, "--cluster", "nonsense://here:1"]) == 2
+    assert "--cluster nonsense://here:1" in capsys.readouterr().err.splitlines()[-1]
+    assert not (lab / "field.h5").exists()
+
+
+def test_given_no_dask_then_a_sentence_says_what_to_install(lab: Path) -> None:
+    without = "import sys; sys.modules['distributed'] = None; from wavefocus.__main__ import main; main()"
+    predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
+    command = [sys.executable, "-c", without, *predict, "--cluster", "local"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.strip().endswith("pip install 'wavefocus[cluster]'")
+
+
+def test_given_a_tolerance_then_a_cluster_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
+    assert run([*predict, "--cluster", "local", "--tolerance-db", "-60"]) == 2
+    assert "--tolerance-db" in capsys.readouterr().err
+
+
+def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab: Path) -> None:
+    drive, bank = identity_of(lab / "drive.h5"), identity_of(lab / "bank.h5")
+    assert field_part(drive, bank, None, [3, 1]).shape == (2, 3199)
+    with pytest.raises(InputError, match="another file there"):
+        field_part(drive, (bank[0], bank[1] + 1, bank[2]), None, [3])
+    (lab / "drive.h5").unlink()
+    with pytest.raises(InputError, match="does not exist there"):
+        field_part(drive, bank, None, [3])
