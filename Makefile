@@ -8,11 +8,16 @@ export PYTHON
 
 PY := .venv/bin/python
 ARGS :=
+# What a window needs on a bare system: Qt's own libraries and a font; and, for a test with a real X server, the rest.
+WINDOW_PACKAGES := libgl1 libglib2.0-0 libfontconfig1 fonts-dejavu-core
+X_PACKAGES := xvfb libdbus-1-3 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-shape0 \
+	libxcb-xinerama0 libxcb-xkb1 libxkbcommon-x11-0
 # What the emulated wires need beyond Python and its wheels: PortAudio and its ALSA side, an audio server, libusb for
 # pyusb, and a compiler for the stand-in of NI's driver library.
-TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 gcc libc6-dev
+TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 gcc libc6-dev \
+	$(WINDOW_PACKAGES) $(X_PACKAGES)
 
-.PHONY: help demo test test-long lint bench soak clean
+.PHONY: help demo test test-long lint bench soak screenshots window-figures clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 
@@ -50,6 +55,16 @@ soak: ## Kill, cut the power, fill disks and flip bytes by the thousand; half an
 	@tools/system-packages.sh gcc libc6-dev
 	@tools/set-up.sh test
 	$(PY) -m tests.system.crash.soak --out soak-out
+
+screenshots: ## Take pictures of the window, light, dark and scaled; writes docs/pictures/window-*.png
+	@tools/system-packages.sh $(WINDOW_PACKAGES)
+	@tools/set-up.sh
+	$(PY) tools/screenshots.py docs/pictures $(ARGS)
+
+window-figures: ## Measure how soon the window is up and what it costs
+	@tools/system-packages.sh $(WINDOW_PACKAGES)
+	@tools/set-up.sh
+	$(PY) tools/window_figures.py $(ARGS)
 
 clean: ## Remove .venv, caches and what demo and bench wrote
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .coverage .coverage.* \

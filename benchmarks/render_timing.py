@@ -77,7 +77,8 @@ class Result:
     error : float or None
         Relative L2 error, None for the reference itself and for the floor.
     times, cpu_times : float or None
-        How many times faster than the method that the work names as its peer, by wall and by CPU time.
+        How many times faster than the method that the work names as its peer: its wall or CPU time, whichever is
+        less, over our wall time; and by CPU time.
     remark : str
         What a reader must know to judge the figure.
     mark : Mark, optional
@@ -107,7 +108,9 @@ class Result:
         mark: Mark | None = None,
     ) -> Result:
         """A line of a timing beside its peer's."""
-        times, cpu_times = peer.wall_s / timing.wall_s, peer.cpu_s / max(timing.cpu_s, 1e-9)
+        # A peer that others kept from the cores was not slow: it counts no more than its CPU time.
+        times = min(peer.wall_s, peer.cpu_s) / timing.wall_s
+        cpu_times = peer.cpu_s / max(timing.cpu_s, 1e-9)
         return cls(work, method, timing.wall_s, timing.cpu_s, error, times, cpu_times, remark, mark)
 
 

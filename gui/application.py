@@ -15,6 +15,9 @@ from gui.front_door import FrontDoor
 from gui.memory import Memory
 from gui.window import Window
 
+# Fontconfig's own names, which Qt lists even where no font stands behind them.
+_NAMES_WITHOUT_FONTS = {"Monospace", "Sans Serif", "Serif"}
+
 
 def make_application(arguments: Sequence[str] = ("wavefocus",)) -> QApplication:
     """Make the application, sharp at any scaling.
@@ -43,7 +46,7 @@ def require_fonts() -> None:
     InputError
         There is none.
     """
-    if not QFontDatabase().families():
+    if not set(QFontDatabase().families()) - _NAMES_WITHOUT_FONTS:
         raise InputError(
             "the window would show no text, for the system has no font: install one, on Debian and Ubuntu: "
             "sudo apt-get install fonts-dejavu-core"

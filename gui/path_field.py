@@ -58,9 +58,9 @@ class PathField(QWidget):
     def show_path(self, path: Path) -> None:
         """Show a path without telling that it was chosen."""
         self._last = path
-        self.line.setText(str(path))
+        self.line.setText(_short(path))
         self.line.setToolTip(str(path))
-        self.line.setCursorPosition(len(str(path)))
+        self.line.setCursorPosition(len(self.line.text()))
 
     def _typed(self) -> None:
         path = self.path
@@ -87,3 +87,11 @@ class PathField(QWidget):
     def _selected(self, name: str) -> None:
         self.show_path(Path(name))
         self.chosen.emit(Path(name))
+
+
+def _short(path: Path) -> str:
+    """A path as people write it: from their own folder, where it lies in it."""
+    try:
+        return str(Path("~") / path.relative_to(Path.home()))
+    except (ValueError, RuntimeError):
+        return str(path)

@@ -18,7 +18,7 @@ from rendering.row_cut import RowCut
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
-CACHE_BYTES = 384 * 2**20
+CACHE_BYTES = 96 * 2**20
 LEAST_ROOM, ROOM = 16, 1.5
 """Room is made for so many rows, and for so many times as many as there are when it is full."""
 GROUP_BYTES = 5 * 2**18
@@ -28,10 +28,7 @@ MOST_GAPS = 1.5
 
 
 class RowSpectra:
-    """Transforms of time-reversed, scaled rows: bin by bin, but in all bins and in double precision row by row.
-
-    One product per bin is faster than one per row, but writing the rows bin by bin takes as long as their transform;
-    where spectra are four times as large that no longer pays.
+    """Transforms of time-reversed, scaled rows, bin by bin.
 
     Rows get places in the order in which they are first asked for: what a path visits lies side by side.
 
@@ -89,8 +86,8 @@ class RowSpectra:
         if wanted > self._most:
             self._place = {}
             missing = list(dict.fromkeys(rows))
-            self._room(max(len(missing), self._places))
-        elif wanted > self._places:
+            self._room(max(len(missing), self._spectra.shape[1]))
+        elif wanted > self._spectra.shape[1]:
             self._grow(min(self._most, max(int(ROOM * wanted), LEAST_ROOM)))
         first = len(self._place)
         self._place.update({row: first + number for number, row in enumerate(missing)})
@@ -116,14 +113,12 @@ class RowSpectra:
     def view(self, rows: Sequence[int]) -> RowsView:
         """What was prepared, as it is now: rows that come later do not touch it."""
         place = np.array([self._place[row] for row in rows], dtype=np.int64)
-        return RowsView(self._spectra, self._norms, self._joint_norms, self._cut_off, place, by_row=self.economy.exact)
+        return RowsView(self._spectra, self._norms, self._joint_norms, self._cut_off, place)
 
     def _room(self, places: int) -> None:
         actuators, economy = self._actuators, self.economy
         # Fresh arrays: views of the earlier ones may still be in use.
-        shape = (places, actuators, economy.kept) if economy.exact else (economy.kept, places, actuators)
-        self._spectra: NDArray[Any] = np.empty(shape, dtype=economy.complex)
-        self._places = places
+        self._spectra: NDArray[Any] = np.empty((economy.kept, places, actuators), dtype=economy.complex)
         columns = 0 if economy.exact else economy.segments + 1
         self._norms: Float64Array = np.empty((places, actuators, columns))
         self._joint_norms: Float64Array = np.empty((places, columns))
@@ -135,10 +130,7 @@ class RowSpectra:
         self._room(places)
         self._cut_off[:count] = cut_off[:count]
         self._joint_norms[:count] = joint[:count]
-        if self.economy.exact:
-            self._spectra[:count] = spectra[:count]
-        else:
-            self._spectra[:, :count] = spectra[:, :count]
+        self._spectra[:, :count] = spectra[:, :count]
         self._norms[:count] = norms[:count]
 
     def _transform(self, rows: list[int]) -> None:
@@ -168,11 +160,9 @@ class RowSpectra:
         first = int(place[0])
         side_by_side = int(place[-1]) - first == len(rows) - 1
         where: slice | Int64Array = slice(first, first + len(rows)) if side_by_side else place
-        if economy.exact:
-            self._spectra[where] = whole.reshape(len(rows), actuators, economy.kept)
-        else:
-            kept = whole[:, economy.low : economy.high].T
-            self._spectra[:, where] = kept.reshape(economy.kept, len(rows), actuators)
+        kept = whole[:, economy.low : economy.high].T
+        self._spectra[:, where] = kept.reshape(economy.kept, len(rows), actuators)
+        if not economy.exact:
             norms = economy.norms(whole).reshape(len(rows), actuators, -1)
             self._norms[where] = norms
             self._joint_norms[where] = np.sqrt(np.square(norms).sum(axis=1))
@@ -183,7 +173,7 @@ class RowsView:
 
     Parameters
     ----------
-    spectra : complex array, shape (kept bins, places, actuators), by row (places, actuators, kept bins)
+    spectra : complex array, shape (kept bins, places, actuators)
         Among others.
     norms : float64 array, shape (places, actuators, segments + 1)
         Norms over the segments of the economy; no segment where nothing is left out.
@@ -193,8 +183,6 @@ class RowsView:
         Norms of what of each row is not used, in time.
     place : int64 array, shape (rows,)
         Where the rows lie.
-    by_row : bool
-        Whether spectra lie row by row.
     """
 
     def __init__(
@@ -204,10 +192,7 @@ class RowsView:
         joint_norms: Float64Array,
         cut_off: Float64Array,
         place: Int64Array,
-        *,
-        by_row: bool,
     ) -> None:
-        self._by_row = by_row
         self._cut_off = cut_off
         self._spectra = spectra
         self._norms = norms
@@ -229,9 +214,6 @@ class RowsView:
 
     def magnitudes(self, chosen: Int64Array) -> Float64Array:
         """Norms over the actuators of some rows, bin by bin, (len(chosen), kept bins)."""
-        if self._by_row:
-            whole = np.abs(self._spectra[self._place[chosen]])
-            return np.asarray(np.sqrt(np.einsum("kib,kib->kb", whole, whole)), dtype=np.float64)
         spectra = np.take(self._spectra, self._place[chosen], axis=1)
         parts = spectra.view(spectra.real.dtype)
         return np.ascontiguousarray(np.sqrt(np.einsum("bki,bki->kb", parts, parts, dtype=np.float64)))
@@ -251,11 +233,6 @@ class RowsView:
         complex array, shape (kept bins, actuators)
         """
         place = self._place[chosen]
-        if self._by_row:
-            total, product = np.zeros(self._spectra.shape[1:], windows.dtype), np.empty_like(self._spectra[0])
-            for window, row in zip(windows, place.tolist(), strict=True):
-                total += np.multiply(self._spectra[row], window, out=product)
-            return total.T
         low, high = int(place.min()), int(place.max()) + 1
         if high - low <= MOST_GAPS * len(place) + 1:
             spectra = self._spectra[:, low:high]
@@ -265,5 +242,5 @@ class RowsView:
                 windows = spread
         else:
             spectra = np.take(self._spectra, place, axis=1)
-        found: NDArray[Any] = np.matmul(np.ascontiguousarray(windows.T)[:, None], spectra)
-        return found[:, 0]
+        product: NDArray[Any] = np.matmul(np.ascontiguousarray(windows.T)[:, None], spectra)
+        return product[:, 0]

@@ -24,6 +24,8 @@ DASHBOARD = "127.0.0.1:0"
 PARTS_PER_THREAD = 2
 """Under way at a time: one that is worked on, one that waits for it."""
 POSITIONS_AT_ONCE = 4
+PARTS_AT_ONCE = 4
+"""In one task, which costs the scheduler some milliseconds."""
 
 
 @contextmanager
@@ -165,11 +167,12 @@ def field_on_cluster(
     parts : iterable of sequences of int
         Bank rows that are computed together.
     """
-    from wavefocus.cluster_tasks import field_part, identity_of
+    from wavefocus.cluster_tasks import field_parts, identity_of
 
-    files = (identity_of(drive), identity_of(bank))
-    tasks = ((*files, rate_hz, list(part)) for part in parts)
-    return spread(client, _Spread(field_part), tasks, stopped=f"predicting {drive}")
+    files, chosen = (identity_of(drive), identity_of(bank)), [list(part) for part in parts]
+    tasks = ((*files, rate_hz, chosen[first : first + PARTS_AT_ONCE]) for first in range(0, len(chosen), PARTS_AT_ONCE))
+    for fields in spread(client, _Spread(field_parts), tasks, stopped=f"predicting {drive}"):
+        yield from fields
 
 
 def _result(future: Any, stopped: str) -> Any:

@@ -34,8 +34,10 @@ def identity_of(path: Path) -> Identity:
     return str(path.absolute()), facts.st_size, facts.st_mtime_ns
 
 
-def field_part(drive: Identity, bank: Identity, rate_hz: float | None, positions: Sequence[int]) -> NDArray[np.float32]:
-    """Predict some rows of a field as one part, rounded once to the float32 of its file.
+def field_parts(
+    drive: Identity, bank: Identity, rate_hz: float | None, parts: Sequence[Sequence[int]]
+) -> list[NDArray[np.float32]]:
+    """Predict some parts of a field, each computed as one, and rounded once to the float32 of its file.
 
     Parameters
     ----------
@@ -43,12 +45,12 @@ def field_part(drive: Identity, bank: Identity, rate_hz: float | None, positions
         The files.
     rate_hz : float or None
         Rate of the field; None for the bank's.
-    positions : sequence of int
-        Bank rows.
+    parts : sequence of sequences of int
+        Bank rows of each part.
 
     Returns
     -------
-    float32 array, shape (positions, samples)
+    list of float32 arrays, shape (positions, samples)
 
     Raises
     ------
@@ -56,7 +58,7 @@ def field_part(drive: Identity, bank: Identity, rate_hz: float | None, positions
         This machine does not have the files.
     """
     prediction = _prediction(_here(drive), _here(bank), rate_hz)
-    return prediction.respond(np.asarray(positions, dtype=np.int64)).astype(np.float32)
+    return [prediction.respond(np.asarray(part, dtype=np.int64)).astype(np.float32) for part in parts]
 
 
 def estimated_part(raw: Identity, positions: Sequence[int]) -> list[PositionResult]:

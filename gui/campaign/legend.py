@@ -38,8 +38,8 @@ class ColourBar(QWidget):
         self._title = f"{title} ({unit})" if unit else title
         below, above = beyond
         self._ends = (
-            ("≤ " if below else "") + _figure(low, high - low),
-            ("≥ " if above else "") + _figure(high, high - low),
+            ("≤ " if below else "") + _figure(low, low, high),
+            ("≥ " if above else "") + _figure(high, low, high),
         )
         self.setAccessibleName(f"Colour bar: {self._title} from {self._ends[0]} to {self._ends[1]}")
         self.setToolTip(f"{self._title}: dark is {self._ends[0]}, bright is {self._ends[1]}")
@@ -125,6 +125,9 @@ def _swatch(look: Look, theme: Theme) -> QIcon:
     return QIcon(picture)
 
 
-def _figure(value: float, span: float) -> str:
-    digits = 0 if span >= 50 else 1 if span >= 5 else 2 if span >= 0.5 else 4
+def _figure(value: float, low: float, high: float) -> str:
+    span = high - low
+    digits = (
+        0 if span >= 50 or (low.is_integer() and high.is_integer()) else 1 if span >= 5 else 2 if span >= 0.5 else 4
+    )
     return f"{value:.{digits}f}"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-# What is read at once; a night's log is some megabytes.
-_BLOCK_BYTES = 1 << 20
+# What is read at once: larger blocks leave the memory of their many small objects behind.
+_BLOCK_BYTES = 1 << 17
 
 
 class LogTail:
@@ -24,7 +24,7 @@ class LogTail:
         self._offset = 0
 
     def read(self) -> tuple[list[dict[str, object]], bool]:
-        """Return new records, at most a megabyte of them, and whether the file has begun anew.
+        """Return new records, at most a block of them, and whether the file has begun anew.
 
         A line without its end is left for later; one that is no JSON object (torn by a power cut) is passed over.
         A file that is gone, or cannot be read just now, has nothing new.

@@ -197,6 +197,8 @@ class DriftPlot(QWidget):
         for plot in self.plots:
             plot.setAxisItems({"bottom": pyqtgraph.DateAxisItem()})
             plot.setXLink(self.plots[0])
+            if plot is not self.plots[-1]:  # they share the clock at the foot
+                plot.getPlotItem().hideAxis("bottom")
             plot.getPlotItem().getAxis("left").setWidth(96)
             column.addWidget(plot)
 

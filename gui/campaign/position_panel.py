@@ -100,6 +100,10 @@ class PositionPanel(QTabWidget):
         self._read_recordings()
         self._fill_attempts()
 
+    def show_green_as(self, view: int) -> None:
+        """Show Green's functions stacked (0) or as a waterfall (1)."""
+        self._view.setCurrentIndex(view)
+
     def draw(self) -> None:
         """Draw what changed."""
         # Noted first: what cannot be drawn is told once, not twenty times a second.

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 _PIXELS_PER_SPACING = 12
 _MOST_PIXELS = 400_000
 _REACH = 1.5  # spacings
-_CELL = 0.46  # of the spacing: just short of half way to the neighbour
+_CELL = 0.45  # of the spacing: just short of half way to the neighbour
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,7 +21,7 @@ class Raster:
 
     Parameters
     ----------
-    index : int32 array (rows, columns)
+    index : intp array (rows, columns)
         Position that a pixel belongs to, `positions` where there is none; row 0 at the smallest y.
     left_mm, bottom_mm, width_mm, height_mm : float
         The rectangle that it covers.
@@ -31,7 +31,7 @@ class Raster:
         Of the positions.
     """
 
-    index: NDArray[np.int32]
+    index: NDArray[np.intp]
     left_mm: float
     bottom_mm: float
     width_mm: float
@@ -59,7 +59,7 @@ def raster_of(position_mm: NDArray[np.float64]) -> Raster:
     # By the larger of both coordinates a cell is a square: right for square grids, and good enough to see others by.
     _, index = tree.query(pixels_mm, p=np.inf, distance_upper_bound=_CELL * spacing_mm)
     return Raster(
-        index.reshape(rows, columns).astype(np.int32),
+        index.reshape(rows, columns),
         float(low[0]),
         float(low[1]),
         float(size_mm[0]),

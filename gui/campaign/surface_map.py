@@ -213,7 +213,10 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         if self._surface is None or len(colours) != self._surface.positions:
             return
         raster, clear = self._surface.raster, np.zeros((1, 4), np.uint8)
-        self._image.setImage(np.concatenate([colours, clear])[raster.index], autoLevels=False, levels=None)
+        # A pixel's four bytes are moved as one number: a quarter of the time.
+        numbers = np.concatenate([colours, clear]).view(np.uint32).ravel()
+        picture = np.take(numbers, raster.index, mode="clip").view(np.uint8).reshape(*raster.index.shape, 4)
+        self._image.setImage(picture, autoLevels=False, levels=None)
         if self._unplaced:
             self._unplaced = False
             self._image.setRect(QRectF(raster.left_mm, raster.bottom_mm, raster.width_mm, raster.height_mm))
@@ -245,6 +248,7 @@ class SurfaceMap(pyqtgraph.PlotWidget):
             return
         inside = [position for position in positions if position < self._surface.positions]
         item.setData(pos=self._surface.position_mm[inside].reshape(-1, 2))
+        item.setVisible(bool(inside))  # even an empty one takes time to paint
 
     def _clicked(self, x_mm: float, y_mm: float, adds: bool) -> None:
         position = -1 if self._surface is None else self._surface.raster.nearest(x_mm, y_mm)

@@ -26,7 +26,7 @@ from gui.theme import Theme
 
 _BAD = POOR_SIGNAL | OVER_RANGE | FAILED
 # What is taken up in one go; the rest of a long log comes with the next ticks, so that the window answers meanwhile.
-_FINDINGS_PER_TICK = 4
+_FINDINGS_PER_TICK = 3
 _DEFAULT_BANK = "plate.h5"
 
 

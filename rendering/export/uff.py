@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -44,15 +46,20 @@ def write_uff(path: Path, rows: BankRows, on_progress: OnProgress | None = None)
     pyuff, bank = needed("pyuff", "uff"), rows.bank
     if not rows.known.all():
         raise InputError(f"{path}: universal files hold no NaN; leave missing positions out")
-    with replacement(path) as temporary:
-        temporary.unlink()  # the package looks into what is there
-        file = pyuff.UFF(str(temporary))
-        file.write_sets([_units(), _nodes(rows)], mode="overwrite")
-        time_s = np.arange(bank.taps) / bank.sample_rate_hz
+    time_s = np.arange(bank.taps) / bank.sample_rate_hz
+    with replacement(path) as temporary, temporary.open("wb") as whole, TemporaryDirectory() as folder:
+        # Whenever the package adds to a file it reads all of it again, so it gets a new one for every position.
+        piece = Path(folder) / "piece.uff"
+        whole.write(_written(pyuff, piece, [_units(), _nodes(rows)]))
         for row, green in rows.each(on_progress):
-            file.write_sets(
-                [_function(rows, row, actuator, values, time_s) for actuator, values in enumerate(green)], mode="add"
-            )
+            functions = [_function(rows, row, actuator, values, time_s) for actuator, values in enumerate(green)]
+            whole.write(_written(pyuff, piece, functions))
+
+
+def _written(pyuff: ModuleType, piece: Path, sets: list[dict[str, Any]]) -> bytes:
+    piece.unlink(missing_ok=True)
+    pyuff.UFF(str(piece)).write_sets(sets, mode="overwrite")
+    return piece.read_bytes()
 
 
 def _units() -> dict[str, Any]:

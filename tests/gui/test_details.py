@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -58,12 +59,13 @@ def click(shown: SurfaceMap, at: QPoint, keys: Qt.KeyboardModifier = NONE) -> No
     mouse(shown, QEvent.Type.MouseButtonRelease, at, keys, held=False)
 
 
-def drag(shown: SurfaceMap, points: list[QPoint], keys: Qt.KeyboardModifier) -> None:
+def drag(qtbot: QtBot, shown: SurfaceMap, points: list[QPoint], keys: Qt.KeyboardModifier) -> None:
     mouse(shown, QEvent.Type.MouseMove, points[0], keys, held=False)
     mouse(shown, QEvent.Type.MouseButtonPress, points[0], keys, held=True)
-    for one, other in zip(points, points[1:], strict=False):
-        for part in range(1, 11):
-            mouse(shown, QEvent.Type.MouseMove, one + (other - one) * part / 10, keys, held=True)
+    for one, other in itertools.pairwise(points):
+        for part in range(1, 5):
+            qtbot.wait(15)  # the map looks at the mouse a hundred times a second
+            mouse(shown, QEvent.Type.MouseMove, one + (other - one) * part / 4, keys, held=True)
     mouse(shown, QEvent.Type.MouseButtonRelease, points[-1], keys, held=False)
 
 
@@ -122,11 +124,11 @@ def test_given_ctrl_clicks_a_rectangle_and_a_lasso_then_those_positions_are_sele
     click(shown, pixel(shown, 0, 0), Qt.KeyboardModifier.ControlModifier)
     click(shown, pixel(shown, 4.5, 3), Qt.KeyboardModifier.ControlModifier)
     assert shown.selected == {0, 11}
-    drag(shown, [pixel(shown, -1, -1), pixel(shown, 2, 2)], Qt.KeyboardModifier.ShiftModifier)
+    drag(qtbot, shown, [pixel(shown, -1, -1), pixel(shown, 2, 2)], Qt.KeyboardModifier.ShiftModifier)
     assert shown.selected == {0, 1, 4, 5}
     qtbot.mouseClick(tab.map_panel.ways["lasso"], LEFT)
     corners = [(-1.0, -1.0), (5.5, -1.0), (5.5, 0.7), (2.2, 0.7), (2.2, 4.0), (-1.0, 4.0)]
-    drag(shown, [pixel(shown, *corner) for corner in corners], NONE)
+    drag(qtbot, shown, [pixel(shown, *corner) for corner in corners], NONE)
     assert shown.selected == {0, 1, 2, 3, 4, 5, 8, 9}
     tab.draw()
     assert tab.controls.actions_by_name["selected"].text() == "Remeasure selected (8)"

@@ -15,7 +15,7 @@ from calibration.drive_file import Drive, write_drive
 from calibration.errors import InputError
 from tests.system.raw_script import RATE_HZ, Script, sweep
 from wavefocus.__main__ import run
-from wavefocus.cluster_tasks import field_part, identity_of
+from wavefocus.cluster_tasks import field_parts, identity_of
 
 SCHEDULER = """
 import sys
@@ -115,9 +115,9 @@ def test_given_a_tolerance_then_a_cluster_is_refused(lab: Path, capsys: pytest.C
 
 def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab: Path) -> None:
     drive, bank = identity_of(lab / "drive.h5"), identity_of(lab / "bank.h5")
-    assert field_part(drive, bank, None, [3, 1]).shape == (2, 3199)
+    assert [one.shape for one in field_parts(drive, bank, None, [[3, 1], [2]])] == [(2, 3199), (1, 3199)]
     with pytest.raises(InputError, match="another file there"):
-        field_part(drive, (bank[0], bank[1] + 1, bank[2]), None, [3])
+        field_parts(drive, (bank[0], bank[1] + 1, bank[2]), None, [[3]])
     (lab / "drive.h5").unlink()
     with pytest.raises(InputError, match="does not exist there"):
-        field_part(drive, bank, None, [3])
+        field_parts(drive, bank, None, [[3]])

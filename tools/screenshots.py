@@ -1,0 +1,144 @@
+"""Pictures of the window for the documentation: light and dark, at 1280 x 800 and at 200 %.
+
+Run it with: make screenshots. A campaign on the virtual rig, with faults on order, is measured first; the pictures are
+of that campaign while it runs and when it is over.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+RUN = """
+rig = "rig.toml"
+
+[grid]
+spacing_mm = 8.0
+
+[sweep]
+duration_s = 0.3
+
+[capture]
+averages = 2
+decay_s = 0.15
+taps = 1000
+keep_raw = true
+
+[drift]
+every_positions = 25
+
+[virtual]
+seed = 3
+"""
+FAULTS = (
+    'role = "recorder"\noperation = "read"\nkind = "dropout"\nposition = 60\ncount = 9',
+    'role = "recorder"\noperation = "read"\nkind = "dropout"\nposition = 71\ncount = 9',
+    'role = "recorder"\noperation = "read"\nkind = "over_range"\nposition = 130\ncount = 9',
+    'role = "recorder"\noperation = "read"\nkind = "unplugged"\nposition = 90\ntries = 2',
+    'role = "player"\noperation = "wait"\nkind = "underflow"\nposition = 20',
+)
+SIZE = (1280, 800)
+# Name of the picture, theme, what the map is coloured by, page of the details, how Green's functions are shown.
+OVER = (
+    ("campaign-light", "light", 0, 0, 0),
+    ("campaign-dark", "dark", 1, 0, 1),
+    ("spectrum", "light", 2, 1, 0),
+    ("quality", "light", 4, 2, 0),
+    ("recordings", "dark", 0, 3, 0),
+    ("drift", "light", 5, 4, 0),
+)
+
+
+def main() -> None:
+    """Take the pictures; the scaling of a process is fixed at its start, so each has one of its own."""
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("docs/pictures")
+    if len(sys.argv) > 3:
+        take(out, Path(sys.argv[2]), sys.argv[3])
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        run_file = _lab(Path(folder) / "lab")
+        out.mkdir(parents=True, exist_ok=True)
+        for what, scale in (("running", "1"), ("over", "1"), ("scaled", "2")):
+            environment = {
+                **os.environ, "QT_QPA_PLATFORM": "offscreen", "QT_FONT_DPI": "96", "QT_SCALE_FACTOR": scale,
+                "QT_SCALE_FACTOR_ROUNDING_POLICY": "Round", "XDG_RUNTIME_DIR": folder,
+                "HOME": folder,  # whose machine it is, is nobody's business
+            }  # fmt: skip
+            command = [sys.executable, __file__, str(out), str(run_file), what]
+            subprocess.run(command, env=environment, check=True, stderr=subprocess.DEVNULL)
+
+
+def take(out: Path, run_file: Path, what: str) -> None:
+    """Take the pictures of one scaling."""
+    from PyQt5.QtCore import QSettings
+
+    from gui.application import make_application
+    from gui.campaign.tab import CampaignTab
+    from gui.memory import Memory
+    from gui.window import Window
+    from wavefocus.commands.gui import front_door
+
+    application = make_application()
+    settings = QSettings(str(run_file.with_name("memory.ini")), QSettings.Format.IniFormat)
+    window = Window(front_door(), Memory(settings))
+    tab = window.tabs[0]
+    assert isinstance(tab, CampaignTab)
+    bank = run_file.with_name("plate.h5")
+    window.open_file(run_file)
+    window.choose_theme("light")
+    window.resize(*SIZE)
+    window.show()
+
+    def until(true: object, longest_s: float = 600.0) -> None:
+        ends_s = time.monotonic() + longest_s
+        while time.monotonic() < ends_s and not (callable(true) and true()):
+            application.processEvents()
+            time.sleep(0.01)
+
+    def keep(name: str) -> None:
+        until(None, 0.6)
+        if not window.grab().save(str(out / f"window-{name}.png")):
+            raise SystemExit(f"{out} cannot be written")
+
+    if what == "running":
+        until(tab.controls.buttons["start"].isEnabled)
+        tab.controls.buttons["start"].click()
+        until(lambda: tab.campaign.measured > 120)
+        tab.map_panel.map.show_position(100)
+        until(lambda: tab.position_panel.greens is not None)
+        keep("running")
+        tab.run.closing()
+        window.close()
+        keep("closing")
+        window.messages.put_away()
+        until(lambda: tab.run.own is None)
+    until(lambda: tab.campaign.surface is not None and tab.campaign.measured == tab.campaign.surface.positions)
+    window.messages.put_away()
+    tab.map_panel.map.show_position(71 if what == "over" else 100)
+    tab.map_panel.map.select([60, 71])
+    tab.events.weight.setCurrentIndex(2)
+    pictures = OVER if what == "over" else [("scaled-200", "dark", 1, 0, 0)] if what == "scaled" else []
+    for name, theme, colour, page, view in pictures:
+        window.choose_theme(theme)
+        tab.map_panel.colour_by.setCurrentIndex(colour)
+        tab.position_panel.setCurrentIndex(page)
+        tab.position_panel.show_green_as(view)
+        keep(name)
+    window.close_at_once()
+    print(f"{what}: {bank.name}, pictures in {out}")
+
+
+def _lab(folder: Path) -> Path:
+    folder.mkdir()
+    (folder / "rig.toml").write_text('[rig]\nname = "plate"\n', encoding="utf-8")
+    faults = "".join(f"\n[[virtual.fault_plan]]\n{fault}\n" for fault in FAULTS)
+    (folder / "run.toml").write_text(RUN + faults, encoding="utf-8")
+    return folder / "run.toml"
+
+
+if __name__ == "__main__":
+    main()
