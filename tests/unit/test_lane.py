@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import _thread
 import dataclasses
+import signal
 import threading
+from collections.abc import Iterator
 
 import pytest
 
@@ -14,6 +16,14 @@ from drivers.errors import InstrumentError, InstrumentLostError
 from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
 
 SOON_S = 0.05
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Ctrl-C raises here, also where the tests run in the background and it is ignored."""
+    former = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, former)
 
 
 def test_given_calls_then_their_answers_and_their_failures_come_back_in_order() -> None:
@@ -35,7 +45,7 @@ def test_given_a_call_that_hangs_then_it_is_given_up_and_the_next_one_gets_a_fre
     lane.abandon()
 
 
-def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before() -> None:
+def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(interruptible: None) -> None:
     lane, release, done = Lane("test"), threading.Event(), []
 
     def hold() -> None:
@@ -52,7 +62,7 @@ def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before() -
     lane.abandon()
 
 
-def test_given_a_wait_broken_off_then_an_urgent_call_overtakes_it() -> None:
+def test_given_a_wait_broken_off_then_an_urgent_call_overtakes_it(interruptible: None) -> None:
     lane, release, done = Lane("test"), threading.Event(), []
 
     def hold() -> None:
