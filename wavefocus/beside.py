@@ -20,15 +20,25 @@ def raw_path(bank: Path) -> Path:
     return bank.with_name(f"{bank.stem if bank.suffix == '.h5' else bank.name}.raw.h5")
 
 
-def write_whole(path: Path, content: Mapping[str, object]) -> None:
+def write_whole(path: Path, content: Mapping[str, object], *, by_many: bool = False) -> None:
     """Write a JSON object so that a reader finds the old one or the new one and nothing in between.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    content : mapping
+        What it shall hold.
+    by_many : bool
+        Whether several processes may write it at once. A file that one process writes leaves nothing behind that the
+        next one does not take over, however it ends.
 
     Raises
     ------
     OSError
         It cannot be written.
     """
-    new = path.with_name(f"{path.name}.{os.getpid()}.new")
+    new = path.with_name(f"{path.name}.{os.getpid()}.new" if by_many else f"{path.name}.new")
     try:
         new.write_text(json.dumps(content) + "\n", encoding="utf-8")
         for left in reversed(range(_TRIES)):

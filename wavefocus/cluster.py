@@ -7,6 +7,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,14 +50,14 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
         Dask is missing, or no scheduler answers at the address.
     """
     try:
-        import distributed
+        distributed: Any = import_module("distributed")  # types come with it, or not: it need not be there
     except ImportError as error:
         raise InputError(f"--cluster needs dask ({error}): pip install 'wavefocus[cluster]'") from None
     with ExitStack() as opened:
         try:
             if address == LOCAL:
                 where = opened.enter_context(
-                    distributed.LocalCluster(  # type: ignore[no-untyped-call]
+                    distributed.LocalCluster(
                         n_workers=workers or os.cpu_count() or 1,
                         threads_per_worker=1,
                         dashboard_address=DASHBOARD,
@@ -65,9 +66,7 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
                 )
             else:
                 where = address
-            client = opened.enter_context(
-                distributed.Client(where, timeout=CONNECTING_S, set_as_default=False)  # type: ignore[no-untyped-call]
-            )
+            client = opened.enter_context(distributed.Client(where, timeout=CONNECTING_S, set_as_default=False))
         except (OSError, ValueError, TimeoutError, RuntimeError) as error:
             what = "could not be started" if address == LOCAL else "no scheduler answers there"
             raise InputError(f"--cluster {address}: {what}: {error}") from None

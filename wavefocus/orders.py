@@ -41,7 +41,7 @@ def give_order(bank: Path, word: str) -> Order:
         The file cannot be written.
     """
     order = Order(word, uuid.uuid4().hex)
-    write_whole(orders_path(bank), {"order": order.word, "number": order.number})
+    write_whole(orders_path(bank), {"order": order.word, "number": order.number}, by_many=True)
     return order
 
 

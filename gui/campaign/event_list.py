@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from PyQt5.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
 from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import (
@@ -23,6 +25,7 @@ from gui.theme import LIGHT, Theme
 
 _TITLES = ("when", "weight", "event")
 _NOWHERE = QModelIndex()
+_COUNTS_EVERY_S = 0.5
 
 
 class EventLines(QAbstractTableModel):
@@ -75,18 +78,19 @@ class EventLines(QAbstractTableModel):
         self._least, self._text = least, text.casefold()
         self._rebuild()
 
-    def take_new(self) -> None:
-        """Take up the lines that came in."""
+    def take_new(self) -> bool:
+        """Take up the lines that came in; tells whether any of them is shown."""
         lines = self._campaign.lines
         if self._trimmed != self._campaign.trimmed:
             self._rebuild()
-            return
+            return True
         new = [line for line in lines[self._taken :] if self._passes(line)]
         self._taken = len(lines)
         if new:
             self.beginInsertRows(QModelIndex(), len(self._shown), len(self._shown) + len(new) - 1)
             self._shown.extend(new)
             self.endInsertRows()
+        return bool(new)
 
     def _rebuild(self) -> None:
         self.beginResetModel()
@@ -107,6 +111,7 @@ class EventList(QWidget):
         super().__init__()
         self._campaign = campaign
         self._seen = -1
+        self._count_due_s = 0.0
         self.lines = EventLines(campaign)
         self.weight = QComboBox()
         self.weight.addItems(["everything", "notes and above", "warnings and faults", "faults"])
@@ -149,14 +154,14 @@ class EventList(QWidget):
 
     def draw(self) -> None:
         """Draw what came in, and follow it where the newest line was in sight."""
+        if time.monotonic() >= self._count_due_s:
+            self._tell_count()
         if self._seen == self._campaign.revision["lines"]:
             return
         self._seen = self._campaign.revision["lines"]
         bar = self.view.verticalScrollBar()
         at_end = bar is None or bar.value() >= bar.maximum() - 1
-        self.lines.take_new()
-        self._tell_count()
-        if at_end:
+        if self.lines.take_new() and at_end:
             self.view.scrollToBottom()
 
     def dress(self, theme: Theme) -> None:
@@ -175,7 +180,11 @@ class EventList(QWidget):
         self.view.scrollToBottom()
 
     def _tell_count(self) -> None:
-        self._count.setText(f"{self.lines.rowCount()} of {len(self._campaign.lines)}")
+        """A label that changes lays out its row anew: not at every event."""
+        self._count_due_s = time.monotonic() + _COUNTS_EVERY_S
+        text = f"{self.lines.rowCount()} of {len(self._campaign.lines)}"
+        if text != self._count.text():
+            self._count.setText(text)
 
     def _wanted(self, index: QModelIndex) -> None:
         position = self.lines.line(index.row()).position

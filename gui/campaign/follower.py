@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 LOOKS_EVERY_S = 0.05
 LIFE_EVERY_S = 1.0
 # Reading all statuses and figures of a large bank takes a while; it may take this fraction of the time at most.
-_LEDGER_SHARE = 0.03
+_LEDGER_SHARE = 0.005
 _LEDGER_EVERY_S = 1.0
 _ENDS_WITHIN_S = 2.0
 
@@ -137,7 +137,8 @@ class Follower:
 
     def _look(self) -> None:
         now_s = time.monotonic()
-        if now_s >= self._life_due_s:
+        # A bank that has just been made is opened before its events are told, which speak of its positions.
+        if now_s >= self._life_due_s or (self._identity is None and self.bank.exists()):
             self._life_due_s = now_s + LIFE_EVERY_S
             self._look_at_bank()
         records, anew = self._tail.read()

@@ -190,7 +190,7 @@ class DriftPlot(QWidget):
         self.setAccessibleName("Drift of the sentinel position")
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
+        column.setSpacing(8)
         self.plots = [
             Plot(f"Drift: {label}", "clock", label) for label in ("level (dB)", "delay (samples)", "1 − corr.")
         ]

@@ -16,7 +16,7 @@ from calibration.bank import Bank
 if TYPE_CHECKING:
     from gui.campaign.raster import Raster
 
-_OUTLINE_POINTS = 361
+_OUTLINE_POINTS = 181
 
 
 @dataclass(frozen=True, slots=True, eq=False)

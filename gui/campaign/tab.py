@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import tomllib
 from pathlib import Path
 
@@ -28,6 +29,8 @@ _BAD = POOR_SIGNAL | OVER_RANGE | FAILED
 # What is taken up in one go; the rest of a long log comes with the next ticks, so that the window answers meanwhile.
 _FINDINGS_PER_TICK = 3
 _DEFAULT_BANK = "plate.h5"
+# Where nothing came in, clocks and buttons are looked after this often.
+_CLOCKS_EVERY_S = 0.25
 
 
 class CampaignTab(Tab):
@@ -42,6 +45,8 @@ class CampaignTab(Tab):
         self.follower: Follower | None = None
         self.run = CampaignRun(desk, self)
         self._told_trouble = ""
+        self._drawn: tuple[int, ...] = ()
+        self._draw_due_s = 0.0
         self.run_field = PathField("&Run", ".toml", "run file", desk.memory)
         self.bank_field = PathField("&Bank", ".h5", "bank file", desk.memory, saves=True)
         self.controls = Controls(
@@ -116,6 +121,10 @@ class CampaignTab(Tab):
     def draw(self) -> None:
         """Draw what changed."""
         campaign, bank = self.campaign, self.bank_field.path
+        news = (*campaign.revision.values(), len(self.map_panel.map.selected))
+        if news == self._drawn and time.monotonic() < self._draw_due_s:
+            return
+        self._drawn, self._draw_due_s = news, time.monotonic() + _CLOCKS_EVERY_S
         standing = campaign.standing(starting=self.run.runs(bank))
         owner = campaign.owner
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""

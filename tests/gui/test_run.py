@@ -155,11 +155,11 @@ def test_given_a_run_file_with_a_mistake_then_the_capture_s_sentence_stands_in_t
 
 
 def test_given_a_run_file_then_the_dry_run_tells_positions_and_hours(
-    qtbot: QtBot, open_window: Callable[..., Window], long_run: Path
+    qtbot: QtBot, open_window: Callable[..., Window], tmp_path: Path
 ) -> None:
-    window = open_window(long_run)
+    window = open_window(write_lab(tmp_path / "lab", 4, 3))
     press(qtbot, campaign_of(window), "plan")
-    wait(qtbot, lambda: "positions 2000" in window.messages.sentence)
+    wait(qtbot, lambda: "positions 12" in window.messages.sentence)
     assert "finishes" in window.messages.sentence
     answer(qtbot, window, "Everything")
     assert "within all limits" in window.findChild(QPlainTextEdit).toPlainText()
