@@ -48,6 +48,22 @@ FIGURES = (
 )
 
 
+# Where nothing is unknown, the plain functions are many times quicker.
+_PLAIN: dict[Callable[..., Float32Array], Callable[..., Float32Array]] = {
+    np.nanmedian: np.median,
+    np.nanmax: np.max,
+    np.nanmin: np.min,
+}
+
+
+def _reduced(figure: Figure, rows: Float32Array) -> Float32Array:
+    if not np.isnan(rows).any():
+        return _PLAIN[figure.worst](rows, axis=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a row of nothing but NaN stays NaN
+        return figure.worst(rows, axis=1)
+
+
 def per_position(quality: Mapping[str, Float32Array], measured: NDArray[np.bool_]) -> dict[str, Float32Array]:
     """One number per position and figure, NaN where a position is not measured or the bank does not say.
 
@@ -64,8 +80,6 @@ def per_position(quality: Mapping[str, Float32Array], measured: NDArray[np.bool_
         reduced = np.full(len(measured), np.nan, np.float32)
         if values is not None and measured.any():
             rows = np.asarray(values)[measured].reshape(int(measured.sum()), -1)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)  # a row of nothing but NaN stays NaN
-                reduced[measured] = figure.worst(rows, axis=1)
+            reduced[measured] = _reduced(figure, rows)
         found[figure.key] = reduced
     return found

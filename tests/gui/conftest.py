@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 from collections.abc import Callable, Generator
 from pathlib import Path
 
@@ -110,6 +111,9 @@ def open_window(qtbot: QtBot, memory: Memory) -> Generator[Callable[..., Window]
 
     yield make
     for window in opened:
+        own = campaign_of(window).run.own
+        if own is not None and own.alive:  # a test that failed leaves nothing running
+            os.kill(own.pid, signal.SIGTERM)
         window.close_at_once()
         assert window.mishaps == []
         window.deleteLater()
