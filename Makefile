@@ -17,7 +17,7 @@ X_PACKAGES := xvfb libdbus-1-3 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxc
 TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 gcc libc6-dev \
 	$(WINDOW_PACKAGES) $(X_PACKAGES)
 
-.PHONY: help demo test test-long lint bench soak screenshots window-figures clean
+.PHONY: help demo test coverage test-long lint bench soak screenshots window-figures clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 
@@ -28,7 +28,12 @@ demo: ## Measure, interrupt, resume, render, verify on the virtual rig; writes d
 	@tools/set-up.sh
 	$(PY) -m wavefocus demo --out demo-out $(ARGS)
 
-test: ## Run the tests, with coverage; some minutes
+test: ## Run the tests; some minutes
+	@tools/system-packages.sh $(TEST_PACKAGES)
+	@tools/set-up.sh test
+	$(PY) -m pytest $(ARGS)
+
+coverage: ## Run the tests and measure which lines they reach; slower
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/set-up.sh test
 	@# Python 3.12 and later can measure coverage at next to no cost.

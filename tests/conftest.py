@@ -21,6 +21,11 @@ settings.register_profile("wavefocus", deadline=None, suppress_health_check=[Hea
 settings.load_profile("wavefocus")
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are cores: many tests wait for an emulated instrument's time to pass."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--hardware", metavar="RIG.toml", type=Path, help="run the contract suites on this rig's instruments instead"

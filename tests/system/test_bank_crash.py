@@ -138,6 +138,8 @@ try:
     create_bank(sys.argv[1], header(4))
 except InputError as error:
     print(error)
+# What measures coverage writes its files at the end.
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 """
 
 

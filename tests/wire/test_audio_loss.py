@@ -28,7 +28,7 @@ from tests.wire.audio_bench import (
     wait_until,
 )
 
-pytestmark = needs_audio_server
+pytestmark = [pytest.mark.long, *needs_audio_server]
 
 PLAYING = """
 import sys, time
