@@ -127,7 +127,6 @@ def events(capture: subprocess.Popen[str]) -> Iterator[dict[str, object]]:
 
 def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_goes_on_by_itself(lab):
     write_run(lab, "run.toml", "rig.toml", averages=1)
-    (lab / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n8,0\n8,4\n", encoding="utf-8")
     with far_sides(lab / "rig.toml") as sides:
         capture = subprocess.Popen(
             [
@@ -162,4 +161,4 @@ def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_g
     assert sorted(came_back) == ["mirror", "player", "recorder"]
     wavefocus("check", lab / "b.h5")
     with h5py.File(lab / "b.h5") as bank:
-        assert list(bank["status"]) == [1] * 4
+        assert list(bank["status"]) == [1] * len(POSITIONS)
