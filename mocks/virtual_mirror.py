@@ -10,6 +10,7 @@ from drivers.errors import InstrumentError, TransientInstrumentError
 from mocks.clocks import NANOSECONDS, VirtualClock
 from mocks.faults import FaultPlan
 from mocks.geometry import inside_stadium
+from mocks.mirror_moves import stood_between
 from mocks.settings import VirtualSettings
 
 NAME = "virtual mirror"
@@ -96,17 +97,7 @@ class VirtualMirror:
         """
         with self._lock:
             moves = list(self._moves)
-        changes: list[tuple[int, tuple[float, float] | None]] = []
-        ends_ns = stop_ns
-        for move in reversed(moves):
-            if max(move.settled_ns, start_ns) < ends_ns:
-                changes.append((max(move.settled_ns, start_ns), move.place_mm))
-            if max(move.start_ns, start_ns) < min(move.settled_ns, ends_ns):
-                changes.append((max(move.start_ns, start_ns), None))
-            ends_ns = min(ends_ns, move.start_ns)
-            if ends_ns <= start_ns:
-                break
-        return changes[::-1]
+        return stood_between(moves, start_ns, stop_ns, lambda move: move.place_mm)
 
     def _move(self, start_ns: int, settled_ns: int, target_mrad: tuple[float, float]) -> _Move:
         spot_mm = self._settings.mirror.spot_mm(*target_mrad)

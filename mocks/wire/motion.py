@@ -7,6 +7,8 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
+from mocks.mirror_moves import stood_between
+
 NANOSECONDS = 1_000_000_000
 KEPT_MOVES = 4096
 # What rounding to a device's own units may add to an angle at the limit.
@@ -98,14 +100,4 @@ class MirrorMotion:
         """
         with self._lock:
             moves = list(self._moves)
-        changes: list[tuple[int, tuple[float, float] | None]] = []
-        ends_ns = stop_ns
-        for move in reversed(moves):
-            if max(move.settled_ns, start_ns) < ends_ns:
-                changes.append((max(move.settled_ns, start_ns), move.target_mrad))
-            if max(move.start_ns, start_ns) < min(move.settled_ns, ends_ns):
-                changes.append((max(move.start_ns, start_ns), None))
-            ends_ns = min(ends_ns, move.start_ns)
-            if ends_ns <= start_ns:
-                break
-        return changes[::-1]
+        return stood_between(moves, start_ns, stop_ns, lambda move: move.target_mrad)
