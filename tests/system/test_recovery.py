@@ -3,55 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import pytest
 
-from calibration.bank_creation import create_bank
 from tests.system.conftest import with_faults
+from tests.system.telling import Listener, capture, empty_bank, events_of, states_of
 from wavefocus.__main__ import run
-from wavefocus.compose import blueprint_from_files
-
-
-def _events(text: str, kind: str) -> list[dict[str, object]]:
-    return [event for event in map(json.loads, text.splitlines()) if event["event"] == kind]
-
-
-def _states(text: str) -> list[object]:
-    return [event["state"] for event in _events(text, "state_changed")]
-
-
-def _empty_bank(lab: Path, name: str) -> Path:
-    """A bank of the lab's run as it is now; faults put into the run file later leave no trace in it."""
-    create_bank(lab / name, blueprint_from_files(lab / "run.toml").bank_header())
-    return lab / name
-
-
-def _capture(lab: Path, bank: Path) -> int:
-    return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"])
-
-
-class _Listener(io.TextIOBase):
-    """Standard output that does something once, while the words that it waits for are being told."""
-
-    def __init__(self, words: str, act: Callable[[], None]) -> None:
-        self._words, self._act = words, act
-        self.told = ""
-
-    def write(self, text: str) -> int:
-        self.told += text
-        if self._words in text:
-            self._words = "nothing more"
-            self._act()
-        return len(text)
-
 
 UNPLUGGED = {
     "recorder before a record": 'role = "recorder"\noperation = "start"\nposition = 2\nrecord = 1',
@@ -68,19 +31,19 @@ UNPLUGGED = {
 def test_given_an_instrument_unplugged_and_plugged_in_then_the_bank_is_that_of_a_quiet_night(
     lab: Path, fault: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quiet, disturbed = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "disturbed.h5")
-    assert _capture(lab, quiet) == 0
+    quiet, disturbed = empty_bank(lab, "quiet.h5"), empty_bank(lab, "disturbed.h5")
+    assert capture(lab, quiet) == 0
     with_faults(lab, f'{fault}\nkind = "unplugged"\ntries = 3')
     capsys.readouterr()
-    assert _capture(lab, disturbed) == 0
+    assert capture(lab, disturbed) == 0
     told = capsys.readouterr().out
-    tries = _events(told, "reconnect_tried")
+    tries = events_of(told, "reconnect_tried")
     assert [one["number"] for one in tries] == [1, 2, 3, 4]
     assert [one["next_try_s"] for one in tries] == [1.0, 2.0, 4.0, None]
     assert [one["connected"] for one in tries] == [False, False, False, True]
-    assert "recovering" in _states(told)
-    assert _states(told)[-2:] == ["running", "finished"]
-    assert _events(told, "fault")[0]["retried"] is True
+    assert "recovering" in states_of(told)
+    assert states_of(told)[-2:] == ["running", "finished"]
+    assert events_of(told, "fault")[0]["retried"] is True
     assert disturbed.read_bytes() == quiet.read_bytes()
     assert run(["check", str(disturbed)]) == 0
 
@@ -93,8 +56,8 @@ def test_given_a_hub_unplugged_then_both_instruments_on_it_come_back(
         'role = "recorder"\noperation = "read"\nkind = "unplugged"\nposition = 1\nrecord = 0',
         'role = "player"\noperation = "mute"\nkind = "unplugged"\nat_call = 1\ntries = 2',
     )
-    assert _capture(lab, lab / "plate.h5") == 0
-    back = [one["role"] for one in _events(capsys.readouterr().out, "reconnect_tried") if one["connected"]]
+    assert capture(lab, lab / "plate.h5") == 0
+    back = [one["role"] for one in events_of(capsys.readouterr().out, "reconnect_tried") if one["connected"]]
     assert sorted(back) == ["player", "recorder"]
     with h5py.File(lab / "plate.h5", "r") as bank:
         assert list(bank["status"]) == [1] * 6
@@ -104,12 +67,12 @@ def test_given_a_hub_unplugged_then_both_instruments_on_it_come_back(
 def test_given_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_on(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
-    assert _capture(lab, quiet) == 0
+    quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
+    assert capture(lab, quiet) == 0
     sound = (lab / "run.toml").read_text(encoding="utf-8")
     with_faults(lab, 'role = "mirror"\noperation = "move_to"\nkind = "lost"\nat_call = 6')
     capsys.readouterr()
-    assert _capture(lab, bank) == 3
+    assert capture(lab, bank) == 3
     told = capsys.readouterr()
     last = told.err.splitlines()[-1]
     assert "mirror" in last
@@ -117,12 +80,12 @@ def test_given_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_
     assert "check its cable and its power" in last
     assert last.endswith(f"go on with: wavefocus resume {bank}")
     assert "Traceback" not in told.err
-    waits = [one["next_try_s"] for one in _events(told.out, "reconnect_tried")]
+    waits = [one["next_try_s"] for one in events_of(told.out, "reconnect_tried")]
     assert waits[:7] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
     assert waits[-1] is None
-    assert _events(told.out, "session_ended")[0]["state"] == "failed"
+    assert events_of(told.out, "session_ended")[0]["state"] == "failed"
     (lab / "run.toml").write_text(sound, encoding="utf-8")
-    assert _capture(lab, bank) == 0
+    assert capture(lab, bank) == 0
     assert bank.read_bytes() == quiet.read_bytes()
 
 
@@ -144,12 +107,12 @@ def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(
 def test_given_a_record_that_fails_once_then_it_alone_is_taken_again_and_the_bank_is_the_same(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quiet, disturbed = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "disturbed.h5")
-    assert _capture(lab, quiet) == 0
+    quiet, disturbed = empty_bank(lab, "quiet.h5"), empty_bank(lab, "disturbed.h5")
+    assert capture(lab, quiet) == 0
     capsys.readouterr()
     with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "underflow"\nat_call = 8')
-    assert _capture(lab, disturbed) == 0
-    faults = _events(capsys.readouterr().out, "fault")
+    assert capture(lab, disturbed) == 0
+    faults = events_of(capsys.readouterr().out, "fault")
     assert [(one["instrument"], one["position"], one["retried"]) for one in faults] == [("virtual player", 2, True)]
     assert disturbed.read_bytes() == quiet.read_bytes()
 
@@ -158,8 +121,8 @@ def test_given_an_instrument_that_keeps_failing_passingly_then_it_gets_a_fresh_c
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "timeout"\nat_call = 7\ncount = 6')
-    assert _capture(lab, lab / "plate.h5") == 0
-    tries = _events(capsys.readouterr().out, "reconnect_tried")
+    assert capture(lab, lab / "plate.h5") == 0
+    tries = events_of(capsys.readouterr().out, "reconnect_tried")
     assert [(one["role"], one["connected"]) for one in tries] == [("recorder", True)]
     with h5py.File(lab / "plate.h5", "r") as bank:
         assert list(bank["status"]) == [1] * 6
@@ -176,8 +139,8 @@ def test_given_a_record_that_cannot_be_silenced_after_a_passing_fault_then_the_p
         'role = "recorder"\noperation = "reconnect"\nkind = "lost"\nat_call = 1',
     )
     # The short read strikes each time that attempt 1 is taken: after the player is back, as a fault of its own.
-    assert _capture(lab, lab / "plate.h5") == 0
-    back = [one["role"] for one in _events(capsys.readouterr().out, "reconnect_tried")]
+    assert capture(lab, lab / "plate.h5") == 0
+    back = [one["role"] for one in events_of(capsys.readouterr().out, "reconnect_tried")]
     assert back == ["player"]
 
 
@@ -188,14 +151,14 @@ def test_given_passing_faults_at_the_sentinel_then_it_is_measured_again(
     sentinel = 'role = "recorder"\noperation = "read"\npurpose = "sentinel"\nattempt = 1\nrecord = 1\n'
     with_faults(lab, lost, f'{sentinel}kind = "unplugged"\ntries = 2', f'{sentinel}kind = "short_read"')
     bank = lab / "plate.h5"
-    assert _capture(lab, bank) == 3
+    assert capture(lab, bank) == 3
     capsys.readouterr()
     # The lost recorder strikes again, but not before the sentinel has been measured.
     assert run(["resume", str(bank), "--json"]) == 3
     told = capsys.readouterr().out
-    assert [one["connected"] for one in _events(told, "reconnect_tried")][:3] == [False, False, True]
-    assert [one["verdict"] for one in _events(told, "drift")] == ["steady"]
-    faults = [one["operation"] for one in _events(told, "fault")]
+    assert [one["connected"] for one in events_of(told, "reconnect_tried")][:3] == [False, False, True]
+    assert [one["verdict"] for one in events_of(told, "drift")] == ["steady"]
+    faults = [one["operation"] for one in events_of(told, "fault")]
     assert faults[:2] == [f"recording sentinel of position 0, attempt 1, record {1}"] * 2
 
 
@@ -209,12 +172,12 @@ def test_given_status_while_an_instrument_is_waited_for_then_it_says_so_since_wh
             command = [sys.executable, "-m", "wavefocus", "status", str(bank), *more]
             answers.append(subprocess.run(command, capture_output=True, text=True, check=True))
 
-    listener = _Listener('"event": "reconnect_tried"', ask)
+    listener = Listener(('"event": "reconnect_tried"', ask))
     with contextlib.redirect_stdout(listener):
-        assert _capture(lab, bank) == 0
+        assert capture(lab, bank) == 0
     facts = json.loads(answers[0].stdout)
     assert facts["state"] == "recovering"
-    recovering = next(one for one in _events(listener.told, "state_changed") if one["state"] == "recovering")
+    recovering = next(one for one in events_of(listener.told, "state_changed") if one["state"] == "recovering")
     assert facts["state_since"][:19] == str(recovering["at"])[:19]
     assert facts["recovering"]["instrument"] == "virtual player"
     assert facts["recovering"]["tries"] == 1
@@ -233,9 +196,9 @@ def test_given_status_before_the_first_try_has_ended_then_it_names_the_instrumen
         command = [sys.executable, "-m", "wavefocus", "status", str(bank), "--json"]
         answers.append(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
-    listener = _Listener('"state": "recovering"', ask)
+    listener = Listener(('"state": "recovering"', ask))
     with contextlib.redirect_stdout(listener):
-        assert _capture(lab, bank) == 0
+        assert capture(lab, bank) == 0
     facts = json.loads(answers[0])
     assert facts["state"] == "recovering"
     assert facts["recovering"]["instrument"] == "virtual mirror"
@@ -244,7 +207,7 @@ def test_given_status_before_the_first_try_has_ended_then_it_names_the_instrumen
 
 def test_given_status_of_a_finished_campaign_then_it_is_idle(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bank = lab / "plate.h5"
-    assert _capture(lab, bank) == 0
+    assert capture(lab, bank) == 0
     capsys.readouterr()
     assert run(["status", str(bank), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
@@ -255,8 +218,8 @@ def test_given_status_of_a_finished_campaign_then_it_is_idle(lab: Path, capsys: 
 def test_given_ctrl_c_while_an_instrument_is_waited_for_then_it_stops_at_once_and_can_be_resumed(
     lab: Path, interrupts: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
-    assert _capture(lab, quiet) == 0
+    quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
+    assert capture(lab, quiet) == 0
     sound = (lab / "run.toml").read_text(encoding="utf-8")
     with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 2\nrecord = 1')
 
@@ -264,14 +227,14 @@ def test_given_ctrl_c_while_an_instrument_is_waited_for_then_it_stops_at_once_an
         for _ in range(interrupts):
             signal.raise_signal(signal.SIGINT)
 
-    listener = _Listener('"event": "reconnect_tried"', press)
+    listener = Listener(('"event": "reconnect_tried"', press))
     with contextlib.redirect_stdout(listener):
-        assert _capture(lab, bank) == 130
-    assert len(_events(listener.told, "reconnect_tried")) == 1
-    assert _events(listener.told, "session_ended")[0]["state"] == "stopped"
+        assert capture(lab, bank) == 130
+    assert len(events_of(listener.told, "reconnect_tried")) == 1
+    assert events_of(listener.told, "session_ended")[0]["state"] == "stopped"
     assert f"wavefocus resume {bank}" in capsys.readouterr().err
     (lab / "run.toml").write_text(sound, encoding="utf-8")
-    assert _capture(lab, bank) == 0
+    assert capture(lab, bank) == 0
     assert bank.read_bytes() == quiet.read_bytes()
 
 
@@ -284,7 +247,7 @@ def test_given_an_instrument_unplugged_during_a_scan_then_verification_goes_on_a
         'role = "recorder"\noperation = "read"\nkind = "unplugged"\nposition = 4\npurpose = "scan"\ntries = 0',
     )
     bank = lab / "plate.h5"
-    assert _capture(lab, bank) == 0
+    assert capture(lab, bank) == 0
     capsys.readouterr()
     verify = ["verify", lab / "scene.toml", "--bank", bank, "--rig", lab / "rig.toml", "--out", lab / "verify"]
     assert run([str(word) for word in verify]) == 0

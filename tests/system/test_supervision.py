@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import os
 import select
@@ -11,38 +10,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import pytest
 
-from calibration.bank_creation import create_bank
 from tests.system.conftest import with_faults
+from tests.system.telling import Listener, capture, empty_bank, events_of, states_of
 from wavefocus.__main__ import run
-from wavefocus.compose import blueprint_from_files
 from wavefocus.event_log import last_events
 from wavefocus.heartbeat import read_heartbeat
 
 WAVEFOCUS = [sys.executable, "-m", "wavefocus"]
 POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of these signals nor terminals")
-
-
-def _events(text: str, kind: str) -> list[dict[str, object]]:
-    return [event for event in map(json.loads, text.splitlines()) if event["event"] == kind]
-
-
-def _states(text: str) -> list[object]:
-    return [event["state"] for event in _events(text, "state_changed")]
-
-
-def _empty_bank(lab: Path, name: str) -> Path:
-    create_bank(lab / name, blueprint_from_files(lab / "run.toml").bank_header())
-    return lab / name
-
-
-def _capture(lab: Path, bank: Path) -> int:
-    return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"])
 
 
 def _with_rig(lab: Path, text: str) -> None:
@@ -54,20 +34,6 @@ def _in_run(lab: Path, old: str, new: str) -> None:
     text = (lab / "run.toml").read_text(encoding="utf-8")
     assert old in text
     (lab / "run.toml").write_text(text.replace(old, new), encoding="utf-8")
-
-
-class _Listener(io.TextIOBase):
-    """Standard output that does something, once each, while the words that it waits for are being told."""
-
-    def __init__(self, *acts: tuple[str, Callable[[], object]]) -> None:
-        self._acts = list(acts)
-        self.told = ""
-
-    def write(self, text: str) -> int:
-        self.told += text
-        if self._acts and self._acts[0][0] in text:
-            self._acts.pop(0)[1]()
-        return len(text)
 
 
 class _Orders:
@@ -97,22 +63,22 @@ class _Orders:
 
 
 def test_given_a_pause_from_another_process_then_the_position_is_finished_and_go_on_goes_on(lab: Path) -> None:
-    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
-    assert _capture(lab, quiet) == 0
+    quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
+    assert capture(lab, quiet) == 0
     orders = _Orders(bank)
-    listener = _Listener(
+    listener = Listener(
         ('"event": "position_started"', lambda: orders.give("pause")),
         ('"state": "paused"', lambda: orders.give("go-on")),
     )
     with contextlib.redirect_stdout(listener):
-        assert _capture(lab, bank) == 0
-    assert _states(listener.told) == ["running", "pausing", "paused", "running", "finished"]
+        assert capture(lab, bank) == 0
+    assert states_of(listener.told) == ["running", "pausing", "paused", "running", "finished"]
     before = listener.told[: listener.told.index('"state": "paused"')]
     # The position under way was finished, no other was begun.
-    assert len(_events(before.rpartition("\n")[0], "position_started")) == 1
-    assert len(_events(before.rpartition("\n")[0], "position_committed")) == 1
+    assert len(events_of(before.rpartition("\n")[0], "position_started")) == 1
+    assert len(events_of(before.rpartition("\n")[0], "position_committed")) == 1
     # Whoever was at the plate may have touched it.
-    assert [one["verdict"] for one in _events(listener.told, "drift")] == ["steady"]
+    assert [one["verdict"] for one in events_of(listener.told, "drift")] == ["steady"]
     assert bank.read_bytes() == quiet.read_bytes()
     assert not (lab / "plate.h5.orders").exists()
     for code, facts, _ in orders.answers():
@@ -121,14 +87,14 @@ def test_given_a_pause_from_another_process_then_the_position_is_finished_and_go
 
 
 def test_given_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(lab: Path) -> None:
-    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
-    assert _capture(lab, quiet) == 0
+    quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
+    assert capture(lab, quiet) == 0
     orders = _Orders(bank)
-    listener = _Listener(('"event": "position_started"', lambda: orders.give("stop")))
+    listener = Listener(('"event": "position_started"', lambda: orders.give("stop")))
     with contextlib.redirect_stdout(listener):
-        assert _capture(lab, bank) == 130
-    assert _states(listener.told) == ["running", "stopping", "stopped"]
-    assert len(_events(listener.told, "position_committed")) == 1
+        assert capture(lab, bank) == 130
+    assert states_of(listener.told) == ["running", "stopping", "stopped"]
+    assert len(events_of(listener.told, "position_committed")) == 1
     code, facts, sentence = orders.answers()[0]
     assert (code, facts["carried_out"]) == (0, True)
     assert "stopped" in sentence
@@ -138,14 +104,14 @@ def test_given_stop_from_another_process_then_exit_130_and_resume_ends_byte_iden
 
 @pytest.mark.parametrize("asked", ["pause", "stop"])
 def test_given_ctrl_c_or_stop_while_paused_then_it_ends_at_once(lab: Path, asked: str) -> None:
-    bank = _empty_bank(lab, "plate.h5")
+    bank = empty_bank(lab, "plate.h5")
     orders = _Orders(bank)
     end = (lambda: orders.give("stop")) if asked == "stop" else (lambda: signal.raise_signal(signal.SIGINT))
-    listener = _Listener(('"event": "position_started"', lambda: orders.give("pause")), ('"state": "paused"', end))
+    listener = Listener(('"event": "position_started"', lambda: orders.give("pause")), ('"state": "paused"', end))
     with contextlib.redirect_stdout(listener):
-        assert _capture(lab, bank) == 130
-    assert _states(listener.told)[-2:] == ["paused", "stopped"]
-    assert "while paused" in str(_events(listener.told, "state_changed")[-1]["reason"])
+        assert capture(lab, bank) == 130
+    assert states_of(listener.told)[-2:] == ["paused", "stopped"]
+    assert "while paused" in str(events_of(listener.told, "state_changed")[-1]["reason"])
     orders.answers()
 
 
@@ -153,7 +119,7 @@ def test_given_ctrl_c_or_stop_while_paused_then_it_ends_at_once(lab: Path, asked
 def test_given_an_order_to_a_bank_that_nobody_owns_then_it_says_so(
     lab: Path, word: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bank = _empty_bank(lab, "plate.h5")
+    bank = empty_bank(lab, "plate.h5")
     assert run([word, str(bank)]) == 2
     assert "no process owns the bank" in capsys.readouterr().err
     assert not (lab / "plate.h5.orders").exists()
@@ -182,7 +148,7 @@ def _held(bank: Path):
 def test_given_a_process_that_does_not_answer_then_the_order_is_withdrawn_and_status_says_how_long_it_is_silent(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bank = _empty_bank(lab, "plate.h5")
+    bank = empty_bank(lab, "plate.h5")
     with _held(bank) as owner:
         beat = {"at": "2026-01-01T00:00:00+00:00", "pid": owner.pid, "host": "here", "state": "running", "reason": "r"}
         (lab / "plate.h5.heartbeat").write_text(json.dumps(beat), encoding="utf-8")
@@ -203,7 +169,7 @@ def test_given_a_process_that_does_not_answer_then_the_order_is_withdrawn_and_st
 def test_given_a_campaign_then_its_heartbeat_tells_how_it_ended(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bank = lab / "plate.h5"
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 2\npurpose = "capture"')
-    assert _capture(lab, bank) == 3
+    assert capture(lab, bank) == 3
     beat = read_heartbeat(bank)
     assert beat is not None
     assert (beat.state, beat.done, beat.total, beat.pid) == ("failed", 2, 6, os.getpid())
@@ -242,14 +208,14 @@ def test_given_a_driver_call_that_hangs_then_the_instrument_is_connected_afresh_
     lab: Path, fault: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _with_rig(lab, SOON_GIVEN_UP)
-    quiet, disturbed = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "disturbed.h5")
-    assert _capture(lab, quiet) == 0
+    quiet, disturbed = empty_bank(lab, "quiet.h5"), empty_bank(lab, "disturbed.h5")
+    assert capture(lab, quiet) == 0
     with_faults(lab, f'{fault}\nkind = "hang"')
     capsys.readouterr()
-    assert _capture(lab, disturbed) == 0
+    assert capture(lab, disturbed) == 0
     told = capsys.readouterr().out
-    assert "did not come back within" in str(_events(told, "fault")[0]["cause"])
-    assert [one["connected"] for one in _events(told, "reconnect_tried")] == [True]
+    assert "did not come back within" in str(events_of(told, "fault")[0]["cause"])
+    assert [one["connected"] for one in events_of(told, "reconnect_tried")] == [True]
     assert disturbed.read_bytes() == quiet.read_bytes()
 
 
@@ -391,18 +357,18 @@ def test_given_a_condition_that_leaves_its_band_then_it_is_waited_for_and_the_ba
     lab: Path, fault: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _with_rig(lab, WATCHED)
-    quiet, disturbed = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "disturbed.h5")
-    assert _capture(lab, quiet) == 0
+    quiet, disturbed = empty_bank(lab, "quiet.h5"), empty_bank(lab, "disturbed.h5")
+    assert capture(lab, quiet) == 0
     # From the third position's first record on: its three records, the last good position's, and two probes.
     with_faults(lab, f'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 6\n{fault}')
     capsys.readouterr()
-    assert _capture(lab, disturbed) == 0
+    assert capture(lab, disturbed) == 0
     told = capsys.readouterr().out
-    assert _states(told) == ["running", "suspended", "running", "finished"]
-    suspended = next(one for one in _events(told, "state_changed") if one["state"] == "suspended")
+    assert states_of(told) == ["running", "suspended", "running", "finished"]
+    suspended = next(one for one in events_of(told, "state_changed") if one["state"] == "suspended")
     assert words in str(suspended["reason"])
     # Two probes that are no good; from the first good one on it must settle for two more.
-    assert [one["back"] for one in _events(told, "conditions_seen")] == [False, False, True, True, True]
+    assert [one["back"] for one in events_of(told, "conditions_seen")] == [False, False, True, True, True]
     assert disturbed.read_bytes() == quiet.read_bytes()
 
 
@@ -415,10 +381,10 @@ def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(
         "noise_v = 1e-4",
         "noise_v = 1e-4\nroom_c = [[5, 21], [6, 17], [100, 17], [101, 18.5], [150, 18.5], [151, 20]]",
     )
-    assert _capture(lab, lab / "plate.h5") == 0
+    assert capture(lab, lab / "plate.h5") == 0
     told = capsys.readouterr().out
-    assert _states(told) == ["running", "suspended", "running", "finished"]
-    changes = _events(told, "state_changed")
+    assert states_of(told) == ["running", "suspended", "running", "finished"]
+    changes = events_of(told, "state_changed")
     assert "room temperature 17 degrees C is below 18 degrees C" in str(changes[1]["reason"])
     # 18.5 degrees would not have suspended it and do not let it go on either; 20 seconds it must stay warm.
     assert 151 + 20 <= float(str(changes[2]["time_s"])) <= 151 + 20 + 2 * 10 + 5
@@ -431,21 +397,21 @@ def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_o
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _with_rig(lab, WATCHED)
-    quiet, bank = _empty_bank(lab, "quiet.h5"), _empty_bank(lab, "plate.h5")
-    assert _capture(lab, quiet) == 0
+    quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
+    assert capture(lab, quiet) == 0
     sound = (lab / "run.toml").read_text(encoding="utf-8")
     with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 9999\nkind = "dark"')
     capsys.readouterr()
-    assert _capture(lab, bank) == 3
+    assert capture(lab, bank) == 3
     told = capsys.readouterr()
     last = told.err.splitlines()[-1]
     assert "suspended for 5 min" in last
     assert "vibrometer noise" in last
-    assert _states(told.out)[-2:] == ["suspended", "failed"]
+    assert states_of(told.out)[-2:] == ["suspended", "failed"]
     with h5py.File(bank, "r") as file:
         assert list(file["status"]) == [1, 1, 0, 0, 0, 0]  # nothing measured in the dark was called anything
     (lab / "run.toml").write_text(sound, encoding="utf-8")
-    assert _capture(lab, bank) == 0
+    assert capture(lab, bank) == 0
     assert bank.read_bytes() == quiet.read_bytes()
 
 
@@ -457,8 +423,8 @@ def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspend
         lab, 'role = "recorder"\noperation = "read"\nkind = "dark"\nposition = 2\npurpose = "capture"\ncount = 99'
     )
     bank = lab / "plate.h5"
-    assert _capture(lab, bank) == 0
-    assert "suspended" not in _states(capsys.readouterr().out)
+    assert capture(lab, bank) == 0
+    assert "suspended" not in states_of(capsys.readouterr().out)
     with h5py.File(bank, "r") as file:
         status = list(file["status"])
     assert status[2] & 1 == 0
@@ -468,10 +434,10 @@ def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspend
 def test_given_ctrl_c_while_suspended_then_it_stops_at_once(lab: Path) -> None:
     _with_rig(lab, WATCHED)
     with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 9999\nkind = "dark"')
-    listener = _Listener(('"state": "suspended"', lambda: signal.raise_signal(signal.SIGINT)))
+    listener = Listener(('"state": "suspended"', lambda: signal.raise_signal(signal.SIGINT)))
     with contextlib.redirect_stdout(listener):
-        assert _capture(lab, lab / "plate.h5") == 130
-    assert _states(listener.told)[-2:] == ["suspended", "stopped"]
+        assert capture(lab, lab / "plate.h5") == 130
+    assert states_of(listener.told)[-2:] == ["suspended", "stopped"]
 
 
 def test_given_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it_goes_on(lab: Path) -> None:
@@ -479,10 +445,10 @@ def test_given_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it
     with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 4\nkind = "dark"')
     bank = lab / "plate.h5"
     orders = _Orders(bank)
-    listener = _Listener(
+    listener = Listener(
         ('"state": "suspended"', lambda: orders.give("pause")), ('"state": "paused"', lambda: orders.give("go-on"))
     )
     with contextlib.redirect_stdout(listener):
-        assert _capture(lab, bank) == 0
-    assert _states(listener.told) == ["running", "suspended", "paused", "running", "finished"]
+        assert capture(lab, bank) == 0
+    assert states_of(listener.told) == ["running", "suspended", "paused", "running", "finished"]
     orders.answers()

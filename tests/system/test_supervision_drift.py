@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.system.conftest import with_faults
+from tests.system.telling import events_of
 from wavefocus.__main__ import run
 from wavefocus.drift_history import read_drift
 
@@ -26,10 +27,6 @@ def _capture(lab: Path, bank: Path, *more: str) -> int:
     return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json", *more])
 
 
-def _events(text: str, kind: str) -> list[dict[str, object]]:
-    return [event for event in map(json.loads, text.splitlines()) if event["event"] == kind]
-
-
 def _green(bank: Path) -> np.ndarray:
     with h5py.File(bank, "r") as file:
         return file["green"][:]
@@ -43,7 +40,7 @@ def test_given_a_run_then_the_sentinel_is_measured_every_so_often_and_the_bank_d
     bank = lab / "plate.h5"
     capsys.readouterr()
     assert _capture(lab, bank) == 0
-    drift = _events(capsys.readouterr().out, "drift")
+    drift = events_of(capsys.readouterr().out, "drift")
     assert [(one["position"], one["occasion"], one["verdict"]) for one in drift] == [(0, "run", "steady")] * 2
     assert [one.verdict for one in read_drift(bank)] == ["steady"] * 2
     assert np.array_equal(_green(bank), _green(lab / "without.h5"))
@@ -65,7 +62,7 @@ def test_given_drift_that_a_repeat_does_not_confirm_then_the_campaign_goes_on(
     _with_drift(lab)
     with_faults(lab, LOUDER)
     assert _capture(lab, lab / "plate.h5") == 0
-    drift = _events(capsys.readouterr().out, "drift")
+    drift = events_of(capsys.readouterr().out, "drift")
     assert [(one["occasion"], one["verdict"]) for one in drift] == [("run", "stop"), ("repeat", "steady")] * 2
 
 
@@ -83,7 +80,7 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
     assert "sentinel position 0 has changed during the run (level changed)" in last
     assert f"wavefocus remeasure {bank} --positions 0-1 and resume" in last
     assert "--accept-drift" in last
-    assert _events(told.out, "drift")[-1]["suspect"] == [0, 1]
+    assert events_of(told.out, "drift")[-1]["suspect"] == [0, 1]
     with h5py.File(bank, "r") as file:
         assert list(file["status"]) == [1, 1, 0, 0, 0, 0]
     assert run(["status", str(bank)]) == 0
@@ -92,7 +89,7 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
     assert json.loads(capsys.readouterr().out)["suspect_positions"] == "0-1"
     # Accepted on purpose, it is told and goes on.
     assert _capture(lab, bank, "--accept-drift") == 0
-    assert "stop" in [one["verdict"] for one in _events(capsys.readouterr().out, "drift")]
+    assert "stop" in [one["verdict"] for one in events_of(capsys.readouterr().out, "drift")]
     (lab / "run.toml").write_text(sound, encoding="utf-8")
     assert _capture(lab, bank) == 0
     capsys.readouterr()

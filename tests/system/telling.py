@@ -1,0 +1,47 @@
+"""Captures in this process: what they tell, and a listener that acts when it hears something."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from calibration.bank_creation import create_bank
+from wavefocus.__main__ import run
+from wavefocus.compose import blueprint_from_files
+
+
+def events_of(text: str, kind: str) -> list[dict[str, object]]:
+    """The events of a kind among lines of JSON."""
+    return [event for event in map(json.loads, text.splitlines()) if event["event"] == kind]
+
+
+def states_of(text: str) -> list[object]:
+    """The states that lines of JSON tell of, in order."""
+    return [event["state"] for event in events_of(text, "state_changed")]
+
+
+def empty_bank(lab: Path, name: str) -> Path:
+    """A bank of the lab's run as it is now; faults put into the run file later leave no trace in it."""
+    create_bank(lab / name, blueprint_from_files(lab / "run.toml").bank_header())
+    return lab / name
+
+
+def capture(lab: Path, bank: Path) -> int:
+    """Capture into a bank in this process, its events on standard output; the exit code."""
+    return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"])
+
+
+class Listener(io.TextIOBase):
+    """Standard output that does something, once each, while the words that it waits for are being told."""
+
+    def __init__(self, *acts: tuple[str, Callable[[], object]]) -> None:
+        self._acts = list(acts)
+        self.told = ""
+
+    def write(self, text: str) -> int:
+        self.told += text
+        if self._acts and self._acts[0][0] in text:
+            self._acts.pop(0)[1]()
+        return len(text)
