@@ -38,7 +38,8 @@ def test_given_a_gaussian_spot_between_positions_then_its_width_and_place_are_fo
     assert peak is not None
     assert math.dist(peak.at_mm, (x, y)) < 0.01
     width = metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM)
-    assert width == pytest.approx(fwhm, rel=0.06)
+    # 4.3 % is the worst of all places and widths: a spot of 9 mm between four positions.
+    assert width == pytest.approx(fwhm, rel=0.045)
 
 
 @given(x=offsets_mm, y=offsets_mm, fwhm=st.floats(8.0, 14.0))
@@ -47,8 +48,8 @@ def test_given_a_jinc_spot_with_side_lobes_then_only_the_main_lobe_counts(x, y, 
     field = jinc((x, y), fwhm)
     peak = metrics.focus_peak(GRID_MM, field, (0.0, 0.0), 15.0)
     assert peak is not None
-    assert math.dist(peak.at_mm, (x, y)) < 0.5
-    assert metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM) == pytest.approx(fwhm, rel=0.06)
+    assert math.dist(peak.at_mm, (x, y)) < 0.45  # 0.434 is the worst of all places and widths
+    assert metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM) == pytest.approx(fwhm, rel=0.04)
 
 
 def test_given_an_elliptic_spot_then_the_width_is_the_geometric_mean_of_its_axes():
@@ -63,7 +64,7 @@ def test_given_two_spots_then_the_one_within_the_radius_is_found_and_measured_al
     peak = metrics.focus_peak(GRID_MM, field, (-9.0, 1.0), 10.0)
     assert peak is not None
     assert math.dist(peak.at_mm, (-10.0, 0.0)) < 0.6
-    assert metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM) == pytest.approx(9.0, rel=0.06)
+    assert metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM) == pytest.approx(9.0, rel=0.04)
 
 
 def test_given_a_spot_cut_off_by_the_rim_of_the_grid_then_it_has_no_width():
