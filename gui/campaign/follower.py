@@ -19,8 +19,8 @@ from calibration.bank_owner import Owner, bank_owner
 from calibration.errors import WavefocusError
 from gui.campaign.figures import Float32Array, per_position
 from gui.campaign.log_tail import LogTail
-from gui.campaign.surface import Surface, surface_of
 from gui.front_door import FrontDoor, Pulse
+from gui.surface.surface import Surface, surface_of
 
 if TYPE_CHECKING:
     from rendering.report_drift import DriftPoint

@@ -17,8 +17,8 @@ from gui.campaign.figures import Float32Array
 from gui.campaign.follower import DriftSeen, Ledger, Life, Opened, Records, Seen, Trouble
 from gui.campaign.instruments import Instruments
 from gui.campaign.standing import GOING, OVER, Extra, Standing
-from gui.campaign.surface import Surface
 from gui.front_door import Pulse
+from gui.surface.surface import Surface
 
 if TYPE_CHECKING:
     from rendering.report_drift import DriftPoint

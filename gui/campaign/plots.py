@@ -9,22 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyqtgraph
-from numpy.typing import NDArray
 from PyQt5.QtCore import QRectF, Qt
 from PyQt5.QtWidgets import QVBoxLayout, QWidget
 
 from calibration.raw_file import Recordings
-from gui.campaign.surface import Surface
-from gui.theme import LIGHT, Theme, dress_axes
+from gui.surface.plot import MOST_COLUMNS, Plot, Real, thinned
+from gui.surface.surface import Surface
+from gui.theme import Theme
 
 if TYPE_CHECKING:
     from rendering.report_drift import DriftPoint
 
-Real = NDArray[np.float32] | NDArray[np.float64]
-
 _FLOOR_DB = -60.0
-# More columns than a screen has pixels show nothing more.
-_MOST_COLUMNS = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,39 +37,6 @@ class Greens:
 
     position: int
     green: Real
-
-
-class Plot(pyqtgraph.PlotWidget):
-    """A plot that takes the theme's colours and has its tools on the mouse alone."""
-
-    def __init__(self, name: str, bottom: str, left: str) -> None:
-        super().__init__()
-        self.setAccessibleName(name)
-        self.theme = LIGHT
-        plot = self.getPlotItem()
-        plot.setLabel("bottom", bottom)
-        plot.setLabel("left", left)
-        plot.hideButtons()
-        plot.setMenuEnabled(False)
-        for side in ("left", "bottom"):
-            plot.getAxis(side).enableAutoSIPrefix(False)
-        self.setToolTip("Wheel: zoom. Drag: move. Double click: everything.")
-
-    def mouseDoubleClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
-        """Show everything again."""
-        super().mouseDoubleClickEvent(event)
-        self.getPlotItem().getViewBox().autoRange()
-
-    def dress(self, theme: Theme) -> None:
-        """Take the theme's colours."""
-        self.theme = theme
-        self.setBackground(theme.base)
-        dress_axes(self.getPlotItem(), theme)
-
-    def line(self, x: Real, y: Real, colour: str, width: float = 1.0) -> None:
-        """Draw a line, thinned to what can be seen without losing a peak."""
-        x, y = thinned(x, y)
-        self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width))
 
 
 class GreenPlot(Plot):
@@ -240,21 +203,9 @@ class DriftPlot(QWidget):
             self.plots[0].setXRange(float(at_s[0]) - room_s, float(at_s[-1]) + room_s, padding=0)
 
 
-def thinned(x: Real, y: Real) -> tuple[Real, Real]:
-    """Smallest and largest value of each column of pixels; the line looks the same and draws quickly."""
-    step = len(y) // _MOST_COLUMNS
-    if step < 2:
-        return x, y
-    used = len(y) // step * step
-    blocks = y[:used].reshape(-1, step)
-    both = np.asarray(np.stack([blocks.min(axis=1), blocks.max(axis=1)], axis=1).reshape(-1), np.float64)
-    twice = np.asarray(np.repeat(x[:used:step], 2), np.float64)
-    return twice, both
-
-
 def _columns(green: Real) -> Real:
     """The largest magnitude of each column of pixels."""
-    step = max(1, green.shape[1] // _MOST_COLUMNS)
+    step = max(1, green.shape[1] // MOST_COLUMNS)
     used = green.shape[1] // step * step
     largest: Real = np.abs(green[:, :used]).reshape(len(green), -1, step).max(axis=2)
     return largest

@@ -14,7 +14,7 @@ from gui.campaign.figures import Figure, Float32Array
 from gui.campaign.picking import PickingBox
 from gui.campaign.status_look import LOOKS, look_index
 from gui.campaign.statuses import status_text
-from gui.campaign.surface import Surface
+from gui.surface.surface import Surface
 from gui.theme import LIGHT, Theme, dress_axes
 
 _COLOURS = 256

@@ -15,9 +15,9 @@ from gui.campaign.figures import per_position
 from gui.campaign.follower import Life, Records
 from gui.campaign.log_tail import LogTail
 from gui.campaign.model import KEPT_LINES, Campaign
-from gui.campaign.raster import raster_of
 from gui.campaign.standing import Extra, Order, Standing, possible
 from gui.front_door import Pulse
+from gui.surface.raster import raster_of
 
 
 def test_given_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path: Path) -> None:

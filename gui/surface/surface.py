@@ -14,7 +14,7 @@ from acquisition.grid import stadium_rim
 from calibration.bank import Bank
 
 if TYPE_CHECKING:
-    from gui.campaign.raster import Raster
+    from gui.surface.raster import Raster
 
 _OUTLINE_POINTS = 181
 
@@ -66,7 +66,7 @@ class Surface:
 
 def surface_of(bank: Bank) -> Surface:
     """Return what an open bank says."""
-    from gui.campaign.raster import raster_of  # scipy is loaded by whoever opens a bank, not by the window's start
+    from gui.surface.raster import raster_of  # scipy is loaded by whoever opens a bank, not by the window's start
 
     position_mm = np.asarray(bank.position_mm, np.float64)
     return Surface(

@@ -1,0 +1,1 @@
+"""What every tab draws surfaces and plots with."""
