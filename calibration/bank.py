@@ -7,8 +7,7 @@ import zlib
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from calibration.bank_ledger import (
     journal_bytes,
     ledger_row_bytes,
 )
+from calibration.closing import Closing
 from calibration.durable import PositionedFile, open_file
 from calibration.errors import InputError
 
@@ -53,7 +53,7 @@ class RowSource(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bank:
+class Bank(Closing):
     """A bank open for reading; a context manager, made by :func:`open_bank`.
 
     Parameters
@@ -155,14 +155,6 @@ class Bank:
     def close(self) -> None:
         """Close the file."""
         self.rows.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def open_bank(path: str | Path) -> Bank:

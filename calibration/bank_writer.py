@@ -10,8 +10,6 @@ from __future__ import annotations
 import zlib
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,24 +31,28 @@ from calibration.bank_ledger import (
     ledger_row_bytes,
     round_to_page,
 )
+from calibration.closing import Closing
 from calibration.errors import InputError
 from calibration.owned_file import OwnedFile
+from calibration.row_journal import RowJournal
 
 Float32Array = NDArray[np.float32]
 
 
-class BankWriter:
+class BankWriter(Closing):
     """The one process that measures into a bank; a context manager.
 
     Made by :meth:`open`. A failed write closes the way for further commits: opening the bank again repairs
     it.
     """
 
-    def __init__(self, path: Path, file: OwnedFile, layout: BankLayout) -> None:
-        self.path = path
+    def __init__(self, file: OwnedFile, layout: BankLayout) -> None:
+        self.path = file.path
         self.header: BankHeader = layout.header
         self._file = file
         self._layout = layout
+        size = journal_bytes(self.header.actuators, self.header.taps)
+        self._journal = RowJournal(file, layout.journal_offset, size)
         with self._file.writing("recovering what a crash left"):
             self._replay_journal()
             self._read_ledger()
@@ -87,16 +89,14 @@ class BankWriter:
             When it cannot be written.
         """
         path = Path(path)
-        file = OwnedFile.lock(path, "bank", open_file)
-        try:
+
+        def read() -> BankLayout:
             with hdf5_safety.opened(path) as content:
                 layout = bank_layout.read_layout(content, path)
             _require_plan(path, layout.header, plan_sha256)
-            file.write_name()
-            return cls(path, file, layout)
-        except BaseException:
-            file.give_up()
-            raise
+            return layout
+
+        return OwnedFile.bring_into_order(path, "bank", open_file, read, cls)
 
     @property
     def status(self) -> NDArray[np.uint8]:
@@ -203,14 +203,6 @@ class BankWriter:
         """Sync, take the owner's name away and release the bank; closing twice does nothing."""
         self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _write_row(self, position: int, chunk: bytes, row: bytes) -> None:
         self._file.write(int(self._layout.chunk_offset[position]), chunk)
         self._file.sync()
@@ -218,14 +210,9 @@ class BankWriter:
         self._file.sync()
 
     def _replace(self, position: int, chunk: bytes, row: bytes) -> None:
-        self._file.write(self._layout.journal_offset, encode_journal(position, chunk, row))
-        self._file.sync()
+        self._journal.keep(encode_journal(position, chunk, row))
         self._write_row(position, chunk, row)
-        self._clear_journal()
-
-    def _clear_journal(self) -> None:
-        self._file.write(self._layout.journal_offset, bytes(self._journal_bytes))
-        self._file.sync()
+        self._journal.clear()
 
     def _note(self, position: int, record: PointRecord) -> None:
         """Write the derived figures of one position; no sync, since the ledger can give them back."""
@@ -237,13 +224,13 @@ class BankWriter:
         self._attempts[position] = record.attempts
 
     def _replay_journal(self) -> None:
-        content = self._file.read(self._layout.journal_offset, self._journal_bytes)
-        if not np.frombuffer(content, np.uint8).any():
+        content = self._journal.entry()
+        if content is None:
             return
         entry = decode_journal(content, self.header.actuators, self.header.taps)
         if entry and entry[0] < self.header.positions:
             self._write_row(*entry)
-        self._clear_journal()
+        self._journal.clear()
 
     def _read_ledger(self) -> None:
         rows = self._file.read(
@@ -284,10 +271,6 @@ class BankWriter:
 
     def _row_offset(self, position: int) -> int:
         return self._layout.ledger_offset + position * ledger_row_bytes(self.header.actuators)
-
-    @property
-    def _journal_bytes(self) -> int:
-        return journal_bytes(self.header.actuators, self.header.taps)
 
     def _require_position(self, position: int) -> None:
         if not 0 <= position < self.header.positions:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Self
+from typing import Self, TypeVar
 
 from calibration import bank_owner, durable, hdf5_safety
 from calibration.durable import PositionedFile
 from calibration.errors import InputError, WavefocusError
 from calibration.workplace import clear_leftovers
+
+L = TypeVar("L")
+W = TypeVar("W")
 
 
 class OwnedFile:
@@ -61,9 +64,34 @@ class OwnedFile:
             raise
         return cls(path, file, kind)
 
-    def write_name(self) -> None:
-        """Name this process beside the file, for people who meet the lock."""
-        bank_owner.write_owner(self.path)
+    @classmethod
+    def bring_into_order(
+        cls, path: Path, kind: str, open_file: durable.OpenFile, read: Callable[[], L], make: Callable[[Self, L], W]
+    ) -> W:
+        """Own a file, read how it is laid out, and only then name this process beside it and repair it.
+
+        Parameters
+        ----------
+        path, kind, open_file
+            As :meth:`lock`.
+        read : callable
+            Reads the layout; what it raises leaves the file untouched.
+        make : callable
+            From the owned file and its layout to what writes it; repairs what a crash left.
+
+        Raises
+        ------
+        InputError, BankBusyError, WavefocusError
+            As :meth:`lock`, and as `read` and `make` do; the file is released.
+        """
+        file = cls.lock(path, kind, open_file)
+        try:
+            layout = read()
+            bank_owner.write_owner(path)  # for people who meet the lock
+            return make(file, layout)
+        except BaseException:
+            file.give_up()
+            raise
 
     @contextmanager
     def writing(self, what: str) -> Iterator[None]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration import hdf5_safety
+from calibration.closing import Closing
 from calibration.durable import PAGE, PositionedFile, open_file
 from calibration.errors import InputError
 from calibration.raw_header import RawHeader
@@ -58,7 +58,7 @@ class Rows(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RawFile:
+class RawFile(Closing):
     """Raw recordings open for reading; a context manager, made by :func:`open_raw`.
 
     Parameters
@@ -117,14 +117,6 @@ class RawFile:
     def close(self) -> None:
         """Close the file."""
         self.rows.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def open_raw(path: str | Path) -> RawFile:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import zlib
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration import durable, hdf5_safety, raw_layout
+from calibration.closing import Closing
 from calibration.durable import PAGE
 from calibration.errors import InputError
 from calibration.file_creation import create_reserved
@@ -25,6 +24,7 @@ from calibration.raw_ledger import (
     encode_raw_row,
     raw_journal_bytes,
 )
+from calibration.row_journal import RowJournal
 
 Float32Array = NDArray[np.float32]
 
@@ -49,7 +49,7 @@ def create_raw(path: str | Path, header: RawHeader, *, open_file: durable.OpenFi
     create_reserved(Path(path), header.file_bytes, lambda new: raw_layout.lay_out(new, header), open_file)
 
 
-class RawWriter:
+class RawWriter(Closing):
     """The one process that records into a raw file; a context manager, made by :meth:`open`."""
 
     def __init__(self, file: OwnedFile, layout: RawLayout) -> None:
@@ -57,6 +57,7 @@ class RawWriter:
         self.header: RawHeader = layout.header
         self._file = file
         self._layout = layout
+        self._journal = RowJournal(file, layout.journal_offset, raw_journal_bytes(layout.chunk_bytes))
         with self._file.writing("recovering what a crash left"):
             self._replay_journal()
             pages = self._file.read(layout.ledger_offset, self.header.positions * PAGE)
@@ -91,8 +92,8 @@ class RawWriter:
             When it cannot be written.
         """
         path = Path(path)
-        file = OwnedFile.lock(path, "raw file", open_file)
-        try:
+
+        def read() -> RawLayout:
             with hdf5_safety.opened(path) as content:
                 layout = raw_layout.read_raw_layout(content, path)
             found = layout.header.plan_sha256
@@ -101,11 +102,9 @@ class RawWriter:
                     f"{path} belongs to another plan ({found[:12] or 'it names none'}, not {plan_sha256[:12]}); "
                     "undo the change, or name a new file"
                 )
-            file.write_name()
-            return cls(file, layout)
-        except BaseException:
-            file.give_up()
-            raise
+            return layout
+
+        return OwnedFile.bring_into_order(path, "raw file", open_file, read, cls)
 
     @property
     def recorded(self) -> NDArray[np.bool_]:
@@ -145,11 +144,9 @@ class RawWriter:
         reference, response = (one.ljust(self._layout.chunk_bytes, b"\0") for one in counts)
         with self._file.writing(f"writing position {position}"):
             if self._file.read(self._row_offset(position), PAGE).count(0) < PAGE:
-                journal = encode_raw_journal(position, reference, response, row)
-                self._file.write(self._layout.journal_offset, journal)
-                self._file.sync()
+                self._journal.keep(encode_raw_journal(position, reference, response, row))
                 self._write_row(position, reference, response, row)
-                self._clear_journal()
+                self._journal.clear()
             else:
                 self._write_row(position, reference, response, row)
         self._recorded[position] = True
@@ -157,14 +154,6 @@ class RawWriter:
     def close(self) -> None:
         """Sync, take the owner's name away and release the file; closing twice does nothing."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _counts(self, name: str, volts: Float32Array, step_v: float) -> bytes:
         shape = (self.header.records, self.header.samples)
@@ -187,18 +176,13 @@ class RawWriter:
         self._file.sync()
 
     def _replay_journal(self) -> None:
-        size = raw_journal_bytes(self._layout.chunk_bytes)
-        content = self._file.read(self._layout.journal_offset, size)
-        if content.count(0) == size:
+        content = self._journal.entry()
+        if content is None:
             return
         entry = decode_raw_journal(content, self._layout.chunk_bytes)
         if entry is not None and entry[0] < self.header.positions:
             self._write_row(*entry)
-        self._clear_journal()
-
-    def _clear_journal(self) -> None:
-        self._file.write(self._layout.journal_offset, bytes(raw_journal_bytes(self._layout.chunk_bytes)))
-        self._file.sync()
+        self._journal.clear()
 
     def _row(self, pages: bytearray, position: int) -> RawRow | None:
         page = memoryview(pages)[position * PAGE : (position + 1) * PAGE]
