@@ -23,7 +23,9 @@ def create_bank(path: str | Path, header: BankHeader, *, open_file: durable.Open
 
     Raises
     ------
+    ExistsError
+        When the path exists.
     InputError
-        When the path exists, the folder is missing, or the disk is too small; nothing is left behind.
+        When the folder is missing, or the disk is too small; nothing is left behind.
     """
     create_reserved(Path(path), header.file_bytes, lambda new: bank_layout.lay_out(new, header), open_file)

@@ -9,5 +9,9 @@ class InputError(WavefocusError, ValueError):
     """The input is wrong: the message names file, key, value and what is allowed."""
 
 
+class ExistsError(InputError):
+    """The file that was to be made is there already; it is untouched."""
+
+
 class BankBusyError(WavefocusError):
     """Another process owns the bank: the message names host and process id."""

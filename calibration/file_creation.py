@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calibration import durable
 from calibration.durable import PAGE
-from calibration.errors import InputError
+from calibration.errors import ExistsError, InputError
 from calibration.workplace import Workplace, clear_leftovers, workplace
 
 
@@ -30,12 +30,16 @@ def create_reserved(
 
     Raises
     ------
+    ExistsError
+        When the path exists.
     InputError
-        When the path exists, the folder is missing, or the disk is too small; nothing is left behind.
+        When the folder is missing, or the disk is too small; nothing is left behind.
     """
     clear_leftovers(path)
-    if path.exists() or path.is_symlink():
-        raise InputError(f"{path} exists already; choose another name, or resume it")
+    if path.exists():
+        raise ExistsError(f"{path} exists already; choose another name, or resume it")
+    if path.is_symlink():
+        raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the file itself")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
     _require_space(path, about_bytes, None)
@@ -57,7 +61,7 @@ def _make(
         place.complete()
         durable.publish_new(place.temporary, path)
     except FileExistsError as error:
-        raise InputError(f"{path} exists already; choose another name, or resume it") from error
+        raise ExistsError(f"{path} exists already; choose another name, or resume it") from error
     except (OSError, RuntimeError, ValueError) as error:
         if isinstance(error, InputError):
             raise

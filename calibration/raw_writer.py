@@ -43,8 +43,10 @@ def create_raw(path: str | Path, header: RawHeader, *, open_file: durable.OpenFi
 
     Raises
     ------
+    ExistsError
+        When the path exists.
     InputError
-        When the path exists, the folder is missing, or the disk is too small; nothing is left behind.
+        When the folder is missing, or the disk is too small; nothing is left behind.
     """
     create_reserved(Path(path), header.file_bytes, lambda new: raw_layout.lay_out(new, header), open_file)
 

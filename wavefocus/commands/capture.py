@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from acquisition.drift_watch import row_ranges
@@ -15,7 +15,7 @@ from acquisition.stopping import StopRequest, stop_on_signals
 from calibration.bank import open_bank
 from calibration.bank_creation import create_bank
 from calibration.bank_writer import BankWriter
-from calibration.errors import InputError
+from calibration.errors import ExistsError, InputError
 from calibration.network_mount import is_network_mount
 from drivers.errors import InstrumentError
 from wavefocus.attendance import Attendance
@@ -46,14 +46,7 @@ def capture(
     """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
     blueprint = blueprint_from_files(run_file)
     needed = needed_by(scenes, blueprint.plan.position_mm, checks=checks) if scenes else None
-    told: tuple[Event, ...] = ()
-    if bank.exists():
-        blueprint = with_one_calibration(as_settled(blueprint, bank), bank, run_file, accept=accept_calibration)
-    else:
-        blueprint, told = settle(blueprint, str(run_file))
-        if is_network_mount(bank.absolute().parent):
-            say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
-        create_bank(bank, blueprint.bank_header())
+    blueprint, told = _with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
     if needed is None:
         return _session(
             blueprint,
@@ -83,6 +76,20 @@ def capture(
         f"{len(left) - len(rows)} are left, and measured by: wavefocus resume {bank}"
     )
     return done
+
+
+def _with_bank(
+    blueprint: Blueprint, bank: Path, run_file: Path, *, accept_calibration: bool
+) -> tuple[Blueprint, tuple[Event, ...]]:
+    """Make the bank unless it is there; return the campaign as the bank has it, and what happened on the way."""
+    if not bank.exists():
+        settled, told = settle(blueprint, str(run_file))
+        if is_network_mount(bank.absolute().parent):
+            say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
+        with suppress(ExistsError):  # another capture was quicker: go on as one that came later
+            create_bank(bank, settled.bank_header())
+            return settled, told
+    return with_one_calibration(as_settled(blueprint, bank), bank, run_file, accept=accept_calibration), ()
 
 
 def resume(bank: Path, *, as_json: bool, accept_drift: bool, accept_calibration: bool = False) -> Exit:

@@ -153,11 +153,11 @@ def second_process(campaign: Campaign, chance: random.Random, share: Share) -> G
                 os.kill(pid, signal.SIGCONT)
             first = campaign.processes.wait()
             promised = acknowledged(first.out) | acknowledged(second.out)
-            # Before the bank has its owner either may become it; a maker that comes second is told so.
+            # Before the bank has its owner either may become it; a maker that comes second goes on with it.
             verdict = judged(campaign, first, promised, 1) if first.killed else _both(campaign, promised)
             if not first.killed:
-                require_well_told(verdict, first, {0} if owned else {0, WRONG_INPUT, BUSY})
-            require_well_told(verdict, second, {BUSY} if owned and not kill else {0, BUSY, WRONG_INPUT})
+                require_well_told(verdict, first, {0} if owned else {0, BUSY})
+            require_well_told(verdict, second, {BUSY} if owned and not kill else {0, BUSY})
             if owned and not kill and f"process {pid} " not in second.err:
                 verdict.note("badly_told", f"the owner is not named: {second.err.splitlines()[-1]}")
             yield verdict
