@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality import Judgement, QualityLimits, Status, judge
+from acquisition.point_status import Status
+from acquisition.quality import Judgement, judge
+from acquisition.quality_limits import QualityLimits
 from acquisition.raw_keeping import keep_recordings
 from calibration.bank_ledger import PointRecord
 from calibration.bank_writer import BankWriter

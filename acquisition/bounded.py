@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
 from acquisition.lane import HungError, Lane
 from acquisition.roles import Role
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.protocols import Float64Array, Instruments, Mirror, Player, Recorder, Recording, RecordRequest
+from drivers.protocols import (
+    Float64Array,
+    Instruments,
+    Mirror,
+    PiecewisePlayer,
+    Player,
+    Recorder,
+    Recording,
+    RecordRequest,
+)
 
 Answer = TypeVar("Answer")
 
@@ -186,6 +195,7 @@ class BoundedPlayer:
     def __init__(self, player: Player, hung_after_s: float) -> None:
         self._player = player
         self._calls = _Calls("player", hung_after_s)
+        self._ahead_s = 0.0
 
     @property
     def channels(self) -> int:
@@ -203,6 +213,24 @@ class BoundedPlayer:
         sounding_s = max((len(one) for one in signals_v.values()), default=0) / max(sample_rate_hz, 1.0)
         self._calls.work("playing", lambda: self._player.play(signals_v, sample_rate_hz), sounding_s)
 
+    @property
+    def latency_s(self) -> float:
+        return self._piecewise("asking for its latency").latency_s
+
+    def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
+        doing = "beginning to play piece by piece"
+        player, self._ahead_s = self._piecewise(doing), ahead_s
+        self._calls.work(doing, lambda: player.begin_pieces(channels, sample_rate_hz, ahead_s))
+
+    def add_piece(self, volts: Float64Array) -> float:
+        doing = "playing piece by piece"
+        player = self._piecewise(doing)
+        return self._calls.work(doing, lambda: player.add_piece(volts), 2 * self._ahead_s)
+
+    def end_pieces(self) -> None:
+        doing = "ending to play piece by piece"
+        self._calls.work(doing, self._piecewise(doing).end_pieces)
+
     def wait(self, timeout_s: float) -> None:
         self._calls.work("waiting for the end of the signal", lambda: self._player.wait(timeout_s), timeout_s)
 
@@ -214,3 +242,9 @@ class BoundedPlayer:
 
     def close(self) -> None:
         self._calls.close(self._player.close)
+
+    def _piecewise(self, doing: str) -> PiecewisePlayer:
+        if not isinstance(self._player, PiecewisePlayer):
+            cause = "its driver takes no signal in pieces"
+            raise InstrumentError(self._calls.name, doing, cause, "render the scene to a drive file and play that")
+        return self._player

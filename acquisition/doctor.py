@@ -9,7 +9,7 @@ from typing import NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 
-from acquisition.doctor_findings import Finding, Findings
+from acquisition.doctor_findings import Act, Finding, Findings
 from acquisition.doctor_sound import Told, check_loopback, check_response, check_silence
 from acquisition.setup import Setup
 from calibration.mirror_map import MirrorMap
@@ -176,7 +176,7 @@ class _Examination:
         if reach_mrad > patient.limit_mrad:
             what = f"the surface needs {reach_mrad:.0f} mrad, mirror.limit_mrad is {patient.limit_mrad:g}"
             remedy = "raise the limit if the mirror allows it, or move the mirror back"
-            findings.add("mirror", "corners", "fail", what, remedy)
+            findings.add("mirror", "corners", "fail", what, remedy, Act("edit-rig", "mirror.limit_mrad"))
             return False
         astray: list[float] = []
         for at_mrad in angles:
@@ -204,7 +204,8 @@ class _Examination:
             self._findings.add("player", "outputs", "ok", f"{player.channels}, {needed} needed")
             return
         remedy = "choose the interface with enough outputs, or correct player.channels"
-        self._findings.add("player", "outputs", "fail", f"it has {player.channels}, {needed} are wired", remedy)
+        what = f"it has {player.channels}, {needed} are wired"
+        self._findings.add("player", "outputs", "fail", what, remedy, Act("edit-rig", "player.channels"))
 
     def _check_sound(self) -> None:
         """Records of silence, of the loopback and of actuators, as far as the instruments for them are there."""
@@ -254,7 +255,7 @@ class _Examination:
         heard = self._findings.ask(instrument, check, listen, OPEN_S)
         for told in heard or ():
             self._findings.add(instrument, *told)
-        return heard is not None and all(verdict != "fail" for _, verdict, _, _ in heard)
+        return heard is not None and all(told.verdict != "fail" for told in heard)
 
     def _put_to_rest(self) -> None:
         """Mute, park and release whatever is open; only what fails is told."""

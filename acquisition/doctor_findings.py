@@ -10,9 +10,27 @@ from typing import Literal, TypeVar
 from drivers.errors import InstrumentError, TransientInstrumentError
 
 Verdict = Literal["ok", "warn", "fail", "skipped"]
+Deed = Literal["calibrate", "edit-rig", "open-folder", "reset-usb", "run", "test-message"]
 Answer = TypeVar("Answer")
 
 HUNG_REMEDY = "unplug it and plug it in again, or switch it off and on; then run wavefocus doctor again"
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    """The part of a remedy that a program can do, or make ready, for a person.
+
+    Parameters
+    ----------
+    do : str
+        ``"calibrate"`` a part; ``"edit-rig"``: a key of the rig file; ``"open-folder"``; ``"reset-usb"`` of a role;
+        ``"run"`` a command in a terminal; ``"test-message"``: send one to every address.
+    on : str
+        The part, the key (``"player.channels"``), the folder, the role or the command.
+    """
+
+    do: Deed
+    on: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +49,8 @@ class Finding:
         What was found, or why it was skipped.
     remedy : str
         What to do about it; empty where there is nothing to do.
+    act : Act, optional
+        What of it a program can do.
     """
 
     instrument: str
@@ -38,6 +58,7 @@ class Finding:
     verdict: Verdict
     what: str
     remedy: str = ""
+    act: Act | None = None
 
 
 class HungError(InstrumentError):
@@ -103,9 +124,11 @@ class Findings:
         self._publish = publish
         self._hung: set[str] = set()
 
-    def add(self, instrument: str, check: str, verdict: Verdict, what: str, remedy: str = "") -> None:
+    def add(
+        self, instrument: str, check: str, verdict: Verdict, what: str, remedy: str = "", act: Act | None = None
+    ) -> None:
         """Tell a finding."""
-        self._publish(Finding(instrument, check, verdict, what, remedy))
+        self._publish(Finding(instrument, check, verdict, what, remedy, act))
 
     def skip(self, instrument: str, check: str, why: str) -> None:
         """Tell that a check was not made."""

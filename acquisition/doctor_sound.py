@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.doctor_findings import Verdict
+from acquisition.doctor_findings import Act, Verdict
 from acquisition.pointing import point_at
 from acquisition.record import ANSWER_MARGIN_S, take_record
 from acquisition.setup import Setup
@@ -14,8 +15,16 @@ from calibration.sweeps import Excitation
 from calibration.timing import ReferenceMissingError, fit_clock
 from drivers.protocols import Recorder, Recording, RecordRequest, Take
 
-Told = tuple[str, Verdict, str, str]
-"""Check, verdict, what was found, remedy."""
+
+class Told(NamedTuple):
+    """Check, verdict, what was found, remedy, and what a program can do about it."""
+
+    check: str
+    verdict: Verdict
+    what: str
+    remedy: str = ""
+    act: Act | None = None
+
 
 SILENCE_S = 0.5
 SWEEP_S, DECAY_S = 0.5, 0.2
@@ -52,7 +61,7 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
     except BaseException:
         recorder.abort()
         raise
-    told: list[Told] = [("record", "ok", f"{request.samples} samples of 2 channels", "")]
+    told: list[Told] = [Told("record", "ok", f"{request.samples} samples of 2 channels")]
     for name, volts, step_v, reached, end_v in zip(
         ("reference", "response"),
         recording.volts.astype(np.float64),
@@ -64,11 +73,21 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
         noise_v, offset_v = float(volts.std()), float(volts.mean())
         what = f"{1e3 * noise_v:.3g} mV rms, {1e3 * offset_v:+.3g} mV offset; step {1e3 * step_v:.3g} mV"
         if reached:
-            told.append((f"{name} noise", "fail", f"{what}; it reaches {end_v:g} V", "check what is plugged in there"))
+            told.append(
+                Told(f"{name} noise", "fail", f"{what}; it reaches {end_v:g} V", "check what is plugged in there")
+            )
         elif noise_v == 0.0:
-            told.append((f"{name} noise", "warn", f"{what}: not even noise", "check cable and terminal configuration"))
+            told.append(
+                Told(
+                    f"{name} noise",
+                    "warn",
+                    f"{what}: not even noise",
+                    "check cable and terminal configuration",
+                    Act("edit-rig", "recorder.terminal"),
+                )
+            )
         else:
-            told.append((f"{name} noise", "ok", what, ""))
+            told.append(Told(f"{name} noise", "ok", what))
     return told
 
 
@@ -85,12 +104,20 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
     channel = setup.loopback_channel
     if recording.over_range[0]:
         remedy = "raise recorder.reference_range_v, or lower what is played"
-        return [("loopback level", "fail", f"{amplitude_v:g} V reaches the end of the reference input", remedy)]
+        return [
+            Told(
+                "loopback level",
+                "fail",
+                f"{amplitude_v:g} V reaches the end of the reference input",
+                remedy,
+                Act("edit-rig", "recorder.reference_range_v"),
+            )
+        ]
     try:
         found = fit_clock(recording.volts[0], signal_v)
     except ReferenceMissingError as missing:
         remedy = f"check the cable from output {channel} of the player to the recorder's reference input"
-        return [("loopback level", "fail", str(missing), remedy)]
+        return [Told("loopback level", "fail", str(missing), remedy)]
     return [
         _level(found.gain / setup.reference_gain, amplitude_v, channel),
         _latency(found.offset_samples / sample_rate_hz - setup.pre_roll_s, setup.post_roll_s),
@@ -120,7 +147,15 @@ def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
         recording = take_record(setup, signals_v, sample_rate_hz, Take(0, 1, 2 + actuator, "doctor"))
         if recording.over_range[1]:
             remedy = "raise recorder.response_range_v, choose a wider range at the vibrometer, or lower what is played"
-            return [("response", "fail", f"actuator {actuator} reaches the end of the response input", remedy)]
+            return [
+                Told(
+                    "response",
+                    "fail",
+                    f"actuator {actuator} reaches the end of the response input",
+                    remedy,
+                    Act("edit-rig", "recorder.response_range_v"),
+                )
+            ]
         snr_db[actuator] = 20 * math.log10(_in_band_v(recording, sample_rate_hz) / noise_v)
     return _heard(snr_db, amplitude_v)
 
@@ -150,33 +185,42 @@ def _sweep(amplitude_v: float, sample_rate_hz: float) -> Excitation:
 def _level(gain: float, amplitude_v: float, channel: int) -> Told:
     what = f"{abs(gain) * amplitude_v:.4g} V for {amplitude_v:.4g} V asked"
     if gain < 0:
-        return ("loopback level", "warn", f"{what}, upside down", f"swap the wires of output {channel}")
+        return Told("loopback level", "warn", f"{what}, upside down", f"swap the wires of output {channel}")
     off = abs(gain - 1)
     if off <= GOOD_LEVEL:
-        return ("loopback level", "ok", what, "")
+        return Told("loopback level", "ok", what)
     remedy = "run wavefocus calibrate --only outputs, or correct player.full_scale_v and recorder.reference_gain"
-    return ("loopback level", "warn" if off <= LEAST_LEVEL else "fail", what, remedy)
+    verdict: Verdict = "warn" if off <= LEAST_LEVEL else "fail"
+    return Told("loopback level", verdict, what, remedy, Act("calibrate", "outputs"))
 
 
 def _latency(latency_s: float, post_roll_s: float) -> Told:
     what = f"{1e3 * latency_s:.1f} ms, {1e3 * post_roll_s:.0f} ms of post-roll to cover it"
     if latency_s <= LATENCY_SHARE * post_roll_s:
-        return ("latency", "ok", what, "")
-    return ("latency", "warn", what, "raise recorder.post_roll_s, or choose a smaller buffer")
+        return Told("latency", "ok", what)
+    return Told(
+        "latency",
+        "warn",
+        what,
+        "raise recorder.post_roll_s, or choose a smaller buffer",
+        Act("edit-rig", "recorder.post_roll_s"),
+    )
 
 
 def _clock(skew_ppm: float) -> Told:
     what = f"the recorder's runs {skew_ppm:+.1f} ppm faster than the player's"
     if abs(skew_ppm) <= GOOD_PPM:
-        return ("clock ratio", "ok", what, "")
-    return ("clock ratio", "warn", what, "check the sample rates set at the interface; the estimator allows 500 ppm")
+        return Told("clock ratio", "ok", what)
+    return Told(
+        "clock ratio", "warn", what, "check the sample rates set at the interface; the estimator allows 500 ppm"
+    )
 
 
 def _purity(residual_db: float) -> Told:
     what = f"{-residual_db:.0f} dB above noise and distortion"
     if residual_db <= GOOD_RESIDUAL_DB:
-        return ("loopback purity", "ok", what, "")
-    return ("loopback purity", "warn", what, "look for hum, a loose cable or a range much too wide")
+        return Told("loopback purity", "ok", what)
+    return Told("loopback purity", "warn", what, "look for hum, a loose cable or a range much too wide")
 
 
 def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Told]:
@@ -184,12 +228,20 @@ def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Told]:
     what = f"signal {snr_db[best]:.0f} dB above noise at the middle, actuator {best} at {amplitude_v:.3g} V"
     if not math.isfinite(snr_db[best]) or snr_db[best] < LEAST_SNR_DB:
         remedy = "check that the beam is on the surface and in focus, the vibrometer's cable, and the amplifiers"
-        return [("response", "fail", what, remedy)]
+        return [Told("response", "fail", what, remedy)]
     verdict: Verdict = "ok" if snr_db[best] >= GOOD_SNR_DB else "warn"
     remedy = "" if verdict == "ok" else "focus the laser, put reflective film on the surface, or drive louder"
-    told: list[Told] = [("response", verdict, what, remedy)]
+    told: list[Told] = [Told("response", verdict, what, remedy)]
     for actuator, ratio_db in snr_db.items():
         if ratio_db < LEAST_SNR_DB:
             remedy = "run wavefocus calibrate --only actuators; check its cable, amplifier and coil"
-            told.append(("actuator", "fail", f"actuator {actuator} is hardly heard ({ratio_db:.0f} dB)", remedy))
+            told.append(
+                Told(
+                    "actuator",
+                    "fail",
+                    f"actuator {actuator} is hardly heard ({ratio_db:z.0f} dB)",
+                    remedy,
+                    Act("calibrate", "actuators"),
+                )
+            )
     return told

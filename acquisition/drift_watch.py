@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from acquisition.attempt import Attempt, AttemptResult, Recorded
 from acquisition.errors import DriftError
 from acquisition.plan import Plan, sentinel_of
 from acquisition.position_records import PositionRecords
 from acquisition.recovery import Recovery
+from acquisition.row_ranges import row_ranges
 from acquisition.sentinel import DriftFigures, compare_sentinel
 from acquisition.session import Session
 from acquisition.states import Lifecycle
@@ -167,14 +168,3 @@ class DriftWatch:
         if result.estimate is None and attempt.of_session < self._plan.quality.max_attempts:
             return self._measure(attempt.next())
         return result
-
-
-def row_ranges(rows: Sequence[int]) -> str:
-    """Bank rows as ``--positions`` takes them: ``"3,5-9"``."""
-    ranges: list[list[int]] = []
-    for row in sorted(set(rows)):
-        if ranges and row == ranges[-1][1] + 1:
-            ranges[-1][1] = row
-        else:
-            ranges.append([row, row])
-    return ",".join(f"{first}-{last}" if last > first else f"{first}" for first, last in ranges)

@@ -14,8 +14,8 @@ from acquisition.drift_watch import DriftWatch
 from acquisition.events import SessionEnded, State, Subscriber
 from acquisition.measuring import measuring_of
 from acquisition.plan import Plan
+from acquisition.point_status import Status
 from acquisition.position_records import PositionRecords
-from acquisition.quality import Status
 from acquisition.recovery import Recovery
 from acquisition.repeating import attempts_again, first_attempts, is_final, is_futile, next_attempt
 from acquisition.roles import names_of

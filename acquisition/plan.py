@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality import QualityLimits
+from acquisition.quality_limits import QualityLimits
 from acquisition.record import Rolls, record_samples
 from acquisition.sentinel import DriftLimits
 from calibration.staggered_signal import StaggeredSignal
@@ -16,6 +16,8 @@ from drivers.protocols import Float64Array
 
 # Time of a mirror move, of starting a task and of a commit, for the estimate before a run.
 POSITION_OVERHEAD_S = 0.05
+# Actuators that sound together where all of them do not pay.
+GROUP = 5
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,90 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.defects import NOISE_ALONE_DB, Cure, Defect, DefectLimits, dead_records, named_defects, records_named
+from acquisition.point_status import Status
+from acquisition.quality_limits import QualityLimits
 from calibration.estimator import Estimate
-
-
-class Status(IntFlag):
-    """Status bits of a position, as the bank's contract and scanning vibrometers have them."""
-
-    NOT_MEASURED = 0
-    VALID = 1
-    OVER_RANGE = 2
-    POOR_SIGNAL = 4
-    FAILED = 8
-    DISABLED = 16
-
-
-STATUS_WORDS: dict[str, Status] = {
-    "not-measured": Status.NOT_MEASURED,
-    "valid": Status.VALID,
-    "over-range": Status.OVER_RANGE,
-    "poor": Status.POOR_SIGNAL,
-    "failed": Status.FAILED,
-    "disabled": Status.DISABLED,
-}
-
-
-def status_counts(status: NDArray[np.uint8]) -> dict[str, int]:
-    """Positions per status word; a position with several bits counts under each."""
-    counts = {word: int(np.count_nonzero(status & bit)) for word, bit in STATUS_WORDS.items() if bit}
-    return {"not-measured": int(np.count_nonzero(status == 0)), **counts}
-
-
-def not_valid(status: NDArray[np.uint8]) -> list[int]:
-    """Bank rows that were measured and are not valid, those that a person has excluded left out."""
-    return np.flatnonzero((status != 0) & (status & (Status.VALID | Status.DISABLED) == 0)).tolist()
-
-
-def median_snr_db(snr_db: NDArray[np.float32] | None, status: NDArray[np.uint8]) -> float | None:
-    """Median signal-to-noise ratio over all measured pairs (position, actuator); None where none is known."""
-    if snr_db is None:
-        return None
-    known = snr_db[status > 0]
-    known = known[np.isfinite(known)]
-    return float(np.median(known)) if known.size else None
-
-
-@dataclass(frozen=True, slots=True)
-class QualityLimits:
-    """When a position is good enough.
-
-    Parameters
-    ----------
-    poor_residual_db : float
-        A record is suspect when the fitted response leaves more than this unexplained,
-        in dB of the response.
-    excess_noise_db : float
-        A suspect record makes the position poor when its residual in volts is also this much
-        above the residual of the position's quietest record. Both must hold: a far
-        actuator's record is mostly noise and still honest, a near one's residual is
-        large in volts and still small beside its response.
-    poor_snr_db : float
-        The position is poor when even its best record has less signal-to-noise ratio.
-    max_attempts : int
-        Attempts at a position before it is committed as it is.
-    poor_harmonic_db : float
-        A record is clipped or distorted when the third harmonic at its loudest moment is above this, in dB of the
-        fundamental.
-    speckle_step_mm : float
-        How far the mirror moves aside where the light does not come back, >= 0.
-    remeasure_pass : int
-        How often, at the end of a campaign, all that is not valid is measured again, >= 0.
-    """
-
-    poor_residual_db: float = -50.0
-    excess_noise_db: float = 8.0
-    poor_snr_db: float = 20.0
-    max_attempts: int = 3
-    poor_harmonic_db: float = -42.0
-    speckle_step_mm: float = 0.1
-    remeasure_pass: int = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from acquisition.measuring import channels_of, heard_samples
 from acquisition.plan import Plan
-from acquisition.quality import Status
+from acquisition.point_status import Status
 from acquisition.record import record_samples
 from acquisition.setup import Setup
 from calibration.errors import InputError

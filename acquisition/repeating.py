@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from acquisition.attempt import Attempt
 from acquisition.defects import Cure
-from acquisition.quality import Judgement, QualityLimits, Status
+from acquisition.point_status import Status
+from acquisition.quality import Judgement
+from acquisition.quality_limits import QualityLimits
 from acquisition.setup import Setup
 from drivers.protocols import Float64Array
 

@@ -24,7 +24,7 @@ from acquisition.events import (
 )
 from acquisition.pace import Pace
 from acquisition.plan import Plan, sentinel_of
-from acquisition.quality import status_counts
+from acquisition.point_status import status_counts
 from acquisition.sentinel import DriftFigures
 from acquisition.setup import Setup
 from acquisition.states import Lifecycle

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition.measuring import Measuring, measuring_of
-from acquisition.plan import Plan
+from acquisition.plan import GROUP, Plan
 from acquisition.pointing import point_at
 from acquisition.position_records import RECORD_REPEATS
 from acquisition.record import take_record
@@ -22,8 +22,6 @@ from drivers.errors import TransientInstrumentError
 from drivers.protocols import Recording, Take
 
 LOWER_DB = -6.0
-# Actuators that sound together where all of them do not pay.
-GROUP = 5
 # A staggered record is taken so often, and the two that agree best count: a moment of speckle spoils all of one.
 TAKES = 3
 

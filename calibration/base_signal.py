@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-import scipy.optimize
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
@@ -174,6 +173,8 @@ def _ratio_of_cuts(seen: Sequence[_Seen], bins: int, guess: float | None) -> flo
     if guess is not None:
         offsets = np.array([fit.offset_samples for fit in fits(guess, others)])
         if np.any(np.abs(offsets) > LEAST_CUT * first.period):
+            import scipy.optimize  # slow to load; most records are cut alike and need no search
+
             ends = guess - 1e-6 * reach, guess + 1e-6 * reach
             best = scipy.optimize.minimize_scalar(
                 lambda one: misfit(float(one), others), bounds=ends, method="bounded", options={"xatol": 1e-8}

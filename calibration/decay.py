@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
@@ -150,6 +149,8 @@ def _first_fallen(blocks: Float64Array) -> int:
 
 def _fitted(place: Float64Array, late: Float64Array) -> tuple[float, float, float]:
     """Rate, logarithm at time 0, and logarithm of the floor of an exponential decay into noise."""
+    import scipy.optimize  # slow to load; only the trial before a staggered campaign fits a decay
+
     span = place[-1] - place[0]
     slope = (late[0] - late.min()) / span
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,19 +89,77 @@ def write_drive(path: str | Path, drive: Drive) -> None:
     InputError
         When the folder is missing or cannot be written.
     """
+    about = DriveAbout(
+        drive.sample_rate_hz, drive.start_s, drive.method, drive.scale, drive.omitted_bound,
+        drive.focus_sample, drive.focus_position, drive.focus_source,
+    )  # fmt: skip
+    with drive_in_blocks(path, about, drive.drive_v.shape) as append:
+        append(drive.drive_v)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveAbout:
+    """All that a drive file says beside the volts; as of `Drive`."""
+
+    sample_rate_hz: float
+    start_s: float
+    method: str
+    scale: float
+    omitted_bound: float
+    focus_sample: Int64Array
+    focus_position: Int64Array
+    focus_source: Int64Array
+
+
+@contextmanager
+def drive_in_blocks(
+    path: str | Path, about: DriveAbout, shape: tuple[int, ...]
+) -> Iterator[Callable[[Float64Array], None]]:
+    """Write a drive file block by block, replacing an older one only when the new one is whole.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    about : DriveAbout
+        What it says of the drive.
+    shape : tuple of int
+        Actuators and samples of the whole drive.
+
+    Yields
+    ------
+    callable
+        Writes the next block, float64 array (actuators, any number of samples), volts.
+
+    Raises
+    ------
+    InputError
+        The folder is missing or cannot be written.
+    """
     path = Path(path)
     try:
         with replacement(path) as temporary, h5py.File(temporary, "w", locking=False) as file:
             file.attrs["format"] = FORMAT
             file.attrs["format_version"] = VERSION
-            file.attrs["sample_rate_hz"] = float(drive.sample_rate_hz)
-            file.attrs["start_s"] = float(drive.start_s)
-            file.attrs["method"] = drive.method
-            file.attrs["scale"] = float(drive.scale)
-            file.attrs["omitted_bound"] = float(drive.omitted_bound)
-            file.create_dataset("drive", data=drive.drive_v, dtype="<f8").attrs["units"] = "V"
+            file.attrs["sample_rate_hz"] = float(about.sample_rate_hz)
+            file.attrs["start_s"] = float(about.start_s)
+            file.attrs["method"] = about.method
+            file.attrs["scale"] = float(about.scale)
+            file.attrs["omitted_bound"] = float(about.omitted_bound)
+            volts = file.create_dataset("drive", shape=shape, dtype="<f8")
+            volts.attrs["units"] = "V"
             for name in ("sample", "position", "source"):
-                file.create_dataset(f"focus/{name}", data=getattr(drive, f"focus_{name}"), dtype="<i8")
+                file.create_dataset(f"focus/{name}", data=getattr(about, f"focus_{name}"), dtype="<i8")
+            done = 0
+
+            def append(block: Float64Array) -> None:
+                nonlocal done
+                volts[:, done : done + block.shape[1]] = block
+                done += block.shape[1]
+
+            yield append
+            if done != shape[1]:
+                raise ValueError(f"{done} of {shape[1]} samples were written")
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
 

@@ -24,6 +24,33 @@ FORMAT = "wavefocus-field"
 VERSION = 1
 
 
+@dataclass(frozen=True, slots=True)
+class LowPass:
+    """What a field lost when it was made at a fraction of the bank's rate.
+
+    Parameters
+    ----------
+    passed_hz : float
+        Frequencies up to this are in the field as they are, > 0.
+    factor : int
+        The bank's rate over the field's, >= 2.
+
+    Raises
+    ------
+    InputError
+        When the factor is below 2, or the frequency not above 0.
+    """
+
+    passed_hz: float
+    factor: int
+
+    def __post_init__(self) -> None:
+        if self.factor < 2:
+            raise InputError(f"decimated_by is {self.factor}; 2 or more is needed, or no such attribute")
+        if not (np.isfinite(self.passed_hz) and self.passed_hz > 0):
+            raise InputError(f"band_hz ends at {self.passed_hz}; a frequency above 0 is needed")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Field:
     """The response at positions of a bank over time.
@@ -40,6 +67,8 @@ class Field:
         Time of the first sample.
     response_unit : str
         Unit of the response, ``"m/s"`` for a vibrometer.
+    low_pass : LowPass, optional
+        That it is at a fraction of the bank's rate; None where nothing was low-passed.
 
     Raises
     ------
@@ -52,6 +81,7 @@ class Field:
     sample_rate_hz: float
     start_s: float
     response_unit: str
+    low_pass: LowPass | None = None
 
     def __post_init__(self) -> None:
         values = np.asarray(self.field)
@@ -78,7 +108,7 @@ class FieldWriter:
         Positions of the rows to come.
     samples : int
         Samples per row, >= 1.
-    sample_rate_hz, start_s, response_unit
+    sample_rate_hz, start_s, response_unit, low_pass
         As :class:`Field`.
     dtype : dtype
         float32 as the contract has it; float64 keeps more digits.
@@ -98,6 +128,7 @@ class FieldWriter:
         sample_rate_hz: float,
         start_s: float,
         response_unit: str,
+        low_pass: LowPass | None = None,
         dtype: DTypeLike = np.float32,
     ) -> None:
         self.path = Path(path)
@@ -107,6 +138,7 @@ class FieldWriter:
         _require_times(sample_rate_hz, start_s)
         self._attributes = {"sample_rate_hz": float(sample_rate_hz), "start_s": float(start_s)}
         self._unit = response_unit
+        self._low_pass = low_pass
         self._shape = (len(self._index), samples)
         self._dtype = np.dtype(dtype).newbyteorder("<")
         self._written = np.zeros(len(self._index), bool)
@@ -143,6 +175,9 @@ class FieldWriter:
         file.attrs["response_unit"] = self._unit
         for name, value in self._attributes.items():
             file.attrs[name] = value
+        if self._low_pass is not None:
+            file.attrs["band_hz"] = np.array([0.0, self._low_pass.passed_hz])
+            file.attrs["decimated_by"] = self._low_pass.factor
         file.create_dataset("position_index", data=self._index, dtype="<i8")
         self._data = file.create_dataset("field", self._shape, self._dtype)
         self._data.attrs["units"] = self._unit
@@ -177,6 +212,7 @@ def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32
         sample_rate_hz=field.sample_rate_hz,
         start_s=field.start_s,
         response_unit=field.response_unit,
+        low_pass=field.low_pass,
         dtype=dtype,
     ) as writer:
         writer.write(0, field.field)
@@ -199,10 +235,31 @@ def read_field(path: str | Path) -> Field:
         index = hdf5_safety.read_integers(file, "/position_index", path)
         rate, start_s = (hdf5_safety.number(file, name, path) for name in ("sample_rate_hz", "start_s"))
         unit = hdf5_safety.text(file, "response_unit", path)
+        low_pass = read_low_pass(file, path)
     if unit is None:
         raise InputError(f"{path} has no attribute response_unit")
     try:
-        return Field(values, index, rate, start_s, unit)
+        return Field(values, index, rate, start_s, unit, low_pass)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def read_low_pass(file: h5py.File, path: Path) -> LowPass | None:
+    """Read what a field lost to a lower rate; None where its file says nothing of one.
+
+    Raises
+    ------
+    InputError
+        When the attributes hold something else.
+    """
+    if "decimated_by" not in file.attrs:
+        return None
+    factor = hdf5_safety.number(file, "decimated_by", path)
+    _, passed_hz = hdf5_safety.numbers(file, "band_hz", path, 2)
+    if factor != round(factor):
+        raise InputError(f"{path}: attribute decimated_by is {factor:g}; a whole number is needed")
+    try:
+        return LowPass(passed_hz, int(factor))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

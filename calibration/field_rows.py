@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calibration import hdf5_safety
 from calibration.errors import InputError
-from calibration.field_file import FORMAT, VERSION
+from calibration.field_file import FORMAT, VERSION, LowPass, read_low_pass
 
 AT_ONCE_BYTES = 32 << 20
 
@@ -39,6 +39,8 @@ class FieldRowReader:
     sample_rate_hz: float
     start_s: float
     response_unit: str
+    low_pass: LowPass | None
+    """What it lost to a rate below the bank's."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -54,6 +56,7 @@ class FieldRowReader:
             self.sample_rate_hz = hdf5_safety.number(file, "sample_rate_hz", self.path)
             self.start_s = hdf5_safety.number(file, "start_s", self.path)
             self.response_unit = hdf5_safety.text(file, "response_unit", self.path) or ""
+            self.low_pass = read_low_pass(file, self.path)
             if not self.sample_rate_hz > 0:
                 raise InputError(f"{self.path}: sample_rate_hz is {self.sample_rate_hz}; a rate above 0 is needed")
             self._open = stack.pop_all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.errors import InputError
@@ -111,6 +110,7 @@ def _direct(seen: Float64Array, true: Float64Array) -> Float64Array:
 
 def _refined(seen: Float64Array, true: Float64Array, start: Float64Array) -> Float64Array:
     """The homography of least squared distance to the marks, from a start near it."""
+    import scipy.optimize  # slow to load; only a mirror with marks is fitted
 
     def missed(entries: Float64Array) -> Float64Array:
         return (_projected(np.append(entries, 1.0).reshape(3, 3), seen) - true).ravel()

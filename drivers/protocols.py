@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -245,6 +245,56 @@ class Player(Protocol):
 
     def close(self) -> None:
         """Release the device, muted. Safe to call twice."""
+        ...
+
+
+@runtime_checkable
+class PiecewisePlayer(Player, Protocol):
+    """A player that also takes a signal in pieces while it plays, so that it may be of any length."""
+
+    @property
+    def latency_s(self) -> float:
+        """How long after it was taken a sample leaves the outputs, as far as the device tells."""
+        ...
+
+    def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
+        """Begin a play that comes in pieces, at the interface's own rate; the other channels stay silent.
+
+        Parameters
+        ----------
+        channels : sequence of int
+            In the order of the pieces' rows.
+        sample_rate_hz : float
+            Rate of the pieces in Hz.
+        ahead_s : float
+            It sounds when so much is there, or all of it; no more than that waits to be played.
+
+        Raises
+        ------
+        InstrumentError
+            Unknown channel, wrong rate, still playing, device failure.
+        """
+        ...
+
+    def add_piece(self, volts: Float64Array) -> float:
+        """Hand over the next samples, (channels, any number), and return when there is room for more.
+
+        Returns
+        -------
+        float
+            How much was still to be played before this piece came, in seconds.
+
+        Raises
+        ------
+        TransientInstrumentError
+            It ran dry: the pieces came too late. It has faded out.
+        InstrumentError
+            Voltage beyond full scale, nothing begun, device failure.
+        """
+        ...
+
+    def end_pieces(self) -> None:
+        """Say that no more comes; `wait` returns when all of it was played."""
         ...
 
 

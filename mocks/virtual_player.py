@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,15 @@ from mocks.synthesis import Play
 Float64Array = NDArray[np.float64]
 
 NAME = "virtual player"
+
+
+@dataclass(slots=True)
+class _Pieces:
+    """A play that comes in pieces; `ahead_s` of it may wait."""
+
+    rows: int
+    play: Play
+    ahead_s: float
 
 
 class VirtualPlayer:
@@ -40,6 +50,7 @@ class VirtualPlayer:
         self._faults = FaultPlan("player", NAME, settings.fault_plan)
         self._store = SignalStore(settings.full_scale_v)
         self._plays: deque[Play] = deque(maxlen=8)
+        self._pieces: _Pieces | None = None
         self._closed = False
         self._lock = threading.RLock()
         self._take_under_way: Callable[[], Take | None] = lambda: None
@@ -82,6 +93,50 @@ class VirtualPlayer:
             play.latency_s = None if take is None else self._latency_s(take)
             self._plays.append(play)
 
+    @property
+    def latency_s(self) -> float:
+        """The longest that it may take from a play's request to its sound."""
+        return self._settings.latency_s[1]
+
+    def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
+        """Begin a play that comes in pieces: it takes its time on the clock, and no recorder hears it."""
+        doing = f"playing piece by piece on {len(channels)} channels"
+        self._check_open(doing)
+        unknown = [channel for channel in channels if not 0 <= channel < self.channels]
+        if unknown or not channels:
+            cause = f"there is no channel {unknown[0]}" if unknown else "no channels"
+            raise InstrumentError(NAME, doing, cause, f"choose 0 to {self.channels - 1}")
+        with self._lock:
+            now_ns = self._clock.now_ns()
+            if self._plays and self._end_ns(self._plays[-1]) > now_ns:
+                raise InstrumentError(NAME, doing, "it is still playing", "wait for its end or mute it first")
+            self._faults.meet("play", doing, self._take_under_way())
+            self._pieces = _Pieces(len(channels), Play(now_ns, float(sample_rate_hz), {}, 0), ahead_s)
+
+    def add_piece(self, volts: Float64Array) -> float:
+        """Let the time pass until there is room for more; tells how much was waiting before, in seconds."""
+        pieces = self._begun()
+        reaches_v = float(np.abs(volts).max(initial=0.0))
+        if volts.ndim != 2 or len(volts) != pieces.rows or not reaches_v <= self.full_scale_v:
+            raise InstrumentError(
+                NAME,
+                "playing piece by piece",
+                f"a piece of shape {volts.shape} that reaches {reaches_v:g} V",
+                f"give {pieces.rows} rows within +-{self.full_scale_v:g} V",
+            )
+        play = pieces.play
+        before_s = play.duration_s - max(0, self._clock.now_ns() - play.requested_ns) / NANOSECONDS
+        play.samples += volts.shape[1]
+        self._clock.advance_to_ns(play.requested_ns + round((play.duration_s - pieces.ahead_s) * NANOSECONDS))
+        return before_s
+
+    def end_pieces(self) -> None:
+        """Say that no more comes."""
+        pieces, self._pieces = self._begun(), None
+        with self._lock:
+            if pieces.play.samples:
+                self._plays.append(pieces.play)
+
     def wait(self, timeout_s: float) -> None:
         """Return when everything has been played, at the latest after `timeout_s`."""
         self._check_open("waiting for the end of the signal")
@@ -102,6 +157,7 @@ class VirtualPlayer:
 
     def mute(self) -> None:
         """Silence every channel at once, from any state."""
+        self._pieces = None
         self._cut(self._clock.now_ns())
         self._faults.meet("mute", "muting")
 
@@ -189,6 +245,12 @@ class VirtualPlayer:
                 f"give finite voltages within +-{self.full_scale_v:g} V, one row",
             )
         return signal
+
+    def _begun(self) -> _Pieces:
+        self._check_open("playing piece by piece")
+        if self._pieces is None:
+            raise InstrumentError(NAME, "playing piece by piece", "none was begun", "begin one first")
+        return self._pieces
 
     def _check_open(self, doing: str) -> None:
         if self._closed:

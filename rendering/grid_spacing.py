@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from calibration.errors import InputError
 from rendering.interpolation import GRID_KINDS, KINDS, interpolation
 from rendering.kernel.neighbourhoods import NEIGHBOURS
-from rendering.kernel.wave_model import PatchKernel, WaveModel, kernel_parts
+from rendering.kernel.wave_model import PatchKernel, WaveModel, plane_waves
 from rendering.snapping import PositionGrid
 
 Float64Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ TRUSTED_SHARE = 0.01
 """Share of the disk's kernel where waves are trusted to be what they seem; 1 where only their length is."""
 LEAST_RIDGE = 1e-6
 SCANNED_RADIANS = np.geomspace(0.005, 6.0, 96)
-BISECTIONS = 24
+BISECTIONS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,17 +127,22 @@ def needed_grid(
             wavenumber_rad_mm, spacing_mm, lattice=lattice, kind=kind, noise_db=noise_db, trusted=trusted
         )
 
-    errors = np.array([error_at(radians) for radians in SCANNED_RADIANS])
-    enough = np.flatnonzero(errors <= error)
-    if not len(enough):
+    low, high, least = 0.0, math.inf, math.inf
+    # From the first spacing that is enough on; very close grids of a noisy bank may be worse than wider ones.
+    for radians in SCANNED_RADIANS.tolist():
+        found = error_at(radians)
+        least = min(least, found)
+        if found <= error:
+            low = radians
+        elif low:
+            high = radians
+            break
+    if not low:
         raise InputError(
-            f"no grid keeps interpolation {kind!r} within {100 * error:.3g} %: {100 * errors.min():.2g} % is the"
+            f"no grid keeps interpolation {kind!r} within {100 * error:.3g} %: {100 * least:.2g} % is the"
             f" least that a bank with an error of {noise_db:g} dB allows"
         )
-    # From the first spacing that is enough on; very close grids of a noisy bank may be worse than wider ones.
-    last = enough[0] + int(np.argmax(np.append(errors[enough[0] :] > error, True))) - 1
-    low, high = float(SCANNED_RADIANS[last]), float(SCANNED_RADIANS[min(last + 1, len(errors) - 1)])
-    for _ in range(BISECTIONS if error_at(high) > error else 0):
+    for _ in range(BISECTIONS if math.isfinite(high) else 0):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if error_at(middle) <= error else (low, middle)
     spacing_mm = low / wavenumber_rad_mm.real
@@ -182,25 +188,30 @@ def expected_error(
     places_mm = spacing_mm * _cell(lattice)
     wavenumber = np.array([wavenumber_rad_mm])
     if kind in GRID_KINDS:
-        nodes = interpolation(kind, PositionGrid(position_mm)).nodes(places_mm)
-        weights = np.zeros((len(places_mm), len(position_mm)), dtype=np.complex128)
-        np.add.at(weights, (np.arange(len(places_mm))[:, None], nodes.rows), nodes.weights)
+        weights = _grid_weights(kind, lattice)
     else:
         share, ridge = (TRUSTED_SHARE if trusted else 1.0), max(noise, LEAST_RIDGE)
         model = WaveModel(np.ones(1), wavenumber, np.array([share]), np.array([ridge]))
         weights = PatchKernel(model, position_mm).weights(places_mm)[0]
-    together = np.concatenate([position_mm, places_mm])
     # Relative to the first position, so that the damped waves' strength is that of the middle.
-    covariance = kernel_parts(wavenumber, together)[0][0]
-    count = len(position_mm)
-    among, across = covariance[:count, :count], covariance[count:, :count]
-    own = covariance[count:, count:].diagonal().real
-    wrong = own - 2.0 * np.einsum("pn,pn->p", weights, across.conj()).real
-    wrong += np.einsum("pn,nm,pm->p", weights, among, weights.conj()).real
+    waves = plane_waves(wavenumber, np.concatenate([position_mm, places_mm]))[0]
+    measured, wanted = waves[: len(position_mm)], waves[len(position_mm) :]
+    wrong = np.square(np.abs(wanted - weights @ measured)).mean(axis=1)
     wrong += noise * np.square(np.abs(weights)).sum(axis=1)
-    return float(np.sqrt(np.mean(np.maximum(wrong, 0.0) / own)))
+    return float(np.sqrt(np.mean(wrong / np.square(np.abs(wanted)).mean(axis=1))))
 
 
+@cache
+def _grid_weights(kind: str, lattice: Lattice) -> Complex128Array:
+    """Weights (places, positions) of an interpolation that looks at the places alone: the same at any spacing."""
+    position, places = _rings(lattice), _cell(lattice)
+    nodes = interpolation(kind, PositionGrid(position)).nodes(places)
+    weights = np.zeros((len(places), len(position)), dtype=np.complex128)
+    np.add.at(weights, (np.arange(len(places))[:, None], nodes.rows), nodes.weights)
+    return weights
+
+
+@cache
 def _rings(lattice: Lattice) -> Float64Array:
     """A position and its 36 neighbours at spacing 1."""
     steps = np.arange(-6, 7)
@@ -211,6 +222,7 @@ def _rings(lattice: Lattice) -> Float64Array:
     return np.stack([x[nearest], y[nearest]], axis=1)
 
 
+@cache
 def _cell(lattice: Lattice) -> Float64Array:
     """Places evenly over the cell of the middle position: those that no other is nearer to."""
     side = (np.arange(PLACES_PER_SPACING * 2) + 0.5) / PLACES_PER_SPACING - 1.0

@@ -11,7 +11,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
-from scipy import signal as scipy_signal
 
 from calibration.errors import InputError
 
@@ -158,6 +157,8 @@ def _resample(values: Float64Array, ratio: Fraction) -> Float64Array:
     up, down = ratio.numerator, ratio.denominator
     if up == 0:
         raise InputError("the sound file's rate is more than 10,000 times the bank's")
+    from scipy import signal as scipy_signal  # half a second of start, for sound files of another rate alone
+
     widest = max(up, down)
     low_pass: Any = scipy_signal.firwin(2 * 64 * widest + 1, 1.0 / widest, window=("kaiser", 12.0))
     resampled: Float64Array = scipy_signal.resample_poly(values, up, down, window=low_pass)

@@ -8,8 +8,8 @@ from pathlib import Path
 from calibration.bank import open_bank
 from calibration.errors import InputError
 from drivers.protocols import Instruments
+from wavefocus.blueprint import Blueprint, bank_configuration
 from wavefocus.calibration_care import calibrated_elsewhere, names_known
-from wavefocus.compose import Blueprint, bank_configuration
 from wavefocus.config.plan_hash import plan_sha256
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import say

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from acquisition.drift_watch import row_ranges
 from acquisition.durations import hours
 from acquisition.events import (
     ConditionsSeen,
@@ -21,6 +20,7 @@ from acquisition.events import (
     State,
     StateChanged,
 )
+from acquisition.row_ranges import row_ranges
 from wavefocus.console import Report, finish_clock, say
 
 # What a person at the terminal asked for or must know of; recovery and the end have lines of their own.

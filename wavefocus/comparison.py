@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from acquisition.expectation import Expectation, expect
-from acquisition.trial import GROUP
+from acquisition.plan import GROUP
 from calibration.errors import InputError
-from wavefocus.compose import Blueprint, blueprint_of
+from wavefocus.blueprint import Blueprint, blueprint_of
 
 
 def compared(blueprint: Blueprint) -> list[Expectation]:

@@ -1,155 +1,22 @@
-"""From configuration to what carries it out: the plan, the bank's header and the instruments."""
+"""From configuration to instruments that are open, bounded in time, and put to rest at the end."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from importlib.metadata import version
-from pathlib import Path
-
-import numpy as np
 
 from acquisition.bounded import RECONNECTING, bounded
-from acquisition.plan import Plan
-from acquisition.quality import QualityLimits
-from acquisition.sentinel import DriftLimits
 from acquisition.setup import Setup
-from calibration.bank import Bank, open_bank
-from calibration.bank_header import BankHeader
-from calibration.errors import InputError
 from calibration.mirror_map import MirrorMap
-from calibration.staggered_signal import StaggeredSignal
-from calibration.sweeps import Excitation
 from drivers.errors import InstrumentError
 from drivers.protocols import OffersRanges
 from wavefocus.calibration_care import calibration_warnings, names_known
 from wavefocus.config.calibration_merge import calibrated
-from wavefocus.config.loading import Configuration, configuration_from_json, load_run
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.console import say
 from wavefocus.instruments import OpenedRig, in_time, open_rig, openers
 from wavefocus.sensors import watch_of
-from wavefocus.virtual_bench import virtual_rig
-
-__all__ = [
-    "Blueprint",
-    "bank_configuration",
-    "blueprint_from_bank",
-    "blueprint_from_files",
-    "blueprint_of",
-    "open_setup",
-    "put_to_rest",
-    "setup_of",
-    "virtual_rig",
-]
-
-
-@dataclass(frozen=True, slots=True)
-class Blueprint:
-    """A configuration with the plan that follows from it."""
-
-    configuration: Configuration
-    plan: Plan
-
-    def bank_header(self) -> BankHeader:
-        """What a new bank says of itself."""
-        configuration, plan = self.configuration, self.plan
-        return BankHeader(
-            sample_rate_hz=plan.excitation.sample_rate_hz,
-            taps=plan.taps,
-            band_hz=plan.excitation.band_hz,
-            position_mm=plan.position_mm,
-            actuator_mm=plan.actuator_mm,
-            rig_json=configuration.rig.model_dump_json(),
-            run_json=configuration.run.model_dump_json(),
-            plan_sha256=plan.sha256,
-            software=f"wavefocus {version('wavefocus')}",
-        )
-
-
-def blueprint_from_files(run_file: Path) -> Blueprint:
-    """Read and check a run file with all that it names.
-
-    Raises
-    ------
-    InputError
-        Anything in the files is wrong.
-    """
-    return blueprint_of(load_run(run_file))
-
-
-def blueprint_from_bank(path: Path) -> Blueprint:
-    """Take up the configuration that a bank carries, checked against the bank's own hash.
-
-    Raises
-    ------
-    InputError
-        The file is no bank, or one that this suite did not measure.
-    """
-    with open_bank(path) as bank:
-        blueprint = blueprint_of(bank_configuration(bank))
-        if bank.plan_sha256 != blueprint.plan.sha256:
-            raise InputError(
-                f"{path}: the attributes rig, run and plan_sha256 do not belong together; the bank cannot be "
-                "resumed, but what it holds can be rendered"
-            )
-    return blueprint
-
-
-def bank_configuration(bank: Bank) -> Configuration:
-    """The configuration that an open bank carries.
-
-    Raises
-    ------
-    InputError
-        The bank was made by other means and carries none.
-    """
-    if bank.rig_json is None or bank.run_json is None:
-        raise InputError(
-            f"{bank.path}: has no attributes rig and run: it was made by other means and cannot be measured on"
-        )
-    return configuration_from_json(bank.rig_json, bank.run_json, bank.position_mm, str(bank.path))
-
-
-def blueprint_of(configuration: Configuration) -> Blueprint:
-    """A checked configuration with the plan that follows from it.
-
-    Raises
-    ------
-    InputError
-        Rig and run ask for records that cannot be.
-    """
-    run, rig = configuration.run, configuration.rig
-    capture = run.capture
-    excitation = Excitation(
-        sample_rate_hz=capture.sample_rate_hz,
-        start_hz=run.sweep.start_hz,
-        stop_hz=run.sweep.stop_hz,
-        duration_s=run.sweep.duration_s,
-        decay_s=capture.decay_s,
-        amplitude_v=run.sweep.amplitude_v * 10 ** (capture.level_db / 20),
-        averages=capture.averages,
-    )
-    staggered = None
-    if capture.excitation == "staggered":
-        staggered = StaggeredSignal(
-            excitation, len(rig.actuators.position_mm), capture.taps, capture.stagger_samples, capture.groups,
-            capture.periods,
-        )  # fmt: skip
-    plan = Plan(
-        position_mm=configuration.position_mm,
-        actuator_mm=rig.actuator_mm,
-        order=np.arange(len(configuration.position_mm)),
-        excitation=excitation,
-        taps=capture.taps,
-        sha256=configuration.plan_sha256,
-        quality=QualityLimits(**run.quality.model_dump()),
-        drift=DriftLimits(**run.drift.model_dump()),
-        staggered=staggered,
-    )
-    return Blueprint(configuration, plan)
 
 
 @contextmanager

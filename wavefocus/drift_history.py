@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from acquisition.events import Drift, Event
+from acquisition.row_ranges import row_ranges
 from rendering.report_drift import DriftPoint
 from wavefocus.event_log import EventLines
 
@@ -58,8 +59,6 @@ def read_drift(bank: Path) -> list[DriftPoint]:
 
 def suspect_rows(points: list[DriftPoint]) -> str:
     """Positions that the latest measurement of the sentinel speaks against, as ``--positions`` takes them."""
-    from acquisition.drift_watch import row_ranges  # with it comes all that measures; the window reads drift alone
-
     return row_ranges(points[-1].suspect) if points else ""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from acquisition.durations import hours
 from calibration.blas import one_blas_thread
 from rendering.grid_spacing import needed_grid, wave_number_rad_mm
-from rendering.scene import Scene
 from rendering.snapping import PositionGrid
+
+if TYPE_CHECKING:
+    from rendering.scene import Scene
 
 GEL_SPEED_M_S = 4.8
 GEL_ATTENUATION_DB_PER_CM = 3.8

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from acquisition.bounded import REMEDY
 from acquisition.lane import HungError, Lane
@@ -13,10 +13,11 @@ from acquisition.watch import Sensor
 from drivers.clock import WallClock
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder
-from mocks.patch_bay import PatchBay
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import Virtual
-from wavefocus.virtual_bench import virtual_rig
+
+if TYPE_CHECKING:
+    from mocks.patch_bay import PatchBay
 
 Opened = TypeVar("Opened")
 
@@ -107,6 +108,8 @@ def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
         What the run says of a virtual rig.
     """
     if rig.is_virtual:
+        from wavefocus.virtual_bench import virtual_rig  # a real rig needs none of what stands in for one
+
         bench = virtual_rig(rig, virtual)
         roles = bench.instruments
         return Openers(

@@ -12,7 +12,7 @@ from calibration.bank_writer import BankWriter
 from calibration.errors import InputError
 from calibration.raw_writer import RawWriter, create_raw
 from wavefocus.beside import raw_path
-from wavefocus.compose import Blueprint
+from wavefocus.blueprint import Blueprint
 
 
 def opened_raw(

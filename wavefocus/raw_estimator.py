@@ -11,7 +11,7 @@ from calibration.position_estimator import Channels, PositionEstimator
 from calibration.raw_estimation import estimator_of
 from calibration.raw_file import RawFile
 from calibration.raw_header import RawHeader
-from wavefocus.compose import blueprint_of
+from wavefocus.blueprint import blueprint_of
 from wavefocus.config.loading import configuration_from_json
 
 

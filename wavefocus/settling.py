@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from acquisition.durations import hours
 from acquisition.events import ScheduleSettled
-from acquisition.trial import Trial, run_trial
 from calibration.bank import open_bank
 from calibration.errors import InputError
-from wavefocus.compose import Blueprint, bank_configuration, blueprint_of, open_setup
+from wavefocus.blueprint import Blueprint, bank_configuration, blueprint_of
+from wavefocus.compose import open_setup
 from wavefocus.config.run import Capture, RunConfig
 from wavefocus.console import say
+
+if TYPE_CHECKING:
+    from acquisition.trial import Trial
 
 # Taps that are so many times what the responses need are worth a word.
 GENEROUS = 1.3
@@ -43,6 +47,8 @@ def settle(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[Schedule
     run = blueprint.configuration.run
     if not run.awaits_trial:
         return blueprint, ()
+    from acquisition.trial import run_trial  # most runs need no trial, and it is slow to load
+
     say("one position is measured by every schedule first, to see whether staggered capture pays")
     try:
         with open_setup(blueprint.configuration.rig, run) as setup:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from acquisition.doctor_findings import Finding, Findings
+from acquisition.doctor_findings import Act, Finding, Findings
 from calibration.network_mount import is_network_mount
 from wavefocus.calibration_care import calibration_warnings
 from wavefocus.config.rig import RigConfig
@@ -64,9 +64,8 @@ def _check_packages(rig: RigConfig, findings: Findings) -> None:
     }
     missing = [package for package, wanted in needed.items() if wanted and there[package] == "missing"]
     if missing:
-        findings.add(
-            "packages", "installed", "fail", f"missing: {', '.join(missing)}", f"pip install {' '.join(missing)}"
-        )
+        what, remedy = f"missing: {', '.join(missing)}", f"pip install {' '.join(missing)}"
+        findings.add("packages", "installed", "fail", what, remedy, Act("run", remedy))
         return
     used = ", ".join(f"{package} {there[package]}" for package, wanted in needed.items() if wanted)
     findings.add("packages", "installed", "ok", used or f"none needed, wavefocus {there['wavefocus']}")
@@ -76,7 +75,9 @@ def _check_disk(folder: Path, findings: Findings) -> None:
     free = shutil.disk_usage(folder).free
     what = f"{free / 1e9:.1f} GB free at {folder}"
     if free < LEAST_FREE_BYTES:
-        findings.add("disk", "free space", "warn", what, "make room, or measure to another disk")
+        findings.add(
+            "disk", "free space", "warn", what, "make room, or measure to another disk", Act("open-folder", str(folder))
+        )
     elif is_network_mount(folder):
         findings.add("disk", "free space", "warn", f"{what}, a network drive", "measure to a local disk")
     else:
@@ -95,20 +96,28 @@ def _check_usb(rig: RigConfig, findings: Findings) -> None:
     expected = [ExpectedUsbDevice(**one.model_dump()) for one in rig.usb]
     for found in match_devices(expected, plugged_in):
         good = found.verdict is Verdict.FOUND
-        findings.add("usb", found.expected.role, "ok" if good else "fail", found.sentence, found.remedy)
+        act = Act("reset-usb", found.expected.role) if found.verdict is Verdict.UNREADABLE else None
+        if found.verdict in (Verdict.SEVERAL, Verdict.OTHER_SERIAL, Verdict.MISSING):
+            act = Act("edit-rig", "usb")
+        findings.add("usb", found.expected.role, "ok" if good else "fail", found.sentence, found.remedy, act)
 
 
 def _check_calibration(rig: RigConfig, names: Mapping[str, str], findings: Findings) -> None:
     record = rig.calibration.measured
     if record is None:
         if not rig.is_virtual:
-            findings.add("calibration", "file", "warn", "the rig file names none", "run wavefocus calibrate")
+            findings.add(
+                "calibration", "file", "warn", "the rig file names none", "run wavefocus calibrate", Act("calibrate")
+            )
         return
     for warning in calibration_warnings(rig, names):
         what, _, remedy = warning.rpartition("; ")
-        findings.add("calibration", "file", "warn", what, remedy)
+        findings.add("calibration", "file", "warn", what, remedy, Act("calibrate", remedy.rpartition(" ")[2]))
     for one in record.actuators.actuator if record.actuators is not None else ():
         if one.verdict != "good":
-            what = f"actuator {one.actuator} was {one.verdict} ({one.level_db:+.1f} dB)"
-            findings.add("calibration", "actuators", "warn", what, "see wavefocus calibrate --only actuators")
+            what, act = (
+                f"actuator {one.actuator} was {one.verdict} ({one.level_db:+.1f} dB)",
+                Act("calibrate", "actuators"),
+            )
+            findings.add("calibration", "actuators", "warn", what, "see wavefocus calibrate --only actuators", act)
     findings.add("calibration", "file", "ok", f"{rig.calibration.file}, made {record.made:%Y-%m-%d}")

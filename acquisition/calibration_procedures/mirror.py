@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.calibration_procedures.operator import By, Here, JogView, Operator, To
+from acquisition.calibration_procedures.marks import Place
+from acquisition.calibration_procedures.operator import By, Drop, Here, JogView, Keep, MapView, Operator, Redo, To
+from acquisition.calibration_procedures.probe import NotMeasuredError
 from acquisition.roles import asking
 from acquisition.setup import Setup
 from calibration.errors import InputError
 from calibration.mirror_fit import LEAST_MARKS, MirrorFit, fit_mirror_map
 from calibration.mirror_map import MirrorMap
-
-Place = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,11 @@ class MirrorFigures:
     def worst_mm(self) -> float:
         """By how much the map misses the mark that it misses most."""
         return float(self.fit.residual_mm.max())
+
+    @property
+    def off_mm(self) -> NDArray[np.float64]:
+        """Where the map lets the beam of each mark fall, less where the mark lies, shape (marks, 2)."""
+        return np.stack(self.fit.mirror_map.surface_mm(*self.angles_mrad.T), axis=-1) - self.place_mm
 
     def suspect(self) -> int:
         """The mark, from 0, that is most likely to be wrong: the others agree best without it.
@@ -50,18 +55,13 @@ def _rms_without(place_mm: NDArray[np.float64], angles_mrad: NDArray[np.float64]
         return float("inf")
 
 
-def default_marks_mm(length_mm: float, width_mm: float) -> tuple[Place, ...]:
-    """Seven places on a stadium that pin the map down well: the corners of a rectangle, its ends and its middle."""
-    x_mm, y_mm = 0.32 * length_mm, 0.3 * width_mm
-    return ((0.0, 0.0), (x_mm, y_mm), (-x_mm, y_mm), (-x_mm, -y_mm), (x_mm, -y_mm), (0.4 * length_mm, 0.0),
-            (-0.4 * length_mm, 0.0))  # fmt: skip
-
-
-def measure_mirror(setup: Setup, marks_mm: Sequence[Place], limit_mrad: float, operator: Operator) -> MirrorFigures:
+def measure_mirror(
+    setup: Setup, marks_mm: Sequence[Place], limit_mrad: float, operator: Operator, limit_mm: float
+) -> MirrorFigures:
     """Let the operator bring the beam onto each mark, and fit the map.
 
     Each mark is approached with the map known so far: the rig's own, moved to meet the marks done, and from
-    the fifth mark on a fit through them.
+    the fifth mark on a fit through them. The operator judges what comes of it and may meet a mark once more.
 
     Parameters
     ----------
@@ -73,37 +73,75 @@ def measure_mirror(setup: Setup, marks_mm: Sequence[Place], limit_mrad: float, o
         Largest angle that the mirror may be sent to.
     operator : Operator
         Jogs the beam and says when it is there.
+    limit_mm : float
+        Largest residual that the operator is told to be good enough.
 
     Raises
     ------
     InputError
         Marks that no map can be fitted through.
+    NotMeasuredError
+        The operator leaves the map.
     InstrumentError
         Of the mirror.
     """
     found: list[Place] = []
     for index, place_mm in enumerate(marks_mm):
         start = _approach(setup.mirror_map, marks_mm[:index], found, place_mm)
-        at_mrad = (float(np.clip(start[0], -limit_mrad, limit_mrad)), float(np.clip(start[1], -limit_mrad, limit_mrad)))
-        _point(setup, at_mrad)
-        note = ""
-        while True:
-            step = operator.jog(JogView(index + 1, len(marks_mm), place_mm, at_mrad, note))
-            match step:
-                case Here():
-                    break
-                case By():
-                    wanted = (at_mrad[0] + step.x_mrad, at_mrad[1] + step.y_mrad)
-                case To():
-                    wanted = (step.x_mrad, step.y_mrad)
-            note = ""
-            if max(map(abs, wanted)) > limit_mrad:
-                note = f"({wanted[0]:.3f}, {wanted[1]:.3f}) mrad is beyond the limit of {limit_mrad:g} mrad: not moved"
-                continue
-            at_mrad = wanted
-            _point(setup, at_mrad)
-        found.append(at_mrad)
-    return fitted_marks(marks_mm, found)
+        found.append(_met(setup, JogView(index + 1, len(marks_mm), place_mm, start), limit_mrad, operator))
+    while True:
+        figures, refusal = None, None
+        try:
+            figures = fitted_marks(marks_mm, found)
+        except InputError as wrong:
+            refusal = wrong
+        match operator.judge(_view(marks_mm, figures, refusal, limit_mm)):
+            case Redo(number) if 1 <= number <= len(found):
+                again = JogView(number, len(marks_mm), marks_mm[number - 1], found[number - 1])
+                found[number - 1] = _met(setup, again, limit_mrad, operator)
+            case Drop():
+                raise NotMeasuredError("its map was looked at and left")
+            case Keep() if refusal is not None:
+                raise refusal
+            case Keep() if figures is not None:
+                return figures
+
+
+def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> Place:
+    """Let the operator bring the beam onto one mark; the angles at which it is there."""
+    x_mrad, y_mrad = np.clip(view.at_mrad, -limit_mrad, limit_mrad).tolist()
+    view = replace(view, at_mrad=(x_mrad, y_mrad))
+    _point(setup, view.at_mrad)
+    while True:
+        step = operator.jog(view)
+        match step:
+            case Here():
+                return view.at_mrad
+            case By():
+                wanted = (view.at_mrad[0] + step.x_mrad, view.at_mrad[1] + step.y_mrad)
+            case To():
+                wanted = (step.x_mrad, step.y_mrad)
+        if max(map(abs, wanted)) > limit_mrad:
+            note = f"({wanted[0]:.3f}, {wanted[1]:.3f}) mrad is beyond the limit of {limit_mrad:g} mrad: not moved"
+            view = replace(view, note=note)
+            continue
+        view = replace(view, at_mrad=wanted, note="")
+        _point(setup, wanted)
+
+
+def _view(
+    marks_mm: Sequence[Place], figures: MirrorFigures | None, refusal: InputError | None, limit_mm: float
+) -> MapView:
+    if figures is None:
+        return MapView(tuple(marks_mm), (), np.nan, np.nan, limit_mm, 0, str(refusal))
+    suspect, problem = figures.suspect() + 1, ""
+    if figures.worst_mm > limit_mm:
+        problem = (
+            f"the map misses a mark by {figures.worst_mm:.2f} mm, more than the {limit_mm:g} mm allowed: most likely "
+            f"mark {suspect} is wrong; check its place and jog the beam onto it again"
+        )
+    off_mm = tuple((float(x_mm), float(y_mm)) for x_mm, y_mm in figures.off_mm)
+    return MapView(tuple(marks_mm), off_mm, figures.fit.rms_mm, figures.worst_mm, limit_mm, suspect, problem)
 
 
 def fitted_marks(marks_mm: Sequence[Place], angles_mrad: Sequence[Place]) -> MirrorFigures:

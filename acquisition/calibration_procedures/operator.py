@@ -60,6 +60,53 @@ class Here:
 Jog = By | To | Here
 
 
+@dataclass(frozen=True, slots=True)
+class MapView:
+    """What a person sees when the beam was on every mark.
+
+    Parameters
+    ----------
+    place_mm : tuple of (float, float)
+        Where the marks lie.
+    off_mm : tuple of (float, float)
+        Where the map lets the beam of each mark fall, less where the mark lies; none where there is no map.
+    rms_mm, worst_mm, limit_mm : float
+        Residuals, and the largest that is allowed; NaN where there is no map.
+    suspect : int
+        The mark, from 1, that is most likely to be wrong; 0 where nothing tells.
+    problem : str
+        Why the map cannot be taken; empty for one that can.
+    """
+
+    place_mm: tuple[tuple[float, float], ...]
+    off_mm: tuple[tuple[float, float], ...]
+    rms_mm: float
+    worst_mm: float
+    limit_mm: float
+    suspect: int
+    problem: str
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """Take the map, if it can be taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Redo:
+    """Bring the beam onto one mark, from 1, once more."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Drop:
+    """Leave the map."""
+
+
+Judged = Keep | Redo | Drop
+
+
 class Operator(Protocol):
     """A person with two hands; every method returns when it is done."""
 
@@ -80,6 +127,10 @@ class Operator(Protocol):
 
     def jog(self, view: JogView) -> Jog:
         """Say how the beam is to move next, or that it is there."""
+        ...
+
+    def judge(self, view: MapView) -> Judged:
+        """Look at the residuals of a mirror map, and say what becomes of it."""
         ...
 
     def again(self, problem: str) -> bool:

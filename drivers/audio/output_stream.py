@@ -100,6 +100,8 @@ class WatchedStream:
     ----------
     device : OutputDevice
         What was opened.
+    rate_hz : int
+        Frames per second.
     latency_s : float
         How long after its callback a period leaves the outputs, as the host tells.
     playback : Playback
@@ -108,6 +110,7 @@ class WatchedStream:
 
     def __init__(self, sounddevice: Any, request: StreamRequest) -> None:
         self._sounddevice = sounddevice
+        self.rate_hz = request.rate_hz
         self.device = choose(*outputs(sounddevice), request.host_api, request.device)
         if self.device.channels < request.channels:
             raise DeviceChoiceError(

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.audio.piece_by_piece import PieceByPiece, Taken
+
 Float32Array = NDArray[np.float32]
 
 FADE_S = 0.002
@@ -59,6 +61,16 @@ class Play:
     def __post_init__(self) -> None:
         self.frames = max((one.start + one.samples.size for one in self.voices), default=0)
 
+    def put(self, out: Float32Array) -> str:
+        """Put what comes next into a silent period; tells what is missing, nothing here."""
+        for voice in self.voices:
+            first = max(voice.start, self.done)
+            stop = min(voice.start + voice.samples.size, self.done + len(out))
+            if first < stop:
+                piece = voice.samples[first - voice.start : stop - voice.start]
+                out[first - self.done : stop - self.done, voice.channel] = piece
+        return ""
+
 
 @dataclass(frozen=True, slots=True)
 class Ended:
@@ -81,8 +93,8 @@ class Playback:
 
     Attributes
     ----------
-    events : SimpleQueue of Ended
-        One for each play, in order.
+    events : SimpleQueue of Ended or Taken
+        One end for each play, in order; and what was taken of one that comes piece by piece.
     callbacks : int
         How many periods were filled so far.
     underflows : int
@@ -92,17 +104,17 @@ class Playback:
     def __init__(self, rate_hz: int, latency_s: float) -> None:
         self._rate_hz = rate_hz
         self._latency_frames = max(0, round(latency_s * rate_hz))
-        self._orders: queue.SimpleQueue[Play | None] = queue.SimpleQueue()
-        self._play: Play | None = None
+        self._orders: queue.SimpleQueue[Play | PieceByPiece | None] = queue.SimpleQueue()
+        self._play: Play | PieceByPiece | None = None
         self._grid_s = -np.inf
         self._called_s = -np.inf
         self._burst_frames = 0
         self._host_frames = 0
-        self.events: queue.SimpleQueue[Ended] = queue.SimpleQueue()
+        self.events: queue.SimpleQueue[Ended | Taken] = queue.SimpleQueue()
         self.callbacks = 0
         self.underflows = 0
 
-    def start(self, play: Play) -> None:
+    def start(self, play: Play | PieceByPiece) -> None:
         """Let a play begin with the next period."""
         self._orders.put(play)
 
@@ -148,18 +160,13 @@ class Playback:
         self._grid_s += len(out) / self._rate_hz * (1 + SLOWEST)
         self.callbacks += 1
 
-    def _go_on(self, play: Play, out: Float32Array, late_s: float, *, flagged: bool, fade: bool) -> None:
+    def _go_on(self, play: Play | PieceByPiece, out: Float32Array, late_s: float, *, flagged: bool, fade: bool) -> None:
         frames = len(out)
         if play.ending is not None:
             self._see_out(play, frames)
             return
-        for voice in play.voices:
-            first = max(voice.start, play.done)
-            stop = min(voice.start + voice.samples.size, play.done + frames)
-            if first < stop:
-                piece = voice.samples[first - voice.start : stop - voice.start]
-                out[first - play.done : stop - play.done, voice.channel] = piece
-        notice = "the host flagged an underflow" if flagged else ""
+        missing = play.put(out)
+        notice = "the host flagged an underflow" if flagged else missing
         # Not every host flags underflows; a long one shows in the time that went by.
         buffered_s = (self._latency_frames + 2 * self._host_frames) / self._rate_hz
         if late_s > buffered_s + STANDSTILL_S and not notice:
@@ -175,7 +182,7 @@ class Playback:
                 self._end(PLAYED)
         play.done += frames
 
-    def _see_out(self, play: Play, frames: int) -> None:
+    def _see_out(self, play: Play | PieceByPiece, frames: int) -> None:
         """End a play that was cut short once its last sound has left the outputs: a record may begin then."""
         assert play.ending is not None
         play.silent_frames += frames

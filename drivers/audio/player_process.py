@@ -18,7 +18,8 @@ import numpy as np
 from drivers.audio.devices import DeviceChoiceError
 from drivers.audio.messages import Message, MessagePipe
 from drivers.audio.output_stream import StreamRequest, WatchedStream, load_sounddevice, outputs
-from drivers.audio.playback import Float32Array, Play, Voice
+from drivers.audio.piece_by_piece import PieceByPiece
+from drivers.audio.playback import FADE_S, Ended, Float32Array, Play, Voice
 
 CLOSING_S = 3.0
 """Closing a stream whose host is gone hangs, and JACK takes a period for each channel; then the process just ends."""
@@ -84,6 +85,7 @@ def _serve(pipe: MessagePipe) -> int:
 def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
     """Carry out orders until one says to close or the parent is gone."""
     signals: dict[int, Float32Array] = {}
+    pieces = _Pieces(stream)
     while (received := pipe.receive()) is not None:
         message, payload = received
         order = message["do"]
@@ -94,7 +96,14 @@ def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
             signals[message["signal"]] = np.frombuffer(payload, dtype=np.float32)
         elif order == "forget":
             del signals[message["signal"]]
+        elif order == "begin":
+            pieces.begin(message["number"], message["channels"], message["ahead"])
+        elif order == "piece":
+            pieces.add(np.frombuffer(payload, dtype=np.float32))
+        elif order == "end":
+            pieces.end()
         elif order == "mute":
+            pieces.start()
             stream.playback.mute()
         elif order == "ask":
             pipe.send({"is": "here", "callbacks": stream.playback.callbacks, "underflows": stream.playback.underflows})
@@ -102,10 +111,41 @@ def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
             return
 
 
+class _Pieces:
+    """A play that comes in pieces: it sounds from when enough of it is there, or all."""
+
+    def __init__(self, stream: WatchedStream) -> None:
+        self._playback = stream.playback
+        self._reserve_frames = round(FADE_S * stream.rate_hz)
+        self._play: PieceByPiece | None = None
+        self._waiting = False
+        self._columns = self._ahead_frames = 0
+
+    def begin(self, number: int, channels: list[int], ahead_frames: int) -> None:
+        self._play = PieceByPiece(number, channels, self._reserve_frames, self._playback.events.put)
+        self._columns, self._ahead_frames, self._waiting = len(channels), ahead_frames, True
+
+    def add(self, values: Float32Array) -> None:
+        if self._play is not None:
+            self._play.add(values.reshape(-1, self._columns))
+            if self._play.received >= self._ahead_frames:
+                self.start()
+
+    def end(self) -> None:
+        if self._play is not None:
+            self._play.end()
+            self.start()
+
+    def start(self) -> None:
+        if self._waiting and self._play is not None:
+            self._waiting = False
+            self._playback.start(self._play)
+
+
 def _tell_ends(pipe: MessagePipe, stream: WatchedStream) -> None:
     while True:
-        ended = stream.playback.events.get()
-        _send_if_heard(pipe, {"is": "ended", **asdict(ended)})
+        event = stream.playback.events.get()
+        _send_if_heard(pipe, {"is": "ended" if isinstance(event, Ended) else "taken", **asdict(event)})
 
 
 def _tell_loss(pipe: MessagePipe, stream: WatchedStream, ending: threading.Event) -> None:

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from drivers.audio.devices import OutputDevice
 from drivers.audio.messages import Message
+from drivers.audio.piecewise_play import PiecewisePlay
 from drivers.audio.play_orders import Order, PlayOrders
 from drivers.audio.playback import UNDERFLOW
-from drivers.audio.stream_process import ANSWER_S, OPENING_S, ProcessGoneError, StreamProcess
+from drivers.audio.stream_life import LOST_REMEDY, PlayUnderWay, StreamLife, lost
+from drivers.audio.stream_process import ANSWER_S, OPENING_S, ProcessGoneError
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 
 Float64Array = NDArray[np.float64]
@@ -22,8 +24,6 @@ Float32Array = NDArray[np.float32]
 
 OVERDUE_S = 5.0
 """A play that has not ended so long after it should have, and a tenth of its length, is not going to."""
-
-LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
 
 
 class StreamPlayer:
@@ -90,7 +90,8 @@ class StreamPlayer:
         self._ordering = threading.Lock()
         self._closed = False
         self._plays = 0
-        self._stream = _Stream(self._environment)
+        self._pieces: PiecewisePlay | None = None
+        self._stream = StreamLife(self._environment)
         try:
             self._open("opening", InstrumentError)
         except BaseException:
@@ -131,7 +132,7 @@ class StreamPlayer:
             stream.process.send(({"do": "ask"}, b""))
             stream.process.wait_for(lambda: stream.heard_after(asked_s), asked_s + 2 * ANSWER_S)
         except ProcessGoneError as gone:
-            raise self._lost("identifying", gone) from None
+            raise lost(self._name, "identifying", gone) from None
         device = OutputDevice(**stream.opened["device"])
         return (
             f"player {device.name}, {device.host_api}, {self.channels} of {device.channels} channels at"
@@ -163,13 +164,55 @@ class StreamPlayer:
         self._check_open(doing)
         with self._ordering:
             stream = self._stream
-            if stream.play is not None and stream.play.outcome is None and not stream.process.gone:
-                raise InstrumentError(self._name, doing, "it is still playing", "wait for its end or mute it first")
+            self._check_silent(doing)
             order = self._orders.order(doing, signals_v, sample_rate_hz)
             self._plays += 1
-            stream.play = _Play(self._plays, doing, order.frames / self._request["rate_hz"], time.monotonic())
+            stream.play = PlayUnderWay(self._plays, doing, order.frames / self._request["rate_hz"], time.monotonic())
             start = ({"do": "play", "number": self._plays, "voices": order.voices}, b"")
             self._send(doing, [*order.before, start])
+
+    def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
+        """Begin a play that comes in pieces at the interface's rate; it sounds when `ahead_s` of it is there, or all.
+
+        Parameters
+        ----------
+        channels, sample_rate_hz, ahead_s
+            As of `drivers.protocols.PiecewisePlayer.begin_pieces`.
+        """
+        doing = f"playing piece by piece on {len(channels)} channels"
+        self._check_open(doing)
+        with self._ordering:
+            rate_hz = self._request["rate_hz"]
+            if sample_rate_hz != rate_hz:
+                cause, remedy = f"pieces at {sample_rate_hz:g} Hz", f"give them at the interface's rate, {rate_hz} Hz"
+                raise InstrumentError(self._name, doing, cause, remedy)
+            if not channels or len(set(channels)) < len(channels) or not set(channels) <= set(range(self.channels)):
+                remedy = f"choose each at most once from 0 to {self.channels - 1}"
+                raise InstrumentError(self._name, doing, f"channels {list(channels)}", remedy)
+            self._check_silent(doing)
+            self._plays += 1
+            each_v = [self._full_scale_v[channel] for channel in channels]
+            self._pieces = PiecewisePlay(self._name, self._stream, channels, each_v, rate_hz, ahead_s)
+            self._pieces.begin(self._plays)
+
+    def add_piece(self, volts: Float64Array) -> float:
+        """Hand over the next samples and wait until no more than `ahead_s` of them are not played yet.
+
+        Parameters
+        ----------
+        volts : float64 array, shape (channels, samples)
+            As of `drivers.protocols.PiecewisePlayer.add_piece`.
+
+        Returns
+        -------
+        float
+            How much was still to be played before, in seconds.
+        """
+        return self._begun().add(volts, self.latency_s)
+
+    def end_pieces(self) -> None:
+        """Say that no more comes; `wait` returns when all of it was played."""
+        self._begun().end()
 
     def wait(self, timeout_s: float) -> None:
         """Return when the last sample has left the outputs, at the latest after `timeout_s`."""
@@ -184,8 +227,10 @@ class StreamPlayer:
         try:
             ended = stream.process.wait_for(lambda: play.outcome, min(now_s + timeout_s, max(now_s, overdue_s)))
         except ProcessGoneError as gone:
-            raise self._lost(play.doing, gone) from None
+            raise lost(self._name, play.doing, gone) from None
         if ended == UNDERFLOW:
+            if self._pieces is not None:
+                raise self._pieces.ran_dry()
             raise TransientInstrumentError(
                 self._name,
                 play.doing,
@@ -194,7 +239,7 @@ class StreamPlayer:
             )
         if ended is None and time.monotonic() >= overdue_s:
             stream.process.kill(f"it took over {overdue_s - play.asked_s:.1f} s for {play.length_s:.1f} s of sound")
-            raise self._lost(play.doing, ProcessGoneError(stream.process.gone))
+            raise lost(self._name, play.doing, ProcessGoneError(stream.process.gone))
         if ended is None:
             raise TransientInstrumentError(
                 self._name, play.doing, f"not finished after {timeout_s:g} s", "allow the length of the signal"
@@ -223,7 +268,8 @@ class StreamPlayer:
         with self._ordering:
             self._end_stream()
             self._orders.forget()
-            self._stream = _Stream(self._environment)
+            self._pieces = None
+            self._stream = StreamLife(self._environment)
             try:
                 self._open(doing, InstrumentLostError)
             except BaseException:
@@ -263,49 +309,24 @@ class StreamPlayer:
         try:
             self._stream.process.send(*messages)
         except ProcessGoneError as gone:
-            raise self._lost(doing, gone) from None
+            raise lost(self._name, doing, gone) from None
 
-    def _lost(self, doing: str, gone: ProcessGoneError) -> InstrumentLostError:
-        return InstrumentLostError(self._name, doing, gone.cause, LOST_REMEDY)
+    def _begun(self) -> PiecewisePlay:
+        doing = "playing piece by piece"
+        self._check_open(doing)
+        if self._pieces is None:
+            raise InstrumentError(self._name, doing, "none was begun", "begin one first")
+        return self._pieces
+
+    def _check_silent(self, doing: str) -> None:
+        stream = self._stream
+        if stream.play is not None and stream.play.outcome is None and not stream.process.gone:
+            raise InstrumentError(self._name, doing, "it is still playing", "wait for its end or mute it first")
+        self._pieces = None
 
     def _check_open(self, doing: str) -> None:
         if self._closed:
             raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
-
-
-class _Play:
-    """What is known of a play here; the stream's process tells how it ended."""
-
-    def __init__(self, number: int, doing: str, length_s: float, asked_s: float) -> None:
-        self.number = number
-        self.doing = doing
-        self.length_s = length_s
-        self.asked_s = asked_s
-        self.outcome: str | None = None
-        self.notice = ""
-
-
-class _Stream:
-    """One life of the stream's process, and what it told."""
-
-    def __init__(self, environment: Mapping[str, str]) -> None:
-        self.opened: Message = {}
-        self.play: _Play | None = None
-        self._heard_s = 0.0
-        self.process = StreamProcess(environment, self._note)
-
-    def heard_after(self, instant_s: float) -> bool | None:
-        """True when a sign of life came after an instant."""
-        return True if self._heard_s > instant_s else None
-
-    def _note(self, message: Message) -> None:
-        if message["is"] in ("open", "failed"):
-            self.opened = message
-        elif message["is"] == "here":
-            self._heard_s = time.monotonic()
-        elif message["is"] == "ended" and self.play is not None and message["number"] == self.play.number:
-            self.play.notice = message["notice"]
-            self.play.outcome = message["outcome"]
 
 
 def _playing(signals_v: Mapping[int, Float64Array]) -> str:

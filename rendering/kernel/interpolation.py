@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.blas import one_blas_thread
 from rendering.green_source import DOUBTFUL_BITS, GreenSource, read_row, usable
 from rendering.interpolation import Follow, Nodes, OffGridError, near, show_mm
 from rendering.kernel.kernel_rows import KernelRows
@@ -19,6 +18,7 @@ from rendering.kernel.wave_fit import fit_waves
 from rendering.kernel.wave_model import WaveModel
 from rendering.paths import Path
 from rendering.snapping import PositionGrid
+from rendering.threads import one_blas_thread
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 from scipy.interpolate import CubicSpline
 
-from acquisition.quality import Status
-from calibration.blas import one_blas_thread
+from acquisition.point_status import Status
 from rendering.green_source import GreenSource, ScaledRow, read_row
 from rendering.kernel.neighbourhoods import Neighbourhoods, Patch
 from rendering.kernel.wave_model import PatchKernel, WaveModel
+from rendering.threads import one_blas_thread
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 from scipy.special import j1
 
 Float64Array = NDArray[np.float64]
@@ -55,6 +54,8 @@ class WaveModel:
         held = np.clip(frequency_hz, self.frequency_hz[0], self.frequency_hz[-1])
         known, wanted = np.log(self.frequency_hz), np.log(held)
         parts = np.stack([np.log(self.wavenumber_rad_mm.real), self.wavenumber_rad_mm.imag], axis=1)
+        from scipy.interpolate import PchipInterpolator  # slow to load; a grid is planned at one frequency
+
         # Smooth, for the kernel feels a few thousandths of the wave number; and never beyond its neighbours' values.
         parts = PchipInterpolator(known, parts)(wanted) if len(known) > 1 else np.repeat(parts, len(wanted), axis=0)
         # Below 1e-3 of the first frequency nothing travels; the floor keeps the kernel's argument from 0.
@@ -128,6 +129,24 @@ class PatchKernel:
     ) -> Complex128Array:
         ring, disk = _parts(self._wavenumber, waves, points_mm, others, others_mm)
         return np.asarray((1.0 - self._share) * ring + self._share * disk)
+
+
+def plane_waves(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> Complex128Array:
+    """Waves from all directions at the positions of a patch.
+
+    Parameters
+    ----------
+    wavenumber_rad_mm : complex128 array, shape (frequencies,)
+        Re k > 0, Im k <= 0.
+    offset_mm : float64 array, shape (n, 2)
+        Positions relative to where a wave's amplitude is 1.
+
+    Returns
+    -------
+    complex128 array, shape (frequencies, n, directions)
+        The mean over the directions is that over all directions, to rounding.
+    """
+    return _plane_waves(*_resolved(wavenumber_rad_mm, offset_mm), offset_mm)
 
 
 def kernel_parts(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tuple[Complex128Array, Float64Array]:

@@ -106,9 +106,9 @@ def bench_of(rig: RigConfig, latency_s: float) -> Bench:
     )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], RigConfig]]:
-    """A rig on emulated wires, started when a test first needs it."""
+    """A rig on emulated wires, started when a test first needs it, and ended early: its sound never rests."""
     started: list[tuple[EmulatedRig, RigConfig]] = []
     with pytest.MonkeyPatch.context() as environment:
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
+
+from wavefocus.__main__ import run
 
 ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
 POSITIONS = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0], [0.0, 4.0]]
@@ -52,15 +55,36 @@ limit_v = 1.0
 """
 
 
+def write_lab(folder: Path) -> Path:
+    """Write the files of a small campaign into a folder."""
+    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+    (folder / "run.toml").write_text(RUN, encoding="utf-8")
+    (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
+    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
+    (folder / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    return folder
+
+
 @pytest.fixture
 def lab(tmp_path: Path) -> Path:
     """A folder with rig.toml, run.toml, scene.toml and positions.csv of a small campaign."""
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    (tmp_path / "run.toml").write_text(RUN, encoding="utf-8")
-    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
-    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
-    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
-    return tmp_path
+    return write_lab(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bank of an undisturbed capture of a lab; to be copied, with what lies beside it."""
+    lab = write_lab(tmp_path_factory.mktemp("measured"))
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
+    return lab / "plate.h5"
+
+
+@pytest.fixture
+def bank(lab: Path, measured: Path) -> Path:
+    """The measured bank of six positions, in the lab."""
+    for beside in measured.parent.glob("plate.*"):
+        shutil.copy2(beside, lab / beside.name)
+    return lab / measured.name
 
 
 def with_faults(lab: Path, *faults: str) -> None:

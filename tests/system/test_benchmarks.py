@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import bank, focusing, interpolation, paper
+from benchmarks import bank, cluster, focusing, interpolation, paper
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.long]
 
@@ -49,3 +49,14 @@ def test_the_bank_s_benchmark_commits_every_position_and_reads_it_back(tmp_path,
     assert 0 < figures["commit_ms"]["median"] <= figures["commit_ms"]["worst"]
     assert "every row's checksum verified" in capsys.readouterr().out
     assert not list(tmp_path.iterdir())
+
+
+def test_the_cluster_s_benchmark_writes_the_same_bytes_within_its_limit(tmp_path, capsys):
+    pytest.importorskip("distributed")
+    figures = cluster.run(tmp_path, quick=True)
+    assert figures["same_bytes"] == {"predict": True, "estimate": True}
+    for found in figures["rows"].values():
+        assert all(0 < one["peak_mb"] < cluster.LIMIT_MB for one in found.values())
+        assert found["2 workers"]["starting_s"] > 0
+    assert "10,000 x 10,000" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["cluster.md"]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -53,12 +55,27 @@ def rig(tmp_path: Path) -> Path:
 
 def calibrate(rig: Path, *options: object, lines: list[str] | None = None, code: int = 0) -> tuple[dict[str, Any], str]:
     """Run the command with a person who types, and return its JSON and what the person was told."""
+    out, told = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as person, redirect_stdout(out), redirect_stderr(told):
+        person.setattr(sys, "stdin", io.StringIO(typed_by(lines)))
+        assert run(["calibrate", str(rig), "--json", *map(str, options)]) == code, told.getvalue()
+    return json.loads(out.getvalue()) if out.getvalue() else {}, told.getvalue()
+
+
+def calibrate_as_process(
+    rig: Path, *options: object, lines: list[str] | None = None, code: int = 0
+) -> tuple[dict[str, Any], str]:
+    """The same, standard input being a pipe."""
     command = [sys.executable, "-m", "wavefocus", "calibrate", str(rig), "--json", *map(str, options)]
-    typed = "\n" * 50 if lines is None else "".join(f"{line}\n" for line in lines)
-    done = subprocess.run(command, input=typed, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, input=typed_by(lines), capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     return json.loads(done.stdout) if done.stdout else {}, done.stderr
+
+
+def typed_by(lines: list[str] | None) -> str:
+    """What a person types: these lines, or Enter as often as it takes."""
+    return "\n" * 50 if lines is None else "".join(f"{line}\n" for line in lines)
 
 
 def marks_file(folder: Path, sigma_mm: float = 0.1) -> Path:
@@ -90,7 +107,7 @@ def name_in(rig: Path, file: Path) -> None:
 
 
 def test_given_a_rig_then_calibrate_finds_what_it_is_really_like(rig: Path) -> None:
-    told, people = calibrate(rig, "--fiducials", marks_file(rig.parent))
+    told, people = calibrate_as_process(rig, "--fiducials", marks_file(rig.parent))
     file = rig.parent / f"calibration-{date.today().isoformat()}.toml"
     assert told["file"] == str(file)
     assert told["measured"] == ["inputs", "outputs", "mirror", "actuators"]
@@ -236,7 +253,7 @@ def test_given_a_wrong_request_then_it_is_one_line_and_exit_2(rig: Path, options
 
 
 def test_given_nobody_at_the_keyboard_then_it_ends_at_once_and_says_why(rig: Path) -> None:
-    _, people = calibrate(rig, "--only", "inputs", lines=[], code=2)
+    _, people = calibrate_as_process(rig, "--only", "inputs", lines=[], code=2)
     assert "standard input: ended before a cable was plugged" in people
     assert "the response input is not on the vibrometer" in people
 

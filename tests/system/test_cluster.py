@@ -98,6 +98,15 @@ def test_given_no_scheduler_at_the_address_then_exit_2_and_one_sentence(
     assert not (lab / "field.h5").exists()
 
 
+@pytest.mark.parametrize("address", ["local:0", "local:", "local:two", "local:999"])
+def test_given_a_local_cluster_of_no_sensible_size_then_one_sentence_says_what_is_allowed(
+    lab: Path, capsys: pytest.CaptureFixture[str], address: str
+) -> None:
+    predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
+    assert run([*predict, "--cluster", address]) == 2
+    assert f"--cluster {address}: local:N starts N processes here, 1 to 256" in capsys.readouterr().err
+
+
 def test_given_no_dask_then_a_sentence_says_what_to_install(lab: Path) -> None:
     without = "import sys; sys.modules['distributed'] = None; from wavefocus.__main__ import main; main()"
     predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]

@@ -18,8 +18,10 @@ from acquisition.trial import scheduled
 from acquisition.trial_verdict import Band, decibel_of_median, relative
 from calibration.expected_error import Noise, expected_error
 from drivers.protocols import Take
-from wavefocus.compose import blueprint_from_files, open_setup, virtual_rig
+from wavefocus.blueprint import blueprint_from_files
+from wavefocus.compose import open_setup
 from wavefocus.config.rig_emulation import Emulation
+from wavefocus.virtual_bench import virtual_rig
 
 POSITIONS = (0, 2, 4)
 ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0], [60.0, -50.0], [-60.0, -50.0]]

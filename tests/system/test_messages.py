@@ -15,6 +15,7 @@ import pytest
 
 from acquisition.events import Drift, Fault, SessionEnded, State, StateChanged
 from calibration.errors import InputError
+from tests.system.conftest import ACTUATORS
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig_messages import MessagesSection
 from wavefocus.message_check import message_findings
@@ -165,7 +166,8 @@ def test_given_the_doctor_is_asked_then_each_address_gets_a_message_and_the_one_
 def test_given_addresses_then_neither_bank_nor_log_nor_words_hold_them_and_a_resume_takes_them_from_the_environment(
     office, tmp_path
 ):
-    (tmp_path / "rig.toml").write_text(f'[messages]\nurls = ["{office.url}"]\n', encoding="utf-8")
+    coils = f"[actuators]\nposition_mm = {ACTUATORS}\n"
+    (tmp_path / "rig.toml").write_text(f'{coils}[messages]\nurls = ["{office.url}"]\n', encoding="utf-8")
     (tmp_path / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
     (tmp_path / "run.toml").write_text(
         'rig = "rig.toml"\n[grid]\npositions_file = "positions.csv"\n[sweep]\nduration_s = 0.2\n',

@@ -195,7 +195,8 @@ def _interrupted(lab: Path, bank: Path, position: int, attempt: int) -> None:
     from acquisition.stopping import StopRequest
     from calibration.bank_creation import create_bank
     from calibration.bank_writer import BankWriter
-    from wavefocus.compose import blueprint_from_files, open_setup
+    from wavefocus.blueprint import blueprint_from_files
+    from wavefocus.compose import open_setup
 
     class KilledError(BaseException):
         """The end of the process."""

@@ -19,8 +19,9 @@ from drivers.clock import WallClock
 from drivers.errors import InstrumentLostError
 from drivers.protocols import Instruments, Mirror
 from tests.wire.serial_bench import MirrorBench, mirror_bench
-from wavefocus.compose import blueprint_from_files, virtual_rig
+from wavefocus.blueprint import blueprint_from_files
 from wavefocus.config.run import Virtual
+from wavefocus.virtual_bench import virtual_rig
 
 
 class TwoMirrors:

@@ -15,8 +15,9 @@ import pytest
 
 from calibration.bank import open_bank
 from wavefocus.__main__ import run
-from wavefocus.compose import blueprint_from_bank, virtual_rig
+from wavefocus.blueprint import blueprint_from_bank
 from wavefocus.truth import compare_with_truth
+from wavefocus.virtual_bench import virtual_rig
 
 KEEP = 'excitation = "staggered"\nwhen_staggered_does_not_pay = "keep"'
 

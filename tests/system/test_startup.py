@@ -10,11 +10,13 @@ from pathlib import Path
 import pytest
 
 SLOW = {"h5py", "matplotlib", "scipy", "soundfile", "mocks", "rendering", "gui", "PyQt5", "pyqtgraph"}
-SHOW_MODULES = "\nimport json, sys\nprint(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))"
+MEASURES = {"scipy", "matplotlib", "mocks", "rendering.scene", "acquisition.engine", "calibration.estimator"}
+SOME_RUNS_NEED = {"scipy.signal", "scipy.stats", "scipy.optimize", "scipy.interpolate", "matplotlib", "rendering.scene"}
+SHOW_MODULES = "\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))"
 
 
 def loaded_by(code: str, folder: Path) -> set[str]:
-    """Top-level packages that a fresh interpreter has loaded after running the code."""
+    """Modules that a fresh interpreter has loaded after running the code."""
     done = subprocess.run(
         [sys.executable, "-c", code + SHOW_MODULES], cwd=folder, capture_output=True, text=True, check=True
     )
@@ -38,3 +40,18 @@ def test_writing_templates_loads_nothing_slow(tmp_path: Path) -> None:
     loaded = loaded_by("from wavefocus.__main__ import run\nassert run(['init', 'lab']) == 0", tmp_path)
     assert (tmp_path / "lab" / "run.toml").is_file()
     assert not loaded & SLOW
+
+
+@pytest.mark.parametrize(("command", "code"), [("status", 0), ("pause", 2)])
+def test_asking_how_a_campaign_stands_loads_nothing_that_measures(bank: Path, command: str, code: int) -> None:
+    loaded = loaded_by(
+        f"from wavefocus.__main__ import run\nassert run([{command!r}, {bank.name!r}]) == {code}", bank.parent
+    )
+    assert "h5py" in loaded
+    assert not loaded & MEASURES
+
+
+def test_a_campaign_loads_nothing_that_only_other_campaigns_need(bank: Path) -> None:
+    loaded = loaded_by(f"from wavefocus.__main__ import run\nassert run(['resume', {bank.name!r}]) == 0", bank.parent)
+    assert "acquisition.engine" in loaded
+    assert not loaded & SOME_RUNS_NEED

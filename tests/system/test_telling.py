@@ -13,10 +13,11 @@ import pytest
 
 from calibration.bank import open_bank
 from wavefocus.__main__ import run
-from wavefocus.compose import bank_configuration, virtual_rig
+from wavefocus.blueprint import bank_configuration
 from wavefocus.config.run import Virtual
 from wavefocus.console import finish_clock
 from wavefocus.truth import compare_with_truth
+from wavefocus.virtual_bench import virtual_rig
 
 
 def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(

@@ -14,13 +14,6 @@ from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 
 
-@pytest.fixture
-def bank(lab: Path) -> Path:
-    path = lab / "plate.h5"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(path)]) == 0
-    return path
-
-
 def _verify(lab: Path, bank: Path, *more: str) -> int:
     scene, rig, out = lab / "scene.toml", lab / "rig.toml", lab / "verify"
     return run(["verify", str(scene), "--bank", str(bank), "--rig", str(rig), "--out", str(out), "--json", *more])

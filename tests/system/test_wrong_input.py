@@ -26,14 +26,6 @@ def _told(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, 
     return code, lines[0]
 
 
-@pytest.fixture
-def bank(lab: Path) -> Path:
-    """A measured bank of six positions."""
-    path = lab / "plate.h5"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(path)]) == 0
-    return path
-
-
 def _truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 

@@ -26,8 +26,11 @@ def plate_spectra(points_mm):
     octaves = np.log2(np.maximum(frequency, 1.0) / np.array(BAND_HZ)[:, None])
     outside = np.maximum(-octaves[0], octaves[1])
     window = 0.5 + 0.5 * np.cos(np.pi * np.clip(outside / 0.5, 0.0, 1.0))
-    window = window * np.exp(-2j * np.pi * frequency * DELAY_S)
-    return SOFT_PLATE.velocity(frequency, radius_mm[..., None]) * window
+    heard = window > 0.0
+    spectra = np.zeros((*radius_mm.shape, len(frequency)), dtype=np.complex128)
+    delayed = window[heard] * np.exp(-2j * np.pi * frequency[heard] * DELAY_S)
+    spectra[..., heard] = SOFT_PLATE.velocity(frequency[heard], radius_mm[..., None]) * delayed
+    return spectra
 
 
 def plate_greens(points_mm):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.quality import QualityLimits
+from acquisition.quality_limits import QualityLimits
 from calibration.errors import InputError
 from wavefocus.config.loading import check_together, configuration_from_json, load_run, plan_sha256
 from wavefocus.config.rig import RigConfig, default_rig

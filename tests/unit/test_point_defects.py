@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from acquisition.defects import Cure
+from acquisition.point_status import Status
 from acquisition.pointing import point_at
-from acquisition.quality import Judgement, QualityLimits, Status, judge
+from acquisition.quality import Judgement, judge
+from acquisition.quality_limits import QualityLimits
 from acquisition.record import take_record
 from acquisition.setup import Setup
 from calibration.estimator import Estimator

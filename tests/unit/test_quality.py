@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from acquisition.quality import QualityLimits, Status, judge, status_counts
+from acquisition.point_status import Status, status_counts
+from acquisition.quality import judge
+from acquisition.quality_limits import QualityLimits
 from calibration.estimator import Estimate
 
 LIMITS = QualityLimits()

@@ -27,6 +27,7 @@ def bank():
     return plate_bank(noise_db=-60.0)
 
 
+@functools.lru_cache
 def direct(source, method):
     """Eqs. (9) and (16) with the true Green's functions, sample by sample."""
     u = source.amplitude * source.signal.samples(RATE_HZ)
@@ -55,6 +56,7 @@ def direct(source, method):
     return drive
 
 
+@functools.lru_cache
 def error_of(source, kind, method):
     scene = Scene("s", (source,), PLAIN, Output(kind))
     drive, report = render_with_report(scene, bank(), method=method)

@@ -20,10 +20,11 @@ from calibration.field_file import Field
 from rendering.drive import render_with_report
 from rendering.field import predict
 from rendering.green_source import GreenArray
+from rendering.number_words import number
 from rendering.paths import Line
 from rendering.report import build_report
 from rendering.report_drift import DriftPoint
-from rendering.report_words import number, remarks
+from rendering.report_words import remarks
 from rendering.scan import Scan
 from rendering.scene import Output, Regularisation, Scene, Source
 from rendering.signals import Impulse
@@ -117,7 +118,7 @@ def test_given_a_good_scan_then_the_report_passes_and_holds_all_its_pictures(goo
     assert "✗" not in html
     assert "hours simulated" in html
     pictures = images_of(html)
-    assert len(pictures) == html.count("<img ") == 8
+    assert len(pictures) == html.count("<img ") == 9
     for picture, width in zip(pictures, re.findall(r'<img [^>]*width="(\d+)"', html), strict=True):
         assert picture.width == 2 * int(width)
         assert len(picture.convert("RGB").getcolors(1 << 24)) > 3
@@ -140,17 +141,27 @@ def test_given_names_that_are_markup_then_they_are_shown_as_text(good_report):
 
 def test_given_pictures_asked_for_then_they_lie_beside_the_report(good_report):
     names = {path.name for path in good_report.parent.iterdir()} - {"report.html"}
-    drawn = ("path", "snapshots", "waveforms", "positions", "snr", "error", "gain", "drive")
+    drawn = ("path", "snapshots", "waveforms", "positions", "snr", "error", "gain", "drive", "waves")
     assert names == {f"{name}.png" for name in drawn}
 
 
-def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_them(tmp_path):
+@pytest.fixture(scope="module")
+def flawed_report(tmp_path_factory) -> Path:
+    """Of a bank with flawed rows, a plain field and a sentinel that drifted."""
     status = np.ones(len(GRID_MM), np.uint8)
     status[[3, 5, 7, 9]] = 2, 4, 8, 16
     flawed = dataclasses.replace(bank(), status=status, actuator_mm=np.full((4, 2), np.nan), band_hz=None)
     _, prediction = rendered()
     scan = Field(1.3 * prediction.field, prediction.position_index, RATE_HZ, prediction.start_s, "m/s")
-    html = report_of(tmp_path, scan, flawed, "flawed", campaign={}).read_text(encoding="utf-8")
+    first = datetime(2026, 1, 5, 18, tzinfo=UTC)
+    points = [DriftPoint(first + timedelta(hours=hour), -0.1 * hour, 0.0, 0.999, "steady") for hour in range(5)]
+    points.append(DriftPoint(first + timedelta(hours=5), -6.0, 0.0, 0.999, "stop", (3, 4)))
+    folder = tmp_path_factory.mktemp("flawed")
+    return report_of(folder, scan, flawed, "flawed", campaign={}, drift=points, save_pictures=True)
+
+
+def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_them(flawed_report: Path) -> None:
+    html = flawed_report.read_text(encoding="utf-8")
     assert "✗ Failed" in html
     assert "all frequencies" in html
     assert "crosses: the 4 scanned position(s)" in html
@@ -200,12 +211,8 @@ def test_given_a_figure_then_it_is_written_with_the_digits_it_deserves(value, un
 
 
 def test_given_a_drift_history_then_it_is_drawn_with_its_limits_and_without_one_there_is_no_such_chapter(
-    good_report: Path, tmp_path: Path
+    good_report: Path, flawed_report: Path
 ) -> None:
     assert "<h2>Drift</h2>" not in good_report.read_text(encoding="utf-8")
-    first = datetime(2026, 1, 5, 18, tzinfo=UTC)
-    points = [DriftPoint(first + timedelta(hours=hour), -0.1 * hour, 0.0, 0.999, "steady") for hour in range(5)]
-    points.append(DriftPoint(first + timedelta(hours=5), -6.0, 0.0, 0.999, "stop", (3, 4)))
-    drawn = report_of(tmp_path, scan_of(), bank(), "scene", campaign={}, drift=points, save_pictures=True)
-    assert "<h2>Drift</h2>" in drawn.read_text(encoding="utf-8")
-    assert (tmp_path / "drift.png").read_bytes().startswith(b"\x89PNG")
+    assert "<h2>Drift</h2>" in flawed_report.read_text(encoding="utf-8")
+    assert flawed_report.with_name("drift.png").read_bytes().startswith(b"\x89PNG")

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from acquisition.drift_watch import row_ranges
 from acquisition.engine import Campaign
 from acquisition.events import Event, State, Subscriber
-from acquisition.quality import STATUS_WORDS, Status, not_valid
+from acquisition.point_status import STATUS_WORDS, Status, not_valid
 from acquisition.raw_keeping import without_recordings
+from acquisition.row_ranges import row_ranges
 from acquisition.stopping import StopRequest, stop_on_signals
 from calibration.bank import open_bank
 from calibration.bank_creation import create_bank
@@ -19,9 +19,10 @@ from calibration.errors import ExistsError, InputError
 from calibration.network_mount import is_network_mount
 from drivers.errors import InstrumentError
 from wavefocus.attendance import Attendance
+from wavefocus.blueprint import Blueprint, blueprint_from_bank, blueprint_from_files
 from wavefocus.calibration_change import refuse_other_devices, with_one_calibration
 from wavefocus.campaign_view import CampaignView
-from wavefocus.compose import Blueprint, blueprint_from_bank, blueprint_from_files, open_setup
+from wavefocus.compose import open_setup
 from wavefocus.console import progress, say
 from wavefocus.drift_history import DriftHistory
 from wavefocus.event_log import EventLines, EventLog, log_path, print_line
@@ -29,7 +30,6 @@ from wavefocus.exits import Exit
 from wavefocus.messages import messenger_for
 from wavefocus.positions import parse_positions
 from wavefocus.raw_beside import opened_raw
-from wavefocus.scene_positions import needed_by
 from wavefocus.settling import as_settled, settle
 
 
@@ -45,7 +45,11 @@ def capture(
 ) -> Exit:
     """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
     blueprint = blueprint_from_files(run_file)
-    needed = needed_by(scenes, blueprint.plan.position_mm, checks=checks) if scenes else None
+    needed = None
+    if scenes:
+        from wavefocus.scene_positions import needed_by  # with it comes what renders
+
+        needed = needed_by(scenes, blueprint.plan.position_mm, checks=checks)
     blueprint, told = _with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
     if needed is None:
         return _session(

@@ -17,16 +17,17 @@ from rich.table import Table
 
 from calibration.bank import open_bank
 from calibration.errors import InputError, WavefocusError
+from wavefocus.blueprint import bank_configuration
 from wavefocus.commands import check, init, plan, status
 from wavefocus.commands import predict as prediction
 from wavefocus.commands import render as rendering
 from wavefocus.commands import verify as verification
-from wavefocus.compose import bank_configuration, virtual_rig
 from wavefocus.config.run import Virtual
 from wavefocus.console import people, say
 from wavefocus.exits import Exit
 from wavefocus.render_options import RenderOptions
 from wavefocus.truth import compare_with_truth
+from wavefocus.virtual_bench import virtual_rig
 
 # The bank is this good at the default noise, or the demo has failed.
 BANK_LIMIT_DB = -55.0

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
-from acquisition.quality import QualityLimits, Status, judge, status_counts
+from acquisition.point_status import Status, status_counts
+from acquisition.quality import judge
+from acquisition.quality_limits import QualityLimits
 from calibration.bank_creation import create_bank
 from calibration.bank_header import BankHeader
 from calibration.bank_ledger import PointRecord

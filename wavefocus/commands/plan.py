@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from acquisition.durations import hours
 from acquisition.expectation import ASSUMED_SNR_DB, schedule_name
+from acquisition.plan import Plan
 from acquisition.roles import names_of
+from wavefocus.blueprint import blueprint_from_files
 from wavefocus.comparison import compared
-from wavefocus.compose import blueprint_from_files, open_setup
+from wavefocus.compose import open_setup
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
-from wavefocus.config.scene import load_scene
 from wavefocus.console import say
 from wavefocus.grid_advice import Waves, advice_lines, grid_advice, top_hz_of
-from wavefocus.scene_positions import needed_by
+
+if TYPE_CHECKING:
+    from rendering.scene import Scene
 
 
 def plan(
@@ -35,11 +39,10 @@ def plan(
     the_plan = blueprint.plan
     rig = blueprint.configuration.rig
     position_s = the_plan.position_s(rig.recorder)
-    needed = needed_by(scene_files, the_plan.position_mm, checks=checks) if scene_files else range(the_plan.positions)
+    needed, scenes = _needed_by_scenes(scene_files, the_plan, checks=checks)
     duration_s = the_plan.campaign_s(len(needed), rig.recorder)
     sentinel_passes = the_plan.drift.passes(len(needed), position_s)
     stop_hz = the_plan.excitation.band_hz[1]
-    scenes = [load_scene(file) for file in scene_files]
     top_hz = top_hz_of(scenes, the_plan.excitation.sample_rate_hz, stop_hz) if scenes else stop_hz
     grids = grid_advice(the_plan.position_mm, position_s, top_hz=top_hz, waves=waves)
     instruments = _instruments(rig, blueprint.configuration.run)
@@ -95,6 +98,16 @@ def plan(
     for instrument in instruments:
         say(f"instrument  {instrument}")
     say(f"plan        {the_plan.sha256[:16]}; within all limits")
+
+
+def _needed_by_scenes(files: Sequence[Path], plan: Plan, *, checks: bool) -> tuple[Collection[int], list[Scene]]:
+    """Positions that some scenes need, and the scenes; all positions where there is none."""
+    if not files:
+        return range(plan.positions), []
+    from wavefocus.config.scene import load_scene  # with them comes what renders
+    from wavefocus.scene_positions import needed_by
+
+    return needed_by(files, plan.position_mm, checks=checks), [load_scene(file) for file in files]
 
 
 def _instruments(rig: RigConfig, run: RunConfig) -> list[str]:

@@ -8,13 +8,11 @@ from pathlib import Path
 
 from acquisition.durations import hours
 from acquisition.events import State
-from acquisition.quality import median_snr_db, status_counts
-from acquisition.sentinel import DriftLimits
+from acquisition.point_status import median_snr_db, status_counts
 from calibration.bank import open_bank
 from calibration.bank_owner import Owner, bank_owner
 from calibration.errors import InputError
 from rendering.report_drift import DriftPoint, drift_over_time
-from wavefocus.compose import bank_configuration
 from wavefocus.console import finish_clock, say
 from wavefocus.drift_history import drift_path, read_drift, suspect_rows
 from wavefocus.event_log import last_events
@@ -150,6 +148,9 @@ def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
 def _draw(bank: Path, drift: list[DriftPoint], plot: Path) -> None:
     if not drift:
         raise InputError(f"{drift_path(bank)}: holds no drift to draw: the sentinel has not been measured again yet")
+    from acquisition.sentinel import DriftLimits  # the configuration is read for a picture alone
+    from wavefocus.blueprint import bank_configuration
+
     with open_bank(bank) as view:
         limits = DriftLimits(**bank_configuration(view).run.drift.model_dump())
     plot.write_bytes(drift_over_time(drift, limits).png)

@@ -1,0 +1,1 @@
+"""A rig operated by hand: the beam jogged, levels heard, single sweeps."""

@@ -1,0 +1,140 @@
+"""What the two inputs hear just now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition.record import ANSWER_MARGIN_S, take_record
+from acquisition.roles import asking
+from acquisition.setup import Setup
+from calibration.sweeps import Excitation
+from drivers.protocols import Float64Array, Recording, RecordRequest, Take
+
+LISTENS_S = 0.1
+_FADE_S = 0.005
+_BAND_HZ = (40.0, 400.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelLevel:
+    """Level of one input.
+
+    Parameters
+    ----------
+    rms_v, peak_v : float
+        Without the offset, and with it, in V at the DAQ.
+    offset_v : float
+        Mean.
+    range_v : float
+        End of the input's range.
+    over_range : bool
+        Whether it was reached.
+    """
+
+    rms_v: float
+    peak_v: float
+    offset_v: float
+    range_v: float
+    over_range: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Levels of both inputs over a tenth of a second."""
+
+    reference: ChannelLevel
+    response: ChannelLevel
+
+
+def level_of(recording: Recording, range_v: tuple[float, float]) -> Level:
+    """Levels of a record."""
+    one, other = (
+        ChannelLevel(
+            rms_v=float(volts.std(dtype=np.float64)),
+            peak_v=float(np.abs(volts).max(initial=0.0)),
+            offset_v=float(volts.mean(dtype=np.float64)),
+            range_v=end_v,
+            over_range=bool(reached),
+        )
+        for volts, end_v, reached in zip(recording.volts, range_v, recording.over_range, strict=True)
+    )
+    return Level(one, other)
+
+
+def listen(setup: Setup, seconds: float, sample_rate_hz: float, number: int) -> Recording:
+    """Record while nothing plays.
+
+    Parameters
+    ----------
+    setup : Setup
+        The rig.
+    seconds : float
+        How long, > 0.
+    sample_rate_hz : float
+        Rate of the record.
+    number : int
+        Which record of its kind this is, for messages.
+
+    Raises
+    ------
+    InstrumentError
+        Of the recorder, which was stopped.
+    """
+    recorder = setup.instruments.recorder
+    request = RecordRequest(
+        max(1, round(seconds * sample_rate_hz)), sample_rate_hz, setup.range_v, Take(0, 1, number, "listening")
+    )
+    with asking("recorder"):
+        try:
+            recorder.start(request)
+            return recorder.read(request.duration_s + ANSWER_MARGIN_S)
+        except BaseException:
+            recorder.abort()
+            raise
+
+
+class LevelMeter:
+    """Hears both inputs again and again, in silence or while one actuator plays short sweeps.
+
+    Parameters
+    ----------
+    setup : Setup
+        The rig.
+    sample_rate_hz : float
+        Rate of the records.
+    """
+
+    def __init__(self, setup: Setup, sample_rate_hz: float) -> None:
+        self._setup = setup
+        self._rate_hz = sample_rate_hz
+        self._number = 0
+        self._signal_v: Float64Array | None = None
+        self._channel = -1
+
+    def sound(self, actuator: int | None, amplitude_v: float = 0.0) -> None:
+        """Choose what plays meanwhile: an actuator at a peak of so many volts, or nothing."""
+        self._signal_v = None
+        if actuator is not None:
+            self._channel = self._setup.actuator_channels[actuator]
+            self._signal_v = Excitation(
+                self._rate_hz, *_BAND_HZ, LISTENS_S, 0.0, amplitude_v, averages=1, fade_s=_FADE_S
+            ).signal_v()
+
+    def hear(self) -> Level:
+        """Levels now.
+
+        Raises
+        ------
+        InstrumentError
+            Of the instrument that failed.
+        """
+        self._number += 1
+        setup = self._setup
+        if self._signal_v is None:
+            recording = listen(setup, LISTENS_S, self._rate_hz, self._number)
+        else:
+            signals_v = {setup.loopback_channel: self._signal_v, self._channel: self._signal_v}
+            recording = take_record(setup, signals_v, self._rate_hz, Take(0, 1, self._number, "listening"))
+        return level_of(recording, setup.range_v)

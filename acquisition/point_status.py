@@ -1,0 +1,49 @@
+"""A position's status bits and their words, apart from what judges it: who counts measures nothing."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Status(IntFlag):
+    """Status bits of a position, as the bank's contract and scanning vibrometers have them."""
+
+    NOT_MEASURED = 0
+    VALID = 1
+    OVER_RANGE = 2
+    POOR_SIGNAL = 4
+    FAILED = 8
+    DISABLED = 16
+
+
+STATUS_WORDS: dict[str, Status] = {
+    "not-measured": Status.NOT_MEASURED,
+    "valid": Status.VALID,
+    "over-range": Status.OVER_RANGE,
+    "poor": Status.POOR_SIGNAL,
+    "failed": Status.FAILED,
+    "disabled": Status.DISABLED,
+}
+
+
+def status_counts(status: NDArray[np.uint8]) -> dict[str, int]:
+    """Positions per status word; a position with several bits counts under each."""
+    counts = {word: int(np.count_nonzero(status & bit)) for word, bit in STATUS_WORDS.items() if bit}
+    return {"not-measured": int(np.count_nonzero(status == 0)), **counts}
+
+
+def not_valid(status: NDArray[np.uint8]) -> list[int]:
+    """Bank rows that were measured and are not valid, those that a person has excluded left out."""
+    return np.flatnonzero((status != 0) & (status & (Status.VALID | Status.DISABLED) == 0)).tolist()
+
+
+def median_snr_db(snr_db: NDArray[np.float32] | None, status: NDArray[np.uint8]) -> float | None:
+    """Median signal-to-noise ratio over all measured pairs (position, actuator); None where none is known."""
+    if snr_db is None:
+        return None
+    known = snr_db[status > 0]
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if known.size else None

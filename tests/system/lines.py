@@ -1,0 +1,89 @@
+"""A command that talks in JSON lines, driven as a script drives it."""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any
+
+# What a busy machine may take; nothing is judged by it.
+SOON_S = 60.0
+
+
+class Lines:
+    """A running command; a block's end waits for its own."""
+
+    def __init__(self, *arguments: object, environment: Mapping[str, str] | None = None) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "wavefocus", *map(str, arguments)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
+        )  # fmt: skip
+        self._told: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        self.said: list[str] = []
+        self._threads = [threading.Thread(target=self._read), threading.Thread(target=self._listen)]
+        for thread in self._threads:
+            thread.start()
+
+    def send(self, **line: object) -> None:
+        self.send_text(json.dumps(line))
+
+    def send_text(self, text: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(text + "\n")
+        self.process.stdin.flush()
+
+    def hear(self, event: str) -> dict[str, Any]:
+        """The next event of a kind; those before it are passed over."""
+        while (told := self._told.get(timeout=SOON_S)) is not None:
+            if told["event"] == event:
+                return told
+        raise AssertionError(f"it ended without {event}: {self.said}")
+
+    def rest(self) -> list[dict[str, Any]]:
+        """All that it tells until its end."""
+        told = []
+        while (one := self._told.get(timeout=SOON_S)) is not None:
+            told.append(one)
+        return told
+
+    def close_input(self) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+
+    def end(self) -> int:
+        """Its exit code."""
+        code = self.process.wait(timeout=SOON_S)
+        for thread in self._threads:
+            thread.join(SOON_S)
+        assert not any("Traceback" in line for line in self.said), self.said
+        return code
+
+    def __enter__(self) -> Lines:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, failure: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        for thread in self._threads:
+            thread.join(SOON_S)
+        for stream in (self.process.stdin, self.process.stdout, self.process.stderr):
+            if stream is not None:
+                stream.close()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._told.put(json.loads(line))
+        self._told.put(None)
+
+    def _listen(self) -> None:
+        assert self.process.stderr is not None
+        self.said.extend(line.rstrip() for line in self.process.stderr)

@@ -1,0 +1,70 @@
+"""Several sources, moving and standing, and extended ones as sums: the example of the documentation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rendering.drive import render_with_report
+from rendering.field import predict
+from rendering.green_source import GreenArray
+from rendering.scene import Scene
+from wavefocus.config.scene import load_scene
+
+PAGE = Path(__file__).parents[2] / "docs/how-to/render-and-play.md"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    text = PAGE.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    file = tmp_path_factory.mktemp("scene") / "scene.toml"
+    file.write_text(text, encoding="utf-8")
+    return load_scene(file)
+
+
+@pytest.fixture(scope="module")
+def bank() -> GreenArray:
+    position_mm = np.array([(x, y) for y in np.arange(-12.0, 45.0, 4.0) for x in np.arange(-44.0, 45.0, 4.0)])
+    green = np.random.default_rng(5).standard_normal((len(position_mm), 3, 80)) * np.exp(-np.arange(80) / 20)
+    return GreenArray(green, position_mm, 2000.0)
+
+
+def test_given_the_example_then_its_drives_are_the_sum_of_each_source_s_own(scene: Scene, bank: GreenArray) -> None:
+    assert len(scene.sources) == 4
+    together = render_with_report(scene, bank)[0]
+    alone = [render_with_report(replace(scene, sources=(source,)), bank)[0] for source in scene.sources]
+    total = np.zeros_like(together.drive_v)
+    for one in alone:
+        assert one.start_s == together.start_s
+        total[:, : one.drive_v.shape[1]] += one.drive_v
+    np.testing.assert_allclose(together.drive_v, total, rtol=0, atol=1e-12 * np.abs(total).max())
+    foci = [len(one.focus_sample) for one in alone]
+    assert together.focus_source.tolist() == np.repeat(np.arange(4), foci).tolist()
+    assert foci == [21, 21, 21, 1]
+
+
+def test_given_a_bar_then_its_points_move_abreast_and_say_the_same(scene: Scene, bank: GreenArray) -> None:
+    bar = replace(scene, sources=scene.sources[:3])
+    drive = render_with_report(bar, bank)[0]
+    sample, place = drive.focus_sample.reshape(3, 21), bank.position_mm[drive.focus_position].reshape(3, 21, 2)
+    assert (sample == sample[0]).all()
+    assert (place[:, :, 0] == place[0, :, 0]).all()
+    np.testing.assert_array_equal(np.diff(place[:, :, 1], axis=0), 8.0)
+    signals = [source.signal.samples(2000.0) for source in bar.sources]
+    np.testing.assert_array_equal(signals[0], signals[1])
+    np.testing.assert_array_equal(signals[0], signals[2])
+
+
+def test_given_sources_together_then_the_field_is_the_sum_of_theirs(scene: Scene, bank: GreenArray) -> None:
+    def field(part: Scene) -> np.ndarray:
+        return np.asarray(predict(render_with_report(part, bank)[0], bank, [7, 100, 200]).field)
+
+    together = field(scene)
+    total = np.zeros_like(together)
+    for source in scene.sources:
+        one = field(replace(scene, sources=(source,)))
+        total[:, : one.shape[1]] += one
+    np.testing.assert_allclose(together, total, rtol=0, atol=1e-5 * np.abs(total).max())

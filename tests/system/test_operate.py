@@ -1,0 +1,156 @@
+"""`wavefocus operate` as a script drives it: orders in, events out, and every way it may end."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.system.lines import Lines
+
+RIG = """
+[rig]
+name = "by hand"
+
+[actuators]
+position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+
+[player]
+limit_v = 3.0
+limit_rms_v = 1.0
+"""
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    return tmp_path / "rig.toml"
+
+
+@pytest.fixture
+def operated(rig: Path) -> Iterator[Lines]:
+    with Lines("operate", rig) as lines:
+        yield lines
+
+
+def test_given_orders_then_each_is_carried_out_and_answered_in_turn(operated: Lines) -> None:
+    ready = operated.hear("ready")
+    assert ready["name"] == "by hand"
+    assert ready["largest_level_v"] == pytest.approx(2**0.5)
+    assert len(ready["actuator_mm"]) == 3
+    assert set(ready["instruments"]) == {"mirror", "recorder", "player"}
+
+    operated.send(order="jog", x_mm=12.5, y_mm=-8, id="a")
+    mirror = operated.hear("mirror")
+    assert (mirror["x_mm"], mirror["y_mm"], mirror["parked"]) == (12.5, -8.0, False)
+    assert operated.hear("done") == {"event": "done", "order": "jog", "id": "a", "ok": True}
+
+    operated.send(order="level", every_s=0.1, actuator=1, level_v=0.4)
+    first, second = operated.hear("level"), operated.hear("level")
+    for level in (first, second):
+        assert level["reference"]["peak_v"] == pytest.approx(0.4, rel=0.01)
+        assert level["response"]["range_v"] == 10.0
+        assert level["light"] == 1.0
+
+    operated.send(order="sweep", actuator=2, level_v=0.8, duration_s=0.3)
+    sweep = operated.hear("sweep")
+    assert sweep["figures"]["snr_db"] > 20
+    assert sweep["figures"]["defects"] == []
+    assert len(sweep["response_v"]) == len(sweep["reference_v"]) > 3000
+    assert len(sweep["frequency_hz"]) == len(sweep["response_db"]) == len(sweep["noise_db"])
+    assert operated.hear("done")["ok"]
+
+    operated.send(order="park")
+    assert operated.hear("mirror")["parked"]
+    operated.send(order="state")
+    assert operated.hear("levels")["on"]
+    operated.send(order="mute")
+    operated.hear("muted")
+    operated.send(order="state")
+    assert not operated.hear("levels")["on"]
+    operated.send(order="reconnect", instrument="recorder")
+    assert operated.hear("reconnected")["instrument"] == "recorder"
+    operated.send(order="end")
+    assert operated.hear("ended") == {"event": "ended", "muted": True, "parked": True}
+    assert operated.end() == 0
+
+
+def test_given_orders_that_cannot_be_then_each_is_one_sentence_and_the_next_is_carried_out(operated: Lines) -> None:
+    wrong = (
+        ({"order": "jog", "x_mm": 900, "y_mm": 0}, "mirror.limit_mrad"),
+        ({"order": "jog", "x_mm": 1}, "y_mm is None; allowed: a finite number"),
+        ({"order": "jog", "x_mm": 1, "y_mm": 1, "x_mrad": 1}, "not both"),
+        ({"order": "sweep", "actuator": 3}, "actuator is 3; allowed: 0 to 2"),
+        ({"order": "sweep", "actuator": 0, "level_v": 1.5}, "at most 1.414 V"),
+        ({"order": "sweep", "actuator": 0, "stop_hz": 20}, "start_hz is 40; allowed is less than stop_hz, 20"),
+        ({"order": "level", "loud": True}, "loud is not known"),
+        ({"order": "reconnect", "instrument": "laser"}, "allowed: mirror, recorder, player"),
+        ({"order": "dance"}, "allowed: jog, park, level, sweep, mute, state, reconnect, end"),
+        ({"step": 1}, "order None is not known"),
+    )
+    for number, (order, why) in enumerate(wrong):
+        operated.send(**order, id=number)
+        assert why in operated.hear("refused")["sentence"]
+        done = operated.hear("done")
+        assert (done["id"], done["ok"]) == (number, False)
+    operated.send_text("jog, please")
+    assert "no JSON object" in operated.hear("refused")["sentence"]
+    for x_mm in range(5):  # what is in the pipe when it ends is carried out
+        operated.send(order="jog", x_mm=x_mm, y_mm=0)
+    operated.close_input()
+    told = operated.rest()
+    assert [one["x_mm"] for one in told if one["event"] == "mirror"] == [0, 1, 2, 3, 4]
+    assert told[-1]["event"] == "ended"
+    assert operated.end() == 0
+
+
+def test_given_a_signal_then_it_ends_in_130(operated: Lines) -> None:
+    operated.send(order="level", every_s=0.1, actuator=0)
+    operated.hear("level")
+    operated.process.send_signal(signal.SIGTERM)
+    assert operated.hear("ended")["parked"]
+    assert operated.end() == 130
+    assert operated.said == ["stopped by the user; the outputs are muted, the mirror is parked"]
+
+
+def test_given_nobody_who_reads_then_it_ends_by_itself(rig: Path) -> None:
+    command = [sys.executable, "-m", "wavefocus", "operate", str(rig)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        process.stdout.readline()
+        process.stdout.close()
+        process.stdin.write(b'{"order": "level", "every_s": 0.1}\n')
+        process.stdin.flush()
+        assert process.wait(timeout=60) == 0
+        assert process.stderr is not None
+        assert b"Traceback" not in process.stderr.read()
+
+
+def test_given_a_rig_file_with_a_mistake_then_it_is_one_line_and_exit_code_2(rig: Path) -> None:
+    rig.write_text(RIG + "loud = true\n", encoding="utf-8")
+    with Lines("operate", rig) as lines:
+        assert lines.end() == 2
+        assert len(lines.said) == 1
+        assert "player.loud" in lines.said[0]
+
+
+def test_given_instruments_that_are_not_there_then_the_fault_is_told_and_the_exit_code_is_3(tmp_path: Path) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text(
+        '[actuators]\nposition_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]\n[mirror]\ndriver = "asi-tiger"\n'
+        f'port = "{tmp_path / "nowhere"}"\n[recorder]\ndriver = "nidaqmx"\ndevice = "Dev1"\naddress = "localhost:1"\n'
+        '[player]\ndriver = "sounddevice"\ndevice = "none"\n',
+        encoding="utf-8",
+    )
+    with Lines("operate", file) as lines:
+        fault = lines.hear("fault")
+        assert fault["instrument"] == "mirror"
+        assert "there is no such port now" in fault["cause"]
+        assert fault["remedy"]
+        assert lines.end() == 3
+        assert len(lines.said) == 1

@@ -1,0 +1,148 @@
+"""Scenes that are rendered while they are written or played, through the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import soundfile
+
+from calibration.drive_file import read_drive
+from wavefocus.__main__ import run
+
+SCENE = """
+[[source]]
+speed_mm_s = 20.0
+step_mm = 2.0
+path = { kind = "line", start_mm = [0.5, 0], end_mm = [12, 4] }
+signal = { kind = "noise", band_hz = [50, 900], duration_s = 1.0 }
+
+[[source]]
+start_s = 0.2
+path = { kind = "point", at_mm = [4, 8] }
+signal = { kind = "sine", frequency_hz = 800.0, duration_s = 0.5 }
+"""
+RIG = """
+[actuators]
+position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+
+[player]
+interface_rate_hz = 48000
+full_scale_v = 0.01
+limit_v = 0.01
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
+    green = np.random.default_rng(4).standard_normal((15, 3, 60)) * np.exp(-np.arange(60) / 15)
+    with h5py.File(tmp_path / "bank.h5", "w") as file:
+        file["green"], file["position_mm"] = green, np.column_stack([x_mm.ravel(), y_mm.ravel()])
+        file.attrs["sample_rate_hz"] = 2000.0
+    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    return tmp_path
+
+
+def render(lab: Path, name: str, *options: str) -> int:
+    out, wav = str(lab / f"{name}.h5"), str(lab / f"{name}.wav")
+    place = [str(lab / "scene.toml"), "--bank", str(lab / "bank.h5"), "--rig", str(lab / "rig.toml")]
+    return run(["render", *place, "--out", out, "--wav", wav, "--json", *options])
+
+
+def test_given_stream_then_both_files_and_all_figures_are_those_of_a_render_in_one_piece(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert render(lab, "whole") == 0
+    whole_told = json.loads(capsys.readouterr().out)
+    assert render(lab, "streamed", "--stream") == 0
+    streamed_told = json.loads(capsys.readouterr().out)
+    whole, streamed = read_drive(lab / "whole.h5"), read_drive(lab / "streamed.h5")
+    np.testing.assert_allclose(streamed.drive_v, whole.drive_v, rtol=0, atol=1e-14)
+    for name in ("focus_sample", "focus_position", "focus_source"):
+        np.testing.assert_array_equal(getattr(streamed, name), getattr(whole, name))
+    assert (streamed.start_s, streamed.method) == (whole.start_s, whole.method)
+    assert streamed.scale == pytest.approx(whole.scale, rel=1e-9)
+    assert streamed_told.pop("streamed") is True
+    assert streamed_told.keys() == whole_told.keys()
+    for key in ("samples", "focus_points", "limited_by", "limiting_actuator", "warnings", "omitted_bound"):
+        assert streamed_told[key] == whole_told[key]
+    heard, _ = soundfile.read(lab / "streamed.wav")
+    expected, rate_hz = soundfile.read(lab / "whole.wav")
+    assert rate_hz == 48_000
+    np.testing.assert_allclose(heard, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("options", [(), ("--stream",)])
+def test_given_a_scene_that_is_too_loud_then_a_rig_s_wav_reaches_full_scale_and_is_not_beyond_it(
+    lab: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
+) -> None:
+    """A waveform is larger between the samples of its drive than at them: both are kept within full scale."""
+    assert render(lab, "drive", *options) == 0
+    told = capsys.readouterr()
+    heard, _ = soundfile.read(lab / "drive.wav")
+    assert np.abs(heard).max() == pytest.approx(1.0, abs=1e-6)
+    drive = read_drive(lab / "drive.h5")
+    assert np.abs(drive.drive_v).max() <= 0.01
+    figures = json.loads(told.out)
+    assert "between samples" in figures["limited_by"]
+    assert figures["scale"] == drive.scale < 1
+    assert "between samples = 0.01 V; actuator" in told.err
+
+
+def play(lab: Path, what: str, *options: str) -> int:
+    return run(["play", str(lab / what), "--rig", str(lab / "rig.toml"), "--json", *options])
+
+
+def test_given_a_scene_and_a_bank_then_it_is_played_within_limits_and_its_latency_is_told(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert play(lab, "scene.toml", "--bank", str(lab / "bank.h5"), "--ahead-s", "0.1") == 0
+    told = capsys.readouterr()
+    figures: dict[str, Any] = json.loads(told.out)
+    assert figures["peak_v"] <= 0.01
+    assert figures["ahead_ms"] == 100.0
+    assert figures["lookahead_ms"] >= 1e3 * 59 / 2000
+    parts = figures["lookahead_ms"] + figures["ahead_ms"] + figures["interface_ms"]
+    assert figures["latency_ms"] == pytest.approx(parts, abs=0.2)
+    assert 0 < figures["least_ahead_ms"] <= 100.0
+    assert "latency" in told.err
+    assert "muted" in told.err
+
+
+@pytest.mark.parametrize(
+    ("what", "options", "told"),
+    [
+        ("scene.toml", (), "--bank"),
+        ("drive.h5", ("--ahead-s", "1"), "--ahead-s"),
+        ("drive.h5", ("--bank", "bank.h5"), "leave out --bank"),
+        ("scene.toml", ("--bank", "bank.h5", "--loop", "2"), "--loop"),
+        ("scene.toml", ("--bank", "bank.h5", "--ahead-s", "0"), "--ahead-s"),
+    ],
+)
+def test_given_options_that_do_not_go_together_then_the_line_says_what_to_do(
+    lab: Path, capsys: pytest.CaptureFixture[str], what: str, options: tuple[str, ...], told: str
+) -> None:
+    assert play(lab, what, *options) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1
+
+
+def test_given_stream_then_inverse_filtering_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert render(lab, "drive", "--stream", "--focusing", "inverse") == 2
+    assert "--stream is for time reversal" in capsys.readouterr().err
+    assert not (lab / "drive.h5").exists()
+
+
+@pytest.mark.parametrize("other", [("--tolerance-db", "-60"), ("--focusing", "inverse"), ("--stream",)])
+def test_given_a_gpu_then_what_it_does_not_know_is_refused(
+    lab: Path, capsys: pytest.CaptureFixture[str], other: tuple[str, ...]
+) -> None:
+    assert render(lab, "drive", "--device", "cuda", *other) == 2
+    assert "--device c" in capsys.readouterr().err
