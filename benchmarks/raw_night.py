@@ -71,7 +71,7 @@ def run(*, quick: bool = False) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         for name, positions in (("sequential 3 x 1 s", 4 if quick else 50), ("staggered 240 ms", 20 if quick else 300)):
             raw = Path(folder) / f"{len(rows)}.raw.h5"
-            _record(raw, positions, staggered=name.startswith("staggered"))
+            record_sample(raw, positions, staggered=name.startswith("staggered"))
             rows[name] = _streamed(raw, positions)
             raw.unlink()
     marks = {
@@ -84,7 +84,7 @@ def run(*, quick: bool = False) -> dict[str, Any]:
     return {"streams": rows, "marks": marks}
 
 
-def _record(path: Path, positions: int, *, staggered: bool) -> None:
+def record_sample(path: Path, positions: int, *, staggered: bool) -> None:
     """Keep recordings of the virtual rig, a few positions over and over."""
     rig = VirtualRig()
     setup = rig_setup(rig)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from scipy import fft as scipy_fft
 
 from rendering.omission import TRANSFORM, Economy
 from rendering.overlap_add import FullRate, LowRate, OverlapAdd
-from rendering.row_spectra import RowsView
+from rendering.row_pages import RowsView
 from rendering.upsampling import Upsampling, energies
 from rendering.window_spectra import WindowSpectra, window_spectra
 from rendering.windows import Windows
@@ -148,27 +147,27 @@ class BlockTask:
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             found = window_spectra(self.windows, self.begin, self.end, shape.fft_samples, economy, shape.band)
             spectra = np.zeros((len(self.part), actuators, shape.samples // 2 + 1), dtype=economy.complex)
-            for place, (begin, end) in enumerate(pairwise(bounds.tolist())):
-                if end > begin:
-                    spectra[place, :, economy.low : economy.high] = self._sum(found.kept, begin, end).T
+            self._add_up(found.kept, bounds, spectra[:, :, economy.low : economy.high])
             if shape.bounded:
                 errors += self._errors(found, bounds)
             samples, further = shape.in_time(spectra)
             errors += further
         return Part(first, self.done, samples, errors, self.end - self.begin, quiet, found.band_energy, found.energy)
 
-    def _sum(self, windows: NDArray[Any], begin: int, end: int) -> NDArray[Any]:
-        """Sum over some windows, (kept bins, actuators)."""
-        by = self.windows.regularised_by[self.begin + begin : self.begin + end]
-        chosen = np.arange(begin, end)
-        if (by < 0).all():
-            return self.rows.times(windows[begin:end], chosen)
-        total = np.zeros((windows.shape[1], len(self.shape.actuators)), dtype=windows.dtype)
-        for one in np.unique(by).tolist():
-            some = chosen[by == one]
-            product = self.rows.times(windows[some], some)
-            total += product if one < 0 else product * self.shape.sigma(one).astype(windows.real.dtype)
-        return total
+    def _add_up(self, windows: NDArray[Any], bounds: Int64Array, spectra: NDArray[Any]) -> None:
+        """Add windows times their rows to each block's spectra, (blocks, actuators, kept bins)."""
+        by = self.windows.regularised_by[self.begin : self.end] + 1
+        span = int(by.max()) + 1
+        block = np.repeat(np.arange(len(self.part)), np.diff(bounds))
+        for group, product in self.rows.sums(windows, block * span + by):
+            place, one = divmod(group, span)
+            if span == 1:
+                spectra[place] = product.T
+            else:
+                spectra[place] += (product * self._sigma_of(one - 1).astype(windows.real.dtype)).T
+
+    def _sigma_of(self, one: int) -> Float64Array:
+        return np.ones(len(self.shape.actuators)) if one < 0 else self.shape.sigma(one)
 
     def _errors(self, found: WindowSpectra, bounds: Int64Array) -> Float64Array:
         shape, norms = self.shape, self.rows.norms()

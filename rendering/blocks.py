@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,9 +182,14 @@ class Blocks:
         samples, rows = sample_blocks(self._emission, looked_at, self._weigh, self._fft_samples, self.starts)
         spent = 0.0
         if single:
-            read = partial(self._rows.read, single=True)
-            values = [[read(row).values for row in some] for some in rows]
-            self.cut, spent = choose_cut(samples, values, self._fft_samples, self._overlap, tolerance)
+            self.cut, spent = choose_cut(
+                samples,
+                rows,
+                lambda row: self._rows.read(row, single=True).values,
+                self._fft_samples,
+                self._overlap,
+                tolerance,
+            )
             energy = sampled_energy(samples) / max(len(samples), 1)
             self._quiet = SHARE * tolerance * float(np.sqrt(energy / self._overlap))
             spent += SHARE * tolerance

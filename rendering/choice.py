@@ -98,14 +98,15 @@ def sample_blocks(
         chosen = np.arange(0, len(windows), every)
         rows = windows.rows[chosen].tolist()
         spectra.prepare(rows)
-        looked_at.append(rows)
-        magnitude = [np.abs(windows.spectra(number, number + 1, fft_samples)) for number in chosen.tolist()]
+        if not rows:
+            continue
         samples.append(
             Sample(
-                np.concatenate([*magnitude, np.zeros((0, fft_samples // 2 + 1))]),
-                spectra.view(rows).magnitudes(np.arange(len(rows))),
+                np.abs(windows.spectra(chosen, fft_samples)),
+                spectra.view(rows).magnitudes(),
                 float(every),
                 rounding_of(windows, chosen),
             )
         )
+        looked_at.append(rows)
     return samples, looked_at

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,6 +71,28 @@ class DriveLimits:
     rms_key: str = "limit_rms_v"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Reached:
+    """What the drives of all actuators reach, and what they may.
+
+    Parameters
+    ----------
+    key : str
+        The limit's name, for messages.
+    limit_v : float
+        What is allowed, volts.
+    each_v : float64 array, shape (actuators,)
+        What each of them reaches, volts.
+    summed : bool
+        Whether that is made of sums, whose last bits depend on their order.
+    """
+
+    key: str
+    limit_v: float
+    each_v: Float64Array
+    summed: bool = False
+
+
 def largest_rms(
     drive_v: Float64Array, sample_rate_hz: float, window_s: float = RMS_WINDOW_S, *, repeated: bool = False
 ) -> Float64Array:
@@ -135,27 +158,48 @@ def limit_drive(drive_v: Float64Array, sample_rate_hz: float, limits: DriveLimit
     InputError
         A limit is not a finite number above 0, or no factor reaches so far.
     """
+    reached = []
+    if limits.peak_v is not None:
+        reached.append(Reached(limits.peak_key, limits.peak_v, _peaks(drive_v)))
+    if limits.rms_v is not None:
+        reached.append(Reached(limits.rms_key, limits.rms_v, largest_rms(drive_v, sample_rate_hz), summed=True))
+    limiting = strictest(reached)
+    if limiting.decided_by is not None:
+        drive_v *= limiting.scale
+    return limiting
+
+
+def strictest(reached: Sequence[Reached]) -> Limiting:
+    """Find the factor that keeps a drive within all of its limits.
+
+    Parameters
+    ----------
+    reached : sequence of Reached
+        What the drive reaches, limit by limit; of two that ask for the same the first one is named.
+
+    Raises
+    ------
+    InputError
+        A limit is not a finite number above 0, or no factor reaches so far.
+    """
     least = Limiting()
-    for key, limit_v, is_rms in ((limits.peak_key, limits.peak_v, False), (limits.rms_key, limits.rms_v, True)):
-        if limit_v is None:
+    for one in reached:
+        if not (math.isfinite(one.limit_v) and one.limit_v > 0):
+            raise InputError(f"{one.key} is {one.limit_v}; it must be a finite number above 0")
+        actuator = int(np.argmax(one.each_v))
+        most_v = float(one.each_v[actuator])
+        if most_v <= one.limit_v:
             continue
-        if not (math.isfinite(limit_v) and limit_v > 0):
-            raise InputError(f"{key} is {limit_v}; it must be a finite number above 0")
-        reached_v = largest_rms(drive_v, sample_rate_hz) if is_rms else _peaks(drive_v)
-        actuator = int(np.argmax(reached_v))
-        most_v = float(reached_v[actuator])
-        if most_v <= limit_v:
-            continue
-        # The last bits of a mean depend on the order of its sum.
-        scale = limit_v / most_v * (1.0 - 1e-12 if is_rms else 1.0)
-        while most_v * scale > limit_v:
+        # The last bits of a sum depend on its order.
+        scale = one.limit_v / most_v * (1.0 - 1e-12 if one.summed else 1.0)
+        while most_v * scale > one.limit_v:
             scale = math.nextafter(scale, 0.0)
         if scale == 0.0:
-            raise InputError(f"{key} is {limit_v}, but the drive reaches {most_v:.3g} V; no factor reaches so far")
+            raise InputError(
+                f"{one.key} is {one.limit_v}, but the drive reaches {most_v:.3g} V; no factor reaches so far"
+            )
         if scale < least.scale:
-            least = Limiting(scale, key, actuator, most_v, limit_v)
-    if least.decided_by is not None:
-        drive_v *= least.scale
+            least = Limiting(scale, one.key, actuator, most_v, one.limit_v)
     return least
 
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
-from acquisition.quality import Status
+from acquisition.point_status import Status
 from calibration.errors import InputError
+from rendering.band_limit import MOST_DELAY_S, BandLimit
 from rendering.focus_figures import FocusInstant, emission_windows, focus_instants
-from rendering.metrics import RealArray, band_weights, level_db
+from rendering.metrics import RealArray, level_db
 from rendering.scan import Scan
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 # Positions per step of the pass: a few MB for seconds of signal.
 CHUNK_POSITIONS = 64
 MOST_WAVEFORMS = 6
-# A delay between prediction and scan is looked for within this time.
-MOST_DELAY_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,45 +103,6 @@ class FieldComparison:
             return np.asarray(10.0 * np.log10(ratio))
 
 
-class _Band:
-    """Limits chunks of signals to the bank's band; without one, leaves them as they are."""
-
-    def __init__(self, samples: int, sample_rate_hz: float, band_hz: tuple[float, float] | None) -> None:
-        silence_s = MOST_DELAY_S if band_hz is None else 2.0 / band_hz[0]
-        self._samples = samples
-        self._padded = fft.next_fast_len(samples + round(silence_s * sample_rate_hz), real=True)
-        self.bins = self._padded // 2 + 1
-        self._weights = np.ones(self.bins, np.float32)
-        if band_hz is not None:
-            self._weights = band_weights(self._padded, sample_rate_hz, band_hz)
-
-    @property
-    def white_share(self) -> float:
-        """Part of a white noise's power that is kept."""
-        return float(np.mean(self._weights**2))
-
-    def spectrum(self, signals: RealArray) -> NDArray[np.complex64]:
-        limited: NDArray[np.complex64] = fft.rfft(signals.astype(np.float32, copy=False), self._padded).astype(
-            np.complex64, copy=False
-        )
-        limited *= self._weights
-        return limited
-
-    def signals(self, spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
-        limited: NDArray[np.float32] = fft.irfft(spectrum, self._padded)[..., : self._samples]
-        return limited
-
-    def delay_samples(self, cross_spectrum: NDArray[np.complex128], most: int) -> float:
-        lags = fft.irfft(cross_spectrum, self._padded)
-        near = np.concatenate([lags[-most:], lags[: most + 1]])
-        peak = int(np.argmax(near))
-        if peak in (0, near.size - 1):
-            return float(peak - most)
-        before, at, after = near[peak - 1 : peak + 2]
-        curvature = before - 2.0 * at + after
-        return float(peak - most + (0.5 * (before - after) / curvature if curvature < 0.0 else 0.0))
-
-
 def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: GreenSource) -> FieldComparison:
     """Compare fields where both have positions, the record is sound and the bank's row is valid.
 
@@ -156,7 +115,7 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
     rows, in_prediction, in_scan, excluded = _compared_rows(prediction, scan, bank)
     rate_hz, samples = scan.sample_rate_hz, scan.field.shape[1]
     first_sample = round(scan.start_s * rate_hz)
-    band = _Band(samples, rate_hz, bank.band_hz)
+    band = BandLimit(samples, rate_hz, bank.band_hz)
 
     windows = [one for one in emission_windows(drive) if one.start_sample - first_sample < samples]
     compared = np.isin([one.row for one in windows], rows)
@@ -222,6 +181,11 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
 
 
 def _check_grids(prediction: Field, scan: Field | Scan) -> None:
+    if prediction.low_pass is not None:
+        raise InputError(
+            f"the prediction is at a rate {prediction.low_pass.factor} times lower than the bank's, low-passed above"
+            f" {prediction.low_pass.passed_hz:g} Hz; predict at the bank's rate to compare it with a scan"
+        )
     for name, predicted, scanned in (
         ("sample_rate_hz", prediction.sample_rate_hz, scan.sample_rate_hz),
         ("start_s", prediction.start_s, scan.start_s),

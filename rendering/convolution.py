@@ -36,11 +36,11 @@ FADE_SHARE = 0.125
 """Share of a block over which it fades into the next."""
 SAMPLED_ROWS = 3
 SAMPLED_BLOCKS = 2
-KEPT_PART_BYTES = 32 * 2**20
+KEPT_PART_BYTES = 16 * 2**20
 """The same where the rows' spectra are there already."""
 PLAIN_DRIVE_EXPONENT = 1000
-PLAIN_EXPONENT = 100
-"""Powers of two below this fit float32."""
+PLAIN_EXPONENT = 40
+"""Responses times powers of two below this fit float32, and so do their squares."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,12 +153,11 @@ class Convolution:
             return self._placed(np.zeros((len(positions), self.samples), dtype=self._dtype), out, 0.0, 0.0)
         if self._economical:
             fits = out is not None and out.dtype == self._economical.economy.real
-            field, error = self._respond(positions, self._economical, out if fits else None)
-            energy = float(np.einsum("ij,ij->i", field, field).sum(dtype=np.float64)) if self._tolerance else 0.0
+            field, error, energy = self._respond(positions, self._economical, out if fits else None)
             if not self._tolerance or error <= self._tolerance * (np.sqrt(energy) - error):
                 return self._placed(field, None if fits else out, error, energy)
-        field, _ = self._respond(positions, self._complete(), None)
-        energy = float(np.einsum("ij,ij->i", field, field).sum(dtype=np.float64)) if self._tolerance else 0.0
+        field, _, _ = self._respond(positions, self._complete(), None)
+        energy = float(np.einsum("ij,ij->", field, field, dtype=np.float64)) if self._tolerance else 0.0
         return self._placed(field, out, 0.0, energy)
 
     def _placed(self, field: RealArray, out: RealArray | None, error: float, energy: float) -> Response:
@@ -167,7 +166,9 @@ class Convolution:
         out[:, : field.shape[1]] = field
         return Response(out[:, : field.shape[1]], error, energy)
 
-    def _respond(self, positions: Int64Array, blocks: DriveBlocks, out: RealArray | None) -> tuple[RealArray, float]:
+    def _respond(
+        self, positions: Int64Array, blocks: DriveBlocks, out: RealArray | None
+    ) -> tuple[RealArray, float, float]:
         if self._spectra is not None and blocks is self._economical:
             rows = self._spectra.rows(positions)
         else:
@@ -177,17 +178,17 @@ class Convolution:
         total = exponents + self._exponent
         plain = np.abs(total) < PLAIN_EXPONENT
         with np.errstate(over="ignore", under="ignore"):
-            field, errors = blocks.convolve(rows, np.where(plain, np.ldexp(1.0, total), 1.0), out)
+            field, errors, energies = blocks.convolve(rows, np.where(plain, np.ldexp(1.0, total), 1.0), out)
             for place in np.flatnonzero(~plain).tolist():
                 # In two steps: the sum of two large exponents may lie beyond what one factor can hold.
-                field[place] = np.ldexp(np.ldexp(field[place], exponents[place]), self._exponent)
-                errors[place] = np.ldexp(np.ldexp(errors[place], exponents[place]), self._exponent)
+                for values, power in ((field, 1), (errors, 1), (energies, 2)):
+                    values[place] = np.ldexp(np.ldexp(values[place], power * exponents[place]), power * self._exponent)
         if not plain.all() and not np.isfinite(field).all():
             bad = int(np.argmin(np.isfinite(field).all(axis=1)))
             raise InputError(
                 f"the response at position {positions[bad]} does not fit into {self._dtype}; lower the drive's scale"
             )
-        return field, float(np.linalg.norm(errors))
+        return field, float(np.linalg.norm(errors)), float(energies.sum())
 
     def _complete(self) -> DriveBlocks:
         """Blocks of which nothing is left out."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0
 
-from rendering.green_source import GreenSource, read_row, usable
+from rendering.green_source import GreenSource, fetch_row, scale_row, usable
 from rendering.interpolation import GridInterpolation
 from rendering.snapping import PositionGrid
 
@@ -95,10 +95,10 @@ def _correlation(bank: GreenSource, pairs: Int64Array, frequency_hz: Float64Arra
     transform = _transform(bank.taps, tuple((frequency_hz / bank.sample_rate_hz).tolist()))
     product, power = np.zeros(len(frequency_hz)), np.zeros(len(frequency_hz))
     for pair in pairs.tolist():
-        rows = [read_row(bank, row) for row in pair]
+        rows = [scale_row(fetch_row(bank, row), row, single=True) for row in pair]
         if any(row.silent for row in rows):
             continue
-        parts = [row.values.astype(np.float32) @ transform for row in rows]
+        parts = [row.values @ transform for row in rows]
         first, second = (part[:, : len(frequency_hz)] + 1j * part[:, len(frequency_hz) :] for part in parts)
         norms = [np.square(np.abs(part)).sum(axis=0) for part in (first, second)]
         scale = np.sqrt(norms[0] * norms[1])

@@ -15,6 +15,8 @@ from calibration.errors import InputError
 from rendering.accumulate import Accumulated, SourceDrives
 from rendering.between_positions import scene_interpolation
 from rendering.coil_limits import DriveLimits, limit_drive
+from rendering.device import Device
+from rendering.device_accumulation import DeviceDrives
 from rendering.green_source import GreenSource
 from rendering.interpolation_errors import interpolation_errors, judge_interpolation
 from rendering.limits import scale_to_limit
@@ -63,6 +65,7 @@ def render_with_report(
     tolerance_db: float | None = None,
     interpolation_tolerance: float | None = None,
     on_progress: OnProgress | None = None,
+    device: Device | None = None,
 ) -> tuple[Drive, RenderReport]:
     """Render a scene into the drives of all actuators.
 
@@ -86,6 +89,8 @@ def render_with_report(
         paths, in every band that the scene makes use of. Without it an error above 5 % is warned about.
     on_progress : callable, optional
         Told blocks done and blocks in all.
+    device : Device, optional
+        Where to accumulate, by the array API; there all is computed, whatever the tolerance. By default here.
 
     Returns
     -------
@@ -113,7 +118,7 @@ def render_with_report(
     rows = BankRows(kind.rows_of(bank), scene.regularisation)
     samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
     try:
-        drive_v, accumulated, norms, bound = _accumulated(sources, rows, samples, tolerance, on_progress)
+        drive_v, accumulated, norms, bound = _accumulated(sources, rows, samples, tolerance, on_progress, device)
     except MemoryError as error:
         size = samples * bank.actuators * 8 / 2**30
         raise InputError(f"the drive takes {size:.3g} GiB, which do not fit into memory; shorten the scene") from error
@@ -161,27 +166,40 @@ def _accumulated(
     samples: int,
     tolerance: float,
     on_progress: OnProgress | None,
+    device: Device | None,
 ) -> tuple[Float64Array, list[Accumulated], Float64Array, float]:
-    for share in STRICTER if tolerance > 0 else (0.0,):
+    for share in STRICTER if tolerance > 0 and device is None else (0.0,):
         drive_v = np.zeros((rows.bank.actuators, samples))
         progress = _Progress(sources, on_progress)
         accumulated: list[Accumulated] = []
         with np.errstate(over="ignore", invalid="ignore"):
             for source in sources:
                 rows.needed_by = source.naming
-                made = SourceDrives(
-                    source.emission,
-                    rows,
-                    transform=partial(
-                        source.fft_samples,
-                        actuators=rows.bank.actuators,
-                        multiple=MULTIPLE if share * tolerance > 0 else 1,
-                    ),
-                    tolerance=share * tolerance,
-                    band_hz=rows.bank.band_hz,
-                    on_block=progress.of(source),
-                    expected_rows=source.expected_rows,
+                transform = partial(
+                    source.fft_samples,
+                    actuators=rows.bank.actuators,
+                    multiple=MULTIPLE if share * tolerance > 0 else 1,
                 )
+                made: SourceDrives | DeviceDrives
+                if device is None:
+                    made = SourceDrives(
+                        source.emission,
+                        rows,
+                        transform=transform,
+                        tolerance=share * tolerance,
+                        band_hz=rows.bank.band_hz,
+                        on_block=progress.of(source),
+                        expected_rows=source.expected_rows,
+                    )
+                else:
+                    made = DeviceDrives(
+                        source.emission,
+                        rows,
+                        fft_samples=transform(rows.bank.taps),
+                        device=device,
+                        band_hz=rows.bank.band_hz,
+                        on_block=progress.of(source),
+                    )
                 accumulated.append(made.add_to(drive_v, silent=not accumulated))
         norms = row_norms(drive_v)
         bound = relative_bound(math.fsum(item.error for item in accumulated), norms)

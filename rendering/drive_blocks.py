@@ -6,7 +6,9 @@ drive has not.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -19,21 +21,30 @@ from rendering.green_source import RowReader
 from rendering.omission import TRANSFORM, Economy
 from rendering.row_transforms import GROUP_BYTES, RowTransforms, transform_rows
 from rendering.threads import WORKERS
-from rendering.upsampling import FRAME, Upsampling, energies
+from rendering.upsampling import FRAME, Upsampling, energies, row_energies
 
 Float64Array = NDArray[np.float64]
 RealArray = NDArray[np.float32] | NDArray[np.float64]
 
-SPECTRA_BYTES = 64 * 2**20
+SPECTRA_BYTES = 128 * 2**20
 """The blocks' spectra are kept up to this size, else made anew for every part of the field."""
 BLOCKS_AT_ONCE = 64
 
 
 @dataclass(frozen=True, slots=True)
 class _Spectra:
-    """Spectra of some blocks: kept (bins, actuators, blocks), largest magnitudes (segments + 1, actuators, blocks)."""
+    """Spectra of some blocks.
 
-    kept: NDArray[Any]
+    Parameters
+    ----------
+    pairs : array, shape (bins, 2 actuators, 2 blocks)
+        Kept bins as real matrices [[Re, Im], [-Im, Re]]: what a product of complex matrices is, in real parts beside
+        imaginary ones, and a third faster than one.
+    largest : float64 array, shape (segments + 1, actuators, blocks)
+        Largest magnitudes.
+    """
+
+    pairs: NDArray[Any]
     largest: Float64Array
 
 
@@ -84,7 +95,7 @@ class DriveBlocks:
         self._overlap = self._upsampling.overlap if self._upsampling else -(-fft_samples // hop)
         self._blocks = -(-drive.shape[1] // hop)
         item = np.dtype(economy.complex).itemsize
-        kept_bytes = economy.kept * len(drive) * self._blocks * item
+        kept_bytes = 2 * economy.kept * len(drive) * self._blocks * item
         self._known: _Spectra | None = None
         if kept_bytes <= SPECTRA_BYTES:
             self._known = self._block_spectra(0, self._blocks, bounded=bounded)
@@ -112,7 +123,7 @@ class DriveBlocks:
 
     def convolve(
         self, rows: RowTransforms, scale: Float64Array, out: RealArray | None = None
-    ) -> tuple[RealArray, Float64Array]:
+    ) -> tuple[RealArray, Float64Array, Float64Array]:
         """Convolve rows with the drives and add up over the actuators.
 
         Parameters
@@ -129,6 +140,8 @@ class DriveBlocks:
         responses : array, shape (rows, samples)
         errors : float64 array, shape (rows,)
             Bounds on the norms of their errors; 0 where not asked for.
+        energies : float64 array, shape (rows,)
+            Their energies; 0 where no bounds are asked for.
         """
         economy, lower = self.economy, self._fft_samples // self._factor
         count = rows.kept.shape[1]
@@ -137,26 +150,47 @@ class DriveBlocks:
         total = found
         if self._upsampling:
             total = np.empty((count, self.padded_samples // self._factor + 2 * half), dtype=economy.real)
+        factors = scale.astype(economy.real)[:, None, None]
         squares = np.zeros(count)
         total[:, :half] = 0
         reached = half
         for first in range(0, self._blocks, BLOCKS_AT_ONCE):
             last = min(first + BLOCKS_AT_ONCE, self._blocks)
             spectra = self._block_spectra(first, last, bounded=self._bounded)
-            product = np.matmul(rows.kept, spectra.kept)
+            product = np.matmul(rows.kept.view(economy.real), spectra.pairs).view(economy.complex)
+            errors = np.zeros((count, last - first))
+            if self._bounded:
+                errors = self._left_out(rows.norms, spectra.largest) * scale[:, None]
             group = max(1, GROUP_BYTES // ((last - first) * lower * np.dtype(economy.real).itemsize))
+            padded = np.zeros((min(group, count), last - first, lower // 2 + 1), dtype=economy.complex)
             for begin in range(0, count, group):
-                end = min(begin + group, count)
-                parts = self._in_time(product[:, begin:end], scale[begin:end])
-                self._add(parts, total[begin:end], first, reached)
+                some = slice(begin, min(begin + group, count))
+                spaced = padded[: some.stop - begin]
+                kept = spaced[:, :, economy.low : economy.high]
+                np.multiply(product[:, some].transpose(1, 2, 0), factors[some], out=kept)
+                parts: NDArray[Any] = scipy_fft.irfft(spaced, lower, axis=2)
+                self._add(parts, total[some], first, reached)
                 if self._bounded:
-                    left_out = self._left_out(rows.norms[:, begin:end], spectra.largest) * scale[begin:end, None]
-                    squares[begin:end] += np.square(left_out + self._rounding(parts)).sum(axis=1)
+                    errors[some] += self._rounding(parts)
+            squares += np.square(errors).sum(axis=1)
             reached = half + (last - 1) * self._hop // self._factor + lower
         total[:, reached:] = 0
-        if self._upsampling:
-            self._upsampling.interpolate(total, found)
-        return found[:, : self.samples], np.sqrt(self._overlap * squares)
+        return found[:, : self.samples], np.sqrt(self._overlap * squares), self._finish(total, found)
+
+    def _finish(self, total: NDArray[Any], found: NDArray[Any]) -> Float64Array:
+        """Interpolate sums of blocks where need be; the responses' energies where bounds are asked for, (rows,)."""
+        energy = np.zeros(len(total))
+        if not (self._upsampling or self._bounded):
+            return energy
+        # A few rows at a time: they are still in cache when their energy is taken.
+        group = max(1, GROUP_BYTES // (self.padded_samples * np.dtype(self.economy.real).itemsize))
+        for begin in range(0, len(total), group):
+            some = slice(begin, begin + group)
+            if self._upsampling:
+                self._upsampling.interpolate(total[some], found[some])
+            if self._bounded:
+                energy[some] = row_energies(found[some, : self.samples])
+        return energy
 
     def _add(self, parts: NDArray[Any], total: NDArray[Any], first: int, reached: int) -> None:
         """Add blocks (rows, blocks, samples) up; what lies beyond `reached` is still to be written at all."""
@@ -169,16 +203,6 @@ class DriveBlocks:
             total[:, start : start + shared] += parts[:, place, :shared]
             total[:, start + shared : end] = parts[:, place, shared : end - start]
             reached = max(reached, end)
-
-    def _in_time(self, product: NDArray[Any], scale: Float64Array) -> NDArray[Any]:
-        """Transform back products (bins, rows, blocks) to (rows, blocks, samples of a block)."""
-        economy, lower = self.economy, self._fft_samples // self._factor
-        rows, blocks = product.shape[1:]
-        spectra = np.zeros((rows, blocks, lower // 2 + 1), dtype=economy.complex)
-        factors = scale.astype(economy.real)[:, None, None]
-        np.multiply(product.transpose(1, 2, 0), factors, out=spectra[:, :, economy.low : economy.high])
-        parts: NDArray[Any] = scipy_fft.irfft(spectra, lower, axis=2, overwrite_x=True)
-        return parts
 
     def _left_out(self, norms: Float64Array, largest: Float64Array) -> Float64Array:
         """Bounds on what is left out and on its rounding, (rows, blocks)."""
@@ -202,25 +226,25 @@ class DriveBlocks:
 
     def _block_spectra(self, first: int, last: int, *, bounded: bool) -> _Spectra:
         if self._known is not None:
-            return _Spectra(self._known.kept[:, :, first:last], self._known.largest[:, :, first:last])
+            return _Spectra(self._known.pairs[:, :, 2 * first : 2 * last], self._known.largest[:, :, first:last])
         economy, heard = self.economy, len(self._drive)
-        kept = np.empty((economy.kept, heard, last - first), dtype=economy.complex)
+        pairs = np.empty((economy.kept, heard, 2, last - first, 2), dtype=economy.real)
         largest = np.zeros((economy.segments + 1, heard, last - first))
-        at_once = max(1, GROUP_BYTES // (heard * self._fft_samples * 8))
-        padded = np.zeros((at_once, heard, self._fft_samples))
-        for begin in range(first, last, at_once):
-            end = min(begin + at_once, last)
-            for block in range(begin, end):
-                samples = cut_block(self._drive, block, self._hop, self._fade)
-                padded[block - begin, :, : samples.shape[1]] = samples
-                padded[block - begin, :, samples.shape[1] :] = 0
+
+        def transform(block: int) -> None:
+            samples = cut_block(self._drive, block, self._hop, self._fade)
             # In double precision: what a block's spectrum errs by would meet the largest of a row's values.
-            whole = scipy_fft.rfft(padded[: end - begin], axis=2, workers=WORKERS)
-            whole = whole.astype(economy.complex, copy=False)
-            kept[:, :, begin - first : end - first] = whole[:, :, economy.low : economy.high].transpose(2, 1, 0)
+            whole = scipy_fft.rfft(samples, self._fft_samples, axis=1).astype(economy.complex, copy=False)
+            kept, place = whole[:, economy.low : economy.high].T, block - first
+            pairs[:, :, 0, place, 0] = pairs[:, :, 1, place, 1] = kept.real
+            pairs[:, :, 0, place, 1] = kept.imag
+            pairs[:, :, 1, place, 0] = -kept.imag
             if bounded:
-                largest[:, :, begin - first : end - first] = economy.largest(economy.squared(whole)).transpose(2, 1, 0)
-        return _Spectra(kept, largest)
+                largest[:, :, place] = economy.largest(economy.squared(whole)).T
+
+        with ThreadPoolExecutor(WORKERS) as pool:
+            deque(pool.map(transform, range(first, last)), maxlen=0)
+        return _Spectra(pairs.reshape(economy.kept, 2 * heard, 2 * (last - first)), largest)
 
 
 def cut_block(drive: Float64Array, block: int, hop: int, fade: int) -> Float64Array:

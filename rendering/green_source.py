@@ -149,8 +149,8 @@ class ScaledRow:
 
     @property
     def silent(self) -> bool:
-        # A look at one value spares most rows the search through all of them.
-        return not self.values[0, 0] and not self.values.any()
+        # A look at the exponent spares most rows the search through all values.
+        return not self.exponent and not self.values.any()
 
     def rounded(self) -> ScaledRow:
         """The row in float32, without a denormal number."""
@@ -209,8 +209,8 @@ def scale_row(raw: NDArray[Any], position: int, *, single: bool = False) -> Scal
     InputError
         The row holds NaN or infinity.
     """
-    if single and raw.dtype == np.float32:
-        row = _scaled_single(raw)
+    if raw.dtype == np.float32:
+        row = _scaled_plainly(raw, single=single)
         if row is not None:
             return row
     values, shift = _without_denormals(raw)
@@ -232,7 +232,7 @@ def scale_row(raw: NDArray[Any], position: int, *, single: bool = False) -> Scal
     return ScaledRow(values, exponent + shift)
 
 
-def _scaled_single(raw: NDArray[np.float32]) -> ScaledRow | None:
+def _scaled_plainly(raw: NDArray[np.float32], *, single: bool) -> ScaledRow | None:
     """Scale as it is what can be scaled without meeting a number that is denormal or not finite."""
     peak = max(float(raw.max()), -float(raw.min()))
     if not 0.0 < peak < np.inf:
@@ -242,9 +242,14 @@ def _scaled_single(raw: NDArray[np.float32]) -> ScaledRow | None:
     # flocks, where a response has died away, and a few that are missed cost next to nothing.
     magnitude = raw[:, ::LOOKED_AT].view(np.uint32) << np.uint32(1)
     magnitude -= np.uint32(1)
-    if int(magnitude.min()) < ((max(exponent, 0) + 1) << 24) - 1:
+    least_exponent = max(exponent, 0) if single else 0
+    if int(magnitude.min()) < ((least_exponent + 1) << 24) - 1:
         return None
-    return ScaledRow(raw * np.ldexp(np.float32(1.0), -exponent), exponent)
+    if single:
+        return ScaledRow(raw * np.ldexp(np.float32(1.0), -exponent), exponent)
+    values = raw.astype(np.float64)
+    values *= np.ldexp(1.0, -exponent)
+    return ScaledRow(values, exponent)
 
 
 def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:

@@ -16,18 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
-from rendering.accumulate import SourceDrives
+from rendering.accumulate import Accumulated, SourceDrives
 from rendering.between_positions import scene_interpolation
+from rendering.coil_limits import DriveLimits
 from rendering.drive import chosen_method
 from rendering.green_source import GreenSource
 from rendering.omission import tolerance_of
 from rendering.overlap_add import scale
 from rendering.regularisation import BankRows
-from rendering.sampling import Method, sample_source
+from rendering.running_levels import RunningLevels
+from rendering.sampling import Method, SampledSource, sample_source
 from rendering.scene import Scene
 from rendering.upsampling import MULTIPLE
 
 Float64Array = NDArray[np.float64]
+
+SUMMED = 1e-9
+"""So far beyond a limit, relatively, an rms may come by rounding."""
 
 
 @dataclass(slots=True)
@@ -48,8 +53,7 @@ class LiveDrive:
     Parameters
     ----------
     scene : Scene
-        What is to be felt. A limit on the drive cannot be met by scaling, as its largest value is not known yet:
-        drives that exceed it are refused when they come.
+        What is to be felt.
     bank : GreenSource
         Measured Green's functions.
     block_samples : int
@@ -59,7 +63,10 @@ class LiveDrive:
     tolerance_db : float, optional
         As for `render`; what is proved is known at the end.
     gain : float
-        Factor by which all is multiplied, such as the scale that an earlier render of the scene was limited by.
+        Factor by which all is multiplied, such as the scale that a first pass found (`rendering.streamed_drive`).
+    limits : DriveLimits, optional
+        What no actuator may exceed; by default the scene's. They cannot be met by scaling here, as the largest value
+        is not known yet: drives that exceed them are refused when they come.
 
     Raises
     ------
@@ -69,6 +76,13 @@ class LiveDrive:
 
     samples: int
     """Samples of the whole drive."""
+    gain: float
+    """May be changed before `blocks` is called again."""
+    limits: DriveLimits
+    """Likewise."""
+    sources: list[SampledSource]
+    rows: BankRows
+    method: Method
     start_s: float
     """Time of the first one."""
     sample_rate_hz: float
@@ -85,14 +99,15 @@ class LiveDrive:
         method: Method | None = None,
         tolerance_db: float | None = None,
         gain: float = 1.0,
+        limits: DriveLimits | None = None,
     ) -> None:
         if block_samples < 1:
             raise InputError(f"block_samples is {block_samples}; it must be 1 or more")
         if not np.isfinite(gain):
             raise InputError(f"gain is {gain}; it must be a finite number")
         self._block_samples = block_samples
-        self._gain = gain
-        self._limit_v = scene.output.limit_v
+        self.gain = gain
+        self.limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v) if limits is None else limits
         tolerance = tolerance_of(tolerance_db)
         kind = scene_interpolation(scene, bank)
         chosen = chosen_method(scene, method)
@@ -100,23 +115,29 @@ class LiveDrive:
             sample_source(source, index, kind, sample_rate_hz=bank.sample_rate_hz, taps=bank.taps, method=chosen)
             for index, source in enumerate(scene.sources)
         ]
-        self._rows = BankRows(kind.rows_of(bank), scene.regularisation)
+        self.sources, self.method = sources, chosen
+        self.rows = BankRows(kind.rows_of(bank), scene.regularisation)
         self._makers = [
             SourceDrives(
                 source.emission,
-                self._rows,
+                self.rows,
                 transform=partial(source.fft_samples, actuators=bank.actuators, multiple=MULTIPLE if tolerance else 1),
                 tolerance=tolerance,
+                band_hz=self.rows.bank.band_hz,
                 live=True,
                 expected_rows=source.expected_rows,
             )
             for source in sources
         ]
-        self._naming = [source.naming for source in sources]
         self.samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
         self.sample_rate_hz, self.actuators = float(bank.sample_rate_hz), bank.actuators
         self.start_s = -(bank.taps - 1) / float(bank.sample_rate_hz)
         self.latency_samples = 2 * max(maker.block_samples for maker in self._makers)
+
+    @property
+    def accumulated(self) -> list[Accumulated]:
+        """What each source cost and left out, when `blocks` came to its end."""
+        return [maker.facts for maker in self._makers]
 
     def blocks(self) -> Iterator[Float64Array]:
         """Give the drives, (actuators, block_samples) at a time, the last block shorter.
@@ -124,29 +145,34 @@ class LiveDrive:
         Raises
         ------
         InputError
-            A row on the path cannot be used, or a drive exceeds the scene's limit or does not fit into float64.
+            A row on the path cannot be used, or a drive exceeds a limit or does not fit into float64.
         """
-        actuators = self._rows.bank.actuators
+        levels = RunningLevels(self.actuators, self.samples, self.sample_rate_hz, self.limits)
         with ExitStack() as stack:
             sources = []
             for maker in self._makers:
                 pieces = stack.enter_context(closing(maker.pieces()))
-                sources.append(_Source(pieces, np.zeros((actuators, 0))))
+                sources.append(_Source(pieces, np.zeros((self.actuators, 0))))
             for first in range(0, self.samples, self._block_samples):
                 count = min(self._block_samples, self.samples - first)
-                block = np.zeros((actuators, count))
+                block = np.zeros((self.actuators, count))
                 for index, source in enumerate(sources):
                     self._fill(index, source, first, count)
                     block += source.ready[:, :count]
                     source.ready = source.ready[:, count:].copy()
-                block = np.ldexp(block, self._rows.drive_exponent) * self._gain
-                self._judge(block, first)
+                block = np.ldexp(block, self.rows.drive_exponent) * self.gain
+                self._judge(block, first, levels)
                 yield block
+            for index, source in enumerate(sources):
+                # What is made beyond the last sample is nothing, but only its end tells what all of it cost.
+                self.rows.needed_by = self.sources[index].naming
+                while next(source.pieces, None) is not None:
+                    pass
 
     def _fill(self, index: int, source: _Source, first: int, count: int) -> None:
         """Make a source's drives until the next `count` samples from `first` are there."""
         while source.ready.shape[1] < count:
-            self._rows.needed_by = self._naming[index]
+            self.rows.needed_by = self.sources[index].naming
             piece = None if source.done else next(source.pieces, None)
             if piece is None:
                 source.done = True
@@ -160,14 +186,18 @@ class LiveDrive:
                 volts = np.pad(volts, ((0, 0), (begin - have, 0)))
             source.ready = np.concatenate([source.ready, volts[:, max(have - begin, 0) :]], axis=1)
 
-    def _judge(self, block: Float64Array, first: int) -> None:
-        peak_v = float(max(block.max(initial=0.0), -block.min(initial=0.0)))
-        if not np.isfinite(peak_v):
+    def _judge(self, block: Float64Array, first: int, levels: RunningLevels) -> None:
+        if not np.isfinite(block).all():
             raise InputError(
                 f"the drive from sample {first} on does not fit into float64; lower the amplitude or check the bank"
             )
-        if self._limit_v is not None and peak_v > self._limit_v:
-            raise InputError(
-                f"the drive reaches {peak_v:.3g} V from sample {first} on, more than limit_v ({self._limit_v:g});"
-                f" lower the gain ({self._gain:g})"
-            )
+        if self.limits.peak_v is None and self.limits.rms_v is None:
+            return
+        levels.add(block)
+        for one in levels.reached():
+            most_v = float(one.each_v.max())
+            if most_v > one.limit_v * (1.0 + (SUMMED if one.summed else 0.0)):
+                raise InputError(
+                    f"the drive reaches {most_v:.3g} V{' rms' if one.summed else ''} from sample {first} on, more than"
+                    f" {one.key} ({one.limit_v:g}); lower the gain ({self.gain:g})"
+                )

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -136,16 +135,12 @@ class Economy:
         """
         parts = np.square(np.ascontiguousarray(spectra).view(self.real))
         square = np.empty((*spectra.shape[:-1], self.segments + 1))
-        square[..., :-1] = parts @ self._members()
+        square[..., :-1] = np.add.reduceat(parts, 2 * self.starts, axis=-1)
         square[..., -1] = square[..., :-1].sum(axis=-1)
         norms: Float64Array = np.sqrt(square)
         if self.single:
             norms = norms * SQUARES_SLACK + np.sqrt(self.bins) * SQUARES_LOST
         return norms
-
-    def _members(self) -> NDArray[Any]:
-        """1 where a part of a bin belongs to a segment, (2 bins, segments)."""
-        return _members(self.bins, tuple(self.starts.tolist()), single=self.single)
 
     def rounding(self, fft_samples: int, windows: Int64Array | Float64Array) -> Float64Array:
         """Bound on what rounding does to blocks of so many windows, relative to sum_J max |U_J| |G_J|_2."""
@@ -176,14 +171,6 @@ class Economy:
             rounding += UNDERFLOW * windows * np.sqrt(MOST_ACTUATORS * fft_samples)
         errors: Float64Array = row_norms(coherent[:, :-1][:, left_out]) + rounding
         return errors
-
-
-@lru_cache(maxsize=16)
-def _members(bins: int, starts: tuple[int, ...], *, single: bool) -> NDArray[Any]:
-    segment = np.searchsorted(np.array(starts), np.arange(bins), side="right") - 1
-    members = np.zeros((2 * bins, len(starts)), dtype=np.float32 if single else np.float64)
-    members[np.arange(2 * bins), np.repeat(segment, 2)] = 1.0
-    return members
 
 
 class ErrorBudget:

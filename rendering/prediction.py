@@ -13,7 +13,7 @@ from scipy import fft as scipy_fft
 
 from calibration.drive_file import Drive
 from calibration.errors import InputError
-from calibration.field_file import Field
+from calibration.field_file import Field, LowPass
 from rendering.convolution import Convolution, Response
 from rendering.decimation import Decimation
 from rendering.green_source import GreenSource, RowReader
@@ -86,6 +86,8 @@ class Prediction:
     """Samples of a response."""
     passed_hz: float
     """Frequencies up to this are in the field as they are, to one part in ten thousand."""
+    low_pass: LowPass | None
+    """What the field loses to a rate below the bank's; None where its rate is the bank's."""
 
     def __init__(
         self,
@@ -119,6 +121,7 @@ class Prediction:
         self.sample_rate_hz = float(drive.sample_rate_hz)
         self.passed_hz = self.sample_rate_hz / 2.0
         self.samples = int(drive.drive_v.shape[1]) + self._bank.taps - 1
+        self.low_pass = None
         self._skipped = 0
         drive_v = drive.drive_v
         if decimation is not None:
@@ -128,6 +131,8 @@ class Prediction:
             self._skipped = 2 * decimation.half
             self.sample_rate_hz /= decimation.factor
             self.passed_hz = decimation.passed_hz
+            if decimation.factor > 1:
+                self.low_pass = LowPass(decimation.passed_hz, decimation.factor)
             self.samples = -(-self.samples // decimation.factor)
         self._convolution = Convolution(drive_v, reader, np.dtype(dtype), self.position_index, self._tolerance, spectra)
         self._errors = 0.0
@@ -158,12 +163,15 @@ class Prediction:
             sample_rate_hz=self.sample_rate_hz,
             start_s=self.start_s,
             response_unit=self._bank.response_unit.removesuffix("/V"),
+            low_pass=self.low_pass,
         )
 
     def parts(self) -> list[range]:
         """Which rows of the field are computed together; the last bits of a row depend on its part."""
         count = len(self.position_index)
-        at_once = min(self._convolution.rows_at_once, max(LEAST_ROWS, -(-count // WORKERS)))
+        # As many parts for each worker.
+        turns = -(-count // (WORKERS * self._convolution.rows_at_once))
+        at_once = max(1, min(self._convolution.rows_at_once, max(LEAST_ROWS, -(-count // (WORKERS * turns)))))
         return [range(first, min(first + at_once, count)) for first in range(0, count, at_once)]
 
     def respond(self, positions: Int64Array) -> RealArray:

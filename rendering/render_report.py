@@ -232,7 +232,8 @@ def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> li
     if share <= SPREAD_SHARE:
         return []
     samples = int(scipy_fft.next_fast_len(len(source.signal), real=True))
-    power = np.square(np.abs(scipy_fft.rfft(source.signal, samples)))
+    spectrum = scipy_fft.rfft(source.signal, samples)
+    power = np.square(spectrum.real) + np.square(spectrum.imag)
     frequency = scipy_fft.rfftfreq(samples, 1.0 / bank.sample_rate_hz)
     outside = (frequency < bank.band_hz[0]) | (frequency > bank.band_hz[1])
     own = float(power[outside].sum() / power.sum()) if power.any() else 0.0

@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 from acquisition.sentinel import DriftLimits
 from rendering import metrics, report_figures
+from rendering.number_words import number, precise
 from rendering.regularisation import focus_gain_map
 from rendering.report_canvas import Picture
 from rendering.report_drift import DriftPoint, drift_over_time
 from rendering.report_surface import Surface
-from rendering.report_words import figures, number, precise, remarks, summary
+from rendering.report_waves import wave_figures, waves_of, waves_picture
+from rendering.report_words import figures, remarks, summary
 from rendering.verification import Check, Verification
+from rendering.verification_names import REPORT_NAME
 
 if TYPE_CHECKING:
     from calibration.drive_file import Drive
@@ -28,7 +31,6 @@ if TYPE_CHECKING:
 
 MOST_SNAPSHOTS = 6
 PATH_POINTS = 400
-REPORT_NAME = "report.html"
 
 
 def build_report(
@@ -82,6 +84,8 @@ def build_report(
     pictures, captions = _pictures(surface, verification, drive, bank, gain)
     if drift:
         pictures["drift"] = drift_over_time(drift, drift_limits or DriftLimits())
+    waves = waves_of(scene, bank, verification.fields, surface.spacing_mm)
+    pictures["waves"] = waves_picture(waves, verification.fields.band_hz)
     environment = Environment(
         loader=PackageLoader("rendering"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
@@ -93,7 +97,10 @@ def build_report(
         remarks=remarks(verification, drive, scan),
         pictures={name: _embedded(one) for name, one in pictures.items()},
         instants=len(verification.fields.instant),
-        figures=figures(verification, metrics.range_db(gain)),
+        figures=[
+            *figures(verification, metrics.range_db(gain)),
+            *wave_figures(waves, scene, verification.fields.band_hz),
+        ],
         facts=_facts(scene, drive, prediction, scan, verification, campaign),
         **captions,
     )

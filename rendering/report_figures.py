@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality import STATUS_WORDS, Status
+from acquisition.point_status import STATUS_WORDS, Status
 from rendering.focus_figures import FOCUS_RADIUS_MM
 from rendering.metrics import normalised_error
 from rendering.report_canvas import FAINT, INK, Canvas, Picture, drawn_in_style

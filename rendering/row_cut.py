@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,8 @@ class RowCut:
 
 def choose_cut(
     samples: Sequence[Sample],
-    rows: Sequence[Sequence[RealArray]],
+    rows: Sequence[Sequence[int]],
+    read: Callable[[int], RealArray],
     fft_samples: int,
     overlap: int,
     tolerance: float,
@@ -87,8 +89,10 @@ def choose_cut(
     ----------
     samples : sequence of Sample
         Each of another block.
-    rows : sequence of sequences of arrays, shape (actuators, taps)
+    rows : sequence of sequences of int
         The row of each of a sample's windows.
+    read : callable
+        Gives a row, (actuators, taps); asked once for each.
     fft_samples : int
         Transform length.
     overlap : int
@@ -102,21 +106,21 @@ def choose_cut(
     spent : float
         Estimate of what it takes of the tolerance.
     """
-    actuators, taps = rows[0][0].shape if rows and len(rows[0]) else (0, 0)
+    greens = {row: read(row) for row in dict.fromkeys(chain.from_iterable(rows))}
+    actuators, taps = next(iter(greens.values())).shape if greens else (0, 0)
     energy = sampled_energy(samples)
     whole = RowCut.nothing(taps, actuators)
     if not (energy > 0 and np.isfinite(energy)):
         return whole, 0.0
     # Of what may be left out, the share of each block: actuator by actuator, and tap by tap from the end.
     ends = (FRACTIONS * taps).astype(int) if taps >= LEAST_TAPS else np.zeros(0, dtype=int)
+    norms = {row: _norms(green, ends) for row, green in greens.items()}
     by_actuator, by_tap = np.zeros((len(samples), actuators)), np.zeros((len(samples), len(ends)))
-    for place, (sample, greens) in enumerate(zip(samples, rows, strict=True)):
-        for window, green in zip(sample.windows, greens, strict=True):
-            # No more than an estimate is needed, and what is small is last.
-            energy_in = np.add.reduceat(np.square(green), np.append(0, ends), axis=1).astype(np.float64)
+    for place, (sample, some) in enumerate(zip(samples, rows, strict=True)):
+        for window, row in zip(sample.windows, some, strict=True):
             largest = sample.repeats * float(window.max())
-            by_actuator[place] += largest * np.sqrt(energy_in.sum(axis=1))
-            by_tap[place] += largest * np.sqrt(np.cumsum(energy_in.sum(axis=0)[::-1])[::-1][1:])
+            by_actuator[place] += largest * norms[row][0]
+            by_tap[place] += largest * norms[row][1]
     scale = np.sqrt(overlap * fft_samples / 2.0 / energy)
     joint = scale * np.linalg.norm(by_actuator, axis=0)
     order = np.argsort(joint)
@@ -131,3 +135,10 @@ def choose_cut(
         float(late[enough[0]]) if len(enough) else 0.0
     )
     return RowCut(kept_taps, kept.astype(np.int64), actuators, whole=False), spent
+
+
+def _norms(green: RealArray, ends: Int64Array) -> tuple[Float64Array, Float64Array]:
+    """Norms of each actuator, and of all of them from each of some taps on."""
+    # No more than an estimate is needed, and what is small is last.
+    energy = np.add.reduceat(np.square(green), np.append(0, ends), axis=1).astype(np.float64)
+    return np.sqrt(energy.sum(axis=1)), np.sqrt(np.cumsum(energy.sum(axis=0)[::-1])[::-1][1:])

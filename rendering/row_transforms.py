@@ -40,6 +40,7 @@ class RowTransforms:
     Parameters
     ----------
     kept : complex array, shape (kept bins, rows, actuators)
+        Actuators side by side.
     norms : float64 array, shape (segments + 1, rows, actuators)
         Norms over the segments of the economy; zeros where no error is bounded.
     exponents : int64 array, shape (rows,)
@@ -54,7 +55,8 @@ class RowTransforms:
         """Of some actuators only."""
         if len(actuators) == self.kept.shape[2]:
             return self
-        return RowTransforms(self.kept[:, :, actuators], self.norms[:, :, actuators], self.exponents)
+        kept, norms = self.kept.take(actuators, axis=2), self.norms.take(actuators, axis=2)
+        return RowTransforms(kept, norms, self.exponents)
 
 
 def transform_rows(
@@ -170,10 +172,10 @@ class BankSpectra:
                 " positions that are asked for"
             )
         first, last = int(place[0]), int(place[-1]) + 1
-        where: slice | Int64Array = place
+        made = self._made
         if last - first == len(place) and (np.diff(place) == 1).all():
-            where = slice(first, last)
-        return RowTransforms(self._made.kept[:, where], self._made.norms[:, where], self._made.exponents[where])
+            return RowTransforms(made.kept[:, first:last], made.norms[:, first:last], made.exponents[first:last])
+        return RowTransforms(made.kept.take(place, axis=1), made.norms.take(place, axis=1), made.exponents[place])
 
     def _choose(self, rows: Int64Array) -> Economy:
         """Bins that matter for drives that are made from the bank, by a look at some rows."""

@@ -119,7 +119,7 @@ def sample_source(
     signal = source.amplitude * source.signal.samples(sample_rate_hz)
     if not len(signal):
         raise InputError(f"the signal of source {index} is empty; it must have at least one sample")
-    points = _point_count(source, index)
+    points = point_count(source, index)
     moving = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)
     number = np.arange(points + 1)
     arc_length: Float64Array = number[:-1] * np.float64(source.step_mm) if points > 1 else np.zeros(1)
@@ -163,7 +163,21 @@ def sample_source(
     )
 
 
-def _point_count(source: Source, index: int) -> int:
+def point_count(source: Source, index: int) -> int:
+    """M, the number of path points of a source, 1 where it stands still.
+
+    Parameters
+    ----------
+    source : Source
+        The source.
+    index : int
+        Its place in the scene, for messages.
+
+    Raises
+    ------
+    InputError
+        The source does not move although its path does, or it has too many path points.
+    """
     length = source.path.length_mm
     if isinstance(source.path, Point) or length == 0:
         return 1

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.events import State, Subscriber
+from acquisition.point_status import Status
 from acquisition.pointing import point_at
-from acquisition.quality import Status
 from acquisition.record import take_record
 from acquisition.recovery import Recovery
 from acquisition.setup import Setup

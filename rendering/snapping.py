@@ -19,6 +19,8 @@ KNOT_SAMPLES = 16
 TIES = 8
 TIE_SLACK = 1e-5
 """Share of the pitch within which another position may be as near."""
+FURTHEST_MM = 1e100
+"""Points are searched for from here at most: the squares of greater distances are beyond all numbers."""
 
 
 class PositionGrid:
@@ -82,7 +84,7 @@ class PositionGrid:
     def _follow(self, points_mm: Float64Array) -> Int64Array:
         # A point keeps its knot's row for certain while it has moved less than half the knot's lead over
         # the second nearest position.
-        knots = points_mm[::KNOT_SAMPLES]
+        knots = np.clip(points_mm[::KNOT_SAMPLES], -FURTHEST_MM, FURTHEST_MM)
         distance, index = self._search_tree(knots, 2)
         lead = np.repeat(distance[:, 1] - distance[:, 0], KNOT_SAMPLES)[: len(points_mm)]
         rows = np.repeat(self._row[index[:, 0]], KNOT_SAMPLES)[: len(points_mm)]
@@ -93,6 +95,7 @@ class PositionGrid:
         return rows
 
     def _search(self, points_mm: Float64Array) -> Int64Array:
+        points_mm = np.clip(points_mm, -FURTHEST_MM, FURTHEST_MM)
         neighbours = min(TIES, len(self._unique))
         candidates = self._row[self._search_tree(points_mm, neighbours)[1]]
         offset = self.position_mm[candidates] - points_mm[:, None, :]

@@ -86,7 +86,27 @@ class _Found:
     transform: Float64Array
 
 
+def svg_path_ids(file: Path) -> tuple[str, ...]:
+    """The `id` of each `path` element of an SVG file, in order; empty where it has none.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no XML, or declares a document type or an entity.
+    """
+    return tuple(one.path_id for one in _paths_of(file))
+
+
 def _find_path(file: Path, path_id: str) -> _Found:
+    paths = _paths_of(file)
+    found = next((one for one in paths if not path_id or one.path_id == path_id), None)
+    if found is None:
+        names = ", ".join(repr(one.path_id) for one in paths[:10] if one.path_id) or "none with an id"
+        raise InputError(f"{file} has no path {path_id!r}; its paths are: {names}")
+    return found
+
+
+def _paths_of(file: Path) -> list[_Found]:
     try:
         content = Path(file).read_bytes()
     except OSError as error:
@@ -94,7 +114,6 @@ def _find_path(file: Path, path_id: str) -> _Found:
     if len(content) > MOST_BYTES:
         raise InputError(f"{file} has {len(content)} bytes; at most {MOST_BYTES} are read")
     found: list[_Found] = []
-    known: list[str] = []
     transforms: list[Float64Array] = [np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])]
 
     def refuse(*_: object) -> NoReturn:
@@ -106,10 +125,7 @@ def _find_path(file: Path, path_id: str) -> _Found:
         joined = outer[:, :2] @ own
         joined[:, 2] += outer[:, 2]
         transforms.append(joined)
-        if name.rpartition(":")[2] != "path":
-            return
-        known.append(attributes.get("id", ""))
-        if not found and (not path_id or attributes.get("id") == path_id):
+        if name.rpartition(":")[2] == "path":
             found.append(_Found(attributes.get("id", ""), attributes.get("d", ""), joined))
 
     parser = expat.ParserCreate()
@@ -121,10 +137,7 @@ def _find_path(file: Path, path_id: str) -> _Found:
         parser.Parse(content, True)
     except expat.ExpatError as error:
         raise InputError(f"{file} is not well-formed XML: {error}") from error
-    if not found:
-        names = ", ".join(repr(name) for name in known[:10] if name) or "none with an id"
-        raise InputError(f"{file} has no path {path_id!r}; its paths are: {names}")
-    return found[0]
+    return found
 
 
 def _transform(text: str, file: Path) -> Float64Array:

@@ -30,7 +30,7 @@ LEAST_ROOM = 0.12
 STOPBAND_DB = 110.0
 FRAMES_BYTES = 2**19
 """Frames of so many bytes are interpolated together, within the cache of one core."""
-FRAME = 32
+FRAME = 16
 """Samples at the lower rate that one row of the matrix product makes."""
 
 
@@ -89,7 +89,9 @@ class Upsampling:
         """
         spill = np.zeros(len(samples))
         for ends, matrix in ((samples[:, :, : self.half], self._before), (samples[:, :, -self.half :], self._after)):
-            spill += energies(np.matmul(ends, matrix))
+            # All in one product: there may be very many of them, and each is small.
+            spilled = np.ascontiguousarray(ends).reshape(-1, self.half) @ matrix
+            spill += energies(spilled.reshape(*samples.shape[:2], -1))
         errors: Float64Array = self._relative * norms + np.sqrt(2.0 * spill)
         return errors
 
@@ -126,9 +128,14 @@ class Upsampling:
 
 def energies(samples: NDArray[Any]) -> Float64Array:
     """Energy of each block (blocks, actuators, samples), no smaller than rounding."""
-    actuators = np.einsum("bin,bin->bi", samples, samples).astype(np.float64)
-    energy: Float64Array = actuators.sum(axis=1) * (1.0 + samples.shape[2] * np.finfo(samples.dtype).eps)
+    energy: Float64Array = row_energies(samples).sum(axis=1) * (1.0 + samples.shape[2] * np.finfo(samples.dtype).eps)
     return energy
+
+
+def row_energies(samples: NDArray[Any]) -> Float64Array:
+    """Energy along the last axis, summed up in the samples' own precision."""
+    squares = np.matmul(samples[..., None, :], samples[..., :, None])[..., 0, 0]
+    return np.asarray(squares, dtype=np.float64)
 
 
 @lru_cache(maxsize=16)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import soundfile
 from numpy.typing import NDArray
 
-from calibration.errors import InputError
-from drivers.audio.band_limited import converted, lead_samples, rate_ratio
+from rendering.wav_stream import CHUNK_SAMPLES, stream_wav
 
 
 def write_wav(
@@ -43,18 +41,12 @@ def write_wav(
     InputError
         The drive is beyond full scale, or the rates have no ratio of small whole numbers.
     """
-    try:
-        ratio = rate_ratio(sample_rate_hz, interface_rate_hz)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; choose a capture rate that goes evenly into the interface's") from error
-    lead = lead_samples(ratio)
-    reached_v = converted(drive_v, ratio)
-    played_v = reached_v[:, lead : reached_v.shape[1] - lead]
-    peak_v = float(np.max(np.abs(played_v), initial=0.0))
-    if peak_v > full_scale_v:
-        raise InputError(
-            f"{path}: the drive reaches {peak_v:.3g} V, beyond the interface's full scale of {full_scale_v:g} V; "
-            "set output.limit_v in the scene"
-        )
-    samples = (played_v / full_scale_v).astype(np.float32).T
-    soundfile.write(path, samples, interface_rate_hz, subtype="FLOAT", format="WAV")
+    pieces = (drive_v[:, begin : begin + CHUNK_SAMPLES] for begin in range(0, drive_v.shape[1], CHUNK_SAMPLES))
+    stream_wav(
+        path,
+        pieces,
+        (drive_v.shape[0], drive_v.shape[1]),
+        sample_rate_hz,
+        interface_rate_hz=interface_rate_hz,
+        full_scale_v=full_scale_v,
+    )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,7 @@ import soundfile
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
-from drivers.audio.band_limited import HALF_LENGTH, converted, lead_samples, rate_ratio
-from rendering.live import LiveDrive
+from rendering.interface_rate import InterfaceRate
 
 Float64Array = NDArray[np.float64]
 
@@ -20,16 +18,30 @@ CHUNK_SAMPLES = 2**15
 
 
 def stream_wav(
-    path: Path, live: LiveDrive, *, interface_rate_hz: int, full_scale_v: float, chunk_samples: int = CHUNK_SAMPLES
+    path: Path,
+    blocks: Iterable[Float64Array],
+    shape: tuple[int, int],
+    sample_rate_hz: float,
+    *,
+    interface_rate_hz: int,
+    full_scale_v: float,
+    chunk_samples: int = CHUNK_SAMPLES,
 ) -> float:
-    """Write the drives as `rendering.wav.write_wav` does, as they come.
+    """Write drives as float32 WAV as they come, one channel per actuator, 1.0 being full scale.
+
+    The rates are converted by an exact rational ratio with a linear-phase low-pass, so that
+    sample 0 of the file is sample 0 of the drive.
 
     Parameters
     ----------
     path : Path
         The file to write; it is removed again if the drives cannot be written to their end.
-    live : LiveDrive
-        The drives.
+    blocks : iterable of float64 array, shape (actuators, any number of samples)
+        The drives in volts, one block after the other.
+    shape : tuple of int
+        Actuators and samples of the whole drive.
+    sample_rate_hz : float
+        Rate of the drives.
     interface_rate_hz : int
         Rate of the audio interface.
     full_scale_v : float
@@ -40,55 +52,33 @@ def stream_wav(
     Returns
     -------
     float
-        Largest drive in volts.
+        Largest magnitude at the interface's rate, in volts.
 
     Raises
     ------
     InputError
-        A drive is beyond full scale or the scene's limit, or the rates have no ratio of small whole numbers.
+        A drive is beyond full scale or cannot be rendered, or the rates have no ratio of small whole numbers.
     """
-    rate_hz = live.sample_rate_hz
     try:
-        ratio = rate_ratio(rate_hz, interface_rate_hz)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; choose a capture rate that goes evenly into the interface's") from error
-    up, down = ratio.numerator, ratio.denominator
-    # Whole blocks of the conversion, so that its weights fall on the same samples as in one piece.
-    around = down * math.ceil(HALF_LENGTH * max(1.0, 1 / float(ratio)) / down) if ratio != 1 else 0
-    skipped, largest_v, written = lead_samples(ratio) + around * up // down, 0.0, 0
-    whole = math.ceil(live.samples * ratio)
+        rate = InterfaceRate(sample_rate_hz, interface_rate_hz)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    actuators, samples = shape
+    largest_v = 0.0
     try:
         with soundfile.SoundFile(
-            path, "w", samplerate=interface_rate_hz, channels=live.actuators, subtype="FLOAT", format="WAV"
+            path, "w", samplerate=interface_rate_hz, channels=actuators, subtype="FLOAT", format="WAV"
         ) as file:
-            for chunk in _chunks(live, around, down * max(1, chunk_samples // down)):
-                count = min((chunk.shape[1] - 2 * around) * up // down, whole - written)
-                played_v = converted(chunk, ratio)[:, skipped : skipped + count]
+            for played_v in rate.pieces(blocks, actuators, samples, chunk_samples):
                 peak_v = float(max(played_v.max(initial=0.0), -played_v.min(initial=0.0)))
                 if peak_v > full_scale_v:
                     raise InputError(
                         f"{path}: the drive reaches {peak_v:.3g} V, beyond the interface's full scale of"
-                        f" {full_scale_v:g} V; lower the gain or set output.limit_v in the scene and render it first"
+                        f" {full_scale_v:g} V; set output.limit_v in the scene, or name the rig with --rig"
                     )
                 file.write((played_v / full_scale_v).astype(np.float32).T)
-                largest_v, written = max(largest_v, peak_v), written + count
+                largest_v = max(largest_v, peak_v)
     except BaseException:
         path.unlink(missing_ok=True)
         raise
     return largest_v
-
-
-def _chunks(live: LiveDrive, around: int, length: int) -> Iterator[Float64Array]:
-    """The drives in chunks of `length` samples with `around` more on either side, silence beyond the ends."""
-    waiting = np.zeros((live.actuators, around))
-    for block in live.blocks():
-        waiting = np.concatenate([waiting, block], axis=1)
-        while waiting.shape[1] >= length + 2 * around:
-            yield waiting[:, : length + 2 * around]
-            waiting = waiting[:, length:]
-    rest = max(waiting.shape[1] - around, 0)
-    if rest:
-        chunks = -(-rest // length)
-        padded = np.pad(waiting, ((0, 0), (0, chunks * length + 2 * around - waiting.shape[1])))
-        for chunk in range(chunks):
-            yield padded[:, chunk * length : (chunk + 1) * length + 2 * around]

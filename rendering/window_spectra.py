@@ -90,10 +90,7 @@ def rounding_of(windows: Windows, chosen: Int64Array) -> Float64Array:
 
 
 def _long(windows: Windows, chosen: Int64Array, fft_samples: int, economy: Economy, band: slice) -> WindowSpectra:
-    whole = windows.spectra(int(chosen[0]), int(chosen[-1]) + 1, fft_samples)
-    if len(whole) > len(chosen):
-        whole = whole[chosen - chosen[0]]
-    whole = whole.astype(economy.complex, copy=False)
+    whole = windows.spectra(chosen, fft_samples).astype(economy.complex, copy=False)
     squared = economy.squared(whole)
     return WindowSpectra(
         whole[:, economy.low : economy.high],
@@ -124,8 +121,7 @@ def _joined(
     kept = np.empty((len(start), economy.kept), dtype=np.complex64)
     largest, errors = np.empty((len(start), economy.segments + 1)), np.empty(len(start))
     parts = [(short, found)]
-    for one in np.flatnonzero(~short).tolist():
-        parts.append((np.arange(len(start)) == one, _long(windows, number[one : one + 1], fft_samples, economy, band)))
+    parts.append((~short, _long(windows, number[~short], fft_samples, economy, band)))
     for where, part in parts:
         kept[where], largest[where], errors[where] = part.kept, part.largest, part.errors
     return WindowSpectra(

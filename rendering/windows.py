@@ -216,16 +216,18 @@ class Windows:
             dense = np.bincount(target, weights=values, minlength=len(chosen) * length).astype(real, copy=False)
         return dense.reshape(len(chosen), length)
 
-    def spectra(self, first: int, last: int, fft_samples: int) -> Complex128Array:
-        """Spectra of windows first to last - 1, (last - first, bins), time 0 being their block's start."""
+    def spectra(self, chosen: Int64Array, fft_samples: int) -> Complex128Array:
+        """Spectra of some windows in ascending order, (len(chosen), bins), time 0 being their block's start."""
         if self._piece_spectra is None:
-            return self._transformed(np.arange(first, last), fft_samples)
+            return self._transformed(chosen, fft_samples)
         bounds = np.append(self._parts, len(self._piece))
-        begin, end = int(bounds[first]), int(bounds[last])
-        spectra = self._transformed(np.arange(begin, end), fft_samples)
-        spectra *= self._piece_spectra(fft_samples)[self._piece[begin:end]]
-        if end - begin > last - first:
-            spectra = np.add.reduceat(spectra, bounds[first:last] - begin, axis=0)
+        count = bounds[chosen + 1] - bounds[chosen]
+        first = np.cumsum(count) - count
+        parts = np.arange(int(count.sum())) + np.repeat(bounds[chosen] - first, count)
+        spectra = self._transformed(parts, fft_samples)
+        spectra *= self._piece_spectra(fft_samples)[self._piece[parts]]
+        if len(parts) > len(chosen):
+            spectra = np.add.reduceat(spectra, first, axis=0)
         return spectra
 
     def _transformed(self, chosen: Int64Array, fft_samples: int) -> Complex128Array:

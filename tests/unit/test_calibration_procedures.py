@@ -10,7 +10,8 @@ import pytest
 from acquisition.calibration_procedures.actuators import ActuatorsTask, listening_places, measure_actuators
 from acquisition.calibration_procedures.fiducials import read_fiducials
 from acquisition.calibration_procedures.inputs import measure_inputs
-from acquisition.calibration_procedures.mirror import default_marks_mm, fitted_marks
+from acquisition.calibration_procedures.marks import default_marks_mm
+from acquisition.calibration_procedures.mirror import fitted_marks
 from acquisition.calibration_procedures.operator import Here, Jog, JogView
 from acquisition.calibration_procedures.outputs import OutputFigures, OutputsTask, measure_outputs
 from acquisition.calibration_procedures.probe import NotMeasuredError, Probe

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from calibration.drive_file import Drive
 from calibration.errors import InputError
+from calibration.field_file import LowPass
 from rendering.field import measured_positions, predict, predict_rows
 from rendering.green_source import GreenArray
 from rendering.prediction import Prediction
@@ -224,6 +225,8 @@ def test_a_field_at_a_lower_rate_is_the_field_without_what_lies_above(kept):
         prediction = Prediction(drive, bank, range(4), rate_hz=250.0)
     found = prediction.field()
     assert (found.sample_rate_hz, found.start_s) == (250.0, drive.start_s)
+    assert found.low_pass == LowPass(100.0, 4)
+    assert Prediction(drive, bank, range(4), rate_hz=bank.sample_rate_hz).field().low_pass is None
     assert relative_error(found.field, convolved(bank, drive, range(4))[:, ::4]) < 1e-3
     assert prediction.lost_share() < 1e-4
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calibration.errors import InputError
-from calibration.field_file import Field, FieldWriter, read_field, write_field
+from calibration.field_file import Field, FieldWriter, LowPass, read_field, write_field
+from calibration.field_rows import FieldRowReader
 
 
 def field(positions: int = 3, samples: int = 5, seed: int = 0) -> Field:
@@ -50,6 +52,43 @@ def test_a_float64_field_written_as_float64_then_keeps_every_digit(tmp_path: Pat
     values = np.random.default_rng(3).normal(size=(2, 4))
     write_field(tmp_path / "field.h5", Field(values, np.arange(2), 1e4, 0.0, "m/s"), dtype=np.float64)
     assert np.array_equal(read_field(tmp_path / "field.h5").field, values)
+
+
+def test_a_field_at_a_lower_rate_then_tells_what_it_lost(tmp_path: Path) -> None:
+    path, plain = tmp_path / "low.h5", tmp_path / "plain.h5"
+    write_field(path, dataclasses.replace(field(), low_pass=LowPass(500.0, 8)))
+    write_field(plain, field())
+    with h5py.File(path) as low, h5py.File(plain) as other:
+        assert low.attrs["band_hz"].tolist() == [0.0, 500.0]
+        assert low.attrs["decimated_by"] == 8
+        assert not {"band_hz", "decimated_by"} & set(other.attrs)
+    assert read_field(path).low_pass == LowPass(500.0, 8)
+    assert read_field(plain).low_pass is None
+    with FieldRowReader(path) as low_rows, FieldRowReader(plain) as rows:
+        assert (low_rows.low_pass, rows.low_pass) == (LowPass(500.0, 8), None)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("decimated_by", 1, "decimated_by is 1; 2 or more"),
+        ("decimated_by", 2.5, "decimated_by is 2.5; a whole number"),
+        ("band_hz", [0.0, -1.0], "band_hz ends at -1"),
+        ("band_hz", [0.0, np.nan], "band_hz"),
+        ("band_hz", [3.0], "band_hz"),
+    ],
+)
+def test_a_field_at_a_lower_rate_with_a_wrong_attribute_then_is_refused(
+    tmp_path: Path, name: str, value: object, message: str
+) -> None:
+    path = tmp_path / "low.h5"
+    write_field(path, dataclasses.replace(field(), low_pass=LowPass(500.0, 8)))
+    with h5py.File(path, "r+") as file:
+        file.attrs[name] = value
+    for read in (read_field, FieldRowReader):
+        with pytest.raises(InputError, match=message) as refusal:
+            read(path)
+        assert str(path) in str(refusal.value)
 
 
 def rows_of(path: Path) -> FieldWriter:

@@ -30,6 +30,15 @@ def test_the_nearest_row_is_found_along_any_path(seed, positions, step):
     np.testing.assert_allclose(distance_mm, np.hypot(*(points_mm - position_mm[rows]).T))
 
 
+@pytest.mark.parametrize("points", [1, 200])
+def test_a_point_whose_distance_squared_is_beyond_all_numbers_has_a_nearest_row_far_away(points):
+    far_mm = np.full((points, 2), 1e300)
+    for position_mm in (LATTICE, np.random.default_rng(0).uniform(-20, 20, (30, 2))):
+        rows, distance_mm = PositionGrid(position_mm).nearest(far_mm)
+        assert ((rows >= 0) & (rows < len(position_mm))).all()
+        np.testing.assert_allclose(distance_mm, 2**0.5 * 1e300)
+
+
 @given(seed=st.integers(0, 2**31))
 @settings(max_examples=20, deadline=None)
 def test_on_a_tie_the_lower_index_is_nearest(seed):

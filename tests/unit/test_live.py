@@ -70,6 +70,8 @@ def test_a_drive_beyond_the_limit_is_refused_and_a_gain_keeps_it_below():
     whole, report = render_with_report(scene, make_bank())
     with pytest.raises(InputError, match="more than limit_v"):
         list(LiveDrive(scene, make_bank()).blocks())
+    with pytest.raises(InputError, match=r"V rms from sample .* more than limit_rms_v"):
+        list(LiveDrive(Scene("s", (MOVING,), output=Output(limit_rms_v=1e-3)), make_bank()).blocks())
     blocks = np.concatenate(list(LiveDrive(scene, make_bank(), gain=report.scale).blocks()), axis=1)
     np.testing.assert_allclose(blocks, whole.drive_v, rtol=1e-12, atol=1e-18)
 
@@ -88,7 +90,11 @@ def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz, block_samp
     scale_v = 1.5 * float(np.abs(whole.drive_v).max())
     write_wav(tmp_path / "a.wav", whole.drive_v, RATE_HZ, interface_rate_hz=interface_rate_hz, full_scale_v=scale_v)
     live = LiveDrive(scene, make_bank(), block_samples=block_samples)
-    stream_wav(tmp_path / "b.wav", live, interface_rate_hz=interface_rate_hz, full_scale_v=scale_v, chunk_samples=128)
+    shape = (live.actuators, live.samples)
+    stream_wav(
+        tmp_path / "b.wav", live.blocks(), shape, RATE_HZ, interface_rate_hz=interface_rate_hz, full_scale_v=scale_v,
+        chunk_samples=128,
+    )  # fmt: skip
     expected, rate_hz = soundfile.read(tmp_path / "a.wav")
     found, _ = soundfile.read(tmp_path / "b.wav")
     assert rate_hz == interface_rate_hz
@@ -96,8 +102,8 @@ def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz, block_samp
 
 
 def test_a_streamed_wav_beyond_full_scale_is_refused_and_leaves_no_file(tmp_path):
+    live = LiveDrive(Scene("s", (MOVING,)), make_bank())
+    shape = (live.actuators, live.samples)
     with pytest.raises(InputError, match="beyond the interface's full scale"):
-        stream_wav(
-            tmp_path / "b.wav", LiveDrive(Scene("s", (MOVING,)), make_bank()), interface_rate_hz=1000, full_scale_v=1e-9
-        )
+        stream_wav(tmp_path / "b.wav", live.blocks(), shape, RATE_HZ, interface_rate_hz=1000, full_scale_v=1e-9)
     assert not list(tmp_path.iterdir())

@@ -12,7 +12,7 @@ import pytest
 from acquisition.setup import Setup
 from calibration.drive_file import Drive
 from calibration.errors import InputError
-from calibration.field_file import Field
+from calibration.field_file import Field, LowPass
 from calibration.mirror_map import MirrorMap
 from calibration.timing import ReferenceMissingError
 from drivers.errors import InstrumentLostError
@@ -244,6 +244,12 @@ def test_given_positions_in_another_order_then_the_outcome_is_the_same():
     first = compare(prediction(), as_scan(noisy), impulse_drive(), bank())
     second = compare(shuffled, as_scan(noisy), impulse_drive(), bank())
     assert second.as_dict() == first.as_dict()
+
+
+def test_given_a_prediction_at_a_lower_rate_then_it_is_refused_by_what_it_lacks():
+    low = dataclasses.replace(prediction(), low_pass=LowPass(100.0, 4))
+    with pytest.raises(InputError, match="4 times lower than the bank's, low-passed above 100 Hz"):
+        compare(low, as_scan(prediction().field), impulse_drive(), bank())
 
 
 def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():

@@ -1,0 +1,169 @@
+"""Spectra of bank rows, side by side in pages of memory, and their products with windows.
+
+A row lies bin by bin, so that it is read from one end to the other while it is multiplied; and from one row to the
+next it is as far everywhere, so that one call multiplies a run of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.omission import Economy
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+MOST_GAP = 2
+"""Rows are multiplied where they lie, so few unused ones between them included: one product more would cost as much."""
+LEAST_RUN = 3
+"""Rows that lie in shorter runs than this, on average, are gathered before they are multiplied."""
+
+
+class RowPage:
+    """Room for the spectra of some rows.
+
+    Parameters
+    ----------
+    places : int
+        How many rows.
+    actuators : int
+        Rows of a row.
+    economy : Economy
+        Which bins there are, and what is told of the others.
+    """
+
+    def __init__(self, places: int, actuators: int, economy: Economy) -> None:
+        segments = 0 if economy.exact else economy.segments + 1
+        self.spectra: NDArray[Any] = np.empty((places, economy.kept, actuators), dtype=economy.complex)
+        """Bins computed, (places, kept bins, actuators)."""
+        self.norms: Float64Array = np.empty((places, actuators, segments))
+        """`Economy.norms`, (places, actuators, segments + 1); no segment where nothing is left out."""
+        self.joint_norms: Float64Array = np.empty((places, segments))
+        """The same over all actuators."""
+        self.cut_off: Float64Array = np.zeros(places)
+        """Norm of what of each row is not used, in time."""
+        self.taken = 0
+        """Places that rows have."""
+
+    @property
+    def free(self) -> int:
+        """Places that no row has."""
+        return len(self.spectra) - self.taken
+
+
+class RowsView:
+    """Spectra of some rows.
+
+    Parameters
+    ----------
+    pages : sequence of RowPage
+        Where they lie, among others.
+    page : int64 array, shape (rows,)
+        In which of these pages each of them lies.
+    place : int64 array, shape (rows,)
+        Where in that page.
+    """
+
+    def __init__(self, pages: Sequence[RowPage], page: Int64Array, place: Int64Array) -> None:
+        self._pages = pages
+        self._page = page
+        self._place = place
+
+    def norms(self) -> Float64Array:
+        """Norms of the rows over all actuators, (rows, segments + 1), a copy."""
+        norms = np.empty((len(self._place), self._pages[0].joint_norms.shape[1]))
+        for page, rows, place in self._by_page(np.arange(len(self._place))):
+            norms[rows] = page.joint_norms[place]
+        return norms
+
+    def cut_off(self) -> Float64Array:
+        """Norms of what of each row is not used, in time, (rows,)."""
+        cut_off = np.empty(len(self._place))
+        for page, rows, place in self._by_page(np.arange(len(self._place))):
+            cut_off[rows] = page.cut_off[place]
+        return cut_off
+
+    def weighted_norms(self, chosen: Int64Array, weights: Float64Array) -> Float64Array:
+        """Norms of some rows over the actuators, each times a weight, (len(chosen), segments + 1)."""
+        norms = np.empty((len(chosen), self._pages[0].joint_norms.shape[1]))
+        for page, rows, place in self._by_page(chosen):
+            norms[rows] = np.sqrt(np.square(page.norms[place] * weights[:, None]).sum(axis=1))
+        return norms
+
+    def magnitudes(self) -> Float64Array:
+        """Norms of the rows over the actuators, bin by bin, (rows, kept bins)."""
+        magnitudes = np.empty((len(self._place), self._pages[0].spectra.shape[1]))
+        for page, rows, place in self._by_page(np.arange(len(self._place))):
+            for row, spectra in zip(rows.tolist(), page.spectra[place], strict=True):
+                parts = spectra.view(spectra.real.dtype)
+                magnitudes[row] = np.sqrt(np.einsum("bi,bi->b", parts, parts))
+        return magnitudes
+
+    def sums(self, windows: NDArray[Any], groups: Int64Array) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Sum over the rows of each group of their spectra times those of windows.
+
+        Parameters
+        ----------
+        windows : complex array, shape (rows, kept bins)
+            One window for each row.
+        groups : int64 array, shape (rows,)
+            Which group each of them belongs to; none holds a row twice.
+
+        Returns
+        -------
+        iterator of tuples
+            A group, and its sum (kept bins, actuators); groups in ascending order.
+        """
+        order = np.lexsort((self._place, self._page, groups))
+        group, page, place = groups[order], self._page[order], self._place[order]
+        elsewhere = (np.diff(group, prepend=-1, append=-1) != 0) | (np.diff(page, prepend=-1, append=-1) != 0)
+        apart = elsewhere | (np.diff(place, prepend=0, append=0) > MOST_GAP + 1)
+        turned = np.ascontiguousarray(windows[order].T)
+        runs = np.flatnonzero(apart)
+        ends = np.flatnonzero(elsewhere)
+        # How many runs end before each end.
+        before = np.searchsorted(runs, ends).tolist()
+        parts: list[NDArray[Any]] = []
+        for number, (begin, end) in enumerate(pairwise(ends.tolist())):
+            spectra = self._pages[int(page[begin])].spectra
+            some = runs[before[number] : before[number + 1] + 1].tolist()
+            if (len(some) - 1) * LEAST_RUN > end - begin > LEAST_RUN:
+                parts.append(_product(turned[:, begin:end], spectra[place[begin:end]]))
+            else:
+                parts += [_run(turned[:, first:last], place[first:last], spectra) for first, last in pairwise(some)]
+            if end == len(group) or group[end] != group[begin]:
+                for part in parts[1:]:
+                    parts[0] += part
+                yield int(group[begin]), parts[0]
+                parts = []
+
+    def _by_page(self, chosen: Int64Array) -> Iterator[tuple[RowPage, Int64Array, Int64Array]]:
+        """Each page, which of the rows chosen lie in it, and where: in the order in which they lie."""
+        page, place = self._page[chosen], self._place[chosen]
+        order = np.lexsort((place, page))
+        number = page[order]
+        bounds = np.flatnonzero(np.diff(number, prepend=-1, append=-1)).tolist() if len(order) else []
+        for begin, end in pairwise(bounds):
+            rows = order[begin:end]
+            yield self._pages[int(number[begin])], rows, place[rows]
+
+
+def _run(windows: NDArray[Any], place: Int64Array, spectra: NDArray[Any]) -> NDArray[Any]:
+    """Sum over rows at ascending places, few of which between them are not used."""
+    low, high = int(place[0]), int(place[-1]) + 1
+    if high - low > len(place):
+        spread: NDArray[Any] = np.zeros((len(windows), high - low), dtype=windows.dtype)
+        spread[:, place - low] = windows
+        windows = spread
+    return _product(windows, spectra[low:high])
+
+
+def _product(windows: NDArray[Any], spectra: NDArray[Any]) -> NDArray[Any]:
+    """Sum over rows (bins, rows) times (rows, bins, actuators), (bins, actuators)."""
+    product: NDArray[Any] = np.matmul(windows[:, None], spectra.transpose(1, 0, 2))
+    return product[:, 0]

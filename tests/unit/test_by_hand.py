@@ -1,0 +1,187 @@
+"""A rig operated by hand: levels, single sweeps, and a gate that silences whoever is waiting."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition.by_hand.gate import GatedPlayer, ShutError
+from acquisition.by_hand.level import LevelMeter
+from acquisition.by_hand.single_sweep import SingleSweeps, SweepOrder
+from acquisition.pointing import point_at
+from acquisition.setup import Setup
+from calibration.errors import InputError
+from calibration.mirror_map import MirrorMap
+from drivers.protocols import Float64Array, Instruments
+from mocks.virtual_rig import VirtualRig, VirtualSettings
+
+RATE_HZ = 10_000.0
+ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))
+SWEEP = SweepOrder(actuator=0, amplitude_v=1.0, start_hz=40.0, stop_hz=400.0, duration_s=0.3)
+
+
+def bench(**changes: object) -> Setup:
+    rig = VirtualRig(replace(VirtualSettings(actuator_mm=ACTUATORS, dropout_probability=0.0), **changes))
+    settings = rig.settings
+    setup = Setup(
+        rig.instruments,
+        MirrorMap.straight(1000.0),
+        settings.channel_of_actuator,
+        settings.channel_of_loopback,
+        (10.0, 10.0),
+        settings.sensitivity_m_s_per_v,
+        inter_channel_delay_s=settings.inter_channel_delay_s,
+    )
+    point_at(setup, 20.0, 10.0)
+    return setup
+
+
+def test_given_silence_then_the_level_is_the_noise_of_each_input() -> None:
+    level = LevelMeter(bench(noise_v=2e-3, reference_noise_v=1e-3), RATE_HZ).hear()
+    assert level.response.rms_v == pytest.approx(2e-3, rel=0.15)
+    assert level.reference.rms_v == pytest.approx(1e-3, rel=0.15)
+    assert level.response.range_v == 10.0
+    assert not level.response.over_range
+
+
+def test_given_an_actuator_that_sounds_then_its_level_is_heard_on_both_inputs() -> None:
+    meter = LevelMeter(bench(), RATE_HZ)
+    quiet = meter.hear()
+    meter.sound(0, 0.5)
+    loud = meter.hear()
+    assert loud.reference.peak_v == pytest.approx(0.5, rel=0.01)
+    assert loud.response.rms_v > 10 * quiet.response.rms_v
+    meter.sound(None)
+    assert meter.hear().response.rms_v < loud.response.rms_v / 10
+
+
+def test_given_an_input_too_small_for_what_plays_then_the_level_says_over_range() -> None:
+    setup = replace(bench(), range_v=(0.2, 10.0))
+    meter = LevelMeter(setup, RATE_HZ)
+    meter.sound(0, 0.5)
+    assert meter.hear().reference.over_range
+
+
+def test_given_a_sound_rig_then_a_sweep_stands_above_the_silence_in_its_band_and_nothing_is_wrong() -> None:
+    result = SingleSweeps(bench(), RATE_HZ).take(SWEEP)
+    assert result.trouble == ""
+    assert result.figures is not None
+    assert result.figures.defects == ()
+    assert result.figures.snr_db > 30
+    assert 0 <= result.figures.latency_s <= 0.1
+    inside = (result.frequency_hz > 60) & (result.frequency_hz < 380)
+    outside = result.frequency_hz > 700
+    assert np.min(result.response_db[inside] - result.noise_db[inside]) > 15
+    assert abs(np.median(result.response_db[outside] - result.noise_db[outside])) < 3
+    assert len(result.response_v) == len(result.reference_v)
+
+
+def test_given_a_dead_actuator_then_the_sweep_names_it_by_its_number() -> None:
+    setup = bench(actuator_strength=(1.0, 1.0, 0.0))
+    figures = SingleSweeps(setup, RATE_HZ).take(replace(SWEEP, actuator=2)).figures
+    assert figures is not None
+    assert figures.snr_db < 6
+    assert figures.defects
+    assert not any("actuator 0" in sentence for _, sentence in figures.defects)
+
+
+def test_given_a_response_that_is_cut_off_then_the_sweep_says_so() -> None:
+    setup = replace(bench(), range_v=(10.0, 5e-3))
+    figures = SingleSweeps(setup, RATE_HZ).take(SWEEP).figures
+    assert figures is not None
+    assert "over-range" in [name for name, _ in figures.defects]
+
+
+def test_given_a_loopback_that_is_not_plugged_in_then_the_sweep_tells_that_in_place_of_figures() -> None:
+    setup = bench()
+    result = SingleSweeps(replace(setup, loopback_channel=setup.actuator_channels[1]), RATE_HZ).take(SWEEP)
+    assert result.figures is None
+    assert "loopback is not heard" in result.trouble
+
+
+def test_given_a_band_that_no_sweep_has_then_it_is_refused() -> None:
+    with pytest.raises(InputError, match="start_hz"):
+        SingleSweeps(bench(), RATE_HZ).take(replace(SWEEP, start_hz=500.0))
+
+
+class SlowPlayer:
+    """Converts its signal for as long as somebody lets it, as real ones do."""
+
+    channels, full_scale_v = 2, 5.0
+
+    def __init__(self) -> None:
+        self.converting, self.go_on = threading.Event(), threading.Event()
+        self.sounding = False
+
+    def identify(self) -> str:
+        return "slow player"
+
+    def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
+        self.converting.set()
+        assert self.go_on.wait(30)
+        self.sounding = True
+
+    def wait(self, timeout_s: float) -> None:
+        pass
+
+    def mute(self) -> None:
+        self.sounding = False
+
+    def reconnect(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds() -> None:
+    player = SlowPlayer()
+    gate = GatedPlayer(player)
+    refused: list[ShutError] = []
+
+    def play() -> None:
+        try:
+            gate.play({0: np.zeros(4)}, RATE_HZ)
+        except ShutError as shut:
+            refused.append(shut)
+
+    owner = threading.Thread(target=play)
+    owner.start()
+    assert player.converting.wait(30)
+    gate.shut()
+    player.go_on.set()
+    owner.join(30)
+    assert refused
+    assert not player.sounding
+
+
+def test_given_a_gate_shut_twice_then_it_takes_two_to_open_it() -> None:
+    player = SlowPlayer()
+    player.go_on.set()
+    gate = GatedPlayer(player)
+    gate.shut()
+    gate.shut()
+    gate.open()
+    with pytest.raises(ShutError, match="muted meanwhile"):
+        gate.play({0: np.zeros(4)}, RATE_HZ)
+    gate.open()
+    gate.play({0: np.zeros(4)}, RATE_HZ)
+    assert player.sounding
+
+
+def test_given_a_gate_that_is_shut_then_a_record_fails_silently_muted_and_leaves_the_rig_usable() -> None:
+    setup = bench()
+    gate = GatedPlayer(setup.instruments.player)
+    roles = setup.instruments
+    gated = replace(setup, instruments=Instruments(roles.mirror, roles.recorder, gate, roles.clock))
+    meter = LevelMeter(gated, RATE_HZ)
+    meter.sound(0, 0.5)
+    gate.shut()
+    with pytest.raises(ShutError):
+        meter.hear()
+    gate.open()
+    assert meter.hear().reference.peak_v == pytest.approx(0.5, rel=0.01)

@@ -1,0 +1,198 @@
+"""The record of a verification: what was found can be read again, and what was spoilt is a sentence."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.errors import InputError
+from calibration.field_file import Field, write_field
+from rendering.drive import render_with_report
+from rendering.field import predict
+from rendering.field_pair import CancelledError, read_pair
+from rendering.green_source import GreenArray
+from rendering.paths import Line
+from rendering.scene import Output, Regularisation, Scene, Source
+from rendering.signals import Impulse
+from rendering.verification import Verification, compare
+from rendering.verification_reading import RecordedSource, read_record
+from rendering.verification_record import write_record
+
+RATE_HZ = 4_000.0
+TAPS = 200
+AXIS_MM = np.arange(-24.0, 24.1, 4.0)
+GRID_MM = np.stack(np.meshgrid(AXIS_MM, AXIS_MM), axis=-1).reshape(-1, 2)
+ACTUATOR_MM = np.array([(-40.0, 0.0), (40.0, 10.0), (np.nan, np.nan), (5.0, -40.0)])
+NOT_SCANNED = 3
+
+
+@cache
+def bank() -> GreenArray:
+    distance_m = np.hypot(*(GRID_MM[:, None] - np.nan_to_num(ACTUATOR_MM)).transpose(2, 0, 1)) / 1e3
+    late_s = np.arange(TAPS) / RATE_HZ - distance_m[..., None] / 4.8 - 0.006
+    pulse = np.sin(2.0 * np.pi * 250.0 * late_s) * np.exp(-((late_s / 0.002) ** 2))
+    return GreenArray(pulse, GRID_MM, RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=(50.0, 500.0))
+
+
+@cache
+def scene() -> Scene:
+    source = Source(Line((-12.0, 0.0), (12.0, 0.0)), Impulse(), speed_mm_s=200.0, step_mm=4.0, emission="per_point")
+    return Scene("line", (source,), Regularisation(), Output())
+
+
+@cache
+def fields() -> tuple[Field, Field, Verification]:
+    """A prediction, a scan that is five percent louder, noisy, and lacks a position, and their comparison."""
+    drive, _ = render_with_report(scene(), bank())
+    prediction = predict(drive, bank())
+    noise = np.random.default_rng(5).normal(size=prediction.field.shape)
+    louder = 1.05 * prediction.field + 0.01 * np.abs(prediction.field).max() * noise
+    there = prediction.position_index != NOT_SCANNED
+    scan = dataclasses.replace(
+        prediction, field=louder[there].astype(np.float32), position_index=prediction.position_index[there]
+    )
+    return prediction, scan, compare(prediction, scan, drive, bank())
+
+
+@pytest.fixture
+def record_file(tmp_path: Path) -> Path:
+    prediction, scan, verification = fields()
+    write_field(tmp_path / "prediction.h5", prediction)
+    write_field(tmp_path / "scan.h5", scan)
+    return write_record(
+        tmp_path,
+        verification=verification,
+        scene=scene(),
+        prediction=prediction,
+        bank=bank(),
+        names={"scene_file": "line.toml", "bank": "plate.h5", "rig": "virtual"},
+    )
+
+
+def test_given_a_record_then_it_says_what_the_comparison_found(record_file: Path) -> None:
+    verification = fields()[2]
+    record = read_record(record_file)
+    json.loads(record_file.read_text(encoding="utf-8"), parse_constant=pytest.fail)  # no NaN, no infinity
+    assert record.passed == verification.passed
+    by_name = {figure.name: figure for figure in record.figures}
+    for check in verification.checks:
+        figure = by_name[check.name]
+        assert (figure.value, figure.limit, figure.passed) == (check.value, check.limit, check.passed)
+    assert by_name["normalised error"].difference == pytest.approx(100 * verification.fields.error)
+    assert by_name["level"].value == pytest.approx(verification.fields.level_db)
+    path_point = by_name["focus to path point"]
+    assert path_point.predicted is not None
+    assert path_point.scanned is not None
+    assert path_point.difference == pytest.approx(path_point.scanned - path_point.predicted)
+    assert list(record.position_index) == list(range(len(GRID_MM)))
+    np.testing.assert_array_equal(record.position_mm, GRID_MM)
+    compared = verification.fields.position_index
+    np.testing.assert_allclose(record.position_error[compared], verification.fields.position_error)
+    assert np.flatnonzero(np.isnan(record.position_error)).tolist() == [NOT_SCANNED]
+    assert np.isnan(record.actuator_mm[2]).all()
+    assert len(record.focus_s) == len(verification.fields.instant)
+    assert (record.scene, record.scene_file, record.rig) == ("line", "line.toml", "virtual")
+
+
+def test_given_a_moving_source_then_it_is_where_its_speed_takes_it(record_file: Path) -> None:
+    source = read_record(record_file).sources[0]
+    assert source.at_mm(-0.01) is None
+    np.testing.assert_allclose(source.at_mm(0.06), (0.0, 0.0), atol=1e-3)
+    np.testing.assert_allclose(source.at_mm(9.0), (12.0, 0.0))
+    rest = RecordedSource(0.5, 0.5, np.array([[3.0, 4.0]]))
+    assert rest.at_mm(0.4) is None
+    np.testing.assert_array_equal(rest.at_mm(0.5), (3.0, 4.0))
+
+
+def _without(*keys: str) -> Callable[[dict], object]:
+    def spoil(content: dict) -> object:
+        for key in keys[:-1]:
+            content = content[key]
+        del content[keys[-1]]
+        return None
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda content: content.update(format="other"), "is not the record of a verification"),
+        (lambda content: content.update(format_version=2), "a newer wavefocus wrote it"),
+        (lambda content: content.update(made="yesterday"), "yesterday"),
+        (lambda content: content.update(figures=3), "damaged"),
+        (lambda content: content["figures"][0].update(value="much"), "'much' is no number"),
+        (lambda content: content["positions"].update(error=[1.0]), "positions.error"),
+        (lambda content: content["positions"].update(index=[]), "positions.index"),
+        (lambda content: content["positions"].update(at_mm=[[0.0, 0.0]]), "positions.at_mm"),
+        (lambda content: content["sources"][0].update(path_mm=[["a", "b"]]), "damaged"),
+        (_without("positions", "correlation"), "correlation is missing"),
+        (_without("passed"), "passed is missing"),
+    ],
+)
+def test_given_a_spoilt_record_then_one_sentence_says_what(
+    record_file: Path, spoil: Callable[[dict], object], words: str
+) -> None:
+    content = json.loads(record_file.read_text(encoding="utf-8"))
+    spoil(content)
+    record_file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(InputError, match="verify") as told:
+        read_record(record_file)
+    assert words in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "[]", "\x00"])
+def test_given_no_json_then_one_sentence(record_file: Path, text: str) -> None:
+    record_file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="verify"):
+        read_record(record_file)
+
+
+def test_given_both_fields_then_the_pair_gives_them_within_the_band(record_file: Path) -> None:
+    prediction, _, verification = fields()
+    folder = record_file.parent
+    told: list[tuple[int, int]] = []
+    compared = verification.fields
+    pair = read_pair(folder / "prediction.h5", folder / "scan.h5", compared.band_hz, lambda *at: told.append(at))
+    assert told[-1] == (2 * len(GRID_MM) - 1, 2 * len(GRID_MM) - 1)
+    for number, instant in enumerate(compared.instant):
+        predicted, scanned = pair.at_sample(pair.sample_at(instant.sample / RATE_HZ))
+        np.testing.assert_allclose(predicted[compared.position_index], compared.predicted_snapshot[number], atol=1e-5)
+        np.testing.assert_allclose(scanned[compared.position_index], compared.scanned_snapshot[number], atol=1e-5)
+    assert np.isnan(scanned[NOT_SCANNED])
+    at = int(compared.position_index[40])
+    figures = pair.figures(at)
+    assert figures.error == pytest.approx(compared.position_error[40], rel=1e-4)
+    assert figures.correlation == pytest.approx(compared.position_correlation[40], rel=1e-6)
+    assert np.isnan(pair.figures(NOT_SCANNED).error)
+    known = np.isfinite(read_record(record_file).position_error)
+    loudest, difference = pair.loudest(np.arange(pair.samples), known)
+    assert 0.0 < difference < loudest <= np.abs([pair.at_position(row) for row in np.flatnonzero(known)]).max()
+    assert pair.loudest(np.arange(pair.samples), np.zeros(len(GRID_MM), bool)) == (0.0, 0.0)
+    unlimited = read_pair(folder / "prediction.h5", folder / "scan.h5", None)
+    np.testing.assert_array_equal(unlimited.at_position(at)[0], prediction.field[at].astype(np.float32))
+
+
+def test_given_fields_of_two_verifications_then_they_are_refused(record_file: Path) -> None:
+    _, scan, _ = fields()
+    folder = record_file.parent
+    write_field(folder / "late.h5", dataclasses.replace(scan, start_s=scan.start_s + 1.0))
+    with pytest.raises(InputError, match="start_s"):
+        read_pair(folder / "prediction.h5", folder / "late.h5", None)
+    elsewhere = np.arange(len(scan.position_index)) + 500
+    write_field(folder / "other.h5", dataclasses.replace(scan, position_index=elsewhere))
+    with pytest.raises(InputError, match="position 500"):
+        read_pair(folder / "prediction.h5", folder / "other.h5", None)
+
+
+def test_given_a_reading_that_nobody_wants_any_more_then_it_ends(record_file: Path) -> None:
+    folder = record_file.parent
+    with pytest.raises(CancelledError):
+        read_pair(folder / "prediction.h5", folder / "scan.h5", None, wanted=lambda: False)
