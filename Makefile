@@ -17,7 +17,7 @@ X_PACKAGES := xvfb libdbus-1-3 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxc
 TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 gcc libc6-dev \
 	$(WINDOW_PACKAGES) $(X_PACKAGES)
 
-.PHONY: help demo test coverage test-long lint bench soak screenshots window-figures clean
+.PHONY: help demo test coverage test-long lint bench bench-pages stiff-cases soak screenshots window-figures clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 
@@ -52,9 +52,21 @@ lint: ## Check style, types and import directions
 	$(PY) -m mypy
 	.venv/bin/lint-imports
 
-bench: ## Error against run time, ours beside peers; writes bench-out/
+bench: ## Measure error against run time, the paper's figures, stiff cases; writes bench-out/ and their pages in docs/
 	@tools/set-up.sh bench
-	$(PY) -m wavefocus bench all --out bench-out $(ARGS)
+	@tools/set-up.sh test
+	OMP_NUM_THREADS=1 $(PY) -m wavefocus bench all --out bench-out $(ARGS)
+	OMP_NUM_THREADS=1 $(PY) -m wavefocus bench paper --out bench-out $(ARGS)
+	@# Figures of a quick run are no figures: they stand nowhere.
+	$(if $(findstring quick,$(ARGS)),@echo "a quick run: no page is written",$(PY) tools/benchmark_pages.py bench-out)
+	$(if $(findstring quick,$(ARGS)),,$(PY) tools/stiff_cases.py)
+
+bench-pages: ## Write the benchmarks' pages in docs/ anew from bench-out/
+	$(PY) tools/benchmark_pages.py bench-out
+
+stiff-cases: ## Run the stiff and extreme cases and write their page in docs/
+	@tools/set-up.sh test
+	$(PY) tools/stiff_cases.py
 
 soak: ## Kill, cut the power, fill disks and flip bytes by the thousand; half an hour on 2 idle cores; writes soak-out/
 	@tools/system-packages.sh gcc libc6-dev
@@ -65,6 +77,7 @@ screenshots: ## Take pictures of the window, light, dark and scaled; writes docs
 	@tools/system-packages.sh $(WINDOW_PACKAGES)
 	@tools/set-up.sh
 	$(PY) tools/screenshots.py docs/pictures $(ARGS)
+	$(PY) tools/rig_pictures.py docs/pictures
 
 window-figures: ## Measure how soon the window is up and what it costs
 	@tools/system-packages.sh $(WINDOW_PACKAGES)

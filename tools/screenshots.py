@@ -11,7 +11,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gui.window import Window
 
 RUN = """
 rig = "rig.toml"
@@ -41,6 +46,23 @@ FAULTS = (
     'role = "recorder"\noperation = "read"\nkind = "unplugged"\nposition = 90\ntries = 2',
     'role = "player"\noperation = "wait"\nkind = "underflow"\nposition = 20',
 )
+SCENE = """
+[scene]
+name = "arc"
+
+[[source]]
+speed_mm_s = 300.0
+step_mm = 8.0
+path = { kind = "circle", centre_mm = [0, 0], radius_mm = 32, turns = 0.75, start_deg = 0 }
+signal = { kind = "noise", band_hz = [50, 300], duration_s = 0.015, seed = 1 }
+emission = "per_point"
+
+[regularisation]
+saturation = 0.5
+
+[output]
+limit_v = 1.0
+"""
 SIZE = (1280, 800)
 # Name of the picture, theme, what the map is coloured by, page of the details, how Green's functions are shown.
 OVER = (
@@ -128,12 +150,48 @@ def take(out: Path, run_file: Path, what: str) -> None:
         tab.position_panel.setCurrentIndex(page)
         tab.position_panel.show_green_as(view)
         keep(name)
+    if what == "over":
+        verify(window, run_file, until, keep)
+        draw(window, run_file, until, keep)
     window.close_at_once()
     print(f"{what}: {bank.name}, pictures in {out}")
 
 
+def verify(window: Window, run_file: Path, until: Callable[..., None], keep: Callable[[str], None]) -> None:
+    """Verify a scene with the campaign's bank, and keep pictures of what was found."""
+    from gui.verification.tab import VerificationTab
+
+    tab = next(one for one in window.tabs if isinstance(one, VerificationTab))
+    window._pages.setCurrentWidget(tab)
+    tab.form.take_bank(run_file.with_name("plate.h5"))
+    until(tab.row.start.isEnabled)
+    tab.row.start.trigger()
+    until(lambda: tab.results is not None)
+    window.messages.put_away()
+    for theme, shown in (("light", 0), ("dark", 1)):
+        window.choose_theme(theme)
+        tab.maps.third.setCurrentIndex(shown)
+        tab.maps.time.to_mark(1)
+        keep(f"verification-{theme}")
+
+
+def draw(window: Window, run_file: Path, until: Callable[..., None], keep: Callable[[str], None]) -> None:
+    """Open a scene over the campaign's bank, and keep pictures of it."""
+    from gui.scene.tab import SceneTab
+
+    tab = next(one for one in window.tabs if isinstance(one, SceneTab))
+    window.open_file(run_file.with_name("scene.toml"))
+    tab.document.use_bank(run_file.with_name("plate.h5"))
+    until(lambda: tab.live.idle and tab.results.complete)
+    window.messages.put_away()
+    for theme in ("light", "dark"):
+        window.choose_theme(theme)
+        keep(f"scene-{theme}")
+
+
 def _lab(folder: Path) -> Path:
     folder.mkdir()
+    (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
     (folder / "rig.toml").write_text('[rig]\nname = "plate"\n', encoding="utf-8")
     faults = "".join(f"\n[[virtual.fault_plan]]\n{fault}\n" for fault in FAULTS)
     (folder / "run.toml").write_text(RUN + faults, encoding="utf-8")

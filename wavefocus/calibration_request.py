@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from acquisition.calibration_procedures.actuators import listening_places
 from acquisition.calibration_procedures.fiducials import Pair, read_fiducials
-from acquisition.calibration_procedures.mirror import default_marks_mm, fitted_marks
+from acquisition.calibration_procedures.marks import default_marks_mm
+from acquisition.calibration_procedures.mirror import fitted_marks
 from acquisition.grid import inside_stadium
 from calibration.errors import InputError
 from wavefocus.config.calibration_file import PARTS

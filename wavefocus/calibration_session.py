@@ -15,7 +15,7 @@ from acquisition.calibration_procedures.actuators import (
 )
 from acquisition.calibration_procedures.inputs import measure_inputs
 from acquisition.calibration_procedures.mirror import fitted_marks, measure_mirror
-from acquisition.calibration_procedures.operator import VIBROMETER, Jog, JogView, Operator
+from acquisition.calibration_procedures.operator import VIBROMETER, Jog, JogView, Judged, MapView, Operator
 from acquisition.calibration_procedures.outputs import OutputsTask, measure_outputs
 from acquisition.calibration_procedures.probe import NotMeasuredError, Probe
 from acquisition.roles import names_of
@@ -196,7 +196,8 @@ class CalibrationSession:
 
     def _mirror(self, setup: Setup, operator: Operator) -> Setup:
         if self._angles is None:
-            found = measure_mirror(setup, self._marks, self._rig.mirror.limit_mrad, operator)
+            limits = self._rig.mirror.limit_mrad, operator, self._request.limit_mm
+            found = measure_mirror(setup, self._marks, *limits)
         else:
             found = fitted_marks(self._marks, self._angles)
         operator.tell(f"mirror: residual {found.fit.rms_mm:.3f} mm rms, worst {found.worst_mm:.3f} mm")
@@ -286,6 +287,9 @@ class _Cables:
 
     def jog(self, view: JogView) -> Jog:
         return self._operator.jog(view)
+
+    def judge(self, view: MapView) -> Judged:
+        return self._operator.judge(view)
 
     def again(self, problem: str) -> bool:
         return self._operator.again(problem)

@@ -27,6 +27,13 @@ class RigKind(StrEnum):
     EMULATED = "emulated"
 
 
+class Person(StrEnum):
+    """Where ``calibrate`` asks the person at the bench."""
+
+    TERMINAL = "terminal"
+    LINES = "lines"
+
+
 class Method(StrEnum):
     """How a moving source is rendered."""
 
@@ -42,7 +49,7 @@ class Focusing(StrEnum):
 
 
 class ComputingDevice(StrEnum):
-    """Where ``predict`` computes."""
+    """Where ``render`` and ``predict`` compute."""
 
     CPU = "cpu"
     CUDA = "cuda"
@@ -80,6 +87,7 @@ class Benchmark(StrEnum):
     ESTIMATE = "estimate"
     INTERPOLATION = "interpolation"
     FOCUSING = "focusing"
+    CLUSTER = "cluster"
     PAPER = "paper"
     WIRES = "wires"
     ALL = "all"
@@ -103,7 +111,9 @@ ScenesOption = Annotated[
 ]
 ClusterOption = Annotated[
     str,
-    typer.Option("--cluster", metavar="ADDRESS", help="A dask scheduler, tcp://HOST:8786, or local: processes here."),
+    typer.Option(
+        "--cluster", metavar="ADDRESS", help="A dask scheduler, tcp://HOST:8786, or local, local:N: processes here."
+    ),
 ]
 NoChecksOption = Annotated[
     bool, typer.Option("--no-checks", help="With --scene: leave out the positions that only `verify` looks at.")
@@ -151,11 +161,16 @@ def doctor(
     test_message: Annotated[
         bool, typer.Option("--test-message", help="Send a message to each address of the rig file.")
     ] = False,
+    lines: Annotated[
+        bool, typer.Option("--lines", help="Print each finding as a JSON line when it is made, then the JSON of all.")
+    ] = False,
 ) -> None:
     """Find, identify and exercise every instrument; say what is wrong and what to do about it."""
     from wavefocus.commands import doctor as command
 
-    done = command.doctor(rig, as_json=json, play=not no_play, reset_usb=reset_usb, test_message=test_message)
+    done = command.doctor(
+        rig, as_json=json, play=not no_play, reset_usb=reset_usb, test_message=test_message, as_lines=lines
+    )
     raise typer.Exit(done)
 
 
@@ -188,6 +203,10 @@ def calibrate(
     sample_rate_hz: Annotated[
         float, typer.Option("--sample-rate-hz", min=2_000, max=1e6, help="Rate of the records.")
     ] = 10_000.0,
+    operator: Annotated[
+        Person, typer.Option("--operator", help="lines: asks by JSON lines on standard output, for a window or script.")
+    ] = Person.TERMINAL,
+    use: Annotated[bool, typer.Option("--use", help="Name the new file in RIG.toml.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Measure mirror map, latencies, delays, levels and polarities, into a calibration file."""
@@ -204,7 +223,21 @@ def calibrate(
         distance_mm=distance_mm,
         sample_rate_hz=sample_rate_hz,
     )
-    raise typer.Exit(command.calibrate(rig, request, out, as_json=json))
+    as_lines = operator is Person.LINES
+    raise typer.Exit(command.calibrate(rig, request, out, as_json=json, as_lines=as_lines, use=use))
+
+
+@app.command()
+def operate(rig: RigArgument) -> None:
+    """Operate a rig by hand: orders as JSON lines on standard input, answers as JSON lines on standard output.
+
+    Orders: {"order": "jog", "x_mm": 10, "y_mm": 5} (or x_mrad, y_mrad), "park", "level" (on, every_s, actuator,
+    level_v), "sweep" (actuator, level_v, start_hz, stop_hz, duration_s), "mute", "state", "reconnect" (instrument),
+    "end". However it ends, the outputs are muted and the mirror is parked. docs/reference/operate.md has them all.
+    """
+    from wavefocus.commands import operate as command
+
+    raise typer.Exit(command.operate(rig))
 
 
 @app.command()
@@ -409,6 +442,13 @@ def render(
     picture: Annotated[
         Path | None, typer.Option("--picture", metavar="FILE.png", help="Draw the scene before and after snapping.")
     ] = None,
+    device: Annotated[ComputingDevice, typer.Option("--device", help="cuda: on a GPU, through CuPy.")] = (
+        ComputingDevice.CPU
+    ),
+    stream: Annotated[
+        bool,
+        typer.Option("--stream", help="In constant memory, in two passes; drives above 2 GiB are streamed anyway."),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Turn a scene into drive signals."""
@@ -421,8 +461,11 @@ def render(
         interpolation_tolerance=interpolation_tolerance,
         focusing="inverse" if focusing is Focusing.INVERSE else "time-reversal",
         regularisation_db=regularisation_db,
+        device="cpu" if device is ComputingDevice.CPU else "cuda",
     )
-    command.render(scene, bank, out, wav=wav, picture=picture, rig_file=rig, options=options, as_json=json)
+    command.render(
+        scene, bank, out, wav=wav, picture=picture, rig_file=rig, options=options, stream=stream, as_json=json
+    )
 
 
 @app.command()
@@ -494,19 +537,50 @@ def movie(
 
 @app.command()
 def play(
-    drive: Annotated[Path, typer.Argument(metavar="DRIVE.h5", help="The drive file.")],
+    what: Annotated[
+        Path, typer.Argument(metavar="DRIVE.h5|SCENE.toml", help="A drive file; or, with --bank, a scene file.")
+    ],
     rig: Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="The rig file, or: virtual.")],
-    loop: Annotated[int, typer.Option("--loop", min=1, help="How many times, without a gap.")] = 1,
+    loop: Annotated[int, typer.Option("--loop", min=1, help="How many times, without a gap; of a drive.")] = 1,
     gain_db: Annotated[
         float,
         typer.Option("--gain-db", min=-200, max=200, help="Softer (negative) or louder; limits hold all the same."),
     ] = 0.0,
+    bank: Annotated[
+        Path | None,
+        typer.Option("--bank", metavar="BANK.h5", help="The bank to render a scene from while it is played."),
+    ] = None,
+    method: Annotated[Method | None, typer.Option("--method", help="Of a scene, as for render.")] = None,
+    tolerance_db: Annotated[
+        float | None, typer.Option("--tolerance-db", help="Of a scene, as for render: faster, e.g. -60.")
+    ] = None,
+    ahead_s: Annotated[
+        float | None,
+        typer.Option("--ahead-s", min=0.05, max=60, help="How much of a scene is rendered ahead; by default 2 s."),
+    ] = None,
+    watched: Annotated[
+        bool, typer.Option("--watched", help="End, muted, when standard input closes: for programs that start it.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Play drives on the rig's actuators. Ctrl-C mutes at once."""
-    from wavefocus.commands import play as command
+    """Play drives, or a scene of any length, on the rig's actuators. Ctrl-C mutes at once."""
+    if bank is None:
+        from wavefocus.commands import play as command
+        from wavefocus.render_options import refuse_for_drives
 
-    raise typer.Exit(command.play(drive, rig, loop=loop, gain_db=gain_db, as_json=json))
+        refuse_for_drives(what, method=method, tolerance_db=tolerance_db, ahead_s=ahead_s)
+        raise typer.Exit(command.play(what, rig, loop=loop, gain_db=gain_db, as_json=json, watched=watched))
+    from wavefocus.commands import play_scene
+    from wavefocus.render_options import RenderOptions, refuse_for_scenes
+
+    refuse_for_scenes(what, loop=loop)
+    options = RenderOptions(method=None if method is None else _method_name(method), tolerance_db=tolerance_db)
+    ahead = play_scene.AHEAD_S if ahead_s is None else ahead_s
+    raise typer.Exit(
+        play_scene.play_scene(
+            what, bank, rig, options=options, gain_db=gain_db, ahead_s=ahead, as_json=json, watched=watched
+        )
+    )
 
 
 @app.command()
@@ -516,7 +590,12 @@ def verify(
     rig: Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="The rig file, or: virtual.")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report.html and files.")],
     positions: Annotated[
-        str, typer.Option("--positions", metavar="I,J,...", help="Bank rows to scan; by default all.")
+        str,
+        typer.Option(
+            "--positions",
+            metavar="I,J,...",
+            help="Bank rows to scan, or every:N for one of N, or path for those that the scene needs; by default all.",
+        ),
     ] = "",
     json: JsonOption = False,
 ) -> None:

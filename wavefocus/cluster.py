@@ -19,6 +19,7 @@ Part = TypeVar("Part")
 Result = TypeVar("Result")
 
 LOCAL = "local"
+MOST_PROCESSES = 256
 CONNECTING_S = 20.0
 DASHBOARD = "127.0.0.1:0"
 """Any free port that this machine alone can reach."""
@@ -36,9 +37,9 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
     Parameters
     ----------
     address : str
-        ``"tcp://HOST:8786"`` of a scheduler, or ``"local"``.
+        ``"tcp://HOST:8786"`` of a scheduler, ``"local"``, or ``"local:N"`` for N processes.
     workers : int, optional
-        Processes of a local cluster; by default one per processor.
+        Processes of a local cluster that names no number; by default one per processor.
 
     Yields
     ------
@@ -47,15 +48,18 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
     Raises
     ------
     InputError
-        Dask is missing, or no scheduler answers at the address.
+        Dask is missing, no scheduler answers at the address, or a local cluster's number is none.
     """
+    local = address.partition(":")[0] == LOCAL
+    if local and ":" in address:
+        workers = _processes(address)
     try:
         distributed: Any = import_module("distributed")  # types come with it, or not: it need not be there
     except ImportError as error:
         raise InputError(f"--cluster needs dask ({error}): pip install 'wavefocus[cluster]'") from None
     with ExitStack() as opened:
         try:
-            if address == LOCAL:
+            if local:
                 where = opened.enter_context(
                     distributed.LocalCluster(
                         n_workers=workers or os.cpu_count() or 1,
@@ -68,13 +72,21 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
                 where = address
             client = opened.enter_context(distributed.Client(where, timeout=CONNECTING_S, set_as_default=False))
         except (OSError, ValueError, TimeoutError, RuntimeError) as error:
-            what = "could not be started" if address == LOCAL else "no scheduler answers there"
+            what = "could not be started" if local else "no scheduler answers there"
             raise InputError(f"--cluster {address}: {what}: {error}") from None
         threads = sum(client.nthreads().values())
         if not threads:
             raise InputError(f"--cluster {address}: the scheduler there has no worker; start some with: dask worker")
         say(f"cluster {address}: {len(client.nthreads())} workers, {threads} threads")
         yield client
+
+
+def _processes(address: str) -> int:
+    """How many processes ``local:N`` asks for."""
+    wanted = address.partition(":")[2]
+    if not (wanted.isascii() and wanted.isdigit() and 1 <= int(wanted) <= MOST_PROCESSES):
+        raise InputError(f"--cluster {address}: local:N starts N processes here, 1 to {MOST_PROCESSES}")
+    return int(wanted)
 
 
 def spread(

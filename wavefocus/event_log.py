@@ -33,21 +33,27 @@ class EventLines:
         Takes a line with its end and brings it out at once.
     name : str
         What the lines go to, for the one message when that fails.
+    work : str
+        What goes on without them.
     """
 
-    def __init__(self, write: Callable[[str], object], name: str) -> None:
+    def __init__(self, write: Callable[[str], object], name: str, work: str = "campaign") -> None:
         self._write: Callable[[str], object] | None = write
-        self._name = name
+        self._name, self._work = name, work
 
     def __call__(self, event: Event) -> None:
         """Write one event; after a failure the campaign goes on without these lines."""
+        self.write(event_line(event) + "\n")
+
+    def write(self, line: str) -> None:
+        """Write a line with its end; after a failure nothing more."""
         if self._write is None:
             return
         try:
-            self._write(event_line(event) + "\n")
+            self._write(line)
         except OSError as failure:
             self._write = None
-            say(f"{self._name} cannot be written any more ({failure.strerror}); the campaign goes on without it")
+            say(f"{self._name} cannot be written any more ({failure.strerror}); the {self._work} goes on without it")
 
 
 def print_line(line: str) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from acquisition.doctor_findings import Finding
+from acquisition.doctor_findings import Act, Finding
 from calibration.errors import InputError
 from wavefocus.config.rig import RigConfig
 from wavefocus.messages import AppriseOutbox, addresses
 
 REMEDY = "correct the address, or look whether its server can be reached from here"
+EDIT = Act("edit-rig", "messages.urls")
 
 
 def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Finding]:
@@ -27,25 +28,27 @@ def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Findi
     urls = addresses(rig.messages)
     if not urls:
         if send:
-            yield Finding("messages", "addresses", "fail", "there are none", "write messages.urls into the rig file")
+            yield Finding(
+                "messages", "addresses", "fail", "there are none", "write messages.urls into the rig file", EDIT
+            )
         return
     if not send:
         try:
             AppriseOutbox(urls)
         except InputError as wrong:
-            yield Finding("messages", "addresses", "fail", str(wrong), "correct it")
+            yield Finding("messages", "addresses", "fail", str(wrong), "correct it", EDIT)
             return
         what = f"{len(urls)} known, none tried"
-        yield Finding("messages", "addresses", "ok", what, "--test-message sends one to each")
+        yield Finding("messages", "addresses", "ok", what, "--test-message sends one to each", Act("test-message"))
         return
     for number, url in enumerate(urls):
         kind = url.partition("://")[0][:20]
         try:
             refused = AppriseOutbox([url]).send(f"{name}: test", "A test message of wavefocus doctor.")
         except InputError as wrong:
-            yield Finding("messages", f"address {number}", "fail", str(wrong).partition(": ")[2], "correct it")
+            yield Finding("messages", f"address {number}", "fail", str(wrong).partition(": ")[2], "correct it", EDIT)
             continue
         if refused:
-            yield Finding("messages", f"address {number}", "fail", f"{kind}: took no message", REMEDY)
+            yield Finding("messages", f"address {number}", "fail", f"{kind}: took no message", REMEDY, EDIT)
         else:
             yield Finding("messages", f"address {number}", "ok", f"{kind}: took a message")

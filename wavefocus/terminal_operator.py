@@ -5,7 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from acquisition.calibration_procedures.operator import BOTH, SUM, VIBROMETER, By, Here, Jog, JogView, Operator, To
+from acquisition.calibration_procedures.operator import (
+    BOTH,
+    SUM,
+    VIBROMETER,
+    By,
+    Here,
+    Jog,
+    JogView,
+    Judged,
+    Keep,
+    MapView,
+    Operator,
+    To,
+)
 from calibration.errors import InputError
 from mocks.patch_bay import PatchBay
 from wavefocus.console import say
@@ -16,6 +29,11 @@ CABLES = {
     SUM: "plug the summing box, with all outputs for actuators in it, into the response input",
     BOTH: "plug the loopback into both inputs, reference and response",
 }
+
+
+def cable(source: str) -> str:
+    """What is to be plugged, in words."""
+    return CABLES.get(source) or f"plug {source} of the player into the response input"
 
 
 class TerminalOperator:
@@ -36,7 +54,7 @@ class TerminalOperator:
 
     def connect(self, source: str) -> None:
         """Plug something into the response input, and press Enter."""
-        say(f"{CABLES.get(source) or f'plug {source} of the player into the response input'}, then press Enter")
+        say(f"{cable(source)}, then press Enter")
         self._answer("a cable was plugged")
 
     def jog(self, view: JogView) -> Jog:
@@ -55,6 +73,10 @@ class TerminalOperator:
             if numbers is not None:
                 return To(*numbers) if absolute else By(*numbers)
             say(f"{line!r} is not understood: {HELP}")
+
+    def judge(self, view: MapView) -> Judged:
+        """Take the map that was jogged; one that misses a mark is refused afterwards."""
+        return Keep()
 
     def again(self, problem: str) -> bool:
         """Look for what is wrong; Enter tries once more, s leaves it out."""
@@ -95,6 +117,10 @@ class VirtualHands:
     def jog(self, view: JogView) -> Jog:
         """Say how the beam is to move next."""
         return self._operator.jog(view)
+
+    def judge(self, view: MapView) -> Judged:
+        """Look at the residuals."""
+        return self._operator.judge(view)
 
     def again(self, problem: str) -> bool:
         """Look for what is wrong."""

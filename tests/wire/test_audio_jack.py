@@ -190,3 +190,44 @@ def test_given_a_closed_player_then_the_outputs_are_silent_and_free_for_the_next
     assert not server.played.read(now, now + RATE_HZ // 4).any()
     signals = noise(4800)
     np.testing.assert_array_equal(sounding(heard_of(server, bench.player(server), signals)), as_played(signals))
+
+
+def test_given_a_signal_in_pieces_then_every_sample_leaves_its_output(server, player):
+    signals = noise(12_000, channels=(3, 0))
+    volts = np.stack([signals[3], signals[0]])
+
+    def take():
+        asked_ns = time.monotonic_ns()
+        player.begin_pieces([3, 0], RATE_HZ, 0.1)
+        for piece in np.array_split(volts, 17, axis=1):
+            player.add_piece(piece)
+        player.end_pieces()
+        player.wait(30)
+        first, stop = (int(server.played.frame_at(instant_ns)) for instant_ns in (asked_ns, time.monotonic_ns()))
+        return server.played.read(first, stop)
+
+    np.testing.assert_array_equal(sounding(undisturbed(player, take)), as_played(signals))
+
+
+def test_given_pieces_that_come_too_late_then_it_is_told_and_silent(player):
+    player.begin_pieces([0, 1], RATE_HZ, 0.02)
+    player.add_piece(np.full((2, 4800), 0.1))
+    with pytest.raises(TransientInstrumentError, match="underflow"):
+        player.wait(30)
+    player.begin_pieces([0], RATE_HZ, 0.02)
+    player.mute()
+    player.wait(1)
+
+
+@pytest.mark.parametrize(
+    ("channels", "rate_hz", "volts"),
+    [([0, 0], RATE_HZ, None), ([], RATE_HZ, None), ([99], RATE_HZ, None), ([0], 10_000, None), ([0], RATE_HZ, 1e3)],
+)
+def test_given_pieces_that_cannot_be_played_then_they_are_refused(player, channels, rate_hz, volts):
+    if volts is None:
+        with pytest.raises(InstrumentError):
+            player.begin_pieces(channels, rate_hz, 0.1)
+    else:
+        player.begin_pieces(channels, rate_hz, 0.1)
+        with pytest.raises(InstrumentError, match="within full scale"):
+            player.add_piece(np.full((1, 10), volts))

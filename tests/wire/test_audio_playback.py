@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.audio.playback import FADE_S, MUTED, PLAYED, UNDERFLOW, Play, Playback, Voice
+from drivers.audio.piece_by_piece import PieceByPiece, Taken
+from drivers.audio.playback import FADE_S, MUTED, PLAYED, UNDERFLOW, Ended, Play, Playback, Voice
 
 RATE_HZ = 48_000
 PERIOD = 512
@@ -164,3 +165,76 @@ def test_given_a_sound_clock_200_ppm_slow_for_ten_minutes_then_the_play_is_good(
         host.playback.fill(out, host.now_s, flagged=False)
         host.now_s += 1.0002
     assert host.ends() == [(1, PLAYED)]
+
+
+def in_pieces(host, sizes, *, reserve=96):
+    """A play of two channels and the values of each of its pieces, none handed over yet."""
+    play = PieceByPiece(1, (2, 0), reserve, host.playback.events.put)
+    values = np.linspace(0.2, 0.8, 2 * sum(sizes), dtype=np.float32).reshape(-1, 2)
+    return play, np.split(values, np.cumsum(sizes)[:-1])
+
+
+def taken(host):
+    told = []
+    while not host.playback.events.empty():
+        told.append(host.playback.events.get())
+    return told
+
+
+@pytest.mark.parametrize("sizes", [[1], [PERIOD], [3 * PERIOD + 5], [7, PERIOD, 2 * PERIOD + 3, 1], [100] * 20])
+def test_given_a_play_in_pieces_then_it_is_whole_and_each_piece_is_told(sizes):
+    host = Host()
+    play, pieces = in_pieces(host, sizes)
+    for piece in pieces:
+        play.add(piece)
+    play.end()
+    host.playback.start(play)
+    host.periods(10)
+    meant = np.zeros_like(host.heard)
+    meant[: sum(sizes), [2, 0]] = np.concatenate(pieces)
+    np.testing.assert_array_equal(host.heard, meant)
+    told = taken(host)
+    assert told[:-1] == [Taken(1, int(frames)) for frames in np.cumsum(sizes)]
+    assert told[-1].outcome == PLAYED
+
+
+def test_given_pieces_that_come_while_it_sounds_then_there_is_no_gap():
+    host = Host()
+    play, pieces = in_pieces(host, [2 * PERIOD] * 4)
+    play.add(pieces[0])
+    host.playback.start(play)
+    for piece in pieces[1:]:
+        play.add(piece)
+        host.periods(2)
+    play.end()
+    host.periods(8)
+    np.testing.assert_array_equal(host.heard[: 8 * PERIOD, [2, 0]], np.concatenate(pieces))
+    assert [one.outcome for one in taken(host) if isinstance(one, Ended)] == [PLAYED]
+
+
+def test_given_a_piece_that_comes_too_late_then_it_fades_and_the_play_ends_as_an_underflow():
+    host = Host()
+    play, pieces = in_pieces(host, [3 * PERIOD, PERIOD])
+    play.add(pieces[0])
+    host.playback.start(play)
+    host.periods(3)
+    play.add(pieces[1])
+    host.periods(6)
+    fade = round(FADE_S * RATE_HZ)
+    np.testing.assert_array_equal(host.heard[: 2 * PERIOD, [2, 0]], pieces[0][: 2 * PERIOD])
+    assert np.abs(np.diff(host.heard[:, 0])).max() < 0.05
+    assert not host.heard[2 * PERIOD + fade :].any()
+    (end,) = [one for one in taken(host) if isinstance(one, Ended)]
+    assert (end.outcome, end.notice) == (UNDERFLOW, "the next piece of the signal did not come in time")
+
+
+def test_given_a_mute_then_a_play_in_pieces_fades_and_ends():
+    host = Host()
+    play, pieces = in_pieces(host, [6 * PERIOD])
+    play.add(pieces[0])
+    host.playback.start(play)
+    host.periods(2)
+    host.playback.mute()
+    host.periods(5)
+    assert not host.heard[2 * PERIOD + round(FADE_S * RATE_HZ) :].any()
+    assert [one.outcome for one in taken(host) if isinstance(one, Ended)] == [MUTED]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -26,11 +27,16 @@ ON_REQUEST = ("paper", "wires")
 
 def bench(what: str, out: Path, *, quick: bool) -> None:
     """Run one benchmark, or all, and write their figures as JSON beside the printed tables."""
+    from benchmarks.conditions import conditions, load
+
     out.mkdir(parents=True, exist_ok=True)
     for name in [one for one in BENCHMARKS if one not in ON_REQUEST] if what == "all" else [what]:
         module = import_module(f"benchmarks.{name}")
+        made = conditions(f"wavefocus bench {name}")
+        begun_s = time.monotonic()
         with people.status(f"{BENCHMARKS[name]} ..."):
             figures: dict[str, Any] = module.run(out, quick=quick)
+        made |= {"seconds": round(time.monotonic() - begun_s, 1), "load_after": load()}
         path = out / f"{name}.json"
-        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        path.write_text(json.dumps({**figures, "quick": quick, "made": made}, indent=2) + "\n", encoding="utf-8")
         say(f"wrote {path}")

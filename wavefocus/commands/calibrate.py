@@ -3,54 +3,104 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from datetime import date
 from pathlib import Path
 
+from acquisition.by_hand.level import LevelMeter
 from acquisition.calibration_procedures.operator import Operator
+from acquisition.setup import Setup
 from calibration.errors import InputError
-from wavefocus.calibration_request import Request
+from drivers.errors import InstrumentError
+from wavefocus.calibration_request import Request, marks
 from wavefocus.calibration_session import CalibrationSession
 from wavefocus.compose import put_to_rest, setup_of
-from wavefocus.config.calibration_file import PARTS
+from wavefocus.config.calibration_file import PARTS, CalibrationRecord
+from wavefocus.config.calibration_naming import name_calibration
 from wavefocus.config.calibration_toml import write_calibration
 from wavefocus.config.loading import load_rig
 from wavefocus.console import say
+from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.instruments import open_rig, openers
+from wavefocus.json_lines import LinesIn, LinesOut
+from wavefocus.lines_operator import LinesOperator
+from wavefocus.operation import tell_fault
+from wavefocus.operation_orders import SAMPLE_RATE_HZ
 from wavefocus.terminal_operator import TerminalOperator, VirtualHands
 
 
-def calibrate(rig_file: Path, request: Request, out: Path | None, *, as_json: bool) -> Exit:
-    """Calibrate a rig with the person at this terminal; exit code 1 when something is not good enough."""
+def calibrate(
+    rig_file: Path, request: Request, out: Path | None, *, as_json: bool, as_lines: bool = False, use: bool = False
+) -> Exit:
+    """Calibrate a rig with the person at this terminal; exit code 1 when something is not good enough.
+
+    With `as_lines` the person sits before another program, which is asked by JSON lines; with `use` the rig file is
+    made to name what was written.
+    """
     rig = load_rig(rig_file)
     file = _file(out, rig_file.parent)
     session = CalibrationSession(rig, request)
-    opened = open_rig(openers(rig))
-    setup = setup_of(rig, opened)
-    terminal = TerminalOperator(sys.stdin.readline)
-    operator: Operator = terminal if opened.patch_bay is None else VirtualHands(terminal, opened.patch_bay)
-    try:
-        with put_to_rest(setup):
-            session.carry_out(setup, operator)
-    finally:
-        # Whatever ends a calibration, the cables plugged so far were not plugged for nothing.
-        record = session.record()
-        if session.measured:
-            write_calibration(file, record)
-            say(f"{file}: {', '.join(session.measured)}")
-            say(f'name it in {rig_file}: [calibration] file = "{file.name}"')
+    lines = LinesOut() if as_lines else None
+    if lines is not None:
+        lines("begin", parts=list(request.parts), marks_mm=marks(rig, request)[0])
+    with ending_at_once():
+        try:
+            opened = open_rig(openers(rig))
+            setup = setup_of(rig, opened)
+            operator = _operator(setup, lines)
+            if opened.patch_bay is not None:
+                operator = VirtualHands(operator, opened.patch_bay)
+            with put_to_rest(setup):
+                session.carry_out(setup, operator)
+        except InstrumentError as failure:
+            if lines is not None:
+                tell_fault(lines, failure)
+            raise
+        finally:
+            # Whatever ends a calibration, the cables plugged so far were not plugged for nothing.
+            record = session.record()
+            if session.measured:
+                _keep(file, record, session.measured, rig_file, use=use)
     for problem in session.problems:
         say(f"not good enough: {problem}")
-    if as_json:
+    if as_json or lines is not None:
         facts = {
             "file": str(file) if session.measured else None,
             "measured": session.measured,
             "problems": session.problems,
             "calibration": record.model_dump(mode="json"),
         }
-        print(json.dumps(facts))
+        if lines is not None:
+            lines("done", **facts)
+        else:
+            print(json.dumps(facts))
     return Exit.NOT_GOOD_ENOUGH if session.problems else Exit.DONE
+
+
+def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
+    if lines is None:
+        return TerminalOperator(sys.stdin.readline)
+
+    def place_mm(x_mrad: float, y_mrad: float) -> tuple[float, float] | None:
+        try:
+            x_mm, y_mm = setup.mirror_map.surface_mm(x_mrad, y_mrad)
+        except InputError:  # a beam that never meets the surface
+            return None
+        return round(float(x_mm), 4), round(float(y_mm), 4)
+
+    return LinesOperator(LinesIn(), lines, LevelMeter(setup, SAMPLE_RATE_HZ).hear, place_mm)
+
+
+def _keep(file: Path, record: CalibrationRecord, measured: list[str], rig_file: Path, *, use: bool) -> None:
+    write_calibration(file, record)
+    say(f"{file}: {', '.join(measured)}")
+    if not use:
+        say(f'name it in {rig_file}: [calibration] file = "{file.name}"')
+        return
+    name_calibration(rig_file, os.path.relpath(file, rig_file.parent))
+    say(f"{rig_file}: names {file.name} as its calibration")
 
 
 def parts_named(words: str) -> tuple[str, ...]:

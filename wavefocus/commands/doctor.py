@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 import math
 from contextlib import nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from rich.table import Table
 
 from acquisition.doctor import Patient, examine
-from acquisition.doctor_findings import Finding
+from acquisition.doctor_findings import Act, Finding
 from calibration.errors import InputError
 from calibration.mirror_map import MirrorMap
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import people, say
+from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.instruments import openers
 from wavefocus.levels import safe_amplitude_v
@@ -29,10 +30,19 @@ CORNER_SHARE = 0.95
 STYLES = {"ok": "green", "warn": "yellow", "fail": "bold red", "skipped": "dim"}
 
 
-def doctor(rig_file: Path, *, as_json: bool, play: bool, reset_usb: str = "", test_message: bool = False) -> Exit:
+def doctor(
+    rig_file: Path,
+    *,
+    as_json: bool,
+    play: bool,
+    reset_usb: str = "",
+    test_message: bool = False,
+    as_lines: bool = False,
+) -> Exit:
     """Examine a rig; exit code 1 when something is not good enough, whatever it is.
 
-    `reset_usb` names a role whose USB device is reset first: the last resort, and never done unasked.
+    `reset_usb` names a role whose USB device is reset first: the last resort, and never done unasked. With `as_lines`
+    each finding is one JSON line as soon as it is made, before the object that tells all.
     """
     rig = load_rig(rig_file)
     if reset_usb:
@@ -40,19 +50,25 @@ def doctor(rig_file: Path, *, as_json: bool, play: bool, reset_usb: str = "", te
     folder = rig_file.resolve().parent
     findings: list[Finding] = []
     with people.status("examining") if people.is_terminal else nullcontext() as status:
+        resettable = {one.role for one in rig.usb}
 
         def publish(finding: Finding) -> None:
+            if finding.verdict == "fail" and finding.act is None and finding.instrument in resettable:
+                finding = replace(finding, act=Act("reset-usb", finding.instrument))
             findings.append(finding)
+            if as_lines:
+                print(json.dumps({"finding": asdict(finding)}), flush=True)
             if status is not None:
                 status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
 
-        examine(_patient(rig), publish, play=play)
+        with ending_at_once():
+            examine(_patient(rig), publish, play=play)
         names = {one.instrument: one.what for one in findings if one.check == "identity"}
         check_surroundings(rig, folder, names, publish)
         for finding in message_findings(rig, rig_file.name, send=test_message):
             publish(finding)
     failed = sum(one.verdict == "fail" for one in findings)
-    if as_json:
+    if as_json or as_lines:
         facts = {
             "rig": str(rig_file),
             "name": rig.rig.name,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from gui.front_door import FrontDoor, Pulse
+from gui.front_door import FrontDoor, Pulse, RigLimits
 from gui.start import open_window
 from wavefocus.beside import raw_path
 from wavefocus.event_log import log_path
@@ -15,6 +15,7 @@ from wavefocus.heartbeat import SILENT_AFTER_S, read_heartbeat
 
 if TYPE_CHECKING:
     from rendering.report_drift import DriftPoint
+    from rendering.scene import Scene
 
 
 def gui(files: Sequence[Path]) -> int:
@@ -42,6 +43,9 @@ def front_door() -> FrontDoor:
         said_path=lambda bank: bank.with_name(f"{bank.name}.said"),
         read_drift=_drift,
         read_pulse=_pulse,
+        read_scene=_scene,
+        read_scene_tables=_scene_tables,
+        read_rig_limits=_rig_limits,
     )
 
 
@@ -56,3 +60,24 @@ def _pulse(bank: Path) -> Pulse | None:
     if beat is None:
         return None
     return Pulse(beat.at, beat.pid, beat.state, beat.reason, beat.position, beat.age_s() > SILENT_AFTER_S)
+
+
+def _scene(text: str, path: Path) -> Scene:
+    from wavefocus.config.scene import read_scene  # when somebody draws one
+
+    return read_scene(text, path)
+
+
+def _scene_tables(text: str, path: Path) -> dict[str, Any]:
+    from wavefocus.config.scene import read_scene_tables
+
+    return read_scene_tables(text, path)
+
+
+def _rig_limits(path: Path) -> RigLimits:
+    from wavefocus.config.loading import load_rig  # in the process that calculates scenes
+    from wavefocus.config.rig import default_rig
+    from wavefocus.rig_limits import limits_of
+
+    player = (default_rig() if str(path) == "virtual" else load_rig(path)).player
+    return RigLimits(limits_of(player), len(player.channels), player.coil_resistance_ohm)

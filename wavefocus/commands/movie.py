@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from calibration.errors import InputError
 from calibration.field_rows import FieldRowReader
 from rendering.movie import snapshots, surface_of, write_movie
 from rendering.movie_frames import FramePlan, plan_frames
-from wavefocus.compose import bank_configuration
+from wavefocus.blueprint import bank_configuration
 from wavefocus.console import progress, say
 
 OUTLINE_POINTS = 400
@@ -74,7 +75,7 @@ def movie(
                 slow=options.slow,
                 frame_rate_hz=options.frame_rate_hz,
             )
-            _tell_strobing(plan, view)
+            _tell_strobing(plan, view, field)
             with progress("movie", len(plan.sample)) as report:
                 limit = write_movie(
                     out, field, surface, drive, plan, width_px=options.width_px, limit=options.limit, on_progress=report
@@ -111,12 +112,14 @@ def _outline(bank: Bank) -> NDArray[np.float64] | None:
     return stadium_rim(surface.length_mm, surface.width_mm, 0.0, OUTLINE_POINTS)
 
 
-def _tell_strobing(plan: FramePlan, bank: Bank) -> None:
-    if bank.band_hz is None:
-        return
-    enough_s = 1.0 / (FRAMES_PER_PERIOD * bank.band_hz[1])
-    if plan.step_s > enough_s:
+def _tell_strobing(plan: FramePlan, bank: Bank, field: FieldRowReader) -> None:
+    highest_hz = inf if bank.band_hz is None else bank.band_hz[1]
+    if field.low_pass is not None and field.low_pass.passed_hz < highest_hz:
+        highest_hz = field.low_pass.passed_hz
+        say(f"{field.path} was predicted at {field.sample_rate_hz:g} Hz: it shows waves up to {highest_hz:g} Hz alone")
+    enough_s = 1.0 / (FRAMES_PER_PERIOD * highest_hz)
+    if highest_hz < inf and plan.step_s > enough_s:
         say(
-            f"frames are {plan.step_s * 1e3:.3g} ms apart, too far to see waves of {bank.band_hz[1]:g} Hz travel:"
+            f"frames are {plan.step_s * 1e3:.3g} ms apart, too far to see waves of {highest_hz:g} Hz travel:"
             f" choose --from-s and --to-s, or --slow {1 / (enough_s * plan.frame_rate_hz):.0f}"
         )

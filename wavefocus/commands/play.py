@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import json
 import math
-import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bounded import BoundedPlayer
 from acquisition.durations import hours
-from acquisition.ending_signals import EndingSignals
 from calibration.drive_file import Drive, read_drive
 from calibration.errors import InputError
-from drivers.errors import InstrumentError
-from drivers.protocols import Clock, Player
+from drivers.protocols import Clock
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.console import Report, progress, say
+from wavefocus.ended_by_input import ended_by_input
+from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
-from wavefocus.instruments import openers
 from wavefocus.rig_limits import check_drive
+from wavefocus.sounding import open_player
 
 # What the player's process holds is kept in memory whole, so that nothing but a play that fits is begun.
 MOST_BYTES = 4 * 2**30
@@ -36,8 +33,10 @@ TELL_EVERY_S = 0.2
 LATE_S = 10.0
 
 
-def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool) -> Exit:
+def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool, watched: bool = False) -> Exit:
     """Play a drive file as one finite signal, several times without a gap where asked for.
+
+    Where it is `watched`, it ends when standard input closes, muted: whoever started it is gone, or wants it to end.
 
     Returns
     -------
@@ -67,13 +66,13 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
     if needed > MOST_BYTES:
         raise InputError(
             f"{drive_file}: {loop} times {samples / drive.sample_rate_hz:.4g} s on {actuators} actuators take"
-            f" {needed / 2**30:.3g} GiB at once, and {MOST_BYTES / 2**30:.3g} GiB are allowed: lower --loop, or render"
-            " a shorter scene"
+            f" {needed / 2**30:.3g} GiB at once, and {MOST_BYTES / 2**30:.3g} GiB are allowed: lower --loop, or play"
+            " the scene itself, with --bank: then it is rendered while it sounds"
         )
     seconds = loop * samples / drive.sample_rate_hz
     peak_v = float(np.abs(drive.drive_v).max())
     try:
-        with _ending_at_once(), _open_player(rig) as (player, clock):
+        with ending_at_once(), ended_by_input() if watched else nullcontext(), open_player(rig) as (player, clock):
             times = f"{loop} times, " if loop > 1 else ""
             memory = f"{needed / 2**20:.0f} MB of memory"
             say(
@@ -111,27 +110,6 @@ def _repeated(volts: NDArray[np.float64], loop: int) -> NDArray[np.float64]:
 
 
 @contextmanager
-def _open_player(rig: RigConfig) -> Iterator[tuple[Player, Clock]]:
-    """Open the interface alone; whatever happens, its outputs are muted and released on the way out."""
-    ways = openers(rig)
-    player = BoundedPlayer(ways.player(), rig.recovery.hung_after_s)
-    try:
-        yield player, ways.clock
-    except BaseException:
-        # The first failure is the one to act on; what else fails on the way out is told and does not hide it.
-        for step in (player.mute, player.close):
-            try:
-                step()
-            except Exception as failure:
-                say(f"on the way out: {failure}")
-        raise
-    try:
-        player.mute()
-    finally:
-        player.close()
-
-
-@contextmanager
 def _told(report: Report, clock: Clock, seconds: float) -> Iterator[None]:
     """Tell how far a play is, by the clock, while the calling thread waits for its end."""
     started_s, over = clock.now_s(), threading.Event()
@@ -148,29 +126,3 @@ def _told(report: Report, clock: Clock, seconds: float) -> Iterator[None]:
     finally:
         over.set()
         teller.join()
-
-
-@contextmanager
-def _ending_at_once() -> Iterator[None]:
-    """Let every signal that ends a program mute the outputs first; a second one does not disturb that."""
-    signals, begun = EndingSignals.here(), False
-
-    def receive(number: int, frame: FrameType | None) -> None:
-        nonlocal begun
-        if not begun:
-            begun = True
-            raise KeyboardInterrupt
-
-    former = {}
-    if threading.current_thread() is threading.main_thread():
-        caught = [one for one in signals.all if signal.getsignal(one) is not signal.SIG_IGN or one in signals.finish]
-        former = {number: signal.signal(number, receive) for number in caught}
-    try:
-        yield
-    except InstrumentError as failure:
-        if begun:
-            raise KeyboardInterrupt from failure
-        raise
-    finally:
-        for number, disposition in former.items():
-            signal.signal(number, disposition)

@@ -61,6 +61,7 @@ def predict(
                 sample_rate_hz=prediction.sample_rate_hz,
                 start_s=prediction.start_s,
                 response_unit=unit,
+                low_pass=prediction.low_pass,
             ) as writer,
             progress("predict", len(index)) as report,
         ):

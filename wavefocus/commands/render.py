@@ -12,23 +12,27 @@ from acquisition.grid import stadium_rim
 from calibration.bank import Bank, open_bank
 from calibration.drive_file import Drive, write_drive
 from calibration.errors import InputError
-from rendering.coil_limits import Limiting, dynamic_range_db, relative_rms
+from rendering.coil_limits import dynamic_range_db, relative_rms, strictest
+from rendering.device import cuda_device
 from rendering.drive import render_with_report
 from rendering.inverse_filter import REGULARISATION_DB, InverseReport, inverse_filter
 from rendering.render_report import RenderReport
 from rendering.scene import Regularisation, Scene
 from rendering.wav import write_wav
-from wavefocus.compose import bank_configuration
-from wavefocus.config.loading import load_rig
-from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.commands.render_stream import render_streamed, too_large
+from wavefocus.config.rig import RigConfig
 from wavefocus.config.scene import load_scene
 from wavefocus.console import progress, say
 from wavefocus.render_options import RenderOptions
-from wavefocus.rig_limits import stricter
+from wavefocus.render_rig import (
+    DEFAULT_FULL_SCALE_V,
+    DEFAULT_INTERFACE_RATE_HZ,
+    interface_of,
+    limited_words,
+    rig_of,
+    within,
+)
 
-# A bank made by other means does not know the interface; then the WAV says volts at the common rate.
-DEFAULT_INTERFACE_RATE_HZ = 48_000
-DEFAULT_FULL_SCALE_V = 1.0
 OUTLINE_POINTS = 400
 
 
@@ -41,22 +45,36 @@ def render(
     picture: Path | None,
     rig_file: Path | None,
     options: RenderOptions,
+    stream: bool = False,
     as_json: bool,
 ) -> None:
     """Render a scene and write the drive file, a WAV file and a picture of the scene when asked."""
     scene = load_scene(scene_file)
     with open_bank(bank) as view:
-        rig = _rig(rig_file, view)
+        rig = rig_of(rig_file, view)
         if rig_file is not None and rig is not None:
-            scene = _within(scene, rig)
+            scene = within(scene, rig)
+        if options.focusing == "inverse":
+            if stream:
+                raise InputError("--stream is for time reversal; leave it out with --focusing inverse")
+        elif options.device != "cpu":
+            if stream:
+                raise InputError("--stream goes with --device cpu alone")
+        elif stream or too_large(scene, view):
+            render_streamed(scene_file, scene, view, out, wav, rig, rig_file, options, as_json=as_json)
+            if picture is not None:
+                write_picture(picture, scene_file, scene, view, rig)
+            return
         drive, facts = rendered(scene_file, scene, view, options)
+        if rig is not None and (wav is not None or rig_file is not None):
+            drive, facts = _within_full_scale(drive, facts, rig)
         unsaturated = None
         if options.focusing == "time-reversal" and _saturates(scene):
             unsaturated = _unsaturated_rms(scene_file, scene, view, options)
         if wav is not None:
             _write_wav(wav, drive, rig)
         if picture is not None:
-            _write_picture(picture, scene_file, scene, view, rig)
+            write_picture(picture, scene_file, scene, view, rig)
     write_drive(out, drive)
     for warning in facts.warnings:
         say(f"warning: {warning}")
@@ -67,7 +85,7 @@ def render(
         f"{len(drive.focus_sample)} focus points, largest drive {peak_v:.3g} V"
     )
     if facts.limiting.decided_by is not None:
-        say(_limited(facts.limiting, rig_file))
+        say(limited_words(facts.limiting, rig_file))
     if options.tolerance_db is not None:
         words = [] if isinstance(facts, InverseReport) else list(facts.left_out_words)
         what = f": {', '.join(words)}" if words else ""
@@ -128,31 +146,27 @@ def rendered(
                 tolerance_db=wanted.tolerance_db,
                 interpolation_tolerance=wanted.interpolation_tolerance,
                 on_progress=report,
+                device=None if wanted.device == "cpu" else cuda_device(),
             )
         except InputError as wrong:
             named = str(wrong) if str(bank.path) in str(wrong) else f"{scene_file}: {wrong}"
             raise InputError(named) from None
 
 
-def _rig(rig_file: Path | None, bank: Bank) -> RigConfig | None:
-    """The rig that was named, else the bank's own; None where neither is known."""
-    if rig_file is None:
-        return None if bank.rig_json is None or bank.run_json is None else bank_configuration(bank).rig
-    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
-    if len(rig.player.channels) != bank.actuators:
-        raise InputError(f"{rig_file} has {len(rig.player.channels)} actuators, {bank.path} {bank.actuators}")
-    return rig
-
-
-def _within(scene: Scene, rig: RigConfig) -> Scene:
-    """The scene with the limits of the rig where they are stricter than its own."""
-    limits = stricter(scene.output, rig.player)
-    return replace(scene, output=replace(scene.output, limit_v=limits.peak_v, limit_rms_v=limits.rms_v))
-
-
-def _limited(limiting: Limiting, rig_file: Path | None) -> str:
-    where = "" if rig_file is None else f" (the scene's or {rig_file}'s, whichever is stricter)"
-    return f"{limiting}{where}"
+def _within_full_scale(
+    drive: Drive, facts: RenderReport | InverseReport, rig: RigConfig
+) -> tuple[Drive, RenderReport | InverseReport]:
+    """Scale a drive that is within full scale at its samples and beyond it between them."""
+    interface = interface_of(rig)
+    if (np.abs(drive.drive_v).max(axis=1) > interface.full_scale_v).any():
+        return drive, facts
+    further = strictest([interface.between_samples(drive.drive_v, drive.sample_rate_hz)])
+    if further.decided_by is None:
+        return drive, facts
+    before = facts.limiting.scale
+    limiting = replace(further, scale=before * further.scale, reached_v=further.reached_v / before)
+    scaled = replace(drive, drive_v=drive.drive_v * further.scale, scale=drive.scale * further.scale)
+    return scaled, replace(facts, limiting=limiting)
 
 
 def _saturates(scene: Scene) -> bool:
@@ -189,16 +203,15 @@ def _write_wav(path: Path, drive: Drive, rig: RigConfig | None) -> None:
     """Write the drives at the interface's rate, full scale being what the rig's player is calibrated to."""
     rate_hz, full_scale_v, drive_v = DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V, drive.drive_v
     if rig is not None:
-        player = rig.player
-        rate_hz, full_scale_v = player.interface_rate_hz, player.full_scale_v
+        rate_hz, full_scale_v = rig.player.interface_rate_hz, rig.player.full_scale_v
         # A file has one full scale; an output that has another gets so much more or less of it.
-        each_v = np.array([player.output_full_scale_v[channel] for channel in player.channels])
-        drive_v = drive_v * (full_scale_v / each_v)[:, np.newaxis]
+        drive_v = drive_v * (full_scale_v / interface_of(rig).full_scale_v)[:, np.newaxis]
     write_wav(path, drive_v, drive.sample_rate_hz, interface_rate_hz=rate_hz, full_scale_v=full_scale_v)
     say(f"{path}: {rate_hz} Hz, full scale {full_scale_v:g} V")
 
 
-def _write_picture(path: Path, scene_file: Path, scene: Scene, bank: Bank, rig: RigConfig | None) -> None:
+def write_picture(path: Path, scene_file: Path, scene: Scene, bank: Bank, rig: RigConfig | None) -> None:
+    """Draw the scene before and after snapping."""
     from rendering.scene_picture import scene_picture
 
     outline_mm = None

@@ -3,85 +3,191 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from acquisition.durations import hours
+from acquisition.events import Event
 from acquisition.grid import stadium_rim
-from acquisition.quality import median_snr_db
+from acquisition.point_status import median_snr_db
 from acquisition.sentinel import DriftLimits
 from calibration.bank import Bank, open_bank
-from calibration.drive_file import write_drive
+from calibration.drive_file import Drive, write_drive
 from calibration.errors import InputError
-from calibration.field_file import write_field
+from calibration.field_file import Field, write_field
 from rendering.field import predict as predict_field
 from rendering.metrics import grid_spacing_mm
 from rendering.report import build_report
-from rendering.scan import ScanPlan, scan
-from rendering.verification import Check, Tolerances, compare
+from rendering.report_words import summary
+from rendering.scan import Scan, ScanPlan, scan
+from rendering.scene import Scene
+from rendering.scene_rows import scene_rows
+from rendering.verification import Check, Tolerances, Verification, compare
+from rendering.verification_names import (
+    DRIVE_NAME,
+    FIELD_NAMES,
+    PREDICTION_NAME,
+    RECORD_NAME,
+    REPORT_NAME,
+    SCAN_NAME,
+    STOP_NAME,
+)
+from rendering.verification_record import write_record
+from wavefocus.blueprint import bank_configuration
 from wavefocus.campaign_view import CampaignView
 from wavefocus.commands.render import rendered
-from wavefocus.compose import bank_configuration, open_setup
+from wavefocus.compose import open_setup
 from wavefocus.config.loading import Configuration, load_rig
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.scene import load_scene
-from wavefocus.console import progress, say
+from wavefocus.console import Report, progress, say
 from wavefocus.drift_history import read_drift
+from wavefocus.ended_by_file import ended_by_file
+from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.positions import parse_positions
 from wavefocus.rig_limits import check_drive
+from wavefocus.verify_log import VerifyLog
 
 # Enough for an outline that looks round on any screen.
 OUTLINE_POINTS = 400
 
 
 def verify(scene_file: Path, bank: Path, rig_file: Path, out: Path, positions: str, *, as_json: bool) -> Exit:
-    """Check the focusing of a scene against a new scan; exit code 1 when it is not good enough."""
+    """Check the focusing of a scene against a new scan; exit code 1 when it is not good enough.
+
+    A file ``verify.stop`` in the folder ends it as Ctrl-C does: outputs muted, mirror parked, exit code 130.
+    """
     scene = load_scene(scene_file)
     with open_bank(bank) as view:
         configuration = bank_configuration(view)
         rig = _checked_rig(rig_file, configuration, view)
-        rows = parse_positions(positions, view.positions) if positions else None
+        rows = _rows(positions, scene, view, scene_file)
         out.mkdir(parents=True, exist_ok=True)
-        drive, facts = rendered(scene_file, scene, view)
-        for warning in facts.warnings:
-            say(f"warning: {warning}")
-        check_drive(drive, rig.player, str(scene_file), "set output.limit_v or output.limit_rms_v in the scene")
-        write_drive(out / "drive.h5", drive)
-        with progress("predict", view.positions) as report:
-            prediction = predict_field(drive, view, rows, dtype=np.float32, on_progress=report)
-        write_field(out / "prediction.h5", prediction)
-        with open_setup(rig, configuration.run) as setup, progress("scan", len(prediction.field)) as report:
-            started_s = setup.instruments.clock.now_s()
-            plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
-            measured = scan(plan, setup, drive, view, on_progress=report, publish=CampaignView(report))
-            scan_s = setup.instruments.clock.now_s() - started_s
-        write_field(out / "scan.h5", measured.as_field())
-        with progress("compare and report", 2) as report:
-            verification = compare(prediction, measured, drive, view, _tolerances(configuration, view))
-            report(1, 2)
-            report_file = build_report(
-                out,
-                verification=verification,
-                scene=scene,
-                drive=drive,
-                prediction=prediction,
-                scan=measured,
-                bank=view,
-                campaign=_facts(configuration, view, scan_s),
-                outline_mm=stadium_rim(rig.surface.length_mm, rig.surface.width_mm, 0.0, OUTLINE_POINTS),
-                drift=read_drift(bank),
-                drift_limits=DriftLimits(**configuration.run.drift.model_dump()),
-                save_pictures=True,
-            )
-            report(2, 2)
+        with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
+            # What an older verification found must not stand beside what this one plays.
+            for name in (RECORD_NAME, REPORT_NAME, *FIELD_NAMES):
+                (out / name).unlink(missing_ok=True)
+            work = _Work(scene_file, scene, view, configuration, rig, out, log)
+            verification, report_file, record_file = work.run(rows, str(rig_file))
+            code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
+            log.done(code, summary(verification))
     for check in verification.checks:
         say(_line(check))
     say(f"report: {report_file}")
     if as_json:
-        print(json.dumps({"report": str(report_file), **verification.as_dict()}))
-    return Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
+        print(json.dumps({"report": str(report_file), "record": str(record_file), **verification.as_dict()}))
+    return code
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """A verification under way."""
+
+    scene_file: Path
+    scene: Scene
+    bank: Bank
+    configuration: Configuration
+    rig: RigConfig
+    out: Path
+    log: VerifyLog
+
+    def run(self, rows: list[int] | None, rig_name: str) -> tuple[Verification, Path, Path]:
+        """Render, predict, scan, compare, report; return what was found, the report and the record."""
+        out, bank = self.out, self.bank
+        with self._step("render", 1) as report:
+            drive, facts = rendered(self.scene_file, self.scene, bank)
+            report(1, 1)
+        for warning in facts.warnings:
+            say(f"warning: {warning}")
+        check_drive(
+            drive, self.rig.player, str(self.scene_file), "set output.limit_v or output.limit_rms_v in the scene"
+        )
+        write_drive(out / DRIVE_NAME, drive)
+        with self._step("predict", bank.positions if rows is None else len(rows)) as report:
+            prediction = predict_field(drive, bank, rows, dtype=np.float32, on_progress=report)
+        write_field(out / PREDICTION_NAME, prediction)
+        measured, scan_s = self._scanned(drive, prediction)
+        write_field(out / SCAN_NAME, measured.as_field())
+        surface = self.rig.surface
+        outline_mm = stadium_rim(surface.length_mm, surface.width_mm, 0.0, OUTLINE_POINTS)
+        with self._step("compare and report", 3) as report:
+            verification = compare(prediction, measured, drive, bank, _tolerances(self.configuration, bank))
+            report(1, 3)
+            report_file = build_report(
+                out,
+                verification=verification,
+                scene=self.scene,
+                drive=drive,
+                prediction=prediction,
+                scan=measured,
+                bank=bank,
+                campaign=_facts(self.configuration, bank, scan_s),
+                outline_mm=outline_mm,
+                drift=read_drift(bank.path),
+                drift_limits=DriftLimits(**self.configuration.run.drift.model_dump()),
+                save_pictures=True,
+            )
+            report(2, 3)
+            record_file = write_record(
+                out,
+                verification=verification,
+                scene=self.scene,
+                prediction=prediction,
+                bank=bank,
+                names={"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name},
+                outline_mm=outline_mm,
+            )
+            report(3, 3)
+        return verification, report_file, record_file
+
+    def _scanned(self, drive: Drive, prediction: Field) -> tuple[Scan, float]:
+        """Play and scan; also how long that took on the rig's clock."""
+        total = len(prediction.field)
+        with open_setup(self.rig, self.configuration.run) as setup, self._step("scan", total) as report:
+            view = CampaignView(report)
+
+            def publish(event: Event) -> None:
+                view(event)
+                self.log(event)
+
+            started_s = setup.instruments.clock.now_s()
+            plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
+            measured = scan(plan, setup, drive, self.bank, on_progress=report, publish=publish)
+            return measured, setup.instruments.clock.now_s() - started_s
+
+    @contextmanager
+    def _step(self, name: str, total: int) -> Iterator[Report]:
+        """Tell how far a step is, to people and in the log."""
+        told = self.log.step(name, total)
+        with progress(name, total) as people:
+
+            def report(done: int, total: int, note: str = "") -> None:
+                people(done, total, note)
+                told(done, total)
+
+            yield report
+
+
+def _rows(positions: str, scene: Scene, bank: Bank, scene_file: Path) -> list[int] | None:
+    """Which bank rows to scan: all (None), those that are named, one of every few, or those that the scene needs."""
+    if not positions:
+        return None
+    if positions == "path":
+        try:
+            return [int(row) for row in scene_rows(scene, np.asarray(bank.position_mm, np.float64)).all]
+        except InputError as wrong:
+            raise InputError(f"{scene_file}: {wrong}") from None
+    if positions.startswith("every:"):
+        step = positions.removeprefix("every:")
+        if not (step.isascii() and step.isdecimal() and 0 < int(step[:9]) <= bank.positions):
+            raise InputError(f"--positions: {positions} is not every:N with N from 1 to {bank.positions}")
+        return list(range(0, bank.positions, int(step)))
+    return parse_positions(positions, bank.positions)
 
 
 def _tolerances(configuration: Configuration, bank: Bank) -> Tolerances:

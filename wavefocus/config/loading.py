@@ -207,13 +207,33 @@ def read_toml(path: Path) -> dict[str, Any]:
         The file cannot be read or is not TOML; the message names the line.
     """
     try:
-        return tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(printable(f"{path}: not TOML: {error}")) from None
+        text = read_text(path)
     except InputError as error:
         raise InputError(printable(str(error))) from None
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """Read TOML text into plain tables.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+    source : str
+        Where it comes from, for messages.
+
+    Raises
+    ------
+    InputError
+        It is not TOML; the message names the line.
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(printable(f"{source}: not TOML: {error}")) from None
     except (RecursionError, ValueError):  # ValueError: a whole number of thousands of digits
-        raise InputError(printable(f"{path}: not TOML: nested too deeply, or a number too long")) from None
+        raise InputError(printable(f"{source}: not TOML: nested too deeply, or a number too long")) from None
 
 
 def validated(model: type[Model], data: object, source: str) -> Model:

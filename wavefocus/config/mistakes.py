@@ -63,11 +63,19 @@ def one_line(source: str, failure: ValidationError, model: type[BaseModel], data
     data : object
         What was validated.
     """
-    mistakes = [sentence(error, model, data) for error in failure.errors(include_url=False)]
+    errors = failure.errors(include_url=False)
+    mistakes = [sentence(error, model, data) for error in errors if not _follows(error, errors)]
     told = mistakes[:TOLD_AT_ONCE]
     if len(mistakes) > len(told):
         told.append(f"and {len(mistakes) - len(told)} more")
     return printable(f"{source}: {'; '.join(told)}")
+
+
+def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
+    """Whether a list is told to be too short only because pydantic does not count its wrong entries."""
+    place = error["loc"]
+    beneath = (other["loc"] for other in errors if len(other["loc"]) > len(place))
+    return error["type"] == "too_short" and any(other[: len(place)] == place for other in beneath)
 
 
 def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:

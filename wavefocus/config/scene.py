@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -23,7 +23,7 @@ from wavefocus.config.fields import (
     Whole,
     mistake,
 )
-from wavefocus.config.loading import named_file, read_toml, validated
+from wavefocus.config.loading import named_file, parse_toml, read_toml, validated
 from wavefocus.config.mistakes import printable
 
 
@@ -231,6 +231,42 @@ def load_scene(path: Path) -> Scene:
         Anything in the files is wrong.
     """
     return validated(SceneConfig, read_toml(path), str(path)).build(path)
+
+
+def read_scene(text: str, path: Path) -> Scene:
+    """Make the scene of a text, as `load_scene` would of a file of that text.
+
+    Parameters
+    ----------
+    text : str
+        What the scene file holds, or would hold.
+    path : Path
+        The scene file, which need not exist; paths in it are relative to its folder.
+
+    Raises
+    ------
+    InputError
+        Anything in the text or in the files that it names is wrong.
+    """
+    return validated(SceneConfig, parse_toml(text, str(path)), str(path)).build(path)
+
+
+def read_scene_tables(text: str, path: Path) -> dict[str, Any]:
+    """Take the tables of a scene file's text, valid and with all their defaults, without the files that it names.
+
+    Parameters
+    ----------
+    text : str
+        What the scene file holds.
+    path : Path
+        The scene file, for messages.
+
+    Raises
+    ------
+    InputError
+        Anything in the text is wrong.
+    """
+    return validated(SceneConfig, parse_toml(text, str(path)), str(path)).model_dump()
 
 
 def _path(table: PathTable, file: Path, key: str) -> paths.Path:

@@ -1,0 +1,82 @@
+"""A rig operated by hand through every wire: the beam is where it was sent, and parked on every way out."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.system.lines import Lines
+from tests.wire.emulated import FarSides, far_sides, free_port, rig_text
+
+pytestmark = pytest.mark.long
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    file = tmp_path / "rig.toml"
+    text = rig_text(tmp_path, f"localhost:{free_port()}").replace("response_range_v = 1.0\n", "")
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+@pytest.fixture
+def sides(rig: Path) -> Iterator[FarSides]:
+    with far_sides(rig) as sides:
+        yield sides
+
+
+def spot_of(sides: FarSides) -> str:
+    """Where the far side's beam falls on its plate."""
+    return sides.say("spot")
+
+
+def test_given_real_drivers_then_the_beam_goes_where_it_is_sent_and_is_parked_however_it_ends(
+    rig: Path, sides: FarSides
+) -> None:
+    for ending in ("end", "input", "signal"):
+        with Lines("operate", rig, environment=sides.environment) as lines:
+            lines.hear("ready")
+            lines.send(order="jog", x_mm=30, y_mm=-12)
+            assert lines.hear("mirror")["x_mm"] == pytest.approx(30.0, abs=0.01)
+            words = spot_of(sides).split()
+            assert float(words[1]) == pytest.approx(30.0, abs=0.1)
+            assert float(words[2]) == pytest.approx(-12.0, abs=0.1)
+            if ending == "end":
+                lines.send(order="level")
+                assert lines.hear("level")["response"]["rms_v"] > 0
+                lines.send(order="sweep", actuator=0, level_v=1.0)
+                assert lines.hear("sweep")["figures"]["snr_db"] > 10
+                with Lines("operate", rig, environment=sides.environment) as second:
+                    assert second.end() == 3
+                    assert "mirror" in second.said[-1]
+                lines.send(order="end")
+                assert lines.end() == 0
+            elif ending == "input":
+                lines.close_input()
+                assert lines.end() == 0
+            else:
+                lines.send(order="sweep", actuator=0, level_v=1.0, duration_s=10.0)
+                lines.hear("sweeping")
+                lines.process.send_signal(signal.SIGTERM)
+                assert lines.end() == 130
+        assert spot_of(sides) == "spot: not on the plate"
+
+
+def test_given_a_sweep_under_way_then_a_mute_ends_its_sound_before_its_time(rig: Path, sides: FarSides) -> None:
+    with Lines("operate", rig, environment=sides.environment) as lines:
+        lines.hear("ready")
+        lines.send(order="jog", x_mm=30, y_mm=-12)
+        lines.send(order="sweep", actuator=0, level_v=1.0, duration_s=5.0, id="long")
+        lines.hear("sweeping")
+        lines.send(order="sweep", actuator=1, level_v=1.0, id="dropped")
+        lines.send(order="mute", id="mute")
+        done = [lines.hear("done") for _ in range(2)]
+        assert [one["id"] for one in done] == ["long", "mute"]
+        assert not done[0]["ok"]
+        lines.send(order="sweep", actuator=1, level_v=1.0)
+        assert lines.hear("sweep")["figures"]["snr_db"] > 10
+        lines.send(order="end")
+        assert lines.end() == 0

@@ -1,0 +1,123 @@
+"""``wavefocus operate``: instruments operated by hand, by whoever writes orders to standard input."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from acquisition.bounded import RECONNECTING
+from acquisition.by_hand.gate import GatedPlayer
+from acquisition.lane import HungError, Lane
+from acquisition.watch import Sensor
+from calibration.errors import InputError
+from drivers.errors import InstrumentError
+from wavefocus.compose import put_to_rest, setup_of
+from wavefocus.config.loading import load_rig
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.console import say
+from wavefocus.ending_at_once import ending_at_once
+from wavefocus.exits import Exit
+from wavefocus.instruments import OpenedRig, in_time, open_rig, openers
+from wavefocus.json_lines import LinesIn, LinesOut
+from wavefocus.operation import Operation, tell_fault
+from wavefocus.operation_orders import End, order_of
+from wavefocus.sensors import BoundedSensor, LightSensor
+
+# So often it is looked whether anybody still reads, while no order comes.
+_LOOKS_EVERY_S = 1.0
+# Whether a mute was heard in time is the player's to say; a driver that hangs is not waited for.
+_MUTES_WITHIN_S = 5.0
+
+
+def operate(rig_file: Path) -> Exit:
+    """Carry out orders until they end; on every way out the outputs are muted and the mirror is parked.
+
+    Returns
+    -------
+    Exit
+        ``DONE`` at the end of the orders, or when nobody reads the answers any more; ``STOPPED`` by a signal.
+
+    Raises
+    ------
+    InputError
+        The rig file is wrong.
+    InstrumentError
+        An instrument cannot be opened, or could not be put to rest.
+    """
+    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    tell = LinesOut()
+    tell("opening", rig=str(rig_file))
+    try:
+        with ending_at_once():
+            _operate(rig, tell)
+    except InstrumentError as failure:
+        tell_fault(tell, failure)
+        raise
+    except KeyboardInterrupt:
+        tell("ended", muted=True, parked=True)
+        say("stopped by the user; the outputs are muted, the mirror is parked")
+        return Exit.STOPPED
+    tell("ended", muted=True, parked=True)
+    return Exit.DONE
+
+
+def _operate(rig: RigConfig, tell: LinesOut) -> None:
+    """Open the rig, obey, and put it to rest however that ends."""
+    opened = open_rig(in_time(openers(rig), RECONNECTING * rig.recovery.hung_after_s))
+    gate = GatedPlayer(opened.instruments.player)
+    opened = replace(opened, instruments=replace(opened.instruments, player=gate))
+    setup = setup_of(rig, opened)
+    with put_to_rest(setup):
+        operation = Operation(rig, setup, gate, _light(rig, opened), tell)
+        operation.introduce()
+        _obey(operation, gate, rig, tell)
+
+
+def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, tell: LinesOut) -> None:
+    muting = Lane("muting")
+
+    def is_mute(content: Mapping[str, object]) -> bool:
+        return content.get("order") == "mute"
+
+    def overtake(content: Mapping[str, object]) -> None:
+        """What shall be silent is so at once, whatever is under way; orders that wait are no longer wanted."""
+        if is_mute(content):
+            orders.forget(is_mute)
+            try:
+                muting.call(gate.shut, _MUTES_WITHIN_S)
+            except (HungError, InstrumentError):
+                return  # told by the order itself, which mutes again
+
+    orders = LinesIn(overtake)
+    while not tell.gone:
+        operation.look()
+        due_s = operation.due_s()
+        try:
+            content = orders.next(_LOOKS_EVERY_S if due_s is None else min(due_s, _LOOKS_EVERY_S))
+        except TimeoutError:
+            continue
+        except InputError as wrong:
+            tell("refused", sentence=str(wrong))
+            continue
+        if content is None:
+            return
+        known = {key: content[key] for key in ("order", "id") if key in content}
+        try:
+            order = order_of(content, rig)
+        except InputError as wrong:
+            tell("refused", sentence=str(wrong))
+            tell("done", **known, ok=False)
+            continue
+        ok = operation.carry_out(order)
+        tell("done", **known, ok=ok)
+        if isinstance(order, End):
+            return
+
+
+def _light(rig: RigConfig, opened: OpenedRig) -> Sensor | None:
+    """What tells how much light comes back, where something does."""
+    sensor = opened.virtual_sensors.get("light")
+    if sensor is None and rig.vibrometer.driver == "polytec-ofv5000":
+        sensor = LightSensor(rig.vibrometer)
+    return None if sensor is None else BoundedSensor("light", sensor, rig.recovery.hung_after_s)
