@@ -13,6 +13,7 @@ from PyQt5.QtWidgets import QApplication
 from calibration.errors import InputError
 from gui.front_door import FrontDoor
 from gui.memory import Memory
+from gui.tick_style import TickStyle
 from gui.window import Window
 
 # Fontconfig's own names, which Qt lists even where no font stands behind them.
@@ -33,7 +34,7 @@ def make_application(arguments: Sequence[str] = ("wavefocus",)) -> QApplication:
     application = QApplication(list(arguments))
     application.setApplicationName("wavefocus")
     application.setApplicationDisplayName("wavefocus")
-    application.setStyle("Fusion")
+    application.setStyle(TickStyle())
     require_fonts()
     return application
 

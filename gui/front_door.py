@@ -6,10 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rendering.coil_limits import DriveLimits
     from rendering.report_drift import DriftPoint
+    from rendering.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,25 @@ class Pulse:
 
 
 @dataclass(frozen=True, slots=True)
+class RigLimits:
+    """What a rig's actuators may get.
+
+    Parameters
+    ----------
+    drive : DriveLimits
+        Volts, with the keys of the rig file.
+    actuators : int
+        How many it has.
+    coil_resistance_ohm : float or None
+        Of each actuator, where the rig file says.
+    """
+
+    drive: DriveLimits
+    actuators: int
+    coil_resistance_ohm: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class FrontDoor:
     """The command line, and the names of what lies beside a bank.
 
@@ -52,6 +73,12 @@ class FrontDoor:
         From a bank to its drift history, oldest first.
     read_pulse : callable
         From a bank to the latest heartbeat; None where there is none.
+    read_scene : callable
+        From a scene file's text, and the file that it is or will be, to the scene that commands make of it.
+    read_scene_tables : callable
+        From the same to its tables, valid and with all defaults, whether or not the files that it names are there.
+    read_rig_limits : callable
+        From a rig file, or ``virtual``, to what its actuators may get.
     """
 
     command: Sequence[str]
@@ -60,3 +87,6 @@ class FrontDoor:
     said_path: Callable[[Path], Path]
     read_drift: Callable[[Path], list[DriftPoint]]
     read_pulse: Callable[[Path], Pulse | None]
+    read_scene: Callable[[str, Path], Scene]
+    read_scene_tables: Callable[[str, Path], dict[str, Any]]
+    read_rig_limits: Callable[[Path], RigLimits]

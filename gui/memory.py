@@ -42,9 +42,9 @@ class Memory:
         """Remember something."""
         self._settings.setValue(key, str(value) if isinstance(value, int) else value)
 
-    def folder(self, kind: str) -> Path:
-        """The folder where a file of a kind was last chosen."""
-        found = Path(self.text(f"folder/{kind}") or ".")
+    def folder(self, kind: str, beside: Path | None = None) -> Path:
+        """The folder where a file of a kind was last chosen; at first that of the file it is made from, if any."""
+        found = Path(self.text(f"folder/{kind}") or (beside.parent if beside is not None else "."))
         return found if found.is_dir() else Path.cwd()
 
     def recent(self) -> list[Path]:

@@ -18,7 +18,7 @@ class PathField(QWidget):
     word : str
         What stands before it, with an ampersand before the key that goes to it.
     ending, kind : str
-        Of the files, ``".h5"``, and what they are called.
+        Of the files, ``".h5"``, and what they are called; an empty ending for folders.
     saves : bool
         Whether the file may not exist yet.
     memory : Memory
@@ -73,7 +73,11 @@ class PathField(QWidget):
         dialog = QFileDialog(self, f"Choose {self._kind}", str(folder), f"{self._kind} (*{self._ending})")
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.setModal(False)
-        if self._saves:
+        if not self._ending:
+            # One that does not exist yet can be typed.
+            dialog.setFileMode(QFileDialog.FileMode.Directory)
+            dialog.setOption(QFileDialog.Option.ShowDirsOnly)
+        elif self._saves:
             # A bank that is there is gone on with, never overwritten: there is nothing to confirm.
             dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
             dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)

@@ -13,7 +13,16 @@ from gui.desk import Desk
 from gui.theme import Theme
 
 # Module and class of each tab, from left to right.
-TABS = (("gui.campaign.tab", "CampaignTab"),)
+TABS = (
+    ("gui.campaign.tab", "CampaignTab"),
+    ("gui.rig.tab", "RigTab"),
+    ("gui.scene.tab", "SceneTab"),
+    ("gui.verification.tab", "VerificationTab"),
+)
+
+
+# Does what an answer says, and then calls what it is given: that goes on with closing.
+Act = Callable[[Callable[[], object]], object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +34,11 @@ class Question:
     sentence : str
         The question.
     answers : sequence of (word, act)
-        Each act receives what closes the window, to be called at once or when it is time.
+        Words of the buttons, and what they do.
     """
 
     sentence: str
-    answers: Sequence[tuple[str, Callable[[Callable[[], object]], object]]]
+    answers: Sequence[tuple[str, Act]]
 
 
 class Tab(QWidget):
@@ -74,6 +83,14 @@ class Tab(QWidget):
     def closing(self) -> Question | None:
         """What to ask before the window closes."""
         return None
+
+    def run_file(self) -> Path | None:
+        """The run file that is open in it, where there is one."""
+        return None
+
+    def instruments_held(self) -> str:
+        """Who has real instruments, as far as the tab knows: the beginning of a sentence; empty for nobody."""
+        return ""
 
     def closed(self) -> None:
         """Let go of threads and processes; the window closes."""

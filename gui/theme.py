@@ -94,13 +94,15 @@ def put_on(application: QApplication, theme: Theme) -> None:
     """Dress the application; plots that exist are dressed by their owners."""
     application.setPalette(palette_of(theme))
     pyqtgraph.setConfigOptions(background=theme.base, foreground=theme.text)
-    application.setStyleSheet(
+    sheet = (
         f"QToolTip {{ color: {theme.text}; background: {theme.base}; border: 1px solid {theme.grid}; padding: 3px; }}"
         f"QToolButton:checked {{ background: {theme.accent}; color: {theme.window}; border: 1px solid {theme.accent};"
         " border-radius: 3px; padding: 3px 4px; }"
         f"QLabel[role='faint'] {{ color: {theme.faint}; }}"
         f"QLabel[role='strong'] {{ font-weight: 600; }}"
     )
+    if sheet != application.styleSheet():  # the same again would polish every widget anew
+        application.setStyleSheet(sheet)
 
 
 def dress_axes(plot: PlotItem, theme: Theme) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from gui.desk import Desk
 from gui.front_door import FrontDoor
 from gui.memory import Memory
 from gui.message_bar import MessageBar
-from gui.tab import Tab, make_tabs
+from gui.tab import Act, Question, Tab, make_tabs
 from gui.theme import CHOICES, put_on, resized_text, theme_named
 from gui.unexpected import Unexpected
 
@@ -63,7 +63,8 @@ class Window(QMainWindow):
         self.mishaps: list[str] = []
         self._let_go = False
         put_on(application, theme_named(memory.text("theme", "system"), self._system_palette))
-        self.tabs = make_tabs(self.desk)
+        self.tabs = self.desk.tabs
+        self.tabs += make_tabs(self.desk)
         self._pages = QTabWidget()
         self._pages.setDocumentMode(True)
         self._pages.setAccessibleName("Tabs")
@@ -103,7 +104,7 @@ class Window(QMainWindow):
                 tab.open_file(path)
                 self.memory.opened(path)
                 return
-        endings = ", ".join(ending for tab in self.tabs for ending in tab.opens)
+        endings = ", ".join(dict.fromkeys(ending for tab in self.tabs for ending in tab.opens))
         self.messages.warn(f"{path}: no tab opens such a file; they open {endings}")
 
     def tell_unexpected(self, sentence: str, details: str) -> None:
@@ -125,10 +126,10 @@ class Window(QMainWindow):
         self.memory.keep("theme", choice)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802
-        """Ask first where a tab has something to ask, inside the window."""
+        """Ask first what tabs have to ask, one after the other, inside the window."""
         assert event is not None
-        question = None if self._may_close else next(filter(None, (tab.closing() for tab in self.tabs)), None)
-        if question is None:
+        questions = [] if self._may_close else [asked for tab in self.tabs if (asked := tab.closing()) is not None]
+        if not questions:
             self.memory.keep("geometry", self.saveGeometry())
             for tab in self.tabs:
                 tab.keep()
@@ -136,11 +137,7 @@ class Window(QMainWindow):
             event.accept()
             return
         event.ignore()
-        self.messages.ask(
-            question.sentence,
-            *((word, partial(act, self.close_at_once)) for word, act in question.answers),
-            ("Do not close", lambda: None),
-        )
+        self._ask(questions, [])
 
     def close_at_once(self) -> None:
         """Close without a question; a run of this window's own goes on."""
@@ -169,6 +166,25 @@ class Window(QMainWindow):
             event.acceptProposedAction()
             for path in _files(event):
                 self.open_file(path)
+
+    def _ask(self, questions: Sequence[Question], chosen: Sequence[Act]) -> None:
+        """Ask what is left, and only then do what was chosen: whoever does not close after all has lost nothing."""
+        if not questions:
+            self._carry_out(chosen)
+            return
+        question, *others = questions
+        self.messages.ask(
+            question.sentence,
+            *((word, partial(self._ask, others, [*chosen, act])) for word, act in question.answers),
+            ("Do not close", lambda: None),
+        )
+
+    def _carry_out(self, chosen: Sequence[Act]) -> None:
+        if not chosen:
+            self.close_at_once()
+            return
+        act, *others = chosen
+        act(partial(self._carry_out, others))
 
     def _make_menus(self) -> None:
         bar = self.menuBar()
@@ -201,7 +217,7 @@ class Window(QMainWindow):
     def _choose_file(self) -> None:
         dialog = QFileDialog(self, "Open", str(self.memory.folder(".h5")))
         dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
-        endings = " ".join(f"*{ending}" for tab in self.tabs for ending in tab.opens)
+        endings = " ".join(dict.fromkeys(f"*{ending}" for tab in self.tabs for ending in tab.opens))
         dialog.setNameFilters([f"What the window opens ({endings})", "All files (*)"])
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.setModal(False)

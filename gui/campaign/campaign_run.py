@@ -9,10 +9,10 @@ from pathlib import Path
 from PyQt5.QtWidgets import QAction, QWidget
 
 from gui.campaign.follower import same_file
-from gui.campaign.own_run import OwnRun
 from gui.desk import Desk, sentence_of
 from gui.errand import Answer, Errand
 from gui.long_text import show_text
+from gui.own_run import OwnRun
 from gui.tab import Question
 
 _STOPPED = 130
@@ -36,6 +36,7 @@ class CampaignRun:
         self.own: OwnRun | None = None
         self._errand: Errand | None = None
         self._arguments: Sequence[str] = ()
+        self._virtual = False
         self._said = ""
         self._listened_s = 0.0
         self.accept_drift = _choice(
@@ -45,10 +46,10 @@ class CampaignRun:
             "Accept another &calibration", "The next session goes on with another calibration or other devices", owner
         )
 
-    def start(self, arguments: Sequence[str], bank: Path) -> None:
+    def start(self, arguments: Sequence[str], bank: Path, *, virtual: bool = False) -> None:
         """Start a capture in a process of its own, unless one of the window's own is running."""
         if self.own is not None and self.own.alive:
-            self._desk.messages.warn(f"this window's capture of {self.own.bank} is still running; stop it first")
+            self._desk.messages.warn(f"this window's capture of {self.own.subject} is still running; stop it first")
             return
         extra = []
         for action, option in (
@@ -58,9 +59,9 @@ class CampaignRun:
             if action.isChecked():
                 extra.append(option)
                 action.setChecked(False)
-        self._arguments = tuple(arguments)
+        self._arguments, self._virtual = tuple(arguments), virtual
         try:
-            self.own = OwnRun(self._desk.front, [*arguments, *extra], bank)
+            self.own = OwnRun(self._desk.front, [*arguments, *extra], bank, self._desk.front.said_path(bank))
         except OSError as failure:
             self._desk.messages.fault(f"the capture cannot be started: {sentence_of(failure)}")
 
@@ -111,13 +112,21 @@ class CampaignRun:
             self._desk.messages.note("stopped; nothing measured is lost, Resume goes on")
         elif "--accept-drift" in ending:
             again = [*self._arguments, "--accept-drift"]
-            self._desk.messages.fault(ending, ("Go on all the same", lambda: self.start(again, own.bank)))
+            self._desk.messages.fault(
+                ending, ("Go on all the same", lambda: self.start(again, own.subject, virtual=self._virtual))
+            )
         else:
             self._desk.messages.fault(ending)
 
+    def held(self) -> str:
+        """What the own run has the instruments for: the beginning of a sentence; empty where it has none."""
+        if self.own is None or not self.own.alive or self._virtual:
+            return ""
+        return f"a run of this window measures {self.own.subject}"
+
     def runs(self, bank: Path | None) -> bool:
         """Whether the window's own capture of a bank is alive."""
-        return self.own is not None and bank is not None and self.own.alive and same_file(self.own.bank, bank)
+        return self.own is not None and bank is not None and self.own.alive and same_file(self.own.subject, bank)
 
     def said(self, bank: Path | None) -> str:
         """The last that the own capture of a bank told people; empty while there is none."""
@@ -132,7 +141,7 @@ class CampaignRun:
         """What is to become of the own run; None when there is none."""
         if self.own is None or not self.own.alive:
             return None
-        bank = self.own.bank
+        bank = self.own.subject
         return Question(
             f"{bank.name} is being measured by a run of this window. What should it do when the window closes?",
             (

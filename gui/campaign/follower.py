@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import Bank, open_bank
-from calibration.bank_owner import Owner, bank_owner
 from calibration.errors import WavefocusError
 from gui.campaign.figures import Float32Array, per_position
-from gui.campaign.log_tail import LogTail
 from gui.front_door import FrontDoor, Pulse
+from gui.log_tail import LogTail
 from gui.surface.surface import Surface, surface_of
 
 if TYPE_CHECKING:
+    from calibration.bank import Bank
+    from calibration.bank_owner import Owner
     from rendering.report_drift import DriftPoint
 
 LOOKS_EVERY_S = 0.05
@@ -149,7 +149,7 @@ class Follower:
             if "drift" in kinds:
                 self._seen.put(DriftSeen(self._front.read_drift(self.bank)))
         if self._stale and self._identity is not None and time.monotonic() >= self._ledger_due_s:
-            with open_bank(self.bank) as bank:
+            with _opened(self.bank) as bank:
                 self._put_ledger(bank)
 
     def _look_at_bank(self) -> None:
@@ -163,12 +163,12 @@ class Follower:
             return
         identity = (found.st_dev, found.st_ino)
         if identity != self._identity:
-            with open_bank(self.bank) as bank:
+            with _opened(self.bank) as bank:
                 self._seen.put(Opened(surface_of(bank)))
                 self._put_ledger(bank)
             self._seen.put(DriftSeen(self._front.read_drift(self.bank)))
             self._identity = identity
-        owner = bank_owner(self.bank)
+        owner = _owner_of(self.bank)
         self._stale |= owner != self._owner
         self._put_life(owner)
         self._tell("")
@@ -194,3 +194,15 @@ class Follower:
 def same_file(one: Path, other: Path) -> bool:
     """Whether two paths name one file, also where it does not exist yet."""
     return os.path.normcase(one.absolute()) == os.path.normcase(other.absolute())
+
+
+def _opened(path: Path) -> Bank:
+    from calibration.bank import open_bank  # h5py is loaded by the thread that follows, not by the window's start
+
+    return open_bank(path)
+
+
+def _owner_of(path: Path) -> Owner | None:
+    from calibration.bank_owner import bank_owner
+
+    return bank_owner(path)

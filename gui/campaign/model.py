@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.events import State
-from calibration.bank_owner import Owner
 from gui.campaign.event_words import Line, Record, instant_s, line_of, number, whole
 from gui.campaign.figures import Float32Array
 from gui.campaign.follower import DriftSeen, Ledger, Life, Opened, Records, Seen, Trouble
@@ -21,6 +20,7 @@ from gui.front_door import Pulse
 from gui.surface.surface import Surface
 
 if TYPE_CHECKING:
+    from calibration.bank_owner import Owner
     from rendering.report_drift import DriftPoint
 
 # A week of a night's events; what is older is in the log.

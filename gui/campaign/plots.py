@@ -12,12 +12,12 @@ import pyqtgraph
 from PyQt5.QtCore import QRectF, Qt
 from PyQt5.QtWidgets import QVBoxLayout, QWidget
 
-from calibration.raw_file import Recordings
 from gui.surface.plot import MOST_COLUMNS, Plot, Real, thinned
 from gui.surface.surface import Surface
 from gui.theme import Theme
 
 if TYPE_CHECKING:
+    from calibration.raw_file import Recordings
     from rendering.report_drift import DriftPoint
 
 _FLOOR_DB = -60.0

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PyQt5.QtCore import Qt
@@ -24,20 +25,21 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from calibration.bank import open_bank
-from calibration.raw_file import Recordings, open_raw
 from gui.campaign.model import Attempt, Campaign
 from gui.campaign.plots import DriftPlot, GreenPlot, Greens, RecordingPlot, SpectrumPlot
 from gui.campaign.statuses import status_text
 from gui.desk import Desk
 from gui.theme import Theme
 
+if TYPE_CHECKING:
+    from calibration.raw_file import Recordings
+
 _ATTEMPTS = ("when", "attempt", "outcome", "SNR (dB)", "residual (dB)")
 _ACTUATORS = ("actuator", "SNR (dB)", "residual (dB)", "coherence", "peak (V)")
 _KEYS = ("snr_db", "residual_db", "coherence", "peak_v")
 
 Details = tuple[Greens, dict[str, np.ndarray]]
-Raw = tuple[Recordings | None, float]
+Raw = tuple["Recordings | None", float]
 
 
 class PositionPanel(QTabWidget):
@@ -214,12 +216,16 @@ def clock(at_s: float) -> str:
 
 
 def _read(path: Path, position: int) -> Details:
+    from calibration.bank import open_bank  # h5py is loaded in the background
+
     with open_bank(path) as bank:
         quality = {key: bank.quality[key][position] for key in _KEYS if key in bank.quality}
         return Greens(position, bank.green(position)), quality
 
 
 def _read_raw(path: Path, position: int) -> Raw:
+    from calibration.raw_file import open_raw
+
     with open_raw(path) as raw:
         return raw.read(position), raw.header.sample_rate_hz
 

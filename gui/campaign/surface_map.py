@@ -14,19 +14,15 @@ from gui.campaign.figures import Figure, Float32Array
 from gui.campaign.picking import PickingBox
 from gui.campaign.status_look import LOOKS, look_index
 from gui.campaign.statuses import status_text
+from gui.surface.spots import Spots
 from gui.surface.surface import Surface
+from gui.surface.walking import STEPS, next_position
 from gui.theme import LIGHT, Theme, dress_axes
 
 _COLOURS = 256
 _MARK = "#ff7a1a"
 # On a large map a few outliers must not press all others into one colour.
 _MANY, _OUTLIERS_PERCENT = 100, 1.0
-_STEPS = {
-    Qt.Key.Key_Left: (-1.0, 0.0),
-    Qt.Key.Key_Right: (1.0, 0.0),
-    Qt.Key.Key_Up: (0.0, 1.0),
-    Qt.Key.Key_Down: (0.0, -1.0),
-}
 
 
 class SurfaceMap(pyqtgraph.PlotWidget):
@@ -53,12 +49,12 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         self.colour_map = pyqtgraph.colormap.get("viridis")
         self._image = pyqtgraph.ImageItem(axisOrder="row-major")
         self._outline = pyqtgraph.PlotCurveItem(antialias=True)
-        self._actuators = pyqtgraph.ScatterPlotItem(symbol="o", size=9, pxMode=True)
-        self._marks = pyqtgraph.ScatterPlotItem(pxMode=True)
-        self._chosen = pyqtgraph.ScatterPlotItem(symbol="s", size=11, pxMode=True)
-        self._current_rim = pyqtgraph.ScatterPlotItem(symbol="o", size=17, pxMode=True)
-        self._current = pyqtgraph.ScatterPlotItem(symbol="o", size=17, pxMode=True)
-        self._cross = pyqtgraph.ScatterPlotItem(symbol="crosshair", size=21, pxMode=True)
+        self._actuators = Spots(symbol="o", size=9, pxMode=True)
+        self._marks = Spots(pxMode=True)
+        self._chosen = Spots(symbol="s", size=11, pxMode=True)
+        self._current_rim = Spots(symbol="o", size=17, pxMode=True)
+        self._current = Spots(symbol="o", size=17, pxMode=True)
+        self._cross = Spots(symbol="crosshair", size=21, pxMode=True)
         for item in (
             self._image,
             self._outline,
@@ -170,8 +166,10 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         """Walk and select by the keyboard."""
         assert event is not None
         key = event.key()
-        if self._surface is not None and key in _STEPS:
-            self._walk(np.array(_STEPS[Qt.Key(key)]))
+        if self._surface is not None and key in STEPS:
+            here = next_position(self._surface.position_mm, self.shown, key) if self.shown >= 0 else 0
+            if here != self.shown:
+                self.show_position(here)
         elif key == Qt.Key.Key_Space and self.shown >= 0:
             self.select(self.selected ^ {self.shown})
         elif key == Qt.Key.Key_A and event.modifiers() & Qt.KeyboardModifier.ControlModifier and self._surface:
@@ -195,19 +193,6 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         self.setToolTip(
             f"position {position} at ({x_mm:.1f}, {y_mm:.1f}) mm: {status_text(int(self._status[position]))}"
         )
-
-    def _walk(self, step: NDArray[np.float64]) -> None:
-        """Go to the nearest position in a direction, within 45 degrees of it."""
-        assert self._surface is not None
-        if self.shown < 0:
-            self.show_position(0)
-            return
-        away_mm = self._surface.position_mm - self._surface.position_mm[self.shown]
-        along_mm = away_mm @ step
-        aside_mm = np.abs(away_mm @ step[::-1])
-        cost = np.where((along_mm > 0) & (aside_mm <= along_mm), along_mm + aside_mm, np.inf)
-        if np.isfinite(cost).any():
-            self.show_position(int(cost.argmin()))
 
     def _paint(self, colours: NDArray[np.uint8]) -> None:
         if self._surface is None or len(colours) != self._surface.positions:
@@ -242,7 +227,7 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         ]
         self._marks.setData(spots)
 
-    def _put(self, item: pyqtgraph.ScatterPlotItem, positions: list[int]) -> None:
+    def _put(self, item: Spots, positions: list[int]) -> None:
         if self._surface is None:
             item.setData(pos=np.zeros((0, 2)))
             return

@@ -24,6 +24,8 @@ from gui.desk import Desk
 from gui.path_field import PathField
 from gui.tab import Question, Tab
 from gui.theme import Theme
+from gui.which_rig import runs_on_virtual_rig
+from rendering.verification_names import FIELD_NAMES, RECORD_NAME
 
 _BAD = POOR_SIGNAL | OVER_RANGE | FAILED
 # What is taken up in one go; the rest of a long log comes with the next ticks, so that the window answers meanwhile.
@@ -52,12 +54,12 @@ class CampaignTab(Tab):
         self.controls = Controls(
             {
                 "plan": self._plan,
-                "start": lambda: self._start("capture", str(self.run_field.path), "--bank", str(self.bank_field.path)),
-                "resume": lambda: self._start("resume", str(self.bank_field.path)),
+                "start": self._start_run,
+                "resume": lambda: self._start("Resume", "resume"),
                 "pause": self._pause_or_go_on,
                 "stop": lambda: self.run.order("stop", self.bank_field.path),
                 "selected": self._remeasure_selected,
-                "poor": lambda: self._start("remeasure", str(self.bank_field.path)),
+                "poor": lambda: self._start("Remeasure", "remeasure"),
             }
         )
         self.progress = ProgressRow()
@@ -70,6 +72,7 @@ class CampaignTab(Tab):
         self.bank_field.chosen.connect(self._bank_chosen)
         self.map_panel.map.shown_changed.connect(self.position_panel.show_position)
         self.events.position_wanted.connect(self.map_panel.map.show_position)
+        self.map_panel.map.selection_changed.connect(self._share_selection)
 
     def menu_actions(self) -> list[QAction | None]:
         """What the buttons do, and what a resume may accept."""
@@ -80,11 +83,12 @@ class CampaignTab(Tab):
                 None, find]  # fmt: skip
 
     def accepts(self, path: Path) -> bool:
-        """Banks, and TOML files that are neither rigs nor scenes."""
+        """Banks, and TOML files that are neither rigs nor scenes; what a verification left is its tab's to open."""
         name = path.name.lower()
         if name.endswith(".toml"):
             return _may_be_run(path)
-        return name.endswith(".h5") and not name.endswith(".raw.h5")
+        of_verification = path.name in FIELD_NAMES and path.with_name(RECORD_NAME).exists()
+        return name.endswith(".h5") and not name.endswith(".raw.h5") and not of_verification
 
     def open_file(self, path: Path) -> None:
         """Open a run file, or a bank to follow."""
@@ -154,6 +158,17 @@ class CampaignTab(Tab):
         for part in (self.progress, self.map_panel, self.position_panel, self.events, self.instruments):
             part.dress(theme)
 
+    def run_file(self) -> Path | None:
+        """The run file."""
+        return self.run_field.path
+
+    def instruments_held(self) -> str:
+        """Whoever owns the bank measures with its rig, and so does the own run, of whichever bank."""
+        owner, surface = self.campaign.owner, self.campaign.surface
+        if owner is not None and not (surface is not None and surface.is_virtual):
+            return f"process {owner.pid} on {owner.host} measures {self.bank_field.path}"
+        return self.run.held()
+
     def closing(self) -> Question | None:
         """Ask what is to become of a run that this window started."""
         return self.run.closing()
@@ -209,20 +224,37 @@ class CampaignTab(Tab):
         if self.run_field.path is not None:
             self.run.plan(self.run_field.path)
 
-    def _start(self, *arguments: str) -> None:
-        bank = self.bank_field.path
+    def _start_run(self) -> None:
+        run, bank = self.run_field.path, self.bank_field.path
+        if run is not None and bank is not None:
+            self._claim("Start", ["capture", str(run), "--bank", str(bank)], bank, virtual=runs_on_virtual_rig(run))
+
+    def _start(self, word: str, command: str, *options: str) -> None:
+        bank, surface = self.bank_field.path, self.campaign.surface
         if bank is not None:
+            virtual = surface is not None and surface.is_virtual
+            self._claim(word, [command, str(bank), *options], bank, virtual=virtual)
+
+    def _claim(self, word: str, arguments: list[str], bank: Path, *, virtual: bool) -> None:
+        def start() -> None:
+            self.desk.memory.opened(bank)  # at hand in the other tabs, too
             self.follow(bank)
-            self.run.start(arguments, bank)
+            self.run.start(arguments, bank, virtual=virtual)
+
+        self.desk.claim_instruments(self, word, start, virtual=virtual)
 
     def _pause_or_go_on(self) -> None:
         word = "go-on" if self.controls.actions_by_name["pause"].text() == "Go on" else "pause"
         self.run.order(word, self.bank_field.path)
 
+    def _share_selection(self) -> None:
+        self.desk.selection.bank = self.bank_field.path
+        self.desk.selection.rows = frozenset(self.map_panel.map.selected)
+
     def _remeasure_selected(self) -> None:
         rows = ",".join(str(row) for row in sorted(self.map_panel.map.selected))
         if rows:
-            self._start("remeasure", str(self.bank_field.path), "--positions", rows)
+            self._start("Remeasure", "remeasure", "--positions", rows)
 
 
 def _may_be_run(path: Path) -> bool:
@@ -231,4 +263,6 @@ def _may_be_run(path: Path) -> bool:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return True
-    return "source" not in content and "scene" not in content and not isinstance(content.get("rig"), dict)
+    if "source" in content or "scene" in content:
+        return False
+    return not any(isinstance(content.get(table), dict) for table in ("rig", "mirror", "player"))

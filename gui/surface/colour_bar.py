@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import QPointF, QSize, Qt
-from PyQt5.QtGui import QBrush, QLinearGradient, QPainter, QPaintEvent
+from PyQt5.QtGui import QBrush, QColor, QLinearGradient, QPainter, QPaintEvent
 from PyQt5.QtWidgets import QSizePolicy, QWidget
 
 
@@ -14,7 +14,7 @@ class ColourBar(QWidget):
 
     def __init__(self, colour_map: pyqtgraph.ColorMap) -> None:
         super().__init__()
-        self._map = colour_map
+        self._stops = _stops(colour_map)
         self._ends = ("", "")
         self._title = ""
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -27,6 +27,11 @@ class ColourBar(QWidget):
         """As high, and narrow."""
         return QSize(160, self.sizeHint().height())
 
+    def take_map(self, colour_map: pyqtgraph.ColorMap) -> None:
+        """Show another gradient."""
+        self._stops = _stops(colour_map)
+        self.update()
+
     def show_range(self, title: str, unit: str, low: float, high: float, beyond: tuple[bool, bool]) -> None:
         """Say what it means, and whether there are values beyond its ends."""
         self._title = f"{title} ({unit})" if unit else title
@@ -36,7 +41,7 @@ class ColourBar(QWidget):
             ("≥ " if above else "") + _figure(high, low, high),
         )
         self.setAccessibleName(f"Colour bar: {self._title} from {self._ends[0]} to {self._ends[1]}")
-        self.setToolTip(f"{self._title}: dark is {self._ends[0]}, bright is {self._ends[1]}")
+        self.setToolTip(f"{self._title}: from {self._ends[0]} at the left end to {self._ends[1]} at the right end")
         self.update()
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:  # noqa: N802
@@ -44,8 +49,7 @@ class ColourBar(QWidget):
         painter = QPainter(self)
         width, line = self.width(), self.fontMetrics().height()
         gradient = QLinearGradient(QPointF(0, 0), QPointF(width, 0))
-        for at in np.linspace(0.0, 1.0, 17):
-            gradient.setColorAt(float(at), self._map.map(float(at), mode=self._map.QCOLOR))
+        gradient.setStops(self._stops)
         painter.fillRect(0, 2, width, line - 2, QBrush(gradient))
         painter.setPen(self.palette().color(self.foregroundRole()))
         left, right = self._ends
@@ -54,6 +58,11 @@ class ColourBar(QWidget):
         painter.drawText(place, Qt.AlignmentFlag.AlignRight, right)
         title = self.fontMetrics().elidedText(self._title, Qt.TextElideMode.ElideRight, max(40, width - 120))
         painter.drawText(place, Qt.AlignmentFlag.AlignHCenter, title)
+
+
+def _stops(colour_map: pyqtgraph.ColorMap) -> list[tuple[float, QColor]]:
+    places = np.linspace(0.0, 1.0, 17).tolist()
+    return [(place, colour_map.map(place, mode=colour_map.QCOLOR)) for place in places]
 
 
 def _figure(value: float, low: float, high: float) -> str:

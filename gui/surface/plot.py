@@ -18,14 +18,13 @@ class Plot(pyqtgraph.PlotWidget):
     """A plot that takes the theme's colours and has its tools on the mouse alone."""
 
     def __init__(self, name: str, bottom: str, left: str) -> None:
-        super().__init__()
+        super().__init__(enableMenu=False)
         self.setAccessibleName(name)
         self.theme = LIGHT
         plot = self.getPlotItem()
         plot.setLabel("bottom", bottom)
         plot.setLabel("left", left)
         plot.hideButtons()
-        plot.setMenuEnabled(False)
         for side in ("left", "bottom"):
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.setToolTip("Wheel: zoom. Drag: move. Double click: everything.")

@@ -45,19 +45,31 @@ class Raster:
         return int(position) if distance_mm <= max(_REACH * self.spacing_mm, self.width_mm / 40) else -1
 
 
-def raster_of(position_mm: NDArray[np.float64]) -> Raster:
-    """Give each pixel to the nearest position within about half a spacing."""
+def raster_of(
+    position_mm: NDArray[np.float64], pixels_per_spacing: int = _PIXELS_PER_SPACING, cell: float = _CELL
+) -> Raster:
+    """Give each pixel to the nearest position within about half a spacing.
+
+    Parameters
+    ----------
+    position_mm : float64 array (positions, 2)
+        The grid.
+    pixels_per_spacing : int
+        How fine the picture is.
+    cell : float
+        How far from its position a cell reaches, in spacings; 0.5 and more leave no gaps.
+    """
     tree = cKDTree(position_mm)
     spacing_mm = float(np.median(tree.query(position_mm, k=[2])[0])) if len(position_mm) > 1 else 1.0
     low, high = position_mm.min(axis=0) - spacing_mm, position_mm.max(axis=0) + spacing_mm
     size_mm = high - low
-    pixel_mm = max(spacing_mm / _PIXELS_PER_SPACING, float(np.sqrt(size_mm[0] * size_mm[1] / _MOST_PIXELS)))
+    pixel_mm = max(spacing_mm / pixels_per_spacing, float(np.sqrt(size_mm[0] * size_mm[1] / _MOST_PIXELS)))
     columns, rows = (max(1, int(np.ceil(side / pixel_mm))) for side in size_mm)
     x_mm = low[0] + (np.arange(columns) + 0.5) * size_mm[0] / columns
     y_mm = low[1] + (np.arange(rows) + 0.5) * size_mm[1] / rows
     pixels_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     # By the larger of both coordinates a cell is a square: right for square grids, and good enough to see others by.
-    _, index = tree.query(pixels_mm, p=np.inf, distance_upper_bound=_CELL * spacing_mm)
+    _, index = tree.query(pixels_mm, p=np.inf, distance_upper_bound=cell * spacing_mm)
     return Raster(
         index.reshape(rows, columns),
         float(low[0]),

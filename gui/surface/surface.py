@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.grid import stadium_rim
-from calibration.bank import Bank
+from gui.which_rig import is_virtual
 
 if TYPE_CHECKING:
+    from calibration.bank import Bank
     from gui.surface.raster import Raster
 
 _OUTLINE_POINTS = 181
@@ -39,6 +40,8 @@ class Surface:
         Measured band.
     unit : str
         Of the Green's functions.
+    is_virtual : bool
+        Whether it was measured on a virtual rig, by its own words.
     raster : Raster
         Which position each pixel of a picture belongs to.
     """
@@ -51,6 +54,7 @@ class Surface:
     taps: int
     band_hz: tuple[float, float] | None
     unit: str
+    is_virtual: bool
     raster: Raster
 
     @property
@@ -78,8 +82,17 @@ def surface_of(bank: Bank) -> Surface:
         taps=bank.taps,
         band_hz=bank.band_hz,
         unit=bank.response_unit,
+        is_virtual=_is_virtual(bank.rig_json),
         raster=raster_of(position_mm),
     )
+
+
+def _is_virtual(rig_json: str | None) -> bool:
+    try:
+        rig = json.loads(rig_json or "")
+    except ValueError:
+        return False
+    return isinstance(rig, dict) and "mirror" in rig and is_virtual(rig)
 
 
 def _outline_mm(rig_json: str | None) -> NDArray[np.float64] | None:

@@ -20,7 +20,7 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from acquisition.quality import STATUS_WORDS
+from acquisition.point_status import STATUS_WORDS
 from calibration.bank import open_bank
 from gui.campaign import statuses
 from gui.campaign.surface_map import SurfaceMap
@@ -67,6 +67,17 @@ def drag(qtbot: QtBot, shown: SurfaceMap, points: list[QPoint], keys: Qt.Keyboar
             qtbot.wait(15)  # the map looks at the mouse a hundred times a second
             mouse(shown, QEvent.Type.MouseMove, one + (other - one) * part / 4, keys, held=True)
     mouse(shown, QEvent.Type.MouseButtonRelease, points[-1], keys, held=False)
+
+
+def test_given_a_position_that_is_selected_and_shown_then_a_click_on_its_marks_reaches_it(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+) -> None:
+    tab = opened(qtbot, open_window, finished)
+    shown = tab.map_panel.map
+    click(shown, pixel(shown, 3.0, 1.5), Qt.KeyboardModifier.ControlModifier)
+    assert shown.selected == {6}
+    click(shown, pixel(shown, 3.0, 1.5), Qt.KeyboardModifier.ControlModifier)
+    assert shown.selected == set()
 
 
 def test_given_a_click_on_the_map_then_green_s_functions_quality_and_recordings_of_that_position_are_shown(
@@ -180,7 +191,7 @@ def test_given_a_dropped_file_then_it_is_opened_and_stands_among_the_recent_ones
     tab = campaign_of(window)
     assert tab.bank_field.path == finished.with_name("plate.h5") or tab.run_field.path == other
     assert memory.recent() == [other, finished]
-    window.open_file(tmp_path / "lab" / "rig.toml")
+    window.open_file(tmp_path / "lab" / "positions.csv")
     assert "no tab opens such a file" in window.messages.sentence
 
 

@@ -13,10 +13,10 @@ from calibration.bank_owner import Owner
 from gui.campaign.event_words import Weight
 from gui.campaign.figures import per_position
 from gui.campaign.follower import Life, Records
-from gui.campaign.log_tail import LogTail
 from gui.campaign.model import KEPT_LINES, Campaign
 from gui.campaign.standing import Extra, Order, Standing, possible
 from gui.front_door import Pulse
+from gui.log_tail import LogTail
 from gui.surface.raster import raster_of
 
 

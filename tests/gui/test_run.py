@@ -162,7 +162,7 @@ def test_given_a_run_file_then_the_dry_run_tells_positions_and_hours(
     wait(qtbot, lambda: "positions 12" in window.messages.sentence)
     assert "finishes" in window.messages.sentence
     answer(qtbot, window, "Everything")
-    assert "within all limits" in window.findChild(QPlainTextEdit).toPlainText()
+    assert "within all limits" in campaign_of(window).findChild(QPlainTextEdit).toPlainText()
 
 
 def test_given_a_dry_run_that_is_cancelled_then_the_window_says_so(

@@ -1,4 +1,4 @@
-"""A capture that this window started: a process of its own, which goes on when the window is closed."""
+"""A capture or a verification that this window started: a process that goes on when the window is closed."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from gui.front_door import FrontDoor
 
 _TAIL_BYTES = 4096
 _ON_ITS_OWN = 0x00000200 | 0x08000000  # Windows: CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
-_LOST = "its process was killed, or the machine ran out of memory; resume goes on from what is in the bank"
+_RESUME = "resume goes on from what is in the bank"
 
 
 class OwnRun:
-    """Starts ``capture``, ``resume`` or ``remeasure`` and knows how it ended.
+    """Starts a command that plays and records, and knows how it ended.
 
-    What the process tells people goes to a file beside the bank, which outlives the window. It hears no Ctrl-C and no
-    hang-up that are meant for the window.
+    What the process tells people goes to a file beside what it works at, which outlives the window. It hears no Ctrl-C
+    and no hang-up that are meant for the window.
 
     Parameters
     ----------
@@ -27,8 +27,14 @@ class OwnRun:
         Starts commands.
     arguments : sequence of str
         Command and arguments.
-    bank : Path
-        Whose capture.
+    subject : Path
+        What it works at: a bank, or a folder.
+    said : Path
+        Where what it tells people goes.
+    what : str
+        What it is called in sentences.
+    after_loss : str
+        What to do when its process is lost.
 
     Raises
     ------
@@ -36,22 +42,31 @@ class OwnRun:
         The process cannot be started.
     """
 
-    def __init__(self, front: FrontDoor, arguments: Sequence[str], bank: Path) -> None:
-        self.bank = bank
-        self._said = front.said_path(bank)
+    def __init__(
+        self,
+        front: FrontDoor,
+        arguments: Sequence[str],
+        subject: Path,
+        said: Path,
+        *,
+        what: str = "capture",
+        after_loss: str = _RESUME,
+    ) -> None:
+        self.subject = subject
+        self._said, self._what, self._after_loss = said, what, after_loss
         try:
-            said = self._said.open("wb")
+            heard = self._said.open("wb")
         except OSError:
-            # A folder that cannot be written ends the capture with a sentence, which must be kept somewhere.
+            # A folder that cannot be written ends the command with a sentence, which must be kept somewhere.
             self._said = Path(tempfile.gettempdir()) / self._said.name
-            said = self._said.open("wb")
-        with said:
+            heard = self._said.open("wb")
+        with heard:
             # Signals and the closing of consoles that are meant for the window are kept away from it.
             self._process = subprocess.Popen(
                 [*front.command, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=said,
+                stderr=heard,
                 env={**os.environ, "PYTHONIOENCODING": "utf-8"},
                 start_new_session=os.name == "posix",
                 creationflags=0 if os.name == "posix" else _ON_ITS_OWN,
@@ -90,8 +105,11 @@ class OwnRun:
             return ""
         said = self.last_said().removeprefix("wavefocus: ")
         if code < 0:
-            return f"the capture ended without a good-bye: {_LOST}"
-        return said or f"the capture ended with exit code {code}"
+            return (
+                f"the {self._what} ended without a good-bye: its process was killed, or the machine ran out of memory; "
+                f"{self._after_loss}"
+            )
+        return said or f"the {self._what} ended with exit code {code}"
 
     def let_go(self) -> None:
         """Leave it running without a parent that would wait for it."""

@@ -1,0 +1,74 @@
+"""Waveform and spectrum of one sweep."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyqtgraph
+from PyQt5.QtCore import Qt
+
+from gui.rig.facts import Sweep
+from gui.surface.plot import Plot, thinned
+from gui.theme import Theme
+
+_MILLI_BELOW_V = 0.5
+_BELOW_DB, _ABOVE_DB = 15.0, 10.0
+
+
+class WaveformPlot(Plot):
+    """Both inputs over time; the reference is drawn as high as the response."""
+
+    def __init__(self) -> None:
+        super().__init__("Waveform of the sweep", "time (s)", "response (mV)")
+        self.legend = self.getPlotItem().addLegend(offset=(-8, 6))
+
+    def dress(self, theme: Theme) -> None:
+        """Take the theme's colours."""
+        super().dress(theme)
+        self.legend.setLabelTextColor(theme.text)
+
+    def show_sweep(self, sweep: Sweep) -> None:
+        """Draw it."""
+        plot = self.getPlotItem()
+        plot.clear()
+        milli = sweep.response.peak_v < _MILLI_BELOW_V
+        factor, unit = (1e3, "mV") if milli else (1.0, "V")
+        plot.setLabel("left", f"response ({unit})")
+        time_s = np.arange(len(sweep.response_v)) / sweep.sample_rate_hz
+        reference_peak_v = float(np.abs(sweep.reference_v).max(initial=0.0))
+        share = sweep.response.peak_v / reference_peak_v if reference_peak_v > 0 else 1.0
+        for name, values, colour in (
+            (f"reference × {share:.2g}", share * sweep.reference_v, self.theme.grid),
+            ("response", sweep.response_v, self.theme.traces[0]),
+        ):
+            x, y = thinned(time_s, factor * values)
+            plot.plot(x, y, pen=pyqtgraph.mkPen(colour, width=1.2), name=name)
+        plot.getViewBox().autoRange()
+
+
+class SweepSpectrumPlot(Plot):
+    """Spectra of the response with the sweep and in silence, with the sweep's band."""
+
+    def __init__(self) -> None:
+        super().__init__("Spectrum of the sweep", "frequency (Hz); dashed: the sweep's band", "dB re 1 V/√Hz")
+        self.legend = self.getPlotItem().addLegend(offset=(-8, 6))
+
+    def dress(self, theme: Theme) -> None:
+        """Take the theme's colours."""
+        super().dress(theme)
+        self.legend.setLabelTextColor(theme.text)
+
+    def show_sweep(self, sweep: Sweep) -> None:
+        """Draw it."""
+        plot = self.getPlotItem()
+        plot.clear()
+        for name, values, colour, width in (
+            ("in silence", sweep.noise_db, self.theme.faint, 1.0),
+            ("with the sweep", sweep.response_db, self.theme.traces[0], 1.6),
+        ):
+            plot.plot(sweep.frequency_hz, values, pen=pyqtgraph.mkPen(colour, width=width), name=name)
+        pen = pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine)
+        for edge_hz in sweep.band_hz:
+            plot.addItem(pyqtgraph.InfiniteLine(edge_hz, pen=pen))
+        low_db = float(np.median(sweep.noise_db)) - _BELOW_DB
+        plot.setYRange(low_db, float(sweep.response_db.max()) + _ABOVE_DB, padding=0)
+        plot.setXRange(0.0, float(sweep.frequency_hz[-1]), padding=0.01)

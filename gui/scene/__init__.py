@@ -1,0 +1,1 @@
+"""The Scene tab: draws what is to be felt, and shows what comes of it."""

@@ -1,0 +1,206 @@
+"""A scene's file: opened, saved, asked about, and kept against crashes while it is not saved."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from PyQt5.QtCore import QObject, Qt, QTimer, pyqtSignal
+from PyQt5.QtWidgets import QFileDialog, QWidget
+
+from calibration.errors import WavefocusError
+from gui.desk import Desk
+from gui.scene.document import SceneDocument
+from gui.tab import Question
+
+_KEPT_AFTER_MS = 1000
+_TEXT, _PLACE, _OWNER = "scene/unsaved", "scene/unsaved_file", "scene/unsaved_by"
+
+Then = Callable[[], object]
+
+
+class SceneFiles(QObject):
+    """Opens and saves; every question is asked in the message bar.
+
+    Parameters
+    ----------
+    desk : Desk
+        Messages and memory.
+    document : SceneDocument
+        What is saved.
+    owner : QWidget
+        Dialogs stand over it.
+    """
+
+    opened = pyqtSignal()
+
+    def __init__(self, desk: Desk, document: SceneDocument, owner: QWidget) -> None:
+        super().__init__(owner)
+        self._desk, self._document, self._owner = desk, document, owner
+        self._seen_ns = 0
+        self._others_text = False
+        self._soon = QTimer(self)
+        self._soon.setSingleShot(True)
+        self._soon.setInterval(_KEPT_AFTER_MS)
+        self._soon.timeout.connect(self.keep)
+        document.changed.connect(self._soon.start)
+
+    @property
+    def name(self) -> str:
+        """The file's name, or what stands for it."""
+        return self._document.path.name if self._document.path else "a new scene"
+
+    def new(self) -> None:
+        """Begin a new scene."""
+        self._unless_unsaved("starting a new scene", self._document.start_anew)
+
+    def open(self, path: Path) -> None:
+        """Open a scene file."""
+        self._unless_unsaved(f"opening {path.name}", lambda: self._open(path))
+
+    def save(self, then: Then | None = None) -> None:
+        """Save to the scene's file, or ask for one; `then` follows when it is saved."""
+        path = self._document.path
+        if path is None:
+            self.save_as(then)
+        elif self._seen_ns and _written_ns(path) not in (0, self._seen_ns):
+            self._desk.messages.ask(
+                f"{path} has been changed by another program since it was opened here; what is to become of that?",
+                ("Save over it", lambda: self._save(path, then)),
+                ("Save under another name", lambda: self.save_as(then)),
+                ("Do not save", lambda: None),
+            )
+        else:
+            self._save(path, then)
+
+    def save_as(self, then: Then | None = None) -> None:
+        """Ask for a file and save to it; nothing is held up meanwhile."""
+        folder = self._document.path or self._desk.memory.folder(".toml") / "scene.toml"
+        dialog = QFileDialog(self._owner, "Save the scene", str(folder.parent), "scene (*.toml)")
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.setModal(False)
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setDefaultSuffix("toml")
+        dialog.selectFile(folder.name)
+        dialog.fileSelected.connect(lambda name: self._save(Path(name), then))
+        dialog.show()
+
+    def closing(self) -> Question | None:
+        """What to ask before the window closes."""
+        if self._nothing_to_lose:
+            return None
+        return Question(
+            f"{self.name} has changes that are not saved: what is to become of them?",
+            (
+                ("Save and close", self.save),
+                ("Close without saving", self._drop),
+                ("Close and keep for next time", lambda close: close()),
+            ),
+        )
+
+    def keep(self) -> None:
+        """Keep what is not saved where the next window finds it, should this one come to harm."""
+        memory, document = self._desk.memory, self._document
+        unsaved = not document.saved and bool(document.draft.sources)
+        if not unsaved:
+            if self._is_ours():
+                memory.keep(_TEXT, "")
+            return
+        memory.keep(_TEXT, document.toml())
+        memory.keep(_PLACE, str(document.path or ""))
+        memory.keep(_OWNER, os.getpid())
+
+    def take_up_what_was_kept(self) -> None:
+        """Go on with the scene that was not saved last time, unless another window is at it."""
+        memory = self._desk.memory
+        text, place = memory.text(_TEXT), memory.text(_PLACE)
+        if not text or (not self._is_ours() and _lives(memory.whole(_OWNER, 0))):
+            return
+        path = Path(place) if place else None
+        try:
+            self._document.take_up(text, path)
+        except WavefocusError:
+            memory.keep(_TEXT, "")  # of an older version: it would be told again for ever
+            return
+        self._seen_ns = 0 if path is None else _written_ns(path)
+        words = f"{path.name} has changes of last time" if path else "The scene of last time is back, which was"
+        self._desk.messages.note(f"{words} that were not saved" if path else f"{words} not saved")
+        self.keep()
+
+    @property
+    def _nothing_to_lose(self) -> bool:
+        document = self._document
+        return document.saved or not (document.draft.sources or document.path)
+
+    def _unless_unsaved(self, doing: str, act: Then) -> None:
+        if self._nothing_to_lose:
+            act()
+            return
+        self._desk.messages.ask(
+            f"{self.name} has changes that are not saved; save them before {doing}?",
+            ("Save", lambda: self.save(act)),
+            ("Do not save", act),
+            ("Cancel", lambda: None),
+        )
+
+    def _open(self, path: Path) -> None:
+        try:
+            self._document.load(path)
+        except (WavefocusError, OSError) as failure:
+            self._desk.tell_failure(failure)
+            return
+        self._seen_ns, self._others_text = _written_ns(path), True
+        self.keep()
+        self.opened.emit()
+
+    def _save(self, path: Path, then: Then | None) -> None:
+        try:
+            told = self._put_aside(path) if path == self._document.path else ""
+            self._document.save(path)
+        except (WavefocusError, OSError) as failure:
+            self._desk.tell_failure(failure)
+            return
+        self._seen_ns, self._others_text = _written_ns(path), False
+        self._desk.memory.opened(path)
+        self.keep()
+        self._desk.messages.note(f"{path} is saved{told}")
+        if then is not None:
+            then()
+
+    def _put_aside(self, path: Path) -> str:
+        """Keep a file that people wrote beside the first one saved over it: comments are not taken over."""
+        if not self._others_text or not path.is_file() or b"#" not in path.read_bytes():
+            return ""
+        aside = path.with_name(f"{path.name}~")
+        shutil.copy2(path, aside)
+        return f"; the file as it was, with its comments, is {aside.name}"
+
+    def _drop(self, close: Then) -> None:
+        self._document.start_anew()
+        close()
+
+    def _is_ours(self) -> bool:
+        return self._desk.memory.whole(_OWNER, 0) == os.getpid()
+
+
+def _written_ns(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _lives(pid: int) -> bool:
+    """Whether a process of this computer runs; where that cannot be asked, it does not."""
+    if pid <= 0 or sys.platform == "win32":
+        return False
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True

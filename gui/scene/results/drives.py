@@ -1,0 +1,228 @@
+"""The drives of a scene as it is edited: to a tolerance, their beginning alone where it is long, limits and levels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.durations import hours
+from calibration.bank import Bank
+from calibration.drive_file import Drive
+from calibration.errors import InputError
+from gui.front_door import RigLimits
+from gui.scene.results.messages import Driven
+from rendering.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
+from rendering.drive import render_with_report
+from rendering.green_source import read_row, refusal
+from rendering.live import LiveDrive
+from rendering.movie_frames import Foci
+from rendering.regularisation import row_weights, saturation_threshold
+from rendering.scene import Output, Scene, Source
+from rendering.scene_rows import scene_rows
+
+Float64Array = NDArray[np.float64]
+OnProgress = Callable[[int, int], None]
+
+TOLERANCE_DB = -60.0
+MOST_DRIVE_BYTES = 128 * 2**20
+LONGEST_S = 600.0
+MOST_GAINS = 200
+MOST_PATH_POINTS = 400
+_BLOCK_SAMPLES = 8192
+_LISTED = 12
+# A path that goes this much further from one point to the next than it does on the whole has jumped.
+_JUMP = 4.0
+
+
+def render_while_edited(
+    scene: Scene, bank: Bank, limits: DriveLimits, on_progress: OnProgress, most_bytes: int = MOST_DRIVE_BYTES
+) -> tuple[Drive, Limiting, tuple[str, ...], float]:
+    """Render a scene to -60 dB and keep it within limits.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its own limits are left to `limits`.
+    bank : Bank
+        The bank.
+    limits : DriveLimits
+        What no actuator may exceed.
+    on_progress : callable
+        Told blocks done and blocks in all; what it raises ends the render.
+    most_bytes : int
+        Longer drives are rendered for so long as fits into that.
+
+    Returns
+    -------
+    Drive
+        Only its beginning where all of it would not fit into the memory that is meant for it.
+    Limiting
+        What the limits did.
+    tuple of str
+        Warnings.
+    float
+        Seconds that the whole drive lasts, lead-in included.
+
+    Raises
+    ------
+    InputError
+        The scene does not fit the bank, or lasts too long.
+    """
+    plain = replace(scene, output=Output(interpolation=scene.output.interpolation))
+    lasts_s = max(emission_s(source, bank.sample_rate_hz) for source in scene.sources)
+    if lasts_s > LONGEST_S:
+        raise InputError(
+            f"the scene lasts {hours(lasts_s)}; while it is edited scenes of up to {hours(LONGEST_S)} are calculated."
+            " Shorten it, or save the drive, which may last longer"
+        )
+    lasts_s += (bank.taps - 1) / bank.sample_rate_hz
+    most = most_bytes // (8 * bank.actuators)
+    if lasts_s * bank.sample_rate_hz > most:
+        drive = _beginning(plain, bank, most, on_progress)
+        warnings: tuple[str, ...] = (
+            f"the drives last {hours(lasts_s)}; only their first {drive.drive_v.shape[1] / bank.sample_rate_hz:.0f} s"
+            " are calculated here, levels and limits are of them alone; saved and played is all",
+        )
+    else:
+        drive, report = render_with_report(plain, bank, tolerance_db=TOLERANCE_DB, on_progress=on_progress)
+        lasts_s, warnings = drive.drive_v.shape[1] / bank.sample_rate_hz, report.warnings
+    limiting = limit_drive(drive.drive_v, drive.sample_rate_hz, limits)
+    return replace(drive, scale=limiting.scale), limiting, warnings, lasts_s
+
+
+def stricter(output: Output, rig: RigLimits | None) -> DriveLimits:
+    """The limits of a scene and of a rig together, each the one that is stricter."""
+    ours = DriveLimits(output.limit_v, output.limit_rms_v)
+    if rig is None:
+        return ours
+    theirs = rig.drive
+    peak = min((ours.peak_v, ours.peak_key), (theirs.peak_v, theirs.peak_key), key=_known)
+    rms = min((ours.rms_v, ours.rms_key), (theirs.rms_v, theirs.rms_key), key=_known)
+    return DriveLimits(peak[0], rms[0], peak[1], rms[1])
+
+
+def told_drive(
+    number: int, scene: Scene, bank: Bank, drive: Drive, limits: DriveLimits, rig: RigLimits | None,
+    limiting: Limiting, warnings: tuple[str, ...], lasts_s: float,
+) -> Driven:  # fmt: skip
+    """Gather what the window shows of the drives."""
+    foci = Foci.of(drive)
+    drive_v, position_mm = drive.drive_v, np.asarray(bank.position_mm, np.float64)
+    gain_s, gain = _gains(scene, bank, drive)
+    snaps = [0.0]
+    for index, source in enumerate(scene.sources):
+        own = drive.focus_source == index
+        along = np.arange(np.count_nonzero(own)) * source.step_mm
+        points = source.path.point_at(np.minimum(along, source.path.length_mm))
+        snaps.append(float(np.hypot(*(points - position_mm[drive.focus_position[own]]).T).max(initial=0.0)))
+    return Driven(
+        number=number,
+        drive_v=drive_v.astype(np.float32),
+        sample_rate_hz=drive.sample_rate_hz,
+        start_s=drive.start_s,
+        lasts_s=lasts_s,
+        method=drive.method,
+        limiting=limiting,
+        limits=limits,
+        resistance_ohm=None if rig is None else rig.coil_resistance_ohm,
+        peak_v=np.maximum(drive_v.max(axis=1), -drive_v.min(axis=1)),
+        rms_v=largest_rms(drive_v, drive.sample_rate_hz),
+        omitted_bound=drive.omitted_bound if math.isfinite(drive.omitted_bound) else math.nan,
+        gain_s=gain_s,
+        gain=gain,
+        focus_s=foci.start_s,
+        focus_stop_s=foci.stop_s,
+        focus_mm=position_mm[foci.position],
+        paths_mm=[_path(source) for source in scene.sources],
+        snap_mm=max(snaps),
+        warnings=warnings,
+    )
+
+
+def missing_rows(scene: Scene, bank: Bank) -> tuple[int, ...]:
+    """Positions along the paths of a scene that hold no measurement; none where the paths leave the grid."""
+    try:
+        needed = scene_rows(scene, np.asarray(bank.position_mm, np.float64)).path
+    except InputError:
+        return ()
+    status = bank.status
+    return tuple(int(row) for row in needed if refusal(int(status[row])))
+
+
+def missing_words(rows: tuple[int, ...], why: str) -> str:
+    """A sentence about positions that a scene cannot do without."""
+    listed = ", ".join(map(str, rows[:_LISTED])) + (f" and {len(rows) - _LISTED} more" if len(rows) > _LISTED else "")
+    return (
+        f"the bank has no measurement at {len(rows)} positions on the scene's paths: {listed}. The picture comes when"
+        f" they are measured; remeasure them, or move the path ({why})"
+    )
+
+
+def emission_s(source: Source, sample_rate_hz: float) -> float:
+    """How long a source emits, from scene time zero, without sampling it; s."""
+    signal_s = getattr(source.signal, "duration_s", None)
+    if signal_s is None:
+        signal_s = len(source.signal.samples(sample_rate_hz)) / sample_rate_hz
+    travel_s = 0.0
+    if source.path.length_mm > 0 and source.speed_mm_s > 0 and source.step_mm > 0:
+        points = math.floor(source.path.length_mm / source.step_mm + 1e-9) + 1
+        travel_s = points * source.step_mm / source.speed_mm_s
+        if source.emission == "continuous":
+            return source.start_s + travel_s
+    return source.start_s + travel_s + float(signal_s)
+
+
+def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> Drive:
+    """The first samples of a drive that is not made as a whole."""
+    live = LiveDrive(scene, bank, block_samples=_BLOCK_SAMPLES, tolerance_db=TOLERANCE_DB)
+    drive_v, filled = np.zeros((bank.actuators, min(most, live.samples))), 0
+    for block in live.blocks():
+        taken = block[:, : drive_v.shape[1] - filled]
+        drive_v[:, filled : filled + taken.shape[1]] = taken
+        filled += taken.shape[1]
+        on_progress(filled, drive_v.shape[1])
+        if filled == drive_v.shape[1]:
+            break
+    ends = round(live.start_s * bank.sample_rate_hz) + filled
+    sample = np.concatenate([one.focus_sample for one in live.sources])
+    position = np.concatenate([one.focus_position for one in live.sources])
+    source = np.concatenate([np.full(len(one.focus_sample), one.index, np.int64) for one in live.sources])
+    there = sample < ends
+    return Drive(
+        drive_v, bank.sample_rate_hz, live.start_s, live.method, 1.0, math.inf, sample[there], position[there],
+        source[there],
+    )  # fmt: skip
+
+
+def _gains(scene: Scene, bank: Bank, drive: Drive) -> tuple[Float64Array, Float64Array]:
+    """n(x) of eq. (15) at focus instants, evenly chosen, and when they are."""
+    order = np.argsort(drive.focus_sample, kind="stable")
+    chosen = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), MOST_GAINS)).round().astype(int))]
+    threshold = saturation_threshold(scene.regularisation, bank)
+    known: dict[int, float] = {}
+    for position in drive.focus_position[chosen].tolist():
+        if position not in known:
+            row = read_row(bank, position)
+            found = None if row.silent else row_weights(row, threshold, normalise=True)
+            known[position] = math.nan if found is None else math.ldexp(found.gain, found.gain_exponent)
+    gain = np.array([known[position] for position in drive.focus_position[chosen].tolist()])
+    return drive.focus_sample[chosen] / drive.sample_rate_hz, gain
+
+
+def _path(source: Source) -> Float64Array:
+    """A source's path as a line to be drawn, NaN where it jumps from stroke to stroke; one point where it rests."""
+    length_mm = source.path.length_mm
+    if length_mm <= 0:
+        return source.path.point_at(np.zeros(1))
+    along_mm, step_mm = np.linspace(0.0, length_mm, MOST_PATH_POINTS, retstep=True)
+    points = source.path.point_at(along_mm)
+    jumps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _JUMP * step_mm) + 1
+    return np.insert(points, jumps, np.nan, axis=0)
+
+
+def _known(limit: tuple[float | None, str]) -> float:
+    return math.inf if limit[0] is None else limit[0]

@@ -1,0 +1,165 @@
+"""The figures of a scene with their units, limits, verdicts and definitions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gui.scene.results.messages import Driven, FieldBegun, FocusFigures
+from rendering.coil_limits import RMS_WINDOW_S, dynamic_range_db
+
+Float64Array = NDArray[np.float64]
+
+# Verdicts.
+GOOD, HELD = "within", "held back"
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One line of the table.
+
+    Parameters
+    ----------
+    name, value, unit : str
+        What it is; the value is empty where it is not known.
+    limit : str
+        What is allowed; empty where nothing limits it.
+    verdict : str
+        `GOOD`, `HELD` where all drives were scaled down for it, or empty.
+    definition : str
+        What it means exactly.
+    """
+
+    name: str
+    value: str
+    unit: str
+    definition: str
+    limit: str = ""
+    verdict: str = ""
+
+
+def drive_figures(driven: Driven) -> list[Figure]:
+    """Figures that are known with the drives."""
+    from rendering.metrics import range_db  # scipy has been loaded by then, by the thread that listens
+
+    limiting, limits = driven.limiting, driven.limits
+    decided = limiting.decided_by
+    loudest, hottest = int(np.argmax(driven.peak_v)), int(np.argmax(driven.rms_v))
+    peak_v, rms_v = float(driven.peak_v[loudest]), float(driven.rms_v[hottest])
+    figures = [
+        Figure(
+            "scale by the limits", _short(limiting.scale), "",
+            "Factor on all drives that keeps every actuator within its limits; 1 where nothing exceeds them. Drives are"
+            f" scaled, never clipped, and so the responses shrink with them. Now: {limiting}.",
+            verdict=HELD if decided else GOOD,
+        ),
+        Figure(
+            "peak of the drives", _short(peak_v), "V",
+            f"Largest magnitude of any actuator's drive after scaling; actuator {loudest} has it. Its limit is"
+            f" {limits.peak_key}.",
+            _limit(limits.peak_v, "V"), _verdict(limits.peak_v, decided == limits.peak_key),
+        ),
+        Figure(
+            "rms of the drives", _short(rms_v), "V",
+            f"Largest rms of any actuator's drive over any {RMS_WINDOW_S:g} s, or over all of a shorter one, after"
+            f" scaling; actuator {hottest} has it. Its limit is {limits.rms_key}.",
+            _limit(limits.rms_v, "V"), _verdict(limits.rms_v, decided == limits.rms_key),
+        ),
+    ]  # fmt: skip
+    if driven.resistance_ohm:
+        power = None if limits.rms_v is None else limits.rms_v**2 / driven.resistance_ohm
+        figures.append(Figure(
+            "coil power", _short(rms_v**2 / driven.resistance_ohm), "W",
+            f"rms² over the coil's resistance of {driven.resistance_ohm:g} ohms, by the rig file.",
+            _limit(power, "W"), _verdict(power, decided == limits.rms_key),
+        ))  # fmt: skip
+    gain_db = range_db(driven.gain)
+    figures += [
+        Figure(
+            "dynamic range", f"{dynamic_range_db(driven.rms_v):.1f}", "dB",
+            "Largest over smallest rms of all actuators that are driven at all. Saturation makes it smaller.",
+        ),
+        Figure(
+            "range of n(x)", "" if math.isnan(gain_db) else f"{gain_db:.1f}", "dB",
+            "Largest over smallest n(x) of eq. (15) along the paths: how unequally well the surface can be focused on.",
+        ),
+        Figure(
+            "left out", "" if math.isnan(driven.omitted_bound) else f"{driven.omitted_bound:.1e}", "",
+            "Proved bound on the relative L2 error of the drives from what is left out while you edit (-60 dB). What is"
+            " saved and played leaves nothing out.",
+        ),
+        Figure(
+            "duration", f"{driven.lasts_s:.3f}", "s",
+            "Of the drives, with the lead-in that time reversal needs: one Green's function's length.",
+        ),
+        Figure(
+            "method", driven.method, "",
+            "exact: a continuous source moves from sample to sample (eq. 9); sampled: from path point to path point"
+            " (eq. 16). Emission per point is sampled by nature.",
+        ),
+        Figure(
+            "largest snap", f"{driven.snap_mm:.2f}", "mm",
+            "Largest distance of a path point from the bank's position nearest to it.",
+        ),
+    ]  # fmt: skip
+    return figures
+
+
+def focus_figures(found: FocusFigures, begun: FieldBegun) -> list[Figure]:
+    """Figures that are known with the field."""
+    from rendering.focus_figures import FOCUS_RADIUS_MM
+
+    radius = f"{FOCUS_RADIUS_MM:g} mm"
+    return [
+        Figure(
+            "response at the foci", _of(found.peak, _short), begun.unit,
+            f"Largest predicted response within {radius} of the path point, at the instant when it is loudest; median"
+            f" of {len(found.time_s)} foci, evenly chosen.",
+        ),
+        Figure(
+            "focal width", _of(found.width_mm, lambda value: f"{value:.1f}"), "mm",
+            "Full width at half maximum of the focal spot: diameter of the disk of equal area; median of the foci that"
+            " lie wholly on measured positions.",
+        ),
+        Figure(
+            "focus position error", _of(found.off_mm, lambda value: f"{value:.2f}"), "mm",
+            f"Distance of the largest response within {radius} from the path point on the grid; median.",
+        ),
+        Figure(
+            "artefact level", _of(found.artefact_db, lambda value: f"{value:.1f}"), "dB",
+            f"Largest response further than {radius} from the focus over the largest within; median.",
+        ),
+        *(
+            Figure(
+                f"crosstalk of source {source}", f"{100 * ratio:.1f}", "%",
+                "Amplitude of what all other foci of the path together make heard at a focus, in the middle of its"
+                " emission, over that of its own; over at most 24 path points in the middle of the path.",
+            )
+            for source, ratio in found.crosstalk
+        ),
+    ]  # fmt: skip
+
+
+def _of(values: Float64Array, words: Callable[[float], str]) -> str:
+    from rendering.focus_figures import median_or_none
+
+    median = median_or_none(values)
+    return "" if median is None else words(median)
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _limit(limit: float | None, unit: str) -> str:
+    return "" if limit is None else f"{limit:.3g} {unit}"
+
+
+def _verdict(limit: float | None, decided: bool) -> str:
+    if limit is None:
+        return ""
+    return HELD if decided else GOOD

@@ -1,0 +1,144 @@
+"""Where, how sharp and how clean the foci of a scene come out, from predictions at chosen instants."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.bank import Bank
+from calibration.drive_file import Drive
+from calibration.errors import InputError
+from gui.scene.results.instants import between
+from gui.scene.results.messages import FocusFigures
+from rendering.crosstalk import PathResponses
+from rendering.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, focus_instants
+from rendering.metrics import artefact_level_db, focal_width_mm, focus_peak, grid_spacing_mm
+from rendering.prediction import Prediction
+from rendering.scene import Scene
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+# Widths take a surface each to be drawn on.
+MOST_FIGURES = 8
+MOST_RESPONSES_BYTES = 128 * 2**20
+MOST_CROSSTALK_POINTS = 24
+MOST_CROSSTALK_SOURCES = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LookedAt:
+    """Foci that are looked at, when each is loudest, and the largest response there.
+
+    Parameters
+    ----------
+    instants : tuple of FocusInstant, length K
+    peak : float64 array, shape (K,)
+    """
+
+    instants: tuple[FocusInstant, ...]
+    peak: Float64Array
+
+    def time_s(self, sample_rate_hz: float) -> Float64Array:
+        """The instants on the scene's clock."""
+        return np.array([one.sample for one in self.instants]) / sample_rate_hz
+
+
+def look_at_foci(drive: Drive, bank: Bank) -> LookedAt:
+    """Choose foci, and find the instant at which each is loudest, at the full rate."""
+    samples = drive.drive_v.shape[1] + bank.taps - 1
+    windows = emission_windows(drive)
+    most = max(1, MOST_RESPONSES_BYTES // (4 * samples))
+    if len(windows) > most:
+        windows = tuple(windows[index] for index in np.linspace(0, len(windows) - 1, most).astype(int))
+    rows, place = np.unique([one.row for one in windows], return_inverse=True)
+    field = Prediction(drive, bank, rows.astype(np.int64)).field().field.astype(np.float32, copy=False)
+    first = round(drive.start_s * drive.sample_rate_hz)
+    instants = focus_instants(windows, field[place], first)
+    where = dict(zip(rows.tolist(), range(len(rows)), strict=True))
+    peak = np.array([abs(float(field[where[one.row], one.sample - first])) for one in instants])
+    return LookedAt(instants, peak)
+
+
+class Snapshots:
+    """The field at the instants of some of the foci, gathered while it is predicted part by part.
+
+    Parameters
+    ----------
+    looked : LookedAt
+        The foci.
+    rate_hz : float
+        Of the drives.
+    start_s, field_rate_hz : float
+        Of the field.
+    positions : int
+        Of the field.
+    """
+
+    def __init__(self, looked: LookedAt, rate_hz: float, start_s: float, field_rate_hz: float, positions: int) -> None:
+        count = len(looked.instants)
+        chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_FIGURES)).round().astype(int))
+        self.instants = [looked.instants[index] for index in chosen]
+        self.time_s = np.array([one.sample / rate_hz for one in self.instants])
+        self._places = ((self.time_s - start_s) * field_rate_hz).tolist()
+        self.values = np.full((len(self.instants), positions), np.nan, np.float32)
+
+    def take(self, first: int, part: Float32Array) -> None:
+        """Take a part of the field, (samples, k); instants beyond its end stay unknown."""
+        for index, place in enumerate(self._places):
+            if place <= len(part) - 1:
+                self.values[index, first : first + part.shape[1]] = between(part, place)
+
+
+def figures_of(
+    number: int, snapshots: Snapshots, rows: Int64Array, bank: Bank, scene: Scene, drive: Drive,
+    check: Callable[[], None],
+) -> FocusFigures:  # fmt: skip
+    """Work out the figures; `check` is called between them, and what it raises ends the work."""
+    position_mm = np.asarray(bank.position_mm, np.float64)
+    there, count = position_mm[rows], len(snapshots.instants)
+    peak, off_mm, width_mm, artefact_db = np.full((4, count), np.nan)
+    spacing_mm = grid_spacing_mm(there) if len(there) > 1 else None
+    for index, one in enumerate(snapshots.instants):
+        check()
+        field, point = snapshots.values[index], position_mm[one.row]
+        near_mm = (float(point[0]), float(point[1]))
+        found = focus_peak(there, field, near_mm, FOCUS_RADIUS_MM) if np.isfinite(field).all() else None
+        if found is None:
+            continue
+        peak[index] = abs(found.value)
+        off_mm[index] = math.hypot(found.at_mm[0] - point[0], found.at_mm[1] - point[1])
+        artefact_db[index] = artefact_level_db(there, field, near_mm, FOCUS_RADIUS_MM)
+        if spacing_mm is not None:
+            width = focal_width_mm(there, field, found.row, spacing_mm)
+            width_mm[index] = math.nan if width is None else width
+    crosstalk = []
+    for source in range(min(len(scene.sources), MOST_CROSSTALK_SOURCES)):
+        check()
+        ratio = crosstalk_of(scene, source, bank, drive)
+        if math.isfinite(ratio):
+            crosstalk.append((source, ratio))
+    return FocusFigures(number, snapshots.time_s, peak, off_mm, width_mm, artefact_db, tuple(crosstalk))
+
+
+def crosstalk_of(scene: Scene, index: int, bank: Bank, drive: Drive) -> float:
+    """Crosstalk along the middle of a source's path, as a ratio of amplitudes; NaN where it has but one point.
+
+    Every path point emits the source's signal where it emits per point, else one impulse.
+    """
+    source = scene.sources[index]
+    rows: Sequence[int] = drive.focus_position[drive.focus_source == index].tolist()
+    if len(rows) < 2 or source.speed_mm_s <= 0:
+        return math.nan
+    begin = (len(rows) - min(len(rows), MOST_CROSSTALK_POINTS)) // 2
+    signal = source.signal.samples(bank.sample_rate_hz) if source.emission == "per_point" else None
+    try:
+        responses = PathResponses(bank, rows[begin : begin + MOST_CROSSTALK_POINTS], signal, scene.regularisation)
+    except InputError:
+        return math.nan  # the emission is too long to be compared point by point
+    return math.sqrt(responses.energy_ratio(source.speed_mm_s, source.step_mm))

@@ -1,0 +1,199 @@
+"""Plays a scene on the rig: a process of its own, which falls silent when it is told to, or when the window is gone."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from PyQt5.QtCore import QObject, QProcess, QProcessEnvironment, QTimer, pyqtSignal
+
+from acquisition.durations import hours
+from gui.desk import Desk, sentence_of
+from gui.scene.document import SceneDocument
+from gui.scene.results.scene_job import CANCELLED, SceneJob
+from gui.which_rig import names_virtual_rig
+
+IDLE, RENDERING, OPENING, PLAYING, STOPPING = "silent", "rendering", "opening the rig", "playing", "stopping"
+_STOPPED_BY_USER = 130
+# Muting takes a moment; a process that does not end by itself is asked by a signal, and then ended. One that has not
+# opened the rig yet ends, silent, when it gets to where it would.
+_PATIENCE_MS, _OPENS_WITHIN_MS = 4000, 30_000
+_CLOSES_WITHIN_MS = 10_000
+_TICK_MS = 200
+
+
+class RigPlay(QObject):
+    """Renders the scene within the rig's limits and plays it.
+
+    Parameters
+    ----------
+    desk : Desk
+        Starts commands and tells how they ended.
+    document : SceneDocument
+        The scene.
+    parent : QObject
+        Lives no longer than this.
+    """
+
+    changed = pyqtSignal()
+
+    def __init__(self, desk: Desk, document: SceneDocument, parent: QObject) -> None:
+        super().__init__(parent)
+        self._desk, self._document = desk, document
+        self._job: SceneJob | None = None
+        self._process: QProcess | None = None
+        self._said = ""
+        self._began_s = 0.0
+        self._lasts_s = 0.0
+        self._rig = ""
+        self.state = IDLE
+        self._patience = QTimer(self)
+        self._patience.setSingleShot(True)
+        self._patience.timeout.connect(self._insist)
+        self._tick = QTimer(self)
+        self._tick.setInterval(_TICK_MS)
+        self._tick.timeout.connect(self.changed)
+
+    @property
+    def words(self) -> str:
+        """What it does, for people."""
+        if self.state != PLAYING:
+            return self.state
+        return f"playing, {hours(min(time.monotonic() - self._began_s, self._lasts_s))} of {hours(self._lasts_s)}"
+
+    def held(self) -> str:
+        """Whose instruments it has, or is about to have: the beginning of a sentence; empty for none that are real."""
+        if self.state == IDLE or names_virtual_rig(self._rig):
+            return ""
+        return f"the Scene tab plays on {Path(self._rig).name}"
+
+    def play(self, rig: str, gain_db: float, loops: int, lasts_s: float) -> None:
+        """Play the scene as it is now.
+
+        Parameters
+        ----------
+        rig : str
+            The rig file, or ``virtual``.
+        gain_db : float
+            On the drives; limits hold all the same.
+        loops : int
+            How many times, without a gap.
+        lasts_s : float
+            How long it lasts once, for the words.
+        """
+        if self.state != IDLE:
+            return
+        try:
+            self._job = SceneJob(self._desk, self._document, rig, lambda _words: None)
+        except OSError as failure:
+            self._desk.messages.fault(f"nothing is played: {sentence_of(failure)}")
+            return
+        self._rig, self._lasts_s = rig, loops * lasts_s
+        arguments = ["play", str(self._job.drive_file), "--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}",
+                     "--watched"]  # fmt: skip
+        self._enter(RENDERING)
+        self._job.run([("rendering", self._job.render())], lambda code, told: self._rendered(code, told, arguments))
+
+    def stop(self) -> None:
+        """Fall silent at once."""
+        if self.state == RENDERING and self._job is not None:
+            self._job.cancel()
+        elif self._process is not None and self.state in (OPENING, PLAYING):
+            self._patience.start(_PATIENCE_MS if self.state == PLAYING else _OPENS_WITHIN_MS)
+            self._enter(STOPPING)
+            self._process.closeWriteChannel()
+
+    def close(self) -> None:
+        """The window closes: fall silent, and wait until that is so."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.finished.disconnect()
+            process.closeWriteChannel()
+            if not process.waitForFinished(_CLOSES_WITHIN_MS):
+                process.terminate()
+                if not process.waitForFinished(_PATIENCE_MS):
+                    process.kill()
+                    process.waitForFinished(_PATIENCE_MS)
+        if self._job is not None:
+            self._job.cancel()
+            self._job.close()
+            self._job = None
+        self.state = IDLE
+        self._tick.stop()
+
+    def _rendered(self, code: int, sentence: str, arguments: list[str]) -> None:
+        if self.state != RENDERING:
+            return
+        if code != 0:
+            if code == CANCELLED and not sentence:
+                self._desk.messages.note("nothing was played: stopped before anything sounded")
+            else:
+                self._desk.messages.fault(f"nothing is played: {sentence or 'rendering ended without a word'}")
+            self._over()
+            return
+        self._said = ""
+        process = QProcess(self)
+        environment = QProcessEnvironment.systemEnvironment()
+        environment.insert("PYTHONIOENCODING", "utf-8")
+        environment.insert("PYTHONUNBUFFERED", "1")
+        process.setProcessEnvironment(environment)
+        process.readyReadStandardError.connect(self._heard)
+        process.finished.connect(self._finished)
+        process.errorOccurred.connect(self._failed)
+        self._process = process
+        self._enter(OPENING)
+        command = self._desk.front.command
+        process.start(command[0], [*command[1:], *arguments])
+
+    def _heard(self) -> None:
+        if self._process is None:
+            return
+        self._said += bytes(self._process.readAllStandardError()).decode("utf-8", "replace")
+        if self.state == OPENING and " actuators, at most " in self._said:
+            self._began_s = time.monotonic()
+            self._tick.start()
+            self._enter(PLAYING)
+
+    def _finished(self, code: int, how: QProcess.ExitStatus) -> None:
+        self._heard()
+        lines = [line.strip() for line in self._said.splitlines() if line.strip()]
+        sentence = lines[-1].removeprefix("wavefocus: ") if lines else ""
+        if self._job is not None:
+            sentence = sentence.replace(str(self._job.drive_file), "the scene")
+        if how != QProcess.ExitStatus.NormalExit:
+            self._desk.messages.fault("the process that played was ended by force; look whether the rig is silent")
+        elif code in (0, _STOPPED_BY_USER):
+            self._desk.messages.note(sentence or "played; the outputs are muted")
+        else:
+            self._desk.messages.fault(sentence or f"playing ended with exit code {code}")
+        self._over()
+
+    def _failed(self, error: QProcess.ProcessError) -> None:
+        if error == QProcess.ProcessError.FailedToStart and self._process is not None:
+            said = self._process.errorString()
+            self._desk.messages.fault(f"{self._process.program()} cannot be started: {said}; nothing is played")
+            self._over()
+
+    def _insist(self) -> None:
+        if self._process is not None and self.state == STOPPING:
+            self._process.terminate()
+            QTimer.singleShot(_PATIENCE_MS, self._force)
+
+    def _force(self) -> None:
+        if self._process is not None and self.state == STOPPING:
+            self._process.kill()
+
+    def _over(self) -> None:
+        self._patience.stop()
+        self._tick.stop()
+        if self._process is not None:
+            self._process.deleteLater()
+            self._process = None
+        if self._job is not None:
+            self._job.close()
+            self._job = None
+        self._enter(IDLE)
+
+    def _enter(self, state: str) -> None:
+        self.state = state
+        self.changed.emit()

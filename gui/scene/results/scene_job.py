@@ -1,0 +1,106 @@
+"""A scene handed to the command line: written as it is, rendered exactly, made into a file."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from gui.desk import Desk
+from gui.errand import Answer, Errand
+from gui.scene.document import SceneDocument
+from gui.scene.toml_text import scene_toml
+
+CANCELLED = -1
+_DRIVE, _FIELD = "drive.h5", "field.h5"
+
+
+class SceneJob:
+    """Runs commands about a scene one after the other, in a folder of its own that goes with it.
+
+    Parameters
+    ----------
+    desk : Desk
+        Starts commands.
+    document : SceneDocument
+        The scene, as it is now; later edits do not matter.
+    rig : str
+        A rig file, or ``virtual``; empty for none.
+    told : callable
+        Told in words what is being done.
+
+    Raises
+    ------
+    OSError
+        There is no room for the folder.
+    """
+
+    def __init__(self, desk: Desk, document: SceneDocument, rig: str, told: Callable[[str], object]) -> None:
+        self._desk, self._told = desk, told
+        self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-scene-", ignore_cleanup_errors=True)
+        self._named = document.path.name if document.path else "the scene"
+        self._bank = str(document.bank)
+        self._rig = ["--rig", rig] if rig else []
+        self._errand: Errand | None = None
+        self._cancelled = False
+        if document.path is not None and document.saved:
+            self.scene_file = document.path
+        else:
+            self.scene_file = Path(self._folder.name) / "scene.toml"
+            self.scene_file.write_text(scene_toml(document.draft), encoding="utf-8")
+
+    @property
+    def drive_file(self) -> Path:
+        """The drive, where no other file was asked for."""
+        return Path(self._folder.name) / _DRIVE
+
+    @property
+    def field_file(self) -> Path:
+        """The predicted field."""
+        return Path(self._folder.name) / _FIELD
+
+    def render(self, out: Path | None = None, wav: Path | None = None) -> list[str]:
+        """The command that renders the scene."""
+        sound = [] if wav is None else ["--wav", str(wav)]
+        into = str(out or self.drive_file)
+        return ["render", str(self.scene_file), "--bank", self._bank, "--out", into, *sound, *self._rig]
+
+    def predict(self, rate_hz: float | None) -> list[str]:
+        """The command that predicts the field of the drive, at a lower rate where one is given."""
+        rate = [] if rate_hz is None else ["--rate", repr(rate_hz)]
+        return ["predict", str(self.drive_file), "--bank", self._bank, "--out", str(self.field_file), *rate]
+
+    def movie(self, out: Path) -> list[str]:
+        """The command that draws the field."""
+        return ["movie", str(self.field_file), "--bank", self._bank, "--drive", str(self.drive_file), "--out", str(out)]
+
+    def run(self, commands: Sequence[tuple[str, Sequence[str]]], done: Callable[[int, str], object]) -> None:
+        """Run commands, each with words for it, as long as they succeed; `done` gets the last code and sentence."""
+        (words, arguments), rest = commands[0], commands[1:]
+
+        def answered(answer: Answer) -> None:
+            self._errand = None
+            if self._cancelled:
+                done(CANCELLED, "")
+            elif answer.code != 0 or not rest:
+                done(answer.code, self._plain(answer.sentence))
+            else:
+                self.run(rest, done)
+
+        self._told(words)
+        self._errand = self._desk.run(arguments, answered)
+
+    def cancel(self) -> None:
+        """End what runs; files are left as they were."""
+        self._cancelled = True
+        if self._errand is not None:
+            self._errand.cancel()
+
+    def close(self) -> None:
+        """Take the folder away."""
+        self._folder.cleanup()
+
+    def _plain(self, sentence: str) -> str:
+        """A sentence without the names of files that only this job knows."""
+        plain = sentence.replace(str(Path(self._folder.name) / "scene.toml"), self._named)
+        return plain.replace(str(self.drive_file), "the drive").replace(str(self.field_file), "the field")

@@ -1,0 +1,262 @@
+"""The Scene tab: sources and their numbers, the surface they are drawn on, and what comes of them."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from PyQt5.QtCore import Qt
+from PyQt5.QtGui import QShowEvent
+from PyQt5.QtWidgets import (
+    QAction,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QSplitter,
+    QTabWidget,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from gui.desk import Desk
+from gui.path_field import PathField
+from gui.scene.document import SceneDocument
+from gui.scene.draft import SourceDraft, TextDraft
+from gui.scene.files import SceneFiles
+from gui.scene.live import Live
+from gui.scene.results.panel import ResultsPanel
+from gui.scene.scene_form import SceneForm
+from gui.scene.source_actions import SourceActions
+from gui.scene.source_form import SourceForm
+from gui.scene.source_list import SourceList, make_action
+from gui.scene.surface_panel import SurfacePanel
+from gui.tab import Question, Tab
+from gui.theme import Theme
+
+_SIZES = {"columns": [300, 490, 470], "left": [130, 500]}
+
+
+class SceneTab(Tab):
+    """Draw what is to be felt, see what comes of it, save it, render it, play it."""
+
+    title = "Scene"
+    opens = (".toml", ".svg", ".wav")
+
+    def __init__(self, desk: Desk) -> None:
+        super().__init__(desk)
+        self.document = SceneDocument(desk.front, self)
+        self.live = Live(desk, self.document)
+        self.files = SceneFiles(desk, self.document, self)
+        self.acts = SourceActions(desk, self.document, self.live, self)
+        self.actions_by_name = self._make_actions()
+        self.bank_field = PathField("&Bank", ".h5", "bank file", desk.memory)
+        self.sources = SourceList(
+            self.document,
+            [self.actions_by_name[name] for name in ("duplicate", "delete", "up", "down")],
+        )
+        self.source_form = SourceForm(desk, self.document)
+        self.scene_form = SceneForm(self.document)
+        self.surface = SurfacePanel(self.document, self.live, self.acts)
+        self.results = ResultsPanel(desk, self.document)
+        self._file = QLabel()
+        self._lay_out()
+        self.bank_field.chosen.connect(self._bank_chosen)
+        self.acts.added.connect(self._added)
+        self.live.came.connect(self._show_drawn)
+        self.document.edited.connect(self._show_possible)
+        self.document.chosen_changed.connect(self._show_possible)
+        self.document.file_changed.connect(self._show_possible)
+        self._show_possible()
+        self.files.take_up_what_was_kept()
+
+    def menu_actions(self) -> list[QAction | None]:
+        """What the buttons do."""
+        named = self.actions_by_name
+        return [
+            named["new"], named["save"], named["save as"], None, named["undo"], named["redo"], None,
+            *(named[name] for name in ("copy", "paste", "duplicate", "delete", "up", "down")), None,
+            named["drawing"], None, *self.results.menu_actions(),
+        ]  # fmt: skip
+
+    def accepts(self, path: Path) -> bool:
+        """Scenes, drawings and sounds."""
+        name = path.name.lower()
+        return name.endswith((".svg", ".wav")) or (name.endswith(".toml") and _is_scene(path))
+
+    def open_file(self, path: Path) -> None:
+        """Open a scene, add a drawing, or let the chosen source emit a sound."""
+        ending = path.suffix.lower()
+        if ending == ".svg":
+            self.acts.add_drawing(path)
+        elif ending == ".wav":
+            self.acts.use_sound(path)
+        else:
+            self.files.open(path)
+
+    def collect(self) -> None:
+        """Take up what came in."""
+        self.results.collect()
+
+    def draw(self) -> None:
+        """Draw what changed."""
+        self.results.draw()
+
+    def dress(self, theme: Theme) -> None:
+        """Take a theme's colours."""
+        for part in (self.sources, self.surface, self.results):
+            part.dress(theme)
+
+    def instruments_held(self) -> str:
+        """What is played."""
+        return self.results.playing.held()
+
+    def closing(self) -> Question | None:
+        """Ask what is to become of changes that are not saved."""
+        return self.files.closing()
+
+    def closed(self) -> None:
+        """Let go of threads."""
+        self.live.end()
+        self.results.closed()
+
+    def keep(self) -> None:
+        """Remember how the room is divided, and what is not saved."""
+        for name, splitter in self._splitters.items():
+            self.desk.memory.keep(f"scene/{name}", splitter.saveState())
+        self.desk.memory.keep("scene/snaps", int(self.surface.tools.snaps.isChecked()))
+        self.desk.memory.keep("scene/bank", str(self.document.bank or ""))
+        self.files.keep()
+
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
+        """Stand on the bank as it is now, or the one at hand where none was chosen, and take the keys."""
+        super().showEvent(event)
+        if self.document.bank is None:
+            bank = self._bank_at_hand()
+            if bank is not None:
+                self.bank_field.show_path(bank)
+                self.document.use_bank(bank)
+        else:
+            self.live.look_again()
+        self.surface.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
+
+    def _make_actions(self) -> dict[str, QAction]:
+        acts, files, steps = self.acts, self.files, self.document.steps
+        made = {
+            "new": make_action(self, "&New", "Begin a new scene", files.new, ["Ctrl+N"]),
+            "save": make_action(self, "&Save", "Save the scene to its file", files.save, ["Ctrl+S"]),
+            "save as": make_action(self, "Save &as…", "Save to another file", files.save_as, ["Ctrl+Shift+S"]),
+            "undo": make_action(self, "&Undo", "Take the last change back", steps.undo, ["Ctrl+Z"]),
+            "redo": make_action(self, "&Redo", "Do it again", steps.redo, ["Ctrl+Shift+Z", "Ctrl+Y"]),
+            "copy": make_action(self, "&Copy", "Copy the source as text of a scene file", acts.copy, ["Ctrl+C"]),
+            "paste": make_action(self, "&Paste", "Add sources that were copied", acts.paste, ["Ctrl+V"]),
+            "duplicate": make_action(self, "&Duplicate", "Add the same source again", acts.duplicate, ["Ctrl+Shift+D"]),
+            "delete": make_action(self, "D&elete", "Delete the source (Del, on the surface)", acts.delete),
+            "up": make_action(self, "Up", "Put the source before the one above it", lambda: acts.move(-1)),
+            "down": make_action(self, "Down", "Put the source behind the one beneath it", lambda: acts.move(1)),
+            "drawing": make_action(self, "Add a dra&wing…", "Add a path of an SVG file", acts.choose_drawing),
+        }
+        steps.undoTextChanged.connect(self._name_undo)
+        steps.redoTextChanged.connect(self._name_redo)
+        steps.canUndoChanged.connect(made["undo"].setEnabled)
+        steps.canRedoChanged.connect(made["redo"].setEnabled)
+        for name in ("undo", "redo"):
+            made[name].setIconText(name.capitalize())  # on the button, whatever it would undo
+            made[name].setEnabled(False)
+        return made
+
+    def _lay_out(self) -> None:
+        top = QHBoxLayout()
+        for name in ("new", "save", "save as", "undo", "redo"):
+            button = QToolButton()
+            button.setDefaultAction(self.actions_by_name[name])
+            button.setAccessibleName(button.text())
+            top.addWidget(button)
+        self._file.setAccessibleName("Scene file")
+        top.addWidget(self._file, stretch=1)
+        top.addWidget(self.bank_field, stretch=1)
+        pages = QTabWidget()
+        pages.setAccessibleName("Numbers of the source and of the scene")
+        pages.setDocumentMode(True)
+        pages.addTab(_scrolling(self.source_form), "Source")
+        pages.addTab(_scrolling(self.scene_form), "Scene")
+        left, columns = QSplitter(Qt.Orientation.Vertical), QSplitter(Qt.Orientation.Horizontal)
+        left.addWidget(self.sources)
+        left.addWidget(pages)
+        left.setStretchFactor(1, 1)
+        for part in (left, self.surface, self.results):
+            columns.addWidget(part)
+        columns.setStretchFactor(1, 1)
+        columns.setStretchFactor(2, 1)
+        self._splitters = {"columns": columns, "left": left}
+        for name, splitter in self._splitters.items():
+            splitter.setChildrenCollapsible(False)
+            splitter.setSizes(_SIZES[name])
+            splitter.restoreState(self.desk.memory.bytes(f"scene/{name}"))
+        column = QVBoxLayout(self)
+        column.setContentsMargins(4, 6, 4, 4)
+        column.addLayout(top)
+        column.addWidget(columns, stretch=1)
+        self.surface.tools.snaps.setChecked(bool(self.desk.memory.whole("scene/snaps", 0)))
+
+    def _name_undo(self, words: str) -> None:
+        self.actions_by_name["undo"].setText(f"&Undo {words}".strip())
+
+    def _name_redo(self, words: str) -> None:
+        self.actions_by_name["redo"].setText(f"&Redo {words}".strip())
+
+    def _bank_chosen(self, path: Path) -> None:
+        self.desk.memory.opened(path)
+        self.document.use_bank(path)
+
+    def _bank_at_hand(self) -> Path | None:
+        """The bank of last time, or the one opened last in any tab."""
+        last = self.desk.memory.text("scene/bank")
+        recent = [path for path in self.desk.memory.recent() if path.suffix.lower() == ".h5"]
+        found = [path for path in ([Path(last)] if last else []) + recent if not path.name.endswith(".raw.h5")]
+        return next((path for path in found if path.is_file()), None)
+
+    def _added(self, source: SourceDraft) -> None:
+        if isinstance(source.path, TextDraft):
+            field = self.source_form.paths["text"].fields["string"]
+            field.setFocus(Qt.FocusReason.OtherFocusReason)
+            field.selectAll()
+
+    def _show_drawn(self) -> None:
+        drawn = self.live.drawn
+        self.sources.show_traces(drawn.traces)
+        self.source_form.show_drawn(drawn)
+
+    def _show_possible(self) -> None:
+        document = self.document
+        chosen, count = document.chosen, len(document.draft.sources)
+        for name, possible in (
+            ("save", not document.saved or document.path is None),
+            ("copy", chosen >= 0),
+            ("duplicate", chosen >= 0),
+            ("delete", chosen >= 0),
+            ("up", chosen > 0),
+            ("down", 0 <= chosen < count - 1),
+        ):
+            self.actions_by_name[name].setEnabled(possible)
+        self._file.setText(f"{self.files.name}{'' if document.saved else ' •'}")
+        self._file.setToolTip(f"{document.path or 'not in a file yet'}{'' if document.saved else ', not saved'}")
+
+
+def _scrolling(form: QWidget) -> QScrollArea:
+    area = QScrollArea()
+    area.setWidgetResizable(True)
+    area.setFrameShape(QFrame.Shape.NoFrame)
+    area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    area.setWidget(form)
+    return area
+
+
+def _is_scene(path: Path) -> bool:
+    """Whether a TOML file has what only scenes have."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):
+        return False
+    return "source" in content or "scene" in content

@@ -1,0 +1,1 @@
+"""The Verification tab: run one, or look at an earlier one."""

@@ -1,0 +1,204 @@
+"""What is to be verified: scene, bank, rig, folder, positions; typed, chosen, dropped, or as it was last time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from PyQt5.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QSpinBox, QWidget
+
+from calibration.errors import InputError
+from gui.desk import Desk
+from gui.path_field import PathField
+from gui.which_rig import names_virtual_rig
+
+_CHOICES = (
+    ("all", "all positions", "Every position of the bank"),
+    ("every", "one position in", "For a quick look: one position of so many, in the bank's order"),
+    ("path", "along the path", "What the scene is rendered from, and all within 15 mm of its paths"),
+    ("selected", "selected on the map", "The positions that are selected in the Campaign tab, of this bank"),
+    ("rows", "these rows", "Bank rows from 0: single or as ranges, 3,5-9"),
+)
+_FOLDER = "verify"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One verification that can be started.
+
+    Parameters
+    ----------
+    arguments : tuple of str
+        The command and its arguments.
+    out : Path
+        The folder that it writes.
+    is_virtual : bool
+        Whether its rig is in software.
+    """
+
+    arguments: tuple[str, ...]
+    out: Path
+    is_virtual: bool
+
+
+class RequestForm(QWidget):
+    """Two rows of fields, and the positions to scan.
+
+    Parameters
+    ----------
+    desk : Desk
+        Knows what was chosen last time, and what the Campaign tab has selected.
+    """
+
+    def __init__(self, desk: Desk) -> None:
+        super().__init__()
+        self._desk = desk
+        memory = desk.memory
+        self.scene = PathField("&Scene", ".toml", "scene file", memory)
+        self.bank = PathField("&Bank", ".h5", "bank to verify", memory)
+        self.rig = PathField("Ri&g", ".toml", "rig file", memory)
+        self.out = PathField("F&older", "", "folder for the report", memory)
+        self.virtual = QCheckBox("virtual")
+        self.virtual.setToolTip("Play on the virtual rig that comes with wavefocus, without a rig file")
+        self.virtual.setAccessibleName("Virtual rig")
+        self.positions = QComboBox()
+        self.positions.setAccessibleName("Positions to scan")
+        for key, words, _ in _CHOICES:
+            self.positions.addItem(words, key)
+        self.step = QSpinBox()
+        self.step.setAccessibleName("One position in so many")
+        self.step.setToolTip("One position in so many, in the bank's order")
+        self.step.setRange(2, 1000)
+        self.step.setValue(4)
+        self.rows = QLineEdit()
+        self.rows.setAccessibleName("Bank rows to scan")
+        self.rows.setToolTip("Bank rows from 0: single or as ranges, 3,5-9")
+        self.rows.setPlaceholderText("0-99,120")
+        self.choice = QWidget()
+        row = QHBoxLayout(self.choice)
+        row.setContentsMargins(0, 0, 0, 0)
+        label = QLabel("&Positions")
+        label.setBuddy(self.positions)
+        for part in (label, self.positions, self.step, self.rows):
+            row.addWidget(part)
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        rig = QHBoxLayout()
+        rig.addWidget(self.rig, stretch=1)
+        rig.addWidget(self.virtual)
+        grid.addWidget(self.scene, 0, 0)
+        grid.addWidget(self.bank, 0, 1)
+        grid.addLayout(rig, 1, 0)
+        grid.addWidget(self.out, 1, 1)
+        grid.setColumnStretch(0, 1)
+        grid.setColumnStretch(1, 1)
+        self._align_labels()
+        self.bank.chosen.connect(self.take_bank)
+        for field in (self.scene, self.rig):
+            field.chosen.connect(memory.opened)
+        self.virtual.toggled.connect(self.rig.setDisabled)
+        self.positions.currentIndexChanged.connect(self._show_choice)
+        self._recall()
+        self._show_choice()
+
+    def take_bank(self, bank: Path) -> None:
+        """Verify a bank; what lies beside it is taken where nothing was chosen yet."""
+        self.bank.show_path(bank)
+        self._desk.memory.opened(bank)
+        for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml")):
+            if field.path is None and (beside := bank.with_name(name)).is_file():
+                field.show_path(beside)
+        if self.out.path is None:
+            self.out.show_path(bank.with_name(_FOLDER))
+
+    def missing(self) -> str:
+        """What has still to be chosen, in words; empty when a verification can be started."""
+        fields = [(self.scene, "a scene file"), (self.bank, "a bank"), (self.out, "a folder")]
+        if not self.virtual.isChecked():
+            fields.insert(2, (self.rig, "a rig file, or the virtual rig"))
+        words = [word for field, word in fields if field.path is None]
+        return "" if not words else f"choose {', and '.join(words)}"
+
+    def request(self) -> Request:
+        """The command of what is chosen.
+
+        Raises
+        ------
+        InputError
+            Something is missing, or the positions make no sense.
+        """
+        if told := self.missing():
+            raise InputError(f"{told} first")
+        scene, bank, out = self.scene.path, self.bank.path, self.out.path
+        assert scene is not None
+        assert bank is not None
+        assert out is not None
+        rig = "virtual" if self.virtual.isChecked() else str(self.rig.path)
+        arguments = ["verify", str(scene), "--bank", str(bank), "--rig", rig, "--out", str(out), "--json"]
+        if positions := self._positions(bank):
+            arguments += ["--positions", positions]
+        return Request(tuple(arguments), out, names_virtual_rig(rig))
+
+    def keep(self) -> None:
+        """Remember what is chosen."""
+        memory = self._desk.memory
+        for name, field in self._fields().items():
+            memory.keep(f"verification/{name}", str(field.path or ""))
+        memory.keep("verification/virtual", int(self.virtual.isChecked()))
+        memory.keep("verification/positions", str(self.positions.currentData()))
+        memory.keep("verification/step", self.step.value())
+        memory.keep("verification/rows", self.rows.text())
+
+    def _positions(self, bank: Path) -> str:
+        match self.positions.currentData():
+            case "every":
+                return f"every:{self.step.value()}"
+            case "path":
+                return "path"
+            case "selected":
+                return self._selected(bank)
+            case "rows":
+                text = self.rows.text().strip()
+                if not text:
+                    raise InputError("name the bank rows to scan, as 3,5-9, or choose other positions")
+                return text
+        return ""
+
+    def _selected(self, bank: Path) -> str:
+        selection = self._desk.selection
+        if not selection.rows or selection.bank is None:
+            raise InputError("nothing is selected on the campaign's map; Ctrl-click or Shift-drag there selects")
+        if selection.bank.absolute() != bank.absolute():
+            raise InputError(
+                f"the campaign's map shows {selection.bank}, and {bank} is to be verified; open that bank in the "
+                "Campaign tab and select there"
+            )
+        return ",".join(str(row) for row in sorted(selection.rows))
+
+    def _show_choice(self) -> None:
+        key = self.positions.currentData()
+        self.positions.setToolTip(next(tip for one, _, tip in _CHOICES if one == key))
+        self.step.setVisible(key == "every")
+        self.rows.setVisible(key == "rows")
+
+    def _recall(self) -> None:
+        memory = self._desk.memory
+        for name, field in self._fields().items():
+            if text := memory.text(f"verification/{name}"):
+                field.show_path(Path(text))
+        self.virtual.setChecked(memory.whole("verification/virtual", 0) == 1)
+        self.positions.setCurrentIndex(max(0, self.positions.findData(memory.text("verification/positions", "all"))))
+        self.step.setValue(memory.whole("verification/step", 4))
+        self.rows.setText(memory.text("verification/rows"))
+
+    def _fields(self) -> dict[str, PathField]:
+        return {"scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out}
+
+    def _align_labels(self) -> None:
+        """One width for the words of a column."""
+        for column in ((self.scene, self.rig), (self.bank, self.out)):
+            labels = [field.findChild(QLabel) for field in column]
+            widest = max(label.sizeHint().width() for label in labels if label is not None)
+            for label in labels:
+                if label is not None:
+                    label.setMinimumWidth(widest)

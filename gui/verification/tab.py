@@ -1,0 +1,251 @@
+"""The Verification tab: composes request, progress, maps, waveforms and figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PyQt5.QtCore import Qt, QUrl
+from PyQt5.QtGui import QDesktopServices, QDragEnterEvent, QDropEvent
+from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QLabel, QSplitter, QStackedWidget, QVBoxLayout
+
+from calibration.errors import InputError
+from gui.background import Background
+from gui.desk import Desk, sentence_of
+from gui.tab import Question, Tab
+from gui.theme import Theme
+from gui.verification.dropped import Dropped, dropped_paths, kind_of
+from gui.verification.figures_panel import FiguresPanel
+from gui.verification.maps_panel import MapsPanel
+from gui.verification.reading import Reading
+from gui.verification.request import RequestForm
+from gui.verification.results import Results, record_of
+from gui.verification.run import VerificationRun
+from gui.verification.run_row import RunRow
+from gui.verification.waveform_panel import WaveformPanel
+from rendering.verification_names import REPORT_NAME
+
+_HINT = (
+    "Choose a scene, a bank, a rig and a folder, and press Verify: the scene is played and scanned, and compared with "
+    "what the bank predicts.\n\nOr open the verify.json of an earlier verification, or drop it here."
+)
+_WAITING = "Prediction, scan and difference are shown here when the scan is done."
+
+
+class VerificationTab(Tab):
+    """Verify a scene, or look at what an earlier verification found."""
+
+    title = "Verification"
+    opens = (".json",)
+
+    def __init__(self, desk: Desk) -> None:
+        super().__init__(desk)
+        self.results: Results | None = None
+        self.background = Background(self)  # reading some hundred megabytes must hold up no other tab
+        self.reading = Reading(self.background, self._show, self._tell)
+        self.run = VerificationRun(desk, self.open_record)
+        self.form = RequestForm(desk)
+        self.row = RunRow(self.form.choice, self._start, self.run.cancel, self._choose_record)
+        self.maps = MapsPanel()
+        self.waveforms = WaveformPanel()
+        self.figures = FiguresPanel({"report": self._open_report, "folder": self._open_folder, "copy": self._copy})
+        self.setAcceptDrops(True)
+        self._lay_out()
+        self.maps.picked.connect(self.show_position)
+        self.maps.moved.connect(lambda _sample: self.waveforms.show_time(self.maps.time.time_s))
+        self.waveforms.time_wanted.connect(self._go_to_time)
+        self.form.out.chosen.connect(self._folder_chosen)
+
+    def menu_actions(self) -> list[QAction | None]:
+        """What the buttons do."""
+        return [self.row.start, self.row.cancel, None, self.row.look_at]
+
+    def accepts(self, path: Path) -> bool:
+        """Records, folders with one, and files that lie beside one."""
+        return record_of(path) is not None
+
+    def open_file(self, path: Path) -> None:
+        """Look at the verification that a file or a folder belongs to."""
+        record = record_of(path)
+        if record is not None:
+            self.open_record(record)
+
+    def open_record(self, record: Path) -> None:
+        """Read a verification and show it when it is there."""
+        self.desk.memory.opened(record)
+        self.reading.read(record)
+
+    def show_position(self, index: int) -> None:
+        """Show the waveforms of a position, by its place in the record."""
+        self.maps.mark(index)
+        self.waveforms.show_position(index)
+        self.waveforms.show_time(self.maps.time.time_s)
+
+    def collect(self) -> None:
+        """Take up how far a verification is, and how it ended."""
+        self.run.look()
+
+    def draw(self) -> None:
+        """Draw what changed."""
+        self.hint.setText(_WAITING if self.run.running else _HINT)
+        self.row.show_progress(
+            self.run.progress, stopping=self.run.stopping, missing=self.form.missing(), reading=self.reading.told()
+        )
+
+    def dress(self, theme: Theme) -> None:
+        """Take the theme's colours."""
+        for part in (self.row, self.maps, self.waveforms, self.figures):
+            part.dress(theme)
+
+    def closing(self) -> Question | None:
+        """Ask what is to become of a verification that this window started."""
+        return self.run.closing()
+
+    def instruments_held(self) -> str:
+        """A verification plays and records; of another process's nobody knows the rig."""
+        busy = self.run.running and not self.run.is_virtual
+        return f"a verification into {self.run.out} plays and scans" if busy else ""
+
+    def closed(self) -> None:
+        """Let go of what is read; leave a verification to itself."""
+        self.reading.give_up()
+        self.background.end()
+        self.run.let_go()
+
+    def keep(self) -> None:
+        """Remember what is chosen, and how the room is divided."""
+        self.form.keep()
+        for name, splitter in self._splitters.items():
+            self.desk.memory.keep(f"verification/{name}", splitter.saveState())
+
+    def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
+        """Take what a verification is made of, and what one left."""
+        if event is not None and any(kind_of(path) is not Dropped.STRANGE for path in dropped_paths(event)):
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
+        """Put each file where it belongs."""
+        if event is None:
+            return
+        event.acceptProposedAction()
+        for path in dropped_paths(event):
+            self.take_dropped(path)
+
+    def take_dropped(self, path: Path) -> None:
+        """Put a file that was dropped on this tab where it belongs."""
+        match kind_of(path):
+            case Dropped.RECORD:
+                self.open_file(path)
+            case Dropped.SCENE:
+                self.form.scene.show_path(path)
+            case Dropped.RIG:
+                self.form.rig.show_path(path)
+                self.form.virtual.setChecked(False)
+            case Dropped.BANK:
+                self.form.take_bank(path)
+            case Dropped.FOLDER:
+                self.form.out.show_path(path)
+            case Dropped.STRANGE:
+                self.desk.messages.warn(
+                    f"{path}: drop a scene, a bank, a rig, a folder, or the verify.json of an earlier verification"
+                )
+
+    def _lay_out(self) -> None:
+        lower = QSplitter(Qt.Orientation.Horizontal)
+        lower.addWidget(self.waveforms)
+        lower.addWidget(self.figures)
+        lower.setSizes([515, 745])
+        both = QSplitter(Qt.Orientation.Vertical)
+        both.addWidget(self.maps)
+        both.addWidget(lower)
+        both.setSizes([360, 260])
+        both.setStretchFactor(0, 1)
+        self._splitters = {"lower": lower, "both": both}
+        for name, splitter in self._splitters.items():
+            splitter.setChildrenCollapsible(False)
+            splitter.restoreState(self.desk.memory.bytes(f"verification/{name}"))
+        column = QVBoxLayout(self)
+        column.setContentsMargins(4, 6, 4, 4)
+        column.addWidget(self.form)
+        column.addWidget(self.row)
+        self.pages = QStackedWidget()
+        self.hint = _hint()
+        self.pages.addWidget(self.hint)
+        self.pages.addWidget(both)
+        column.addWidget(self.pages, stretch=1)
+
+    def _start(self) -> None:
+        try:
+            request = self.form.request()
+        except InputError as wrong:
+            self.desk.messages.warn(sentence_of(wrong))
+            return
+        self.desk.claim_instruments(self, "Verify", lambda: self.run.start(request), virtual=request.is_virtual)
+
+    def _folder_chosen(self, folder: Path) -> None:
+        """An earlier verification of that folder is shown; one of another process is followed."""
+        self.run.follow(folder)
+        record = None if self.run.running else record_of(folder)
+        if record is not None:
+            self.open_record(record)
+
+    def _choose_record(self) -> None:
+        folder = self.form.out.path or self.desk.memory.folder(".json")
+        dialog = QFileDialog(self, "Open an earlier verification", str(folder), "Verifications (*.json)")
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.setModal(False)
+        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+        dialog.fileSelected.connect(lambda name: self.open_record(Path(name)))
+        dialog.show()
+
+    def _show(self, results: Results) -> None:
+        self.results = results
+        self.pages.setCurrentIndex(1)
+        self.maps.show_results(results)
+        self.waveforms.show_results(results)
+        self.figures.show_results(results)
+        self.show_position(self._first_position(results))
+
+    def _tell(self, failure: Exception) -> None:
+        self.desk.tell_failure(failure)
+
+    @staticmethod
+    def _first_position(results: Results) -> int:
+        """Where the first focus is looked at, so that something is seen at once; else none."""
+        if not len(results.focus_sample):
+            return -1
+        place = next((source.at_mm(float(results.record.focus_s[0])) for source in results.record.sources), None)
+        return -1 if place is None else results.ground.raster.nearest(float(place[0]), float(place[1]))
+
+    def _go_to_time(self, time_s: float) -> None:
+        if self.results is not None:
+            self.maps.time.go_to(self.results.pair.sample_at(time_s))
+
+    def _open_report(self) -> None:
+        if self.results is not None:
+            self._open(self.results.record.folder / REPORT_NAME)
+
+    def _open_folder(self) -> None:
+        if self.results is not None:
+            self._open(self.results.record.folder)
+
+    def _open(self, path: Path) -> None:
+        if not path.exists():
+            self.desk.messages.fault(f"{path} is gone; run the verification again")
+        elif not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
+            self.desk.messages.warn(f"this desktop opens nothing with {path.name}; it lies at {path}")
+
+    def _copy(self) -> None:
+        clipboard = QApplication.clipboard()
+        if clipboard is not None:
+            clipboard.setText(self.figures.as_text())
+            self.desk.messages.note("the figures are on the clipboard")
+
+
+def _hint() -> QLabel:
+    """What to do while there is nothing to look at."""
+    label = QLabel(_HINT)
+    label.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignCenter)
+    label.setWordWrap(True)
+    label.setProperty("role", "faint")
+    label.setMargin(40)
+    return label

@@ -1,0 +1,242 @@
+"""Scenes as the process beside the window calculates them: equal to what the commands make, bounded, and refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from calibration.bank import open_bank
+from calibration.drive_file import read_drive
+from calibration.errors import InputError
+from gui.scene.results.calculator import Calculator, SupersededError
+from gui.scene.results.drives import emission_s, render_while_edited
+from gui.scene.results.instants import between
+from gui.scene.results.messages import (
+    Done,
+    Driven,
+    Failed,
+    FieldBegun,
+    FieldPart,
+    FocusFigures,
+    Plate,
+    Request,
+    Told,
+)
+from rendering.coil_limits import DriveLimits
+from rendering.drive import render_with_report
+from rendering.field import predict
+from rendering.paths import Line, Point
+from rendering.scene import Scene, Source
+from rendering.signals import Impulse, Noise, Sine
+from tests.gui.conftest import RIG
+from wavefocus.__main__ import run
+from wavefocus.commands.gui import front_door
+
+SCENE = """
+[[source]]
+speed_mm_s = 30.0
+step_mm = 1.5
+path = {{ kind = "line", start_mm = [0, 0], end_mm = [{end_mm}, 0] }}
+signal = {{ kind = "sine", frequency_hz = 150, duration_s = 0.2 }}
+emission = "{emission}"
+
+[regularisation]
+saturation = {saturation}
+
+[output]
+limit_v = {limit_v}
+"""
+
+
+def scene_text(
+    end_mm: float = 4.5, saturation: float = 0.0, limit_v: float = 100.0, emission: str = "continuous"
+) -> str:
+    return SCENE.format(end_mm=end_mm, saturation=saturation, limit_v=limit_v, emission=emission)
+
+
+class Listener:
+    """A calculator and what it told."""
+
+    def __init__(self, **options: int) -> None:
+        self.told: list[Told] = []
+        front = front_door()
+        self.calculator = Calculator(
+            self.told.append, lambda _wait_s: None, front.read_scene, front.read_rig_limits, **options
+        )
+
+    def calculate(self, text: str, bank: Path, rig: Path | None = None) -> bool:
+        self.told.clear()
+        return self.calculator.calculate(Request(1, text, bank.with_name("scene.toml"), bank, rig), 0.0)
+
+    def one(self, kind):
+        (found,) = [told for told in self.told if isinstance(told, kind)]
+        return found
+
+    @property
+    def field(self) -> np.ndarray:
+        parts = sorted((told.first, told.values) for told in self.told if isinstance(told, FieldPart))
+        return np.concatenate([values for _, values in parts], axis=1)
+
+
+@pytest.mark.parametrize(("saturation", "limit_v", "emission"), [(0.0, 100.0, "continuous"), (0.5, 0.01, "per_point")])
+def test_given_a_scene_then_drives_and_field_are_those_of_render_and_predict(
+    finished: Path, saturation: float, limit_v: float, emission: str
+) -> None:
+    text = scene_text(4.5, saturation, limit_v, emission)
+    listener = Listener()
+    assert listener.calculate(text, finished)
+    driven, begun = listener.one(Driven), listener.one(FieldBegun)
+    scene_file = finished.with_name("scene.toml")
+    scene_file.write_text(text, encoding="utf-8")
+    out = finished.with_name("drive.h5")
+    assert run(["render", str(scene_file), "--bank", str(finished), "--out", str(out)]) == 0
+    drive = read_drive(out)
+    assert np.linalg.norm(driven.drive_v - drive.drive_v) < 1.1e-3 * np.linalg.norm(drive.drive_v)
+    assert driven.limiting.scale == pytest.approx(drive.scale, rel=1e-3)
+    assert driven.start_s == drive.start_s
+    np.testing.assert_array_equal(driven.focus_s, drive.focus_sample / drive.sample_rate_hz)
+    np.testing.assert_allclose(driven.peak_v, np.abs(drive.drive_v).max(axis=1), rtol=5e-3)
+    with open_bank(finished) as bank:
+        whole = predict(drive, bank).field
+    field = listener.field
+    assert field.shape == (begun.samples, 12)
+    factor = round(drive.sample_rate_hz / begun.sample_rate_hz)
+    assert factor > 4
+    largest = np.abs(whole).max()
+    for place in (200.0, 260.0 + 2 / factor, 300.0 + 3 / factor):
+        np.testing.assert_allclose(
+            between(field, place), whole[:, round(place * factor)], atol=3e-3 * largest
+        )  # fmt: skip
+    figures = listener.one(FocusFigures)
+    marks_s = np.array(begun.marks_s)
+    np.testing.assert_array_equal(figures.time_s, marks_s)
+    row = drive.focus_position[np.searchsorted(driven.focus_s, marks_s, side="right") - 1]
+    sample = np.round((marks_s - drive.start_s) * drive.sample_rate_hz).astype(int)
+    assert begun.limit == pytest.approx(np.abs(whole[row, sample]).max(), rel=5e-3)
+    np.testing.assert_allclose(figures.off_mm, 0.0, atol=6.0)
+    assert isinstance(listener.told[-1], Done)
+
+
+def test_given_the_same_bank_again_then_it_is_not_told_again_and_the_answer_is_the_same(finished: Path) -> None:
+    listener = Listener()
+    listener.calculate(scene_text(), finished)
+    plate, first = listener.one(Plate), listener.field
+    listener.calculate(scene_text(), finished)
+    assert not any(isinstance(told, Plate) for told in listener.told)
+    np.testing.assert_array_equal(listener.field, first)
+    np.testing.assert_array_equal(plate.rows, np.arange(12))
+
+
+def test_given_a_rig_then_its_limits_count_where_they_are_stricter(finished: Path) -> None:
+    rig = finished.with_name("loud.toml")
+    rig.write_text(RIG + "\n[player]\nlimit_v = 0.02\ncoil_resistance_ohm = 8.0\nlimit_power_w = 1e-6\n", "utf-8")
+    listener = Listener()
+    assert listener.calculate(scene_text(), finished, rig)
+    driven = listener.one(Driven)
+    assert driven.limits.peak_key == "player.limit_v"
+    assert driven.limiting.decided_by == "player.limit_power_w"
+    assert driven.rms_v.max() ** 2 / 8.0 == pytest.approx(1e-6, rel=1e-6)
+    scene_file, out = finished.with_name("scene.toml"), finished.with_name("drive.h5")
+    scene_file.write_text(scene_text(), encoding="utf-8")
+    assert run(["render", str(scene_file), "--bank", str(finished), "--out", str(out), "--rig", str(rig)]) == 0
+    assert driven.limiting.scale == pytest.approx(read_drive(out).scale, rel=1e-3)
+    four = finished.with_name("four.toml")
+    four.write_text('[rig]\nname = "x"\n[actuators]\nposition_mm = [[110.0, 0.0]]\n', encoding="utf-8")
+    assert not listener.calculate(scene_text(), finished, four)
+    assert "has 1 actuators" in listener.one(Failed).sentence
+
+
+def test_given_rows_that_are_not_measured_then_they_are_listed(finished: Path, tmp_path: Path) -> None:
+    bank = foreign_copy(finished, tmp_path / "filling.h5", missing=[1, 2])
+    listener = Listener()
+    assert not listener.calculate(scene_text(), bank)
+    sentence = listener.one(Failed).sentence
+    assert "no measurement at 2 positions on the scene's paths: 1, 2." in sentence
+    foreign_copy(finished, tmp_path / "filled.h5", missing=[]).replace(bank)
+    assert listener.calculator.bank_changed(bank)
+    assert listener.calculate(scene_text(), bank)
+    assert listener.one(Driven).drive_v.any()
+
+
+def test_given_a_path_off_the_grid_or_a_bank_that_is_gone_then_a_sentence_says_so(finished: Path) -> None:
+    listener = Listener()
+    assert not listener.calculate(scene_text(40.0), finished)
+    assert "source 0" in listener.one(Failed).sentence
+    finished.unlink()
+    assert not listener.calculate(scene_text(), finished)
+    assert "deleted or moved" in listener.one(Failed).sentence
+    with pytest.raises(InputError, match="deleted or moved"):
+        listener.calculator.bank_changed(finished)
+
+
+def test_given_a_field_that_is_too_long_then_its_beginning_is_predicted(finished: Path) -> None:
+    whole, short = Listener(), Listener(most_field_bytes=4 * 12 * 90)
+    whole.calculate(scene_text(), finished)
+    short.calculate(scene_text(), finished)
+    begun = short.one(FieldBegun)
+    assert begun.samples == 90
+    assert begun.lasts_s == whole.one(FieldBegun).lasts_s > 90 / begun.sample_rate_hz
+    np.testing.assert_allclose(short.field, whole.field[:90], atol=1e-5 * np.abs(whole.field).max())
+
+
+def test_given_a_drive_that_is_too_long_then_its_beginning_is_rendered(finished: Path) -> None:
+    source = Source(Line((0.0, 0.0), (4.5, 0.0)), Noise((50.0, 400.0), 0.3, 1), speed_mm_s=15.0, step_mm=1.5)
+    scene = Scene("long", (source,))
+    with open_bank(finished) as bank:
+        whole, _ = render_with_report(scene, bank)
+        drive, limiting, warnings, lasts_s = render_while_edited(
+            scene, bank, DriveLimits(peak_v=1e-3), lambda done, total: None, most_bytes=8 * 3 * 2500
+        )
+    assert drive.drive_v.shape == (3, 2500)
+    assert lasts_s == pytest.approx(whole.drive_v.shape[1] / whole.sample_rate_hz, abs=1e-3)
+    expected = limiting.scale * whole.drive_v[:, :2500]
+    assert np.linalg.norm(drive.drive_v - expected) < 2e-3 * np.linalg.norm(expected)
+    assert limiting.decided_by == "limit_v"
+    assert "only their first" in warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("source", "lasts_s"),
+    [
+        (Source(Point((0.0, 0.0)), Sine(100.0, 0.5), start_s=1.0), 1.5),
+        (Source(Line((0.0, 0.0), (4.5, 0.0)), Sine(100.0, 0.5), speed_mm_s=15.0, step_mm=1.5), 0.4),
+        (Source(Line((0.0, 0.0), (4.5, 0.0)), Impulse(), speed_mm_s=15.0, step_mm=1.5, emission="per_point"), 0.4001),
+    ],
+)
+def test_given_a_source_then_it_is_known_how_long_it_emits_before_it_is_sampled(source: Source, lasts_s: float) -> None:
+    assert emission_s(source, 10_000.0) == pytest.approx(lasts_s)
+
+
+def test_given_a_scene_of_hours_then_it_is_refused_at_once(finished: Path) -> None:
+    scene = Scene("hours", (Source(Point((0.0, 0.0)), Sine(100.0, 7200.0)),))
+    with open_bank(finished) as bank, pytest.raises(InputError, match="lasts 2 h 00 min"):
+        render_while_edited(scene, bank, DriveLimits(), lambda done, total: None)
+
+
+def test_given_a_newer_order_then_what_is_under_way_is_given_up(finished: Path) -> None:
+    told: list[Told] = []
+
+    def check(_wait_s: float) -> None:
+        if any(isinstance(one, Driven) for one in told):
+            raise SupersededError
+
+    front = front_door()
+    calculator = Calculator(told.append, check, front.read_scene, front.read_rig_limits)
+    with pytest.raises(SupersededError):
+        calculator.calculate(Request(1, scene_text(), finished, finished, None), 0.0)
+    assert not any(isinstance(one, FieldBegun | Done) for one in told)
+
+
+def foreign_copy(bank: Path, copy: Path, missing: list[int]) -> Path:
+    with h5py.File(bank, "r", locking=False) as source, h5py.File(copy, "w") as target:
+        for name in ("sample_rate_hz", "band_hz", "response_unit", "drive_unit"):
+            target.attrs[name] = source.attrs[name]
+        for name in ("green", "position_mm", "actuator_mm"):
+            target[name] = source[name][...]
+        status = np.ones(len(source["position_mm"]), np.uint8)
+        status[missing] = 0
+        target["status"] = status
+    return copy

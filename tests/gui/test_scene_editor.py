@@ -1,0 +1,702 @@
+"""The editor of the Scene tab: paths drawn, shaped, undone and saved, and read by commands as they were drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PyQt5.QtCore import QEvent, QPoint, QPointF, QSettings, Qt
+from PyQt5.QtGui import QMouseEvent
+from PyQt5.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFileDialog, QLineEdit
+from pytestqt.qtbot import QtBot
+
+from calibration.errors import InputError
+from gui.memory import Memory
+from gui.scene.canvas import SceneCanvas
+from gui.scene.document import NEW_SCENE, SceneDocument
+from gui.scene.draft import (
+    CircleDraft,
+    FileDraft,
+    ImpulseDraft,
+    LineDraft,
+    NoiseDraft,
+    OutputDraft,
+    PathDraft,
+    PointDraft,
+    PolylineDraft,
+    RegularisationDraft,
+    SceneDraft,
+    SineDraft,
+    SourceDraft,
+    SvgDraft,
+    TextDraft,
+)
+from gui.scene.handles import handles_of, shifted, with_handle_at
+from gui.scene.tab import SceneTab
+from gui.scene.toml_text import draft_of, scene_toml
+from gui.window import Window
+from rendering import paths, signals
+from rendering.scene import Output, Regularisation, Scene, Source
+from rendering.svg_path import SvgPath
+from rendering.text_path import TextPath
+from tests.gui.conftest import wait
+from tests.gui.test_details import click, drag, pixel
+from wavefocus.commands.gui import front_door
+from wavefocus.config.scene import load_scene, read_scene_tables
+
+NONE = Qt.KeyboardModifier.NoModifier
+LEFT = Qt.MouseButton.LeftButton
+
+SCENE = """
+[scene]
+name = "two"
+
+[[source]]          # a comment of somebody's own
+speed_mm_s = 80.0
+step_mm = 4.0
+path = { kind = "circle", radius_mm = 30, turns = 0.75 }
+signal = { kind = "impulse" }
+emission = "per_point"
+
+[[source]]
+path = { kind = "point", at_mm = [10, 20] }
+signal = { kind = "sine", frequency_hz = 200, duration_s = 0.1 }
+"""
+
+DRAWING = """<svg xmlns="http://www.w3.org/2000/svg"><path id="first" d="M 0 0 L 20 0 L 20 10"/>
+<path id="second" d="M 0 0 L 400 300"/></svg>"""
+
+
+def scene_of(window: Window) -> SceneTab:
+    tab = next(tab for tab in window.tabs if isinstance(tab, SceneTab))
+    window._pages.setCurrentWidget(tab)
+    return tab
+
+
+@pytest.fixture(scope="module")
+def window(qapp: QApplication, tmp_path_factory: pytest.TempPathFactory) -> Generator[Window]:
+    """One window for all tests that neither close nor crash it."""
+    folder = tmp_path_factory.mktemp("window")
+    memory = Memory(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
+    memory.keep("folder/.toml", str(folder))
+    shown = Window(front_door(), memory)
+    scene_of(shown)
+    shown.show()
+    yield shown
+    shown.close_at_once()
+    shown.deleteLater()
+
+
+@pytest.fixture
+def tab(qtbot: QtBot, window: Window) -> Generator[SceneTab]:
+    """The Scene tab of the window, shown and empty."""
+    shown = scene_of(window)
+    shown.document.start_anew()
+    shown.document.use_bank(None)
+    shown.surface.canvas.use_tool("")
+    shown.surface.tools.snaps.setChecked(False)
+    shown.surface.canvas.setFocus()
+    window.messages.put_away()
+    wait(qtbot, lambda: shown.surface.canvas.isVisible() and shown.live.ground.surface is None and shown.live.idle)
+    shown.surface.canvas.box.autoRange()
+    laid_out(shown.surface.canvas)
+    yield shown
+    assert window.mishaps == []
+
+
+@pytest.fixture
+def own_tab(qtbot: QtBot, open_window: Callable[..., Window], memory: Memory, tmp_path: Path) -> SceneTab:
+    """The Scene tab of a window that may be closed."""
+    memory.keep("folder/.toml", str(tmp_path))
+    shown = scene_of(open_window())
+    wait(qtbot, lambda: shown.surface.canvas.isVisible() and shown.live.idle)
+    laid_out(shown.surface.canvas)
+    return shown
+
+
+def laid_out(canvas: SceneCanvas) -> None:
+    """Let the surface find its place: the axes make room for their numbers when they are painted."""
+    for _ in range(3):
+        canvas.grab()
+        QApplication.processEvents()
+
+
+def settled(qtbot: QtBot, tab: SceneTab) -> None:
+    wait(qtbot, lambda: tab.live.idle)
+
+
+def double_click(canvas: SceneCanvas, at: QPoint) -> None:
+    click(canvas, at)
+    viewport = canvas.viewport()
+    for kind, buttons in ((QEvent.Type.MouseButtonDblClick, LEFT), (QEvent.Type.MouseButtonRelease, Qt.MouseButton(0))):
+        place = QPointF(viewport.mapToGlobal(at))
+        QApplication.sendEvent(viewport, QMouseEvent(kind, QPointF(at), place, LEFT, Qt.MouseButtons(buttons), NONE))
+
+
+def near(at: tuple[float, float], x_mm: float, y_mm: float, reach_mm: float = 1.5) -> bool:
+    return math.dist(at, (x_mm, y_mm)) < reach_mm
+
+
+def draw(qtbot: QtBot, tab: SceneTab, kind: str) -> PathDraft:
+    """Draw a path of each kind with the mouse."""
+    canvas = tab.surface.canvas
+    qtbot.mouseClick(tab.surface.tools.buttons[kind], LEFT)
+    match kind:
+        case "line":
+            drag(qtbot, canvas, [pixel(canvas, -40, 0), pixel(canvas, 40, 20)], NONE)
+        case "circle":
+            click(canvas, pixel(canvas, 5, 5))
+            click(canvas, pixel(canvas, 35, 5))
+        case "polyline":
+            click(canvas, pixel(canvas, -30, -30))
+            click(canvas, pixel(canvas, 0, 30))
+            double_click(canvas, pixel(canvas, 30, -30))
+        case _:
+            click(canvas, pixel(canvas, -20, 10))
+    settled(qtbot, tab)
+    source = tab.document.source
+    assert source is not None
+    return source.path
+
+
+def test_given_each_tool_then_its_path_is_drawn_chosen_and_sampled_and_the_tool_is_put_away(
+    qtbot: QtBot, tab: SceneTab
+) -> None:
+    canvas = tab.surface.canvas
+    line = draw(qtbot, tab, "line")
+    assert isinstance(line, LineDraft)
+    assert near(line.start_mm, -40, 0)
+    assert near(line.end_mm, 40, 20)
+    circle = draw(qtbot, tab, "circle")
+    assert isinstance(circle, CircleDraft)
+    assert near(circle.centre_mm, 5, 5)
+    assert circle.radius_mm == pytest.approx(30, abs=1.5)
+    polyline = draw(qtbot, tab, "polyline")
+    assert isinstance(polyline, PolylineDraft)
+    assert len(polyline.points_mm) == 3
+    assert near(polyline.points_mm[2], 30, -30)
+    assert not polyline.closed
+    point = draw(qtbot, tab, "point")
+    assert isinstance(point, PointDraft)
+    assert near(point.at_mm, -20, 10)
+    text = draw(qtbot, tab, "text")
+    assert isinstance(text, TextDraft)
+    assert QApplication.focusWidget() is tab.source_form.paths["text"].fields["string"]
+    assert canvas.kind == ""
+    assert tab.sources.list.count() == 5
+    assert tab.document.chosen == 4
+    traces = tab.live.drawn.traces
+    assert [trace.problem for trace in traces] == [""] * 5
+    assert traces[0].points == math.floor(math.dist(line.start_mm, line.end_mm) / 4.0) + 1
+    assert traces[4].length_mm > 50
+    assert tab.document.scene().sources[3].path == paths.Point(point.at_mm)
+
+
+def test_given_a_polyline_then_the_first_corner_closes_it_and_backspace_takes_one_back(
+    qtbot: QtBot, tab: SceneTab
+) -> None:
+    canvas = tab.surface.canvas
+    qtbot.keyClick(canvas, Qt.Key.Key_P)
+    assert tab.surface.tools.buttons["polyline"].isChecked()
+    for x_mm, y_mm in ((-30, -30), (80, 0), (0, 30), (30, -30)):
+        click(canvas, pixel(canvas, x_mm, y_mm))
+        if x_mm == 80:
+            qtbot.keyClick(canvas, Qt.Key.Key_Backspace)
+    click(canvas, pixel(canvas, -30, -30))
+    source = tab.document.source
+    assert source is not None
+    path = source.path
+    assert isinstance(path, PolylineDraft)
+    assert path.closed
+    assert len(path.points_mm) == 3
+    qtbot.keyClick(canvas, Qt.Key.Key_L)
+    click(canvas, pixel(canvas, 0, 0))
+    qtbot.keyClick(canvas, Qt.Key.Key_Escape)
+    assert (canvas.kind, len(tab.document.draft.sources)) == ("", 1)
+
+
+def test_given_a_drag_of_a_handle_then_it_is_one_step_that_is_undone_and_done_again(
+    qtbot: QtBot, tab: SceneTab
+) -> None:
+    canvas, document = tab.surface.canvas, tab.document
+    drawn = draw(qtbot, tab, "line")
+    assert isinstance(drawn, LineDraft)
+    drag(qtbot, canvas, [pixel(canvas, *drawn.end_mm), pixel(canvas, 20, -30), pixel(canvas, 10, -40)], NONE)
+    source = document.source
+    assert source is not None
+    shaped = source.path
+    assert isinstance(shaped, LineDraft)
+    assert near(shaped.end_mm, 10, -40)
+    assert shaped.start_mm == drawn.start_mm
+    assert document.steps.count() == 2
+    canvas.setFocus()
+    qtbot.keyClick(canvas, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert document.draft.sources[0].path == drawn
+    qtbot.keyClick(canvas, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    assert document.draft.sources[0].path == shaped
+    qtbot.keyClick(canvas, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    qtbot.keyClick(canvas, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert (document.draft.sources, document.chosen) == ((), -1)
+
+
+def test_given_a_drag_of_a_path_or_arrow_keys_then_all_of_it_moves_and_a_drag_elsewhere_moves_the_view(
+    qtbot: QtBot, tab: SceneTab
+) -> None:
+    canvas, document = tab.surface.canvas, tab.document
+    drawn = draw(qtbot, tab, "circle")
+    assert isinstance(drawn, CircleDraft)
+    slope = math.radians(225)
+    rim = drawn.centre_mm[0] + drawn.radius_mm * math.cos(slope), drawn.centre_mm[1] + drawn.radius_mm * math.sin(slope)
+    drag(qtbot, canvas, [pixel(canvas, *rim), pixel(canvas, rim[0] - 20, rim[1] + 10)], NONE)
+    source = document.source
+    assert source is not None
+    assert isinstance(source.path, CircleDraft)
+    assert near(source.path.centre_mm, drawn.centre_mm[0] - 20, drawn.centre_mm[1] + 10)
+    assert source.path.radius_mm == drawn.radius_mm
+    canvas.setFocus()
+    for _ in range(3):
+        qtbot.keyClick(canvas, Qt.Key.Key_Right)
+    qtbot.keyClick(canvas, Qt.Key.Key_Up, Qt.KeyboardModifier.ShiftModifier)
+    assert document.source == replace(source, path=shifted(source.path, (3.0, 10.0)))
+    assert document.steps.count() == 3
+    settled(qtbot, tab)
+    before = canvas.box.viewRange()
+    drag(qtbot, canvas, [pixel(canvas, 100, -90), pixel(canvas, 80, -80)], NONE)
+    assert document.steps.count() == 3
+    assert canvas.box.viewRange() != before
+
+
+def test_given_a_polyline_then_a_double_click_adds_a_vertex_and_del_deletes_the_one_held(
+    qtbot: QtBot, tab: SceneTab
+) -> None:
+    canvas, document = tab.surface.canvas, tab.document
+    drawn = draw(qtbot, tab, "polyline")
+    assert isinstance(drawn, PolylineDraft)
+    (x0, y0), (x1, y1) = drawn.points_mm[:2]
+    double_click(canvas, pixel(canvas, (x0 + x1) / 2, (y0 + y1) / 2))
+    path = document.draft.sources[0].path
+    assert isinstance(path, PolylineDraft)
+    assert len(path.points_mm) == 4
+    assert near(path.points_mm[1], (x0 + x1) / 2, (y0 + y1) / 2)
+    click(canvas, pixel(canvas, *path.points_mm[1]))
+    canvas.setFocus()
+    qtbot.keyClick(canvas, Qt.Key.Key_Delete)
+    assert document.draft.sources[0].path == drawn
+    assert tab.source_form.vertices.table.rowCount() == 3
+    qtbot.keyClick(canvas, Qt.Key.Key_Delete)
+    assert document.draft.sources == ()
+
+
+def test_given_a_bank_then_points_are_snapped_coloured_and_those_off_its_grid_are_told(
+    qtbot: QtBot, tab: SceneTab, finished: Path
+) -> None:
+    tab._bank_chosen(finished)
+    wait(qtbot, lambda: tab.live.ground.surface is not None)
+    laid_out(tab.surface.canvas)
+    tab.document.edit("draw", SceneDraft(sources=(SourceDraft(LineDraft((0.0, 0.0), (4.5, 0.0)), step_mm=1.5),)))
+    settled(qtbot, tab)
+    trace = tab.live.drawn.traces[0]
+    surface = tab.live.ground.surface
+    assert surface is not None
+    assert surface.position_mm[trace.rows].tolist() == trace.points_mm.tolist()
+    assert not trace.off.any()
+    assert tab.surface.trouble == ""
+    source = replace(tab.document.draft.sources[0], path=LineDraft((0.0, 0.0), (9.0, 0.0)))
+    tab.document.edit("draw", tab.document.draft.with_source(0, source))
+    wait(qtbot, lambda: "2 of 7 points" in tab.surface.trouble)
+    assert tab.live.drawn.traces[0].off.tolist() == [False] * 5 + [True] * 2
+    canvas = tab.surface.canvas
+    tab.surface.tools.snaps.setChecked(True)
+    qtbot.keyClick(canvas, Qt.Key.Key_D)
+    click(canvas, pixel(canvas, 1.7, 2.8))
+    assert tab.document.draft.sources[1].path == PointDraft((1.5, 3.0))
+
+
+def test_given_the_form_then_every_number_reaches_the_scene_and_undo_brings_it_back(
+    qtbot: QtBot, tab: SceneTab
+) -> None:
+    document, form = tab.document, tab.source_form
+    draw(qtbot, tab, "line")
+    speed = form.motion.fields["speed_mm_s"]
+    assert isinstance(speed, QAbstractSpinBox)
+    speed.selectAll()
+    qtbot.keyClicks(speed, "37.5")
+    qtbot.keyClick(speed, Qt.Key.Key_Return)
+    assert document.draft.sources[0].speed_mm_s == 37.5
+    qtbot.keyClick(speed, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert document.draft.sources[0].speed_mm_s == 80.0
+    assert speed.text() == "80 mm/s"
+    form.signal_kind.setCurrentIndex(form.signal_kind.findData("sine"))
+    form.signal_kind.activated.emit(form.signal_kind.currentIndex())
+    assert isinstance(document.draft.sources[0].signal, SineDraft)
+    wait(qtbot, lambda: isinstance(tab.live.drawn.draft.sources[0].signal, SineDraft))
+    form.path_kind.setCurrentIndex(form.path_kind.findData("point"))
+    form.path_kind.activated.emit(form.path_kind.currentIndex())
+    assert isinstance(document.draft.sources[0].path, PointDraft)
+    assert not speed.isVisible()
+    limit = tab.scene_form.output.fields["limit_v"]
+    assert document.draft.output.limit_v == 1.0  # a new scene can be played
+    limit.switch.click()  # type: ignore[union-attr]
+    assert document.draft.output.limit_v is None
+    tab.scene_form.saturates.setCurrentIndex(1)
+    tab.scene_form.saturates.activated.emit(1)
+    assert document.draft.regularisation == RegularisationDraft(saturation=0.5)
+
+
+def test_given_sources_then_they_are_copied_as_text_pasted_duplicated_reordered_and_deleted(
+    qtbot: QtBot, tab: SceneTab
+) -> None:
+    document, named = tab.document, tab.actions_by_name
+    document.edit("draw", SceneDraft(sources=(SourceDraft(PointDraft()), SourceDraft(LineDraft()))), chosen=1)
+    named["copy"].trigger()
+    clipboard = QApplication.clipboard()
+    assert clipboard is not None
+    assert clipboard.text().startswith("[[source]]\n")
+    named["paste"].trigger()
+    assert document.draft.sources[2] == document.draft.sources[1]
+    named["up"].trigger()
+    named["up"].trigger()
+    assert [source.path.kind for source in document.draft.sources] == ["line", "point", "line"]
+    assert document.chosen == 0
+    named["duplicate"].trigger()
+    assert document.draft.sources[1].path == shifted(LineDraft(), (5.0, -5.0))
+    named["delete"].trigger()
+    assert [source.path.kind for source in document.draft.sources] == ["line", "point", "line"]
+    clipboard.setText("[[source]]\npath = 3\n")
+    named["paste"].trigger()
+    assert "nothing is pasted: source[0].path" in tab.desk.messages.sentence
+    clipboard.setText("a shopping list")
+    named["paste"].trigger()
+    assert "holds no text with a [[source]]" in tab.desk.messages.sentence
+
+
+def test_given_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene(
+    qtbot: QtBot, tab: SceneTab, tmp_path: Path
+) -> None:
+    file = tmp_path / "two.toml"
+    file.write_text(SCENE, encoding="utf-8")
+    assert tab.accepts(file)
+    tab.open_file(file)
+    document = tab.document
+    assert (document.path, document.saved, len(document.draft.sources)) == (file, True, 2)
+    assert document.scene() == load_scene(file)
+    document.choose(0)
+    document.edit_source("edit", replace(document.draft.sources[0], amplitude=0.25))
+    assert not document.saved
+    tab.actions_by_name["save"].trigger()
+    assert document.saved
+    assert "two.toml~" in tab.desk.messages.sentence
+    assert file.with_name("two.toml~").read_text(encoding="utf-8") == SCENE
+    assert load_scene(file) == document.scene()
+    assert load_scene(file).sources[0].amplitude == 0.25
+    before = document.draft
+    tab.files.new()
+    assert document.draft == NEW_SCENE
+    tab.open_file(file)
+    assert document.draft == before
+
+
+def test_given_unsaved_changes_then_closing_asks_and_saving_closes(
+    qtbot: QtBot, own_tab: SceneTab, tmp_path: Path
+) -> None:
+    window = own_tab.window()
+    assert isinstance(window, Window)
+    draw(qtbot, own_tab, "line")
+    window.close()
+    assert window.isVisible()
+    answers = {button.text(): button for button in window.messages.buttons()}
+    assert "a new scene has changes that are not saved" in window.messages.sentence
+    qtbot.mouseClick(answers["Save and close"], LEFT)
+    dialog = own_tab.findChild(QFileDialog)
+    assert dialog is not None
+    assert not dialog.isModal()
+    file = tmp_path / "drawn.toml"
+    dialog.fileSelected.emit(str(file))
+    dialog.close()
+    assert not window.isVisible()
+    assert len(load_scene(file).sources) == 1
+
+
+def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_them(
+    qtbot: QtBot, open_window: Callable[..., Window], own_tab: SceneTab, memory: Memory, tmp_path: Path
+) -> None:
+    file = tmp_path / "two.toml"
+    file.write_text(SCENE, encoding="utf-8")
+    own_tab.open_file(file)
+    own_tab.document.edit("edit", replace(own_tab.document.draft, name="three"))
+    wait(qtbot, lambda: 'name = "three"' in memory.text("scene/unsaved"))
+    other = scene_of(open_window())
+    assert other.document.draft == own_tab.document.draft
+    assert (other.document.path, other.document.saved) == (file, False)
+    assert "two.toml has changes of last time that were not saved" in other.desk.messages.sentence
+    other.actions_by_name["save"].trigger()
+    assert load_scene(file).name == "three"
+    assert memory.text("scene/unsaved") == ""
+
+
+def test_given_a_file_that_another_program_changed_then_saving_asks(
+    qtbot: QtBot, tab: SceneTab, tmp_path: Path
+) -> None:
+    file = tmp_path / "two.toml"
+    file.write_text(SCENE, encoding="utf-8")
+    tab.open_file(file)
+    file.write_text(SCENE.replace("80.0", "81.0"), encoding="utf-8")
+    tab.document.edit("edit", replace(tab.document.draft, name="three"))
+    tab.actions_by_name["save"].trigger()
+    assert "changed by another program" in tab.desk.messages.sentence
+    assert load_scene(file).sources[0].speed_mm_s == 81.0
+    over = next(button for button in tab.desk.messages.buttons() if button.text() == "Save over it")
+    qtbot.mouseClick(over, LEFT)
+    assert load_scene(file).name == "three"
+
+
+def test_given_a_drawing_then_it_comes_in_at_a_size_that_fits_and_its_paths_can_be_chosen(
+    qtbot: QtBot, tab: SceneTab, tmp_path: Path
+) -> None:
+    file = tmp_path / "drawing.svg"
+    file.write_text(DRAWING, encoding="utf-8")
+    window = tab.window()
+    assert isinstance(window, Window)
+    window.open_file(file)
+    wait(qtbot, lambda: len(tab.document.draft.sources) == 1)
+    assert tab.document.draft.sources[0].path == SvgDraft(str(file), "", 1.0, (-10.0, 5.0))
+    form = tab.source_form
+    wait(qtbot, lambda: form.path_ids.findData("second") >= 0)
+    form.path_ids.setCurrentIndex(form.path_ids.findData("second"))
+    form.path_ids.activated.emit(form.path_ids.currentIndex())
+    settled(qtbot, tab)
+    assert tab.live.drawn.traces[0].length_mm == pytest.approx(500.0)
+    canvas = tab.surface.canvas
+    scale = next(handle for handle in canvas.handles if handle.name == "scale")
+    assert near(scale.at_mm, 390, -295)
+    file.unlink()
+    tab.document.edit("edit", replace(tab.document.draft, name="gone"))
+    wait(qtbot, lambda: "source[0].path.file" in tab.surface.trouble)
+    assert "must be a file" in tab.surface.trouble
+    window.open_file(file)
+    wait(qtbot, lambda: "cannot be read" in tab.desk.messages.sentence)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("[scene]\nname = 3\n[[source]]\n", "scene.name = 3: must be text in quotes"),
+        ("[[source]\n", "not TOML"),
+        (SCENE.replace("radius_mm", "radius"), "did you mean radius_mm?"),
+    ],
+)
+def test_given_a_wrong_scene_file_then_a_sentence_says_where_and_the_scene_stays(
+    qtbot: QtBot, tab: SceneTab, tmp_path: Path, text: str, sentence: str
+) -> None:
+    draw(qtbot, tab, "point")
+    before = tab.document.draft
+    tab.document.steps.setClean()
+    file = tmp_path / "wrong.toml"
+    file.write_text(text, encoding="utf-8")
+    tab.open_file(file)
+    assert str(file) in tab.desk.messages.sentence
+    assert sentence in tab.desk.messages.sentence
+    assert tab.document.draft == before
+
+
+def test_given_a_scene_that_commands_would_refuse_then_the_window_says_so_and_does_not_write_it(
+    qtbot: QtBot, tab: SceneTab, tmp_path: Path
+) -> None:
+    document = tab.document
+    with pytest.raises(InputError, match="has no source yet"):
+        document.scene()
+    with pytest.raises(InputError, match="not saved: the scene has no source yet"):
+        document.save(tmp_path / "empty.toml")
+    wrong = SourceDraft(LineDraft(), NoiseDraft((300.0, 20.0)))
+    document.edit("draw", SceneDraft(sources=(wrong,)), chosen=0)
+    wait(qtbot, lambda: "band_hz = [300.0, 20.0]" in tab.surface.trouble)
+    assert tab.surface.trouble == (
+        "source[0].signal.band_hz = [300.0, 20.0]: must be [lower, upper] with lower below upper"
+    )
+    with pytest.raises(InputError, match="band_hz"):
+        document.save(tmp_path / "wrong.toml")
+    assert list(tmp_path.glob("*.toml")) == []
+    letters = SourceDraft(TextDraft("\U00013000"))
+    document.edit("draw", SceneDraft(sources=(letters,)), chosen=0)
+    wait(qtbot, lambda: "DejaVu Sans cannot draw" in tab.surface.trouble)
+    document.edit("draw", SceneDraft(name="a\udcff", sources=(SourceDraft(PointDraft()),)), chosen=0)
+    with pytest.raises(InputError, match="a text file cannot hold"):
+        document.save(tmp_path / "name.toml")
+
+
+WILD = """
+[[source]]
+path = { kind = "point", at_mm = [1e300, 1e300] }
+signal = { kind = "impulse" }
+[[source]]
+speed_mm_s = 1e-300
+step_mm = 1e10
+path = { kind = "circle", radius_mm = 1e12 }
+signal = { kind = "sine", frequency_hz = 1e300, duration_s = 0.1 }
+[[source]]
+speed_mm_s = 1.0
+step_mm = 1e-12
+path = { kind = "line", start_mm = [0, 0], end_mm = [1e308, -1e308] }
+signal = { kind = "noise", band_hz = [0, 1], duration_s = 1e7 }
+"""
+
+
+def test_given_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happens(
+    qtbot: QtBot, tab: SceneTab, finished: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "wild.toml"
+    file.write_text(WILD, encoding="utf-8")
+    tab.open_file(file)
+    tab.document.use_bank(finished)
+    wait(qtbot, lambda: tab.live.drawn.ground.surface is not None and tab.live.idle)
+    point, circle, line = tab.live.drawn.traces
+    assert (point.points, point.far) == (1, 1)
+    assert "later than numbers reach" in circle.problem
+    assert "at most 100000000 are allowed" in line.problem
+    told = []
+    for index in range(3):
+        tab.document.choose(index)
+        settled(qtbot, tab)
+        told.append(tab.live.drawn.signal)
+    assert "frequency_hz is 1e+300" in str(told[1])
+    assert "too long to be drawn" in str(told[2])
+
+
+def test_given_the_scene_tab_then_every_control_has_a_name_and_buttons_have_tooltips(tab: SceneTab) -> None:
+    for part in (tab.surface, tab.sources, tab.source_form, tab.scene_form):
+        for kind in (QAbstractButton, QAbstractSpinBox, QComboBox, QLineEdit):
+            for control in part.findChildren(kind):
+                if control.objectName().startswith("qt_") or type(control) is QAbstractButton:
+                    continue  # parts of Qt's own controls
+                assert control.accessibleName(), (part, control)
+                assert control.toolTip() or isinstance(control, QLineEdit), (part, control.accessibleName())
+
+
+FINITE = st.floats(-1e6, 1e6, allow_nan=False)
+ABOVE = st.floats(1e-6, 1e6)
+NONNEGATIVE = st.floats(0.0, 1e6)
+PLACE = st.tuples(FINITE, FINITE)
+NEAR = st.floats(-99.0, 99.0)
+WORDS = st.text(st.characters(codec="utf-8"), min_size=1, max_size=20)
+LETTERS = st.text("abcXYZ089 \"\\'é☺#{}", min_size=1, max_size=6).filter(lambda text: bool(text.strip()))
+BAND = st.tuples(NONNEGATIVE, ABOVE).map(lambda one: (min(one), max(one) + 1.0))
+PATHS = st.one_of(
+    st.builds(PointDraft, PLACE),
+    st.builds(LineDraft, PLACE, PLACE),
+    st.builds(CircleDraft, PLACE, NONNEGATIVE, st.floats(-100.0, 100.0), FINITE),
+    st.builds(PolylineDraft, st.lists(PLACE, min_size=1, max_size=8).map(tuple), st.booleans()),
+    st.builds(TextDraft, LETTERS, ABOVE, PLACE),
+    st.builds(SvgDraft, st.just("drawing.svg"), st.sampled_from(["", "first", "second"]), ABOVE, PLACE),
+)
+SIGNALS = st.one_of(
+    st.builds(ImpulseDraft),
+    st.builds(SineDraft, ABOVE, ABOVE),
+    st.builds(NoiseDraft, BAND, ABOVE, st.integers(0, 2**63 - 1)),
+    st.builds(FileDraft, st.just("a folder/sound.wav")),
+)
+SOURCES = st.builds(
+    SourceDraft, PATHS, SIGNALS, NONNEGATIVE, ABOVE, ABOVE, FINITE, st.sampled_from(["continuous", "per_point"])
+)
+SATURATIONS = st.one_of(st.tuples(NONNEGATIVE, st.just(0.0)), st.tuples(st.just(0.0), NONNEGATIVE))
+DRAFTS = st.builds(
+    SceneDraft,
+    WORDS,
+    st.lists(SOURCES, min_size=1, max_size=4).map(tuple),
+    st.builds(lambda both, normalise: RegularisationDraft(*both, normalise), SATURATIONS, st.booleans()),
+    st.builds(
+        OutputDraft,
+        st.sampled_from(["nearest", "bilinear", "bicubic", "kernel"]),
+        st.one_of(st.none(), ABOVE),
+        st.one_of(st.none(), ABOVE),
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what the drafts name."""
+    made = tmp_path_factory.mktemp("scenes")
+    (made / "drawing.svg").write_text(DRAWING, encoding="utf-8")
+    (made / "a folder").mkdir()
+    (made / "a folder" / "sound.wav").write_bytes(b"")
+    return made
+
+
+def expected(draft: SceneDraft, folder: Path) -> Scene:
+    """The scene of a draft, made by hand."""
+
+    def path_of(path: PathDraft) -> paths.Path:
+        match path:
+            case PointDraft():
+                return paths.Point(path.at_mm)
+            case LineDraft():
+                return paths.Line(path.start_mm, path.end_mm)
+            case CircleDraft():
+                return paths.Circle(path.centre_mm, path.radius_mm, path.turns, path.start_deg)
+            case PolylineDraft():
+                return paths.Polyline(path.points_mm, path.closed)
+            case SvgDraft():
+                return SvgPath(folder / "drawing.svg", path.path_id, path.scale, path.origin_mm)
+            case TextDraft():
+                return TextPath(path.string, path.height_mm, path.centre_mm)
+
+    sources = []
+    for one in draft.sources:
+        signal: signals.Signal
+        match one.signal:
+            case ImpulseDraft():
+                signal = signals.Impulse()
+            case SineDraft(frequency_hz, duration_s):
+                signal = signals.Sine(frequency_hz, duration_s)
+            case NoiseDraft(band_hz, duration_s, seed):
+                signal = signals.Noise(band_hz, duration_s, seed)
+            case FileDraft():
+                signal = signals.SoundFile(folder / "a folder" / "sound.wav")
+        speed, step = one.speed_mm_s or 0.0, one.step_mm or 0.0
+        sources.append(Source(path_of(one.path), signal, one.start_s, speed, step, one.amplitude, one.emission))
+    held, output = draft.regularisation, draft.output
+    return Scene(
+        draft.name,
+        tuple(sources),
+        Regularisation(held.saturation, held.saturation_absolute, held.normalise),
+        Output(output.interpolation, output.limit_v, output.limit_rms_v),
+    )
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(draft=DRAFTS)
+def test_given_any_draft_then_what_is_written_is_the_same_scene_to_the_command_line_and_the_same_draft_again(
+    draft: SceneDraft, folder: Path
+) -> None:
+    file = folder / "scene.toml"
+    text = scene_toml(draft, folder)
+    file.write_bytes(text.encode("utf-8"))
+    assert load_scene(file) == expected(draft, folder)
+    again = draft_of(read_scene_tables(text, file), folder)
+    assert scene_toml(again, folder) == text
+    assert again.regularisation == draft.regularisation
+    document = SceneDocument(front_door())
+    document.load(file)
+    assert document.scene() == load_scene(file)
+    assert document.toml() == text
+
+
+@settings(max_examples=60, deadline=None)
+@given(path=PATHS, by=st.tuples(NEAR, NEAR), to=st.tuples(NEAR, NEAR))
+def test_given_any_handle_then_moving_it_moves_it_there_and_a_shift_moves_them_all(
+    path: PathDraft, by: tuple[float, float], to: tuple[float, float]
+) -> None:
+    before = handles_of(path)
+    after = handles_of(shifted(path, by))
+    for one, other in zip(before, after, strict=True):
+        moved = one.at_mm[0] + by[0], one.at_mm[1] + by[1]
+        assert math.dist(other.at_mm, moved) < 0.02 + 1e-9 * math.dist(moved, (0, 0))
+    if isinstance(path, LineDraft | PolylineDraft | PointDraft):
+        for one in before:
+            there = {handle.name: handle.at_mm for handle in handles_of(with_handle_at(path, one.name, to))}
+            assert math.dist(there[one.name], to) < 0.01

@@ -1,0 +1,298 @@
+"""What comes of a scene while it is edited, in a real window: drives, field, figures, files, and play on the rig."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Generator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from PyQt5.QtCore import QEvent, QPointF, Qt, QTimer
+from PyQt5.QtGui import QMouseEvent
+from PyQt5.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QLineEdit
+from pytestqt.qtbot import QtBot
+
+from calibration.drive_file import Drive, read_drive, write_drive
+from gui.scene.document import NOTHING_DRAWN, SceneDocument
+from gui.scene.draft import LineDraft, OutputDraft, SceneDraft, SineDraft, SourceDraft
+from gui.scene.results.figures import GOOD, HELD
+from gui.scene.results.instants import between
+from gui.scene.results.panel import NO_BANK, ResultsPanel
+from gui.scene.results.rig_play import IDLE, OPENING, PLAYING, RENDERING
+from gui.scene.results.saving import DRIVE, MOVIE, WAV
+from gui.theme import DARK
+from gui.window import Window
+from tests.gui.conftest import wait
+from wavefocus.commands.gui import front_door
+
+LEFT = Qt.MouseButton.LeftButton
+
+
+def drawn(end_mm: float = 4.5, amplitude: float = 1.0, **output: float) -> SceneDraft:
+    source = SourceDraft(
+        LineDraft((0.0, 0.0), (end_mm, 0.0)), SineDraft(150.0, 0.2), speed_mm_s=30.0, step_mm=1.5, amplitude=amplitude
+    )
+    return SceneDraft("line", (source,), output=OutputDraft(**output))
+
+
+class Bench:
+    """A results panel on a desk, with the scene that it shows."""
+
+    def __init__(self, qtbot: QtBot, window: Window, bank: Path | None) -> None:
+        self.qtbot, self.window = qtbot, window
+        self.document = SceneDocument(window.desk.front, window)
+        self.panel = ResultsPanel(window.desk, self.document)
+        self.numbers: list[int] = []
+        self._ticks = QTimer(self.panel)
+        self._ticks.timeout.connect(self._tick)
+        self._ticks.start(20)
+        self.panel.resize(480, 700)
+        self.panel.show()
+        self.document.use_bank(bank)
+
+    def _tick(self) -> None:
+        self.panel.collect()
+        if self.panel.driven is not None and self.panel.driven.number not in self.numbers:
+            self.numbers.append(self.panel.driven.number)
+
+    def edit(self, draft: SceneDraft, *, complete: bool = True) -> None:
+        asked = self.panel.calculation.number
+        self.document.edit("draw", draft)
+        wait(self.qtbot, lambda: self.panel.calculation.number > asked)
+        if complete:
+            wait(self.qtbot, lambda: self.panel.complete)
+
+    def says(self, words: str) -> None:
+        wait(self.qtbot, lambda: words in self.panel.state.text())
+
+    def told(self, words: str) -> None:
+        wait(self.qtbot, lambda: words in self.window.messages.sentence)
+
+
+@pytest.fixture
+def bench(qtbot: QtBot, open_window: Callable[..., Window], finished: Path) -> Generator[Bench]:
+    made = Bench(qtbot, open_window(), finished)
+    yield made
+    made.panel.closed()
+    made.panel.deleteLater()
+
+
+def test_given_edits_then_drives_field_and_figures_follow_and_nothing_of_an_older_scene_is_shown(
+    qtbot: QtBot, bench: Bench
+) -> None:
+    panel = bench.panel
+    bench.says(NOTHING_DRAWN)
+    assert not panel.bar.saves[DRIVE].isEnabled()
+    for amplitude in (1.0, 5.0, 2.0):
+        bench.edit(drawn(amplitude=amplitude), complete=False)
+    wait(qtbot, lambda: panel.complete)
+    first = panel.driven
+    assert first is not None
+    assert first.number == panel.calculation.number
+    assert bench.numbers[-1] == first.number
+    assert first.limiting.decided_by is None
+    bench.edit(drawn(amplitude=4.0))
+    louder = panel.driven
+    assert louder is not None
+    np.testing.assert_allclose(louder.peak_v, 2.0 * first.peak_v, rtol=1e-5)
+    limit_v = float(louder.peak_v.max()) / 4.0
+    bench.edit(drawn(amplitude=4.0, limit_v=limit_v))
+    assert panel.driven is not None
+    assert panel.driven.peak_v.max() == pytest.approx(limit_v)
+    assert panel.drives.said.text() == "scaled by 0.25 for limit_v"
+    verdicts = {figure.name: figure.verdict for figure in panel.figures.figures}
+    assert (verdicts["scale by the limits"], verdicts["peak of the drives"]) == (HELD, HELD)
+    assert "crosstalk of source 0" in verdicts
+    assert panel.figures.table.item(1, 1).text().endswith(" V")
+    assert "after scaling" in panel.figures.table.item(1, 1).toolTip()
+    bench.edit(drawn(amplitude=1.0, limit_v=limit_v))
+    assert panel.figures.figures[0].verdict == GOOD
+    assert bench.numbers == sorted(bench.numbers)
+    panel.drives.actuator.setCurrentIndex(2)
+    assert "of " in panel.drives.traces.getPlotItem().titleLabel.text
+    look_at_field(qtbot, bench)
+
+
+def look_at_field(qtbot: QtBot, bench: Bench) -> None:
+    panel, view = bench.panel, bench.panel.field
+    panel.pages.setCurrentWidget(view)
+    begun, field = view.begun, view.field
+    assert begun is not None
+    assert field.shape == (begun.samples, 12)
+    view.slider.to_mark(1)
+    assert view.time_s == pytest.approx(begun.marks_s[1], abs=1.0 / (begun.sample_rate_hz * begun.finer))
+    place = view.slider.sample / begun.finer
+    shown = view.map.values * begun.limit / view.map.levels[1]
+    np.testing.assert_allclose(shown, between(field, place), rtol=1e-5)
+    at_mm = view.sources_mm(view.time_s)
+    np.testing.assert_allclose(at_mm, [[round(30.0 * view.time_s / 1.5 - 0.5) * 1.5, 0.0]], atol=1e-9)
+    view.colours.setCurrentIndex(1)
+    assert view.map.levels[0] == 0.0
+    assert (view.map.values >= 0.0).all()
+    assert "magnitude (" in view.bar.accessibleName()
+    click(view.map, 3.0, 1.5)
+    assert view.map.marked == 6
+    assert "position 6 at (3.0, 1.5) mm" in view.waveform.getPlotItem().titleLabel.text
+    np.testing.assert_allclose(view.waveform._curve.yData, field[:, 6])
+    view.slider.go_to(0)
+    qtbot.keyClick(view.slider.slider, Qt.Key.Key_Space)
+    wait(qtbot, lambda: view.slider.sample > 0)
+    at_s = view.time_s
+    view.slider.pause()
+    bench.edit(drawn(amplitude=2.0))
+    assert view.time_s >= at_s - 1e-9
+    assert view.map.marked == 6
+    for theme in (DARK,):
+        panel.dress(theme)
+
+
+def click(shown, x_mm: float, y_mm: float) -> None:
+    at = shown.mapFromScene(shown.box.mapViewToScene(QPointF(x_mm, y_mm)))
+    viewport = shown.viewport()
+    for kind, held in (
+        (QEvent.Type.MouseMove, False), (QEvent.Type.MouseButtonPress, True), (QEvent.Type.MouseButtonRelease, False)
+    ):  # fmt: skip
+        button = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseMove else LEFT
+        buttons = Qt.MouseButtons(LEFT if held else Qt.MouseButton.NoButton)
+        place = QPointF(viewport.mapToGlobal(at))
+        event = QMouseEvent(kind, QPointF(at), place, button, buttons, Qt.KeyboardModifier.NoModifier)
+        QApplication.sendEvent(viewport, event)
+
+
+def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_sentence_says_so(
+    bench: Bench, finished: Path
+) -> None:
+    panel = bench.panel
+    bench.document.use_bank(None)
+    bench.says(NO_BANK)
+    bench.document.use_bank(finished)
+    bench.edit(drawn(end_mm=60.0), complete=False)
+    bench.says("source 0")
+    assert panel.driven is None
+    assert panel.field.begun is None
+    assert panel.figures.table.rowCount() == 0
+    bench.edit(drawn())
+    bench.document.use_bank(None)
+    bench.says(NO_BANK)
+    bench.document.use_bank(finished)
+    wait(bench.qtbot, lambda: panel.complete)
+    away = finished.with_name("away.h5")
+    finished.replace(away)
+    bench.says("deleted or moved")
+    assert panel.driven is None
+    away.replace(finished)
+    wait(bench.qtbot, lambda: panel.complete)
+    assert panel.driven is not None
+
+    # Stopped by hand, or its process killed: the next edit calculates again.
+    bench.edit(drawn(amplitude=1.5), complete=False)
+    bench.qtbot.mouseClick(panel.cancel, LEFT)
+    assert panel.stage.text() == "stopped"
+    bench.edit(drawn(amplitude=2.0))
+    process = panel.calculation.process_id
+    assert process is not None
+    os.kill(process, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
+    bench.says("process was ended")
+    assert panel.calculation.process_id is None
+    bench.edit(drawn(amplitude=3.0))
+    assert panel.driven is not None
+    assert panel.calculation.process_id not in (None, process)
+
+
+def test_given_save_then_the_files_are_what_the_command_makes(bench: Bench, tmp_path: Path) -> None:
+    bench.edit(drawn(limit_v=2.0))
+    panel, driven = bench.panel, bench.panel.driven
+    assert driven is not None
+    panel.save(DRIVE, tmp_path / "out.h5")
+    assert panel.saving.busy
+    assert not panel.bar.saves[WAV].isEnabled()
+    bench.told("out.h5 is saved")
+    drive = read_drive(tmp_path / "out.h5")
+    assert drive.omitted_bound == 0.0
+    assert np.linalg.norm(driven.drive_v - drive.drive_v) < 1.1e-3 * np.linalg.norm(drive.drive_v)
+    panel.save(WAV, tmp_path / "out.wav")
+    bench.told("out.wav is saved")
+    sound, rate_hz = soundfile.read(tmp_path / "out.wav")
+    assert sound.shape[1] == 3
+    assert len(sound) == pytest.approx(driven.drive_v.shape[1] * rate_hz / driven.sample_rate_hz, abs=2)
+    panel.save(MOVIE, tmp_path / "out.gif")
+    panel.saving.cancel()
+    bench.told("out.gif is not saved: you cancelled it")
+    assert not (tmp_path / "out.gif").exists()
+
+
+@pytest.mark.long
+def test_given_save_movie_then_the_field_is_predicted_and_drawn(bench: Bench, tmp_path: Path) -> None:
+    bench.edit(drawn())
+    bench.panel.save(MOVIE, tmp_path / "out.gif")
+    bench.qtbot.waitUntil(lambda: not bench.panel.saving.busy, timeout=100_000)
+    assert "out.gif is saved" in bench.window.messages.sentence
+    assert (tmp_path / "out.gif").read_bytes()[:6] == b"GIF89a"
+
+
+def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench: Bench, finished: Path) -> None:
+    panel, bar = bench.panel, bench.panel.bar
+    bench.edit(drawn())
+    assert not bar.play.isEnabled()
+    bar.rig_field.line.setText(str(finished.with_name("rig.toml")))
+    bar.rig_field.line.editingFinished.emit()
+    bench.edit(drawn(amplitude=0.5))
+    assert bar.play.isEnabled()
+    bar.loops.setValue(2)
+    states: list[str] = []
+    panel.playing.changed.connect(lambda: states.append(panel.playing.state))
+    bench.qtbot.mouseClick(bar.buttons["play"], LEFT)
+    assert panel.playing.state == RENDERING
+    wait(bench.qtbot, lambda: panel.playing.state != RENDERING)
+    bench.told("the scene: played; the outputs are muted")
+    assert list(dict.fromkeys(states)) == [RENDERING, OPENING, PLAYING, IDLE]
+    assert panel.playing.state == IDLE
+
+    bench.qtbot.mouseClick(bar.buttons["play"], LEFT)
+    assert panel.playing.state == RENDERING
+    bench.qtbot.mouseClick(bar.buttons["stop"], LEFT)
+    bench.told("nothing was played")
+    assert panel.playing.state == IDLE
+
+    bar.gain.setValue(60.0)
+    bench.qtbot.mouseClick(bar.buttons["play"], LEFT)
+    wait(bench.qtbot, lambda: panel.playing.state != RENDERING)
+    bench.told("the rig's actuators may get")
+
+    bar.gain.setValue(-3.0)
+    bench.qtbot.mouseClick(bar.buttons["play"], LEFT)
+    wait(bench.qtbot, lambda: panel.playing.state == OPENING)
+    process = panel.playing._process
+    assert process is not None
+    panel.closed()
+    assert process.state() == process.NotRunning
+    assert process.exitCode() != 0
+
+
+def test_given_a_play_that_is_watched_then_it_ends_muted_when_its_input_closes(finished: Path) -> None:
+    out = finished.with_name("drive.h5")
+    none = np.zeros(0, np.int64)
+    write_drive(out, Drive(np.full((3, 20_000), 0.1), 10_000.0, 0.0, "exact", 1.0, 0.0, none, none, none))
+    command = [*front_door().command, "play", str(out), "--rig", str(finished.with_name("rig.toml")), "--watched"]
+    ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    assert ended.returncode == 130
+    assert "stopped by the user; the outputs are muted" in ended.stderr
+
+
+def test_every_control_of_the_results_has_a_name_and_a_tooltip(bench: Bench) -> None:
+    kinds = (QAbstractButton, QAbstractSpinBox, QComboBox)
+    controls = [control for kind in kinds for control in bench.panel.findChildren(kind)]
+    own = [
+        control
+        for control in controls
+        if not control.objectName().startswith("qt_")
+        and not isinstance(control.parent(), QComboBox | QAbstractSpinBox | QLineEdit)
+        and type(control.parent()).__name__ not in ("QTabBar", "QTableWidget")
+        and type(control).__name__ != "QTableCornerButton"
+    ]
+    assert len(own) > 15
+    assert [type(control).__name__ for control in own if not control.accessibleName() or not control.toolTip()] == []

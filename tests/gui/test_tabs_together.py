@@ -1,0 +1,261 @@
+"""What the tabs of one window owe each other: instruments, closing, a quick start, and one look."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Generator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PyQt5.QtCore import QMimeData, QPoint, Qt, QUrl
+from PyQt5.QtGui import QColor, QDragEnterEvent
+from PyQt5.QtWidgets import QApplication, QCheckBox
+from pytestqt.qtbot import QtBot
+
+from calibration.bank_creation import create_bank
+from calibration.bank_layout import BankHeader
+from gui.rig.tab import RigTab
+from gui.scene.draft import LineDraft, SceneDraft, SineDraft, SourceDraft
+from gui.scene.results.rig_play import IDLE
+from gui.scene.tab import SceneTab
+from gui.theme import DARK, LIGHT, Theme, palette_of
+from gui.tick_style import TickStyle
+from gui.verification.tab import VerificationTab
+from gui.window import Window
+from tests.gui.conftest import campaign_of, wait, write_lab
+from tests.gui.test_run import HOLDER, answer, press
+from tests.system.test_startup import loaded_by
+
+REAL = """
+[actuators]
+position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+
+[mirror]
+driver = "asi-tiger"
+port = "/nowhere"
+
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+address = "localhost:1"
+
+[player]
+driver = "sounddevice"
+device = "none"
+"""
+SCENE = SceneDraft("line", (SourceDraft(LineDraft((0.0, 0.0), (4.5, 0.0)), SineDraft(150.0, 0.2), speed_mm_s=30.0),))
+OPEN_WINDOW = """
+import os
+os.environ["QT_QPA_PLATFORM"] = "offscreen"
+from pathlib import Path
+from PyQt5.QtCore import QSettings
+from gui.application import make_application
+from gui.memory import Memory
+from gui.window import Window
+from wavefocus.commands.gui import front_door
+application = make_application()
+window = Window(front_door(), Memory(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
+window.show()
+application.processEvents()
+assert len(window.tabs) == 4
+"""
+
+
+def scene_of(window: Window) -> SceneTab:
+    (tab,) = (one for one in window.tabs if isinstance(one, SceneTab))
+    return tab
+
+
+def rig_of(window: Window) -> RigTab:
+    (tab,) = (one for one in window.tabs if isinstance(one, RigTab))
+    return tab
+
+
+def verification_of(window: Window) -> VerificationTab:
+    (tab,) = (one for one in window.tabs if isinstance(one, VerificationTab))
+    return tab
+
+
+@pytest.fixture
+def real_rig(tmp_path: Path) -> Path:
+    """A rig file of instruments that are not there."""
+    (tmp_path / "real.toml").write_text(REAL, encoding="utf-8")
+    return tmp_path / "real.toml"
+
+
+@pytest.fixture
+def measured_now(tmp_path: Path) -> Generator[tuple[Path, int]]:
+    """A bank of a real rig, and the process that owns it."""
+    bank = tmp_path / "real.h5"
+    header = BankHeader(
+        sample_rate_hz=10_000.0,
+        taps=100,
+        position_mm=np.array([[0.0, 0.0], [1.5, 0.0]]),
+        actuator_mm=np.array([[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]),
+        band_hz=(20.0, 500.0),
+        rig_json='{"mirror": {"driver": "asi-tiger"}}',
+        run_json="{}",
+        plan_sha256="0" * 64,
+        software="a test",
+    )
+    create_bank(bank, header)
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(bank)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as owner:
+        assert owner.stdout is not None
+        assert owner.stdout.readline().strip() == b"mine"
+        yield bank, owner.pid
+        owner.communicate(timeout=20)
+
+
+def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_busy(
+    qtbot: QtBot, open_window: Callable[..., Window], measured_now: tuple[Path, int], real_rig: Path, tmp_path: Path
+) -> None:
+    bank, owner = measured_now
+    window = open_window(bank, real_rig)
+    rig, scene, verification = rig_of(window), scene_of(window), verification_of(window)
+    wait(qtbot, lambda: bool(campaign_of(window).instruments_held()))
+
+    def refused(word: str) -> None:
+        assert f"process {owner} on " in window.messages.sentence
+        assert window.messages.sentence.endswith(f"measures {bank}, so the instruments are busy: stop it first")
+        assert [button.text() for button in window.messages.buttons()] == [f"{word} all the same"]
+        window.messages.put_away()
+
+    rig.examine()
+    refused("Examine")
+    rig.take()
+    refused("Take them")
+    rig.calibrate([])
+    refused("Calibrate")
+    assert not (rig.examination.running or rig.hands.held or rig.calibration.running)
+    scene.results.bar.rig_field.line.setText(str(real_rig))
+    scene.results.play()
+    refused("Play")
+    assert scene.results.playing.state == IDLE
+    form = verification.form
+    (tmp_path / "scene.toml").write_text("[scene]\n", encoding="utf-8")
+    for field, path in (
+        (form.scene, tmp_path / "scene.toml"),
+        (form.bank, bank),
+        (form.rig, real_rig),
+        (form.out, tmp_path / "verify"),
+    ):
+        field.show_path(path)
+    verification.row.start.trigger()
+    refused("Verify")
+    assert not verification.run.running
+    # Instruments in software are for everybody.
+    form.virtual.setChecked(True)
+    verification.row.start.trigger()
+    assert verification.run.running
+    assert verification.instruments_held() == ""
+    verification.run.cancel()
+    wait(qtbot, lambda: not verification.run.running)
+
+
+def test_given_instruments_in_hand_then_a_campaign_on_them_is_not_started_without_a_word(
+    qtbot: QtBot, open_window: Callable[..., Window], real_rig: Path, tmp_path: Path
+) -> None:
+    run = write_lab(tmp_path / "lab", 4, 3)
+    text = run.read_text(encoding="utf-8").partition("[virtual]")[0]
+    run.write_text(text.replace('"rig.toml"', f'"{real_rig}"'), encoding="utf-8")
+    window = open_window(real_rig, run)
+    tab, rig = campaign_of(window), rig_of(window)
+    wait(qtbot, tab.controls.buttons["start"].isEnabled)
+    rig.take()
+    assert rig.hands.held
+    press(qtbot, tab, "start")
+    told = "the Rig tab has the instruments of real.toml, so the instruments are busy: stop it first"
+    assert window.messages.sentence == told
+    assert tab.run.own is None
+    answer(qtbot, window, "Start all the same")
+    assert tab.run.own is not None
+    wait(qtbot, lambda: tab.run.own is None)  # the capture finds no such instruments
+
+
+def test_given_a_campaign_and_an_unsaved_scene_then_closing_asks_one_after_the_other_and_then_acts(
+    qtbot: QtBot, open_window: Callable[..., Window], long_run: Path
+) -> None:
+    window = open_window(long_run)
+    tab, scene = campaign_of(window), scene_of(window)
+    press(qtbot, tab, "start")
+    wait(qtbot, tab.controls.buttons["stop"].isEnabled)
+    scene.document.edit("draw", SCENE)
+    window.close()
+    assert "plate.h5 is being measured by a run of this window" in window.messages.sentence
+    answer(qtbot, window, "Stop after this position")
+    assert "a new scene has changes that are not saved" in window.messages.sentence
+    answer(qtbot, window, "Do not close")
+    assert window.isVisible()
+    assert window.messages.sentence == ""  # nothing was ordered
+    assert tab.run.own is not None
+    own = tab.run.own
+    window.close()
+    answer(qtbot, window, "Stop after this position")
+    answer(qtbot, window, "Close without saving")
+    wait(qtbot, lambda: not window.isVisible())
+    wait(qtbot, lambda: not own.alive)
+    assert "session_ended" in long_run.with_name("plate.events.jsonl").read_text(encoding="utf-8")
+
+
+def test_given_files_of_every_kind_then_the_window_lets_each_be_dropped(
+    open_window: Callable[..., Window], finished: Path, real_rig: Path, tmp_path: Path
+) -> None:
+    window = open_window()
+    (tmp_path / "scene.toml").write_text("[scene]\n", encoding="utf-8")
+    for path, taken in (
+        (finished, True),
+        (real_rig, True),
+        (finished.with_name("run.toml"), True),
+        (tmp_path / "scene.toml", True),
+        (finished.with_name("positions.csv"), False),
+    ):
+        content = QMimeData()
+        content.setUrls([QUrl.fromLocalFile(str(path))])
+        action, key = Qt.DropAction.CopyAction, Qt.KeyboardModifier.NoModifier
+        enter = QDragEnterEvent(QPoint(9, 9), action, content, Qt.MouseButton.LeftButton, key)
+        enter.ignore()
+        window.dragEnterEvent(enter)
+        assert (path.name, enter.isAccepted()) == (path.name, taken)
+
+
+def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Path) -> None:
+    loaded = loaded_by(OPEN_WINDOW, tmp_path)
+    assert "gui.verification.tab" in loaded
+    assert not loaded & {"scipy", "h5py", "matplotlib", "pydantic", "soundfile", "mocks", "acquisition.engine"}
+    assert not loaded & {"rendering.prediction", "rendering.drive", "rendering.scene", "gui.scene.results.worker"}
+
+
+@pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
+def test_given_a_box_then_its_outline_is_seen_and_a_tick_says_that_it_is_on(qtbot: QtBot, theme: Theme) -> None:
+    style = TickStyle()
+    box = QCheckBox("Snap")
+    qtbot.addWidget(box)
+    box.setStyle(style)
+    box.setPalette(palette_of(theme))
+    box.show()
+
+    def share(colour: str) -> float:
+        QApplication.processEvents()
+        image, wanted = box.grab().toImage(), QColor(colour)
+        side = box.height()
+        near = [
+            max(
+                abs(one - other) for one, other in zip(QColor(image.pixel(x, y)).getRgb(), wanted.getRgb(), strict=True)
+            )
+            for x in range(side)
+            for y in range(side)
+        ]
+        return sum(distance < 40 for distance in near) / len(near)
+
+    tick = palette_of(theme).highlightedText().color().name()
+    assert share(theme.accent) == 0
+    assert share(theme.faint) > 0.02
+    without = share(tick)
+    box.setChecked(True)
+    assert share(theme.accent) > 0.1
+    assert share(tick) > 0.01
+    assert share(tick) != without

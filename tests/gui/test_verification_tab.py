@@ -1,0 +1,347 @@
+"""The Verification tab: runs on the virtual rig in processes of their own, and what earlier ones left."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from PyQt5.QtCore import QPointF, Qt
+from PyQt5.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+
+from gui.verification.tab import VerificationTab
+from gui.window import Window
+from tests.gui.conftest import campaign_of, wait
+from wavefocus.__main__ import run
+
+SCENE = """
+[scene]
+name = "stroke"
+
+[[source]]
+speed_mm_s = 100.0
+step_mm = 1.5
+path = { kind = "line", start_mm = [0, 1.5], end_mm = [4.5, 1.5] }
+signal = { kind = "sine", frequency_hz = 200.0, duration_s = 0.02 }
+emission = "per_point"
+
+[output]
+limit_v = 1.0
+"""
+
+
+@pytest.fixture(scope="session")
+def verified(measured: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A lab whose bank was verified into the folder ``verify``; to be copied before anything is written."""
+    lab = tmp_path_factory.mktemp("verified") / "lab"
+    shutil.copytree(measured, lab)
+    (lab / "scene.toml").write_text(SCENE, encoding="utf-8")
+    out = lab / "verify"
+    command = ["verify", str(lab / "scene.toml"), "--bank", str(lab / "plate.h5"), "--rig", str(lab / "rig.toml")]
+    assert run([*command, "--out", str(out), "--json"]) == 0
+    return lab
+
+
+@pytest.fixture
+def lab(verified: Path, tmp_path: Path) -> Path:
+    """The same to be changed by a test."""
+    shutil.copytree(verified, tmp_path / "lab")
+    return tmp_path / "lab"
+
+
+def other_bank(lab: Path, name: str, *, gain: float = 1.0, copies: int = 1) -> Path:
+    """A bank with the measured one's Green's functions, louder by `gain`, and its grid several times side by side."""
+    with h5py.File(lab / "plate.h5", "r") as file:
+        held = {one: file[one][:] for one in ("green", "position_mm", "actuator_mm", "status")}
+        attributes = {one: file.attrs[one] for one in ("sample_rate_hz", "rig", "run", "band_hz")}
+    away_mm = np.array([[0.1 * copy, 0.1 * (copy % 7)] for copy in range(copies)])
+    with h5py.File(lab / name, "w") as file:
+        file["green"] = np.tile(held["green"] * np.float32(gain), (copies, 1, 1))
+        file["position_mm"] = (away_mm[:, None, :] + held["position_mm"]).reshape(-1, 2)
+        file["actuator_mm"] = held["actuator_mm"]
+        file["status"] = np.tile(held["status"], copies)
+        file.attrs.update(attributes)
+    return lab / name
+
+
+def verification_of(window: Window) -> VerificationTab:
+    """The Verification tab of a window, brought to the front."""
+    tab = next(one for one in window.tabs if isinstance(one, VerificationTab))
+    window._pages.setCurrentWidget(tab)
+    return tab
+
+
+def opened(qtbot: QtBot, open_window: Callable[..., Window], lab: Path) -> tuple[Window, VerificationTab]:
+    """A window that shows what a lab's verification found."""
+    window = open_window(lab / "verify" / "verify.json")
+    tab = verification_of(window)
+    wait(qtbot, lambda: tab.results is not None)
+    return window, tab
+
+
+def ready(window: Window, bank: Path) -> VerificationTab:
+    """The tab with all chosen that a verification of a bank needs; the folder is a new one."""
+    tab = verification_of(window)
+    tab.form.take_bank(bank)
+    tab.form.out.show_path(bank.with_name("new"))
+    window.refresh()
+    return tab
+
+
+def cells(tab: VerificationTab, row: int) -> list[str]:
+    """The texts of a row of the table of figures."""
+    table = tab.figures.table
+    return [table.item(row, column).text() for column in range(table.columnCount())]
+
+
+def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(
+    qtbot: QtBot, open_window: Callable[..., Window], verified: Path
+) -> None:
+    _, tab = opened(qtbot, open_window, verified)
+    predicted, scanned, difference = tab.maps.maps
+    with h5py.File(verified / "verify" / "scan.h5", "r") as file:
+        sample = round((tab.maps.time.time_s - file.attrs["start_s"]) * file.attrs["sample_rate_hz"])
+        of_file = 1e3 * file["field"][:, sample]  # shown in mm/s
+    # Only what lies outside the bank's band differs from the file.
+    assert np.linalg.norm(scanned.values - of_file) < 0.1 * np.linalg.norm(of_file)
+    assert predicted.levels == scanned.levels
+    assert predicted.levels[0] == -predicted.levels[1]
+    assert "mm/s" in tab.maps.bars[0].accessibleName()
+    in_mm_s = 1e-3 if "µm/s" in tab.maps.bars[2].accessibleName() else 1.0
+    np.testing.assert_allclose(in_mm_s * difference.values, scanned.values - predicted.values, atol=1e-6)
+    tab.maps.third.setCurrentIndex(1)
+    record = json.loads((verified / "verify" / "verify.json").read_text(encoding="utf-8"))
+    np.testing.assert_allclose(difference.values, 100 * np.array(record["positions"]["error"]))
+
+
+def test_given_the_figures_then_they_are_those_of_the_file_with_verdict_and_definition(
+    qtbot: QtBot, open_window: Callable[..., Window], verified: Path
+) -> None:
+    _, tab = opened(qtbot, open_window, verified)
+    record = json.loads((verified / "verify" / "verify.json").read_text(encoding="utf-8"))
+    assert tab.figures.table.rowCount() == len(record["figures"])
+    for row, figure in enumerate(record["figures"]):
+        shown = cells(tab, row)
+        assert shown[0] == figure["name"]
+        assert figure["definition"] in tab.figures.table.item(row, 0).toolTip()
+        if figure["limit"] is not None:
+            assert shown[5] == {True: "pass", False: "fail", None: "not judged"}[figure["passed"]]
+            assert not tab.figures.table.item(row, 5).icon().isNull()
+    error = next(one for one in record["figures"] if one["name"] == "normalised error")
+    assert cells(tab, 0)[3:5] == [f"{error['difference']:.3g} %", "≤ 5 %"]
+    qtbot.mouseClick(tab.figures.buttons["copy"], Qt.MouseButton.LeftButton)
+    assert "normalised error\t" in QApplication.clipboard().text()
+
+
+def test_given_a_click_on_a_map_then_the_waveforms_there_and_their_figures(
+    qtbot: QtBot, open_window: Callable[..., Window], verified: Path
+) -> None:
+    window, tab = opened(qtbot, open_window, verified)
+    qtbot.waitExposed(window)
+    scan = tab.maps.maps[1]
+    QApplication.processEvents()
+    index = 7
+    record = tab.results.record
+    place = scan.mapFromScene(scan.box.mapViewToScene(QPointF(*record.position_mm[index])))
+    qtbot.mouseClick(scan.viewport(), Qt.MouseButton.LeftButton, pos=place)
+    wait(qtbot, lambda: tab.waveforms.index == index)
+    assert all(one.marked == index for one in tab.maps.maps)
+    assert f"position {record.position_index[index]} " in tab.waveforms.place.text()
+    assert f"error {100 * record.position_error[index]:.3g} %" in tab.waveforms.figures.text()
+    assert f"correlation {record.position_correlation[index]:.5f}" in tab.waveforms.figures.text()
+    qtbot.keyClick(scan, Qt.Key.Key_Right)
+    assert tab.waveforms.index == index or record.position_mm[tab.waveforms.index][0] > record.position_mm[index][0]
+
+
+def test_given_the_time_slider_then_it_goes_from_focus_to_focus_plays_and_starts_anew(
+    qtbot: QtBot, open_window: Callable[..., Window], verified: Path
+) -> None:
+    _, tab = opened(qtbot, open_window, verified)
+    time, focus = tab.maps.time, tab.results.record.focus_s
+    assert time.time_s == pytest.approx(focus[0], abs=1e-4)
+    qtbot.mouseClick(time.on, Qt.MouseButton.LeftButton)
+    assert time.time_s == pytest.approx(focus[1], abs=1e-4)
+    assert time.read_out.text() == f"{1e3 * time.time_s:.2f} ms"
+    before = tab.maps.maps[0].values.copy()
+    time.slower.setCurrentIndex(time.slower.findData(50))
+    qtbot.mouseClick(time.play, Qt.MouseButton.LeftButton)
+    here = time.sample
+    wait(qtbot, lambda: time.sample > here)
+    time.go_to(time.slider.maximum())
+    wait(qtbot, lambda: time.sample < here)  # it looped
+    qtbot.mouseClick(time.play, Qt.MouseButton.LeftButton)
+    assert not time.playing
+    time.loop.setChecked(False)
+    time.go_to(time.slider.maximum() - 1)
+    time.play.click()
+    wait(qtbot, lambda: not time.playing)
+    assert time.sample == time.slider.maximum()
+    assert not np.array_equal(before, tab.maps.maps[0].values)
+
+
+def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_told(
+    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
+) -> None:
+    window = open_window()
+    tab = ready(window, other_bank(lab, "loud.h5", gain=1.2))
+    tab.form.positions.setCurrentIndex(tab.form.positions.findData("every"))
+    tab.form.step.setValue(2)
+    assert tab.row.start.isEnabled()
+    steps = set()
+
+    def seen() -> bool:
+        if tab.run.progress is not None:
+            steps.add(tab.run.progress.step)
+        return tab.results is not None
+
+    tab.row.start.trigger()
+    wait(qtbot, lambda: seen() or "compare and report" in steps)
+    wait(qtbot, seen)
+    assert steps & {"scan", "compare and report"}
+    assert window.messages.sentence.startswith("Not good enough. ")
+    assert "normalised error" in window.messages.sentence
+    assert "not good enough" in tab.figures.verdict.text()
+    assert cells(tab, 0)[5] == "fail"
+    assert list(tab.results.record.position_index) == list(range(0, 12, 2))
+    assert tab.results.record.folder == lab / "new"
+    assert not (lab / "new" / "verify.stop").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="ends processes by signals")
+def test_given_a_long_scan_then_closing_asks_cancel_parks_and_a_killed_process_is_a_sentence(
+    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
+) -> None:
+    window = open_window()
+    tab = ready(window, other_bank(lab, "many.h5", copies=120))
+    tab.row.start.trigger()
+    tab.row.cancel.trigger()  # before its process can hear anything
+    wait(qtbot, (lab / "new" / "verify.events.jsonl").exists)
+    wait(qtbot, lambda: not tab.run.running)
+    assert "muted and the mirror is parked" in window.messages.sentence
+    assert not (lab / "new" / "verify.json").exists()
+    tab.row.start.trigger()
+    wait(qtbot, lambda: tab.run.progress is not None and tab.run.progress.step != "starting")
+    wait(qtbot, lambda: tab.run.progress is not None and tab.run.progress.step == "scan" and tab.run.progress.done > 0)
+    window.refresh()
+    assert "left" in tab.row.figures.text()
+    window.close()
+    assert window.isVisible()
+    words = [button.text() for button in window.messages.buttons()]
+    assert words == ["Go on in the background", "Stop, muted and parked", "Do not close"]
+    window.messages.buttons()[2].click()
+    os.kill(tab.run.own.pid, signal.SIGKILL)
+    wait(qtbot, lambda: not tab.run.running)
+    assert "without a good-bye" in window.messages.sentence
+    assert "run the verification again" in window.messages.sentence
+
+
+def test_given_a_verification_of_another_process_then_it_is_followed_and_can_be_ended(
+    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
+) -> None:
+    window = open_window()
+    tab = verification_of(window)
+    log = lab / "verify" / "verify.events.jsonl"
+    lines = log.read_text(encoding="utf-8").splitlines()
+    scanning = next(number for number, line in enumerate(lines) if '"step": "scan"' in line)
+    log.write_text("\n".join(lines[: scanning + 1]) + "\n", encoding="utf-8")
+    tab.form.out.line.setText(str(lab / "verify"))
+    tab.form.out.line.editingFinished.emit()
+    wait(qtbot, lambda: tab.run.progress is not None and tab.run.progress.step == "scan")
+    assert tab.instruments_held()
+    window.refresh()
+    assert not tab.row.start.isEnabled()
+    tab.row.cancel.trigger()
+    assert (lab / "verify" / "verify.stop").exists()
+    with log.open("a", encoding="utf-8") as file:
+        file.write("\n".join(lines[scanning + 1 :]) + "\n")
+    wait(qtbot, lambda: tab.results is not None)
+    assert window.messages.sentence.startswith("Verified. ")
+
+
+def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(
+    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
+) -> None:
+    window, tab = opened(qtbot, open_window, lab)
+    shown = tab.results
+    record, scan = lab / "verify" / "verify.json", lab / "verify" / "scan.h5"
+    scan.write_bytes(scan.read_bytes()[:3000])
+    window.open_file(record)
+    wait(qtbot, lambda: "scan.h5" in window.messages.sentence)
+    record.write_text('{"passed": true}', encoding="utf-8")
+    window.open_file(record)
+    wait(qtbot, lambda: "is not the record of a verification" in window.messages.sentence)
+    record.unlink()
+    window.open_file(record)
+    wait(qtbot, lambda: "does not exist" in window.messages.sentence)
+    assert tab.results is shown
+    (lab / "verify" / "report.html").unlink()
+    tab.figures.buttons["report"].click()
+    assert "report.html is gone" in window.messages.sentence
+
+
+def test_given_files_then_each_is_opened_or_put_where_it_belongs(
+    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
+) -> None:
+    window = open_window(lab / "verify" / "scan.h5")
+    tab = verification_of(window)
+    wait(qtbot, lambda: tab.results is not None)
+    assert not any(one is not tab and one.accepts(lab / "verify" / "scan.h5") for one in window.tabs)
+    assert campaign_of(window).accepts(lab / "plate.h5")
+    for name in ("scene.toml", "rig.toml", "plate.h5"):
+        tab.take_dropped(lab / name)
+    (lab / "empty").mkdir()
+    tab.take_dropped(lab / "empty")
+    assert tab.form.missing() == ""
+    chosen = [field.path for field in (tab.form.scene, tab.form.bank, tab.form.rig, tab.form.out)]
+    assert chosen == [lab / "scene.toml", lab / "plate.h5", lab / "rig.toml", lab / "empty"]
+    tab.take_dropped(lab / "positions.csv")
+    assert "positions.csv: drop a scene" in window.messages.sentence
+    tab.keep()
+    again = verification_of(open_window())
+    assert [field.path for field in (again.form.scene, again.form.bank, again.form.rig, again.form.out)] == chosen
+
+
+def test_given_choices_of_positions_then_the_command_says_so_or_a_sentence_what_is_missing(
+    open_window: Callable[..., Window], lab: Path
+) -> None:
+    window = open_window()
+    tab = ready(window, lab / "plate.h5")
+    form = tab.form
+
+    def choose(key: str) -> list[str]:
+        form.positions.setCurrentIndex(form.positions.findData(key))
+        arguments = list(form.request().arguments)
+        return arguments[arguments.index("--json") + 1 :]
+
+    assert choose("all") == []
+    assert choose("every") == ["--positions", "every:4"]
+    assert choose("path") == ["--positions", "path"]
+    form.rows.setText("0-3,7")
+    assert choose("rows") == ["--positions", "0-3,7"]
+    form.positions.setCurrentIndex(form.positions.findData("selected"))
+    tab.row.start.trigger()
+    assert "nothing is selected" in window.messages.sentence
+    window.desk.selection.bank, window.desk.selection.rows = lab / "other.h5", frozenset({3})
+    tab.row.start.trigger()
+    assert "other.h5" in window.messages.sentence
+    window.desk.selection.bank, window.desk.selection.rows = lab / "plate.h5", frozenset({5, 3})
+    assert choose("selected") == ["--positions", "3,5"]
+    form.virtual.setChecked(True)
+    arguments = form.request().arguments
+    assert arguments[arguments.index("--rig") + 1] == "virtual"
+    # Files of something else are asked for before they are overwritten.
+    tab.form.out.show_path(lab / "render")
+    (lab / "render").mkdir()
+    (lab / "render" / "drive.h5").write_bytes(b"precious")
+    tab.row.start.trigger()
+    assert "would be overwritten" in window.messages.sentence
+    window.messages.buttons()[1].click()
+    assert not tab.run.running
+    assert (lab / "render" / "drive.h5").read_bytes() == b"precious"

@@ -1,0 +1,183 @@
+"""A whole night with the mouse alone: measured, interrupted, resumed, mended, drawn, rendered, verified."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from PyQt5.QtCore import Qt
+from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QListView, QTabBar, QWidget
+from pytestqt.qtbot import QtBot
+
+from acquisition.point_status import not_valid
+from calibration.bank import open_bank
+from calibration.bank_owner import bank_owner
+from gui.memory import Memory
+from gui.path_field import PathField
+from gui.scene.tab import SceneTab
+from gui.verification.tab import VerificationTab
+from gui.window import Window
+from rendering.verification_names import RECORD_NAME
+from tests.gui.conftest import campaign_of, wait
+from tests.gui.test_details import click, pixel
+from wavefocus.__main__ import run
+
+LEFT = Qt.MouseButton.LeftButton
+NONE = Qt.KeyboardModifier.NoModifier
+
+RUN = """
+rig = "rig.toml"
+
+[grid]
+spacing_mm = {spacing_mm}
+
+[sweep]
+duration_s = 0.3
+
+[capture]
+averages = 2
+decay_s = 0.15
+taps = 1000
+
+[virtual]
+seed = 3
+
+[[virtual.fault_plan]]
+role = "recorder"
+operation = "read"
+kind = "dropout"
+position = {dark}
+count = 99
+"""
+DARK = 5
+
+
+def press(qtbot: QtBot, button: QWidget) -> None:
+    """Click a button as soon as it can be clicked."""
+    wait(qtbot, lambda: button.isVisible() and button.isEnabled())
+    qtbot.mouseClick(button, LEFT)
+
+
+def turn_to(qtbot: QtBot, window: Window, title: str) -> None:
+    """Click on a tab."""
+    bar = window.findChild(QTabBar)
+    assert bar is not None
+    index = next(index for index in range(bar.count()) if bar.tabText(index) == title)
+    qtbot.mouseClick(bar, LEFT, pos=bar.tabRect(index).center())
+
+
+def take(qtbot: QtBot, name: str, window: Window) -> None:
+    """In the dialog that is open, click on a file where it is there, and on what accepts."""
+    wait(qtbot, lambda: any(one.isVisible() for one in window.findChildren(QFileDialog)))
+    dialog = next(one for one in window.findChildren(QFileDialog) if one.isVisible())
+    if name:
+        files = dialog.findChild(QListView, "listView")
+        assert files is not None
+        model = files.model()
+        assert model is not None
+
+        def found() -> list[int]:
+            root = files.rootIndex()
+            return [row for row in range(model.rowCount(root)) if model.index(row, 0, root).data() == name]
+
+        wait(qtbot, lambda: len(found()) == 1)
+        index = model.index(found()[0], 0, files.rootIndex())
+        files.scrollTo(index)
+        qtbot.mouseClick(files.viewport(), LEFT, pos=files.visualRect(index).center())
+    box = dialog.findChild(QDialogButtonBox)
+    assert box is not None
+    accepts = next(one for one in box.buttons() if box.buttonRole(one) == QDialogButtonBox.ButtonRole.AcceptRole)
+    press(qtbot, accepts)
+
+
+def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
+    """Choose a file through the button behind its field."""
+    press(qtbot, field.browse)
+    take(qtbot, name, window)
+    wait(qtbot, lambda: field.path is not None and field.path.name == name)
+
+
+@pytest.mark.parametrize("spacing_mm", [16.0, pytest.param(4.0, marks=pytest.mark.long)])
+def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rendered_and_verified_with_the_mouse_alone(
+    qtbot: QtBot, open_window: Callable[..., Window], memory: Memory, tmp_path: Path, spacing_mm: float
+) -> None:
+    assert run(["init", str(tmp_path / "lab")]) == 0
+    lab = tmp_path / "lab"
+    (lab / "scene.toml").unlink()
+    (lab / "run.toml").write_text(RUN.format(spacing_mm=spacing_mm, dark=DARK), encoding="utf-8")
+    for ending in (".toml", ".h5"):
+        memory.keep(f"folder/{ending}", str(lab))  # where files were chosen last time
+    window = open_window()
+    tab, bank = campaign_of(window), lab / "plate.h5"
+
+    choose(qtbot, window, tab.run_field, "run.toml")
+    assert tab.bank_field.path == bank
+    buttons = tab.controls.buttons
+    press(qtbot, buttons["start"])
+    wait(qtbot, lambda: tab.campaign.measured > 8)
+    owner = bank_owner(bank)
+    assert owner is not None
+    os.kill(owner.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)  # the power is cut
+    wait(qtbot, lambda: tab.progress.state.text() == "gone")
+    press(qtbot, buttons["resume"])
+    wait(qtbot, lambda: tab.progress.state.text() == "finished")
+    assert tab.campaign.surface is not None
+    positions = tab.campaign.surface.positions
+    assert tab.campaign.measured == positions
+    assert _not_valid(bank) == [DARK]
+    tries = len(tab.campaign.history[DARK])
+    press(qtbot, buttons["poor"])
+    wait(qtbot, lambda: tab.run.own is None and len(tab.campaign.history[DARK]) > tries)
+    assert _not_valid(bank) == [DARK]  # it is still dark there, and never called valid
+    shown = tab.map_panel.map
+    at = [pixel(shown, *tab.campaign.surface.position_mm[row]) for row in (7, 8)]
+    click(shown, at[0])
+    for one in at:
+        click(shown, one, Qt.KeyboardModifier.ControlModifier)
+    press(qtbot, buttons["selected"])
+    wait(qtbot, lambda: tab.run.own is None and all(len(tab.campaign.history[row]) > 1 for row in (7, 8)))
+    assert _not_valid(bank) == [DARK]
+
+    turn_to(qtbot, window, "Scene")
+    scene = next(one for one in window.tabs if isinstance(one, SceneTab))
+    assert scene.document.bank == bank
+    canvas = scene.surface.canvas
+    press(qtbot, scene.surface.tools.buttons["line"])
+    click(canvas, pixel(canvas, -40.0, 0.0))
+    click(canvas, pixel(canvas, 40.0, 10.0))
+    wait(qtbot, lambda: len(scene.document.draft.sources) == 1)
+    press(qtbot, _named(scene, "Undo"))
+    assert scene.document.draft.sources == ()
+    press(qtbot, _named(scene, "Redo"))
+    wait(qtbot, lambda: scene.results.complete)
+    press(qtbot, _named(scene, "Save"))
+    take(qtbot, "", window)
+    wait(qtbot, (lab / "scene.toml").exists)
+    press(qtbot, scene.results.bar.buttons["drive"])
+    take(qtbot, "", window)
+    wait(qtbot, (lab / "scene-drive.h5").exists)
+
+    turn_to(qtbot, window, "Verification")
+    verification = next(one for one in window.tabs if isinstance(one, VerificationTab))
+    choose(qtbot, window, verification.form.bank, "plate.h5")
+    assert verification.form.missing() == ""  # scene and rig lie beside the bank
+    press(qtbot, _named(verification, "Verify"))
+    wait(qtbot, lambda: verification.results is not None)
+    assert verification.results is not None
+    assert verification.results.record.passed
+    assert (bank.with_name("verify") / RECORD_NAME).exists()
+    maps = verification.maps
+    press(qtbot, maps.time.play)
+    press(qtbot, maps.time.play)
+
+
+def _not_valid(bank: Path) -> list[int]:
+    with open_bank(bank) as view:
+        return not_valid(view.status)
+
+
+def _named(tab: QWidget, words: str) -> QAbstractButton:
+    return next(one for one in tab.findChildren(QAbstractButton) if one.text().replace("&", "") == words)
