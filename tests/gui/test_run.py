@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QPlainTextEdit
 from pytestqt.qtbot import QtBot
@@ -18,6 +19,8 @@ from calibration.bank_owner import bank_owner
 from gui.campaign.tab import CampaignTab
 from gui.window import Window
 from tests.gui.conftest import campaign_of, wait, write_lab
+from wavefocus.__main__ import run
+from wavefocus.heartbeat import read_heartbeat
 
 HOLDER = """
 import sys
@@ -180,3 +183,21 @@ def test_given_a_bank_that_nobody_owns_then_an_order_says_so(
     window = open_window(finished)
     campaign_of(window).run.order("pause", finished)
     wait(qtbot, lambda: "no process owns the bank" in window.messages.sentence)
+
+
+@pytest.mark.parametrize(("word", "ends"), [("Pause", "paused"), ("Stop after this position", "")])
+def test_given_an_own_run_then_closing_can_pause_or_stop_it(
+    qtbot: QtBot, open_window: Callable[..., Window], long_run: Path, word: str, ends: str
+) -> None:
+    window = open_window(long_run)
+    tab, bank = campaign_of(window), long_run.with_name("plate.h5")
+    press(qtbot, tab, "start")
+    wait(qtbot, lambda: tab.campaign.measured > 0)
+    assert not window.close()
+    answer(qtbot, window, word)
+    wait(qtbot, lambda: not window.isVisible())
+    if ends:
+        wait(qtbot, lambda: (beat := read_heartbeat(bank)) is not None and beat.state == ends)
+        assert bank_owner(bank) is not None
+        assert run(["stop", str(bank)]) == 0
+    wait(qtbot, lambda: bank_owner(bank) is None)
