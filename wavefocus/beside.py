@@ -20,6 +20,11 @@ def raw_path(bank: Path) -> Path:
     return bank.with_name(f"{bank.stem if bank.suffix == '.h5' else bank.name}.raw.h5")
 
 
+def log_path(bank: Path) -> Path:
+    """Where the events of a bank are logged: ``plate.h5`` -> ``plate.events.jsonl``."""
+    return bank.with_suffix(".events.jsonl")
+
+
 def write_whole(path: Path, content: Mapping[str, object], *, by_many: bool = False) -> None:
     """Write a JSON object so that a reader finds the old one or the new one and nothing in between.
 

@@ -11,12 +11,8 @@ from pathlib import Path
 from types import TracebackType
 
 from acquisition.events import Event, event_record
+from wavefocus.beside import log_path
 from wavefocus.console import say
-
-
-def log_path(bank: Path) -> Path:
-    """Where the events of a bank are logged: ``plate.h5`` -> ``plate.events.jsonl``."""
-    return bank.with_suffix(".events.jsonl")
 
 
 def event_line(event: Event) -> str:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PyQt5.QtCore import QMimeData, QPoint, Qt, QUrl
+from PyQt5.QtCore import QMimeData, QPoint, QRect, Qt, QUrl
 from PyQt5.QtGui import QColor, QDragEnterEvent
-from PyQt5.QtWidgets import QApplication, QCheckBox
+from PyQt5.QtWidgets import QCheckBox, QStyle, QStyleOptionButton
 from pytestqt.qtbot import QtBot
 
 from calibration.bank_creation import create_bank
@@ -130,7 +130,7 @@ def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments
     refused("Take them")
     rig.calibrate([])
     refused("Calibrate")
-    assert not (rig.examination.running or rig.hands.held or rig.calibration.running)
+    assert [rig.examination.running, rig.hands.held, rig.calibration.running] == [False, False, False]
     scene.results.bar.rig_field.line.setText(str(real_rig))
     scene.results.play()
     refused("Play")
@@ -231,31 +231,24 @@ def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Pa
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
 def test_given_a_box_then_its_outline_is_seen_and_a_tick_says_that_it_is_on(qtbot: QtBot, theme: Theme) -> None:
-    style = TickStyle()
+    style, option = TickStyle(), QStyleOptionButton()
     box = QCheckBox("Snap")
     qtbot.addWidget(box)
     box.setStyle(style)
     box.setPalette(palette_of(theme))
     box.show()
+    box.initStyleOption(option)
+    whole = style.subElementRect(QStyle.SubElement.SE_CheckBoxIndicator, option, box)
+    inside = whole.adjusted(2, 2, -2, -2)
 
-    def share(colour: str) -> float:
-        QApplication.processEvents()
-        image, wanted = box.grab().toImage(), QColor(colour)
-        side = box.height()
-        near = [
-            max(
-                abs(one - other) for one, other in zip(QColor(image.pixel(x, y)).getRgb(), wanted.getRgb(), strict=True)
-            )
-            for x in range(side)
-            for y in range(side)
-        ]
-        return sum(distance < 40 for distance in near) / len(near)
+    def share(colour: str, part: QRect) -> float:
+        image, wanted = box.grab(part).toImage(), QColor(colour).getRgb()
+        colours = [image.pixelColor(x, y).getRgb() for x in range(image.width()) for y in range(image.height())]
+        return float(np.mean(np.abs(np.subtract(colours, wanted)).max(axis=1) < 40))
 
     tick = palette_of(theme).highlightedText().color().name()
-    assert share(theme.accent) == 0
-    assert share(theme.faint) > 0.02
-    without = share(tick)
+    assert share(theme.faint, whole) > 0.1
+    assert share(theme.accent, inside) == 0
     box.setChecked(True)
-    assert share(theme.accent) > 0.1
-    assert share(tick) > 0.01
-    assert share(tick) != without
+    assert share(theme.accent, inside) > 0.4
+    assert 0.05 < share(tick, inside) < 0.4

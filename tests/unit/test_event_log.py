@@ -7,7 +7,8 @@ from itertools import islice
 
 import pytest
 
-from wavefocus.event_log import last_events, log_path
+from wavefocus.beside import log_path
+from wavefocus.event_log import last_events
 
 
 @pytest.mark.parametrize("padding", [0, 60, 70_000])

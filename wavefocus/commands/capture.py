@@ -19,13 +19,14 @@ from calibration.errors import ExistsError, InputError
 from calibration.network_mount import is_network_mount
 from drivers.errors import InstrumentError
 from wavefocus.attendance import Attendance
+from wavefocus.beside import log_path
 from wavefocus.blueprint import Blueprint, blueprint_from_bank, blueprint_from_files
 from wavefocus.calibration_change import refuse_other_devices, with_one_calibration
 from wavefocus.campaign_view import CampaignView
 from wavefocus.compose import open_setup
 from wavefocus.console import progress, say
 from wavefocus.drift_history import DriftHistory
-from wavefocus.event_log import EventLines, EventLog, log_path, print_line
+from wavefocus.event_log import EventLines, EventLog, print_line
 from wavefocus.exits import Exit
 from wavefocus.messages import messenger_for
 from wavefocus.positions import parse_positions

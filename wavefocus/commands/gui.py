@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gui.front_door import FrontDoor, Pulse, RigLimits
 from gui.start import open_window
-from wavefocus.beside import raw_path
-from wavefocus.event_log import log_path
+from wavefocus.beside import log_path, raw_path
 from wavefocus.heartbeat import SILENT_AFTER_S, read_heartbeat
 
 if TYPE_CHECKING:
