@@ -1,6 +1,8 @@
 """A command that is ended by a file does so as by Ctrl-C."""
 
+import signal
 import threading
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,15 @@ from wavefocus.ended_by_file import ended_by_file
 LONG_S = 60.0
 
 
+@pytest.fixture
+def interruptible() -> Generator[None]:
+    """Where the tests run in a shell's background, SIGINT is ignored from the start."""
+    former = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, former)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_given_the_file_then_the_block_is_interrupted_and_the_file_taken_away(tmp_path: Path) -> None:
     order = tmp_path / "verify.stop"
 
