@@ -30,12 +30,14 @@ CHILD = """
 import resource, sys
 limit = int(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+from benchmarks.peak_memory import peak_bytes
 from wavefocus.__main__ import run
 if __name__ == "__main__":
     code = run(sys.argv[2:])
     own, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = sum(one.ru_utime + one.ru_stime for one in (own, workers))
-    print(processor, max(own.ru_maxrss, workers.ru_maxrss) * (1 if sys.platform == "darwin" else 1024))
+    # Workers are children of this process, which is small when it starts them.
+    print(processor, max(peak_bytes(), workers.ru_maxrss * (1 if sys.platform == "darwin" else 1024)))
     sys.exit(code)
 """
 

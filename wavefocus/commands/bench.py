@@ -18,11 +18,12 @@ BENCHMARKS = {
     "focusing": "focusing methods on one scene",
     "paper": "the paper's figures on the virtual rig",
     "wires": "production drivers on emulated wires, in real time",
+    "cluster": "a bank larger than memory, on one, two and no workers",
 }
 """Modules of `benchmarks` by the name that the command line knows, and what they measure."""
 
-ON_REQUEST = ("paper", "wires")
-"""Not part of ``all``: one measures a bank for minutes, the other needs an audio server."""
+ON_REQUEST = ("paper", "wires", "cluster")
+"""Not part of ``all``: two take minutes, and the wires need an audio server."""
 
 
 def bench(what: str, out: Path, *, quick: bool) -> None:
