@@ -125,13 +125,14 @@ class ActionsBar(QWidget):
         saves.addStretch(1)
         for part in (self.gain, self.loops, self._button("play", self.play), self._button("stop", self.stop)):
             plays.addWidget(part)
-        plays.addWidget(self.said, stretch=1)
+        plays.addStretch(1)
         column = QVBoxLayout(self)
         column.setContentsMargins(4, 2, 4, 2)
         column.setSpacing(4)
         column.addLayout(saves)
         column.addWidget(self.rig_field)
         column.addLayout(plays)
+        column.addWidget(self.said)
 
     def _button(self, name: str, action: QAction) -> QToolButton:
         button = QToolButton()
