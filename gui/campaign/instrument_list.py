@@ -9,7 +9,7 @@ from gui.campaign.model import Campaign
 from gui.campaign.position_panel import clock
 from gui.theme import LIGHT, Theme
 
-_MARKS = {"in use": "●", "faulty": "▲", "away": "✕"}
+_MARKS = {"in use": "●", "at rest": "○", "faulty": "▲", "away": "✕"}
 
 
 class InstrumentList(QWidget):
@@ -46,7 +46,8 @@ class InstrumentList(QWidget):
         self._seen = self._campaign.revision["instruments"]
         instruments = self._campaign.instruments.all
         self.table.setRowCount(len(instruments))
-        colours = {"in use": self._theme.good, "faulty": self._theme.warning, "away": self._theme.fault}
+        theme = self._theme
+        colours = {"in use": theme.good, "at rest": theme.faint, "faulty": theme.warning, "away": theme.fault}
         for row, instrument in enumerate(instruments):
             told = f"{clock(instrument.at_s)}  {instrument.message}".strip()
             words = (

@@ -18,7 +18,7 @@ class Instrument:
     name : str
         As the session introduced it.
     state : str
-        ``"in use"``, ``"faulty"`` or ``"away"``.
+        ``"in use"``, ``"at rest"`` (the session is over), ``"faulty"`` or ``"away"``.
     message : str
         The last that was told of it.
     at_s : float
@@ -47,7 +47,9 @@ class Instruments:
             case {"event": "reconnect_tried", "instrument": str(name), "connected": connected}:
                 self._note(name, "in use" if connected else "away", record, str(record.get("role", "")))
             case {"event": "position_committed"}:
-                return self._recovered()
+                return self._all_become("in use", {"at rest", "faulty", "away"})
+            case {"event": "state_changed", "state": "finished" | "stopped" | "failed"}:
+                return self._all_become("at rest", {"in use"})
             case _:
                 return False
         return True
@@ -68,10 +70,9 @@ class Instruments:
         self.all.append(instrument)
         return instrument
 
-    def _recovered(self) -> bool:
-        """A position that is in has been through all instruments."""
-        changed = False
-        for instrument in self.all:
-            changed |= instrument.state != "in use"
-            instrument.state = "in use"
-        return changed
+    def _all_become(self, state: str, former: set[str]) -> bool:
+        """A position that is in has been through all instruments; a session that is over has put them to rest."""
+        concerned = [instrument for instrument in self.all if instrument.state in former]
+        for instrument in concerned:
+            instrument.state = state
+        return bool(concerned)

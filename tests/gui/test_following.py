@@ -111,6 +111,9 @@ def test_given_faults_then_the_instrument_they_name_is_shown_with_its_last_messa
     assert recorder.state == "away"
     _said(campaign, event="position_committed", position=1, status=1, attempts=1)
     assert recorder.state == "in use"
+    _said(campaign, event="fault", retried=False, **fault)
+    _said(campaign, event="state_changed", state="failed", reason="no answer")
+    assert (mirror.state, recorder.state) == ("at rest", "faulty")
 
 
 def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept() -> None:
