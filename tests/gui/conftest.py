@@ -126,10 +126,10 @@ def campaign_of(window: Window) -> CampaignTab:
     return tab
 
 
-def wait(qtbot: QtBot, true: Callable[[], bool]) -> None:
+def wait(qtbot: QtBot, true: Callable[[], bool], within_ms: int = SOON_MS) -> None:
     """Let the window live until something is so; else say what it showed."""
     try:
-        qtbot.waitUntil(true, timeout=SOON_MS)
+        qtbot.waitUntil(true, timeout=within_ms)
     except TimeoutError:
         windows = [widget for widget in QApplication.topLevelWidgets() if isinstance(widget, Window)]
         shown = [(campaign_of(window).progress.state.text(), window.messages.sentence) for window in windows]

@@ -53,6 +53,8 @@ position = {dark}
 count = 99
 """
 DARK = 5
+# What 1500 positions may take on a busy machine; nothing is judged by it.
+A_NIGHT_MS = 600_000
 
 
 def press(qtbot: QtBot, button: QWidget) -> None:
@@ -100,6 +102,7 @@ def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
     wait(qtbot, lambda: field.path is not None and field.path.name == name)
 
 
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("spacing_mm", [16.0, pytest.param(4.0, marks=pytest.mark.long)])
 def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rendered_and_verified_with_the_mouse_alone(
     qtbot: QtBot, open_window: Callable[..., Window], memory: Memory, tmp_path: Path, spacing_mm: float
@@ -123,7 +126,7 @@ def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rend
     os.kill(owner.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)  # the power is cut
     wait(qtbot, lambda: tab.progress.state.text() == "gone")
     press(qtbot, buttons["resume"])
-    wait(qtbot, lambda: tab.progress.state.text() == "finished")
+    wait(qtbot, lambda: tab.progress.state.text() == "finished", A_NIGHT_MS)
     assert tab.campaign.surface is not None
     positions = tab.campaign.surface.positions
     assert tab.campaign.measured == positions
@@ -152,20 +155,20 @@ def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rend
     press(qtbot, _named(scene, "Undo"))
     assert scene.document.draft.sources == ()
     press(qtbot, _named(scene, "Redo"))
-    wait(qtbot, lambda: scene.results.complete)
+    wait(qtbot, lambda: scene.results.complete, A_NIGHT_MS)
     press(qtbot, _named(scene, "Save"))
     take(qtbot, "", window)
     wait(qtbot, (lab / "scene.toml").exists)
     press(qtbot, scene.results.bar.buttons["drive"])
     take(qtbot, "", window)
-    wait(qtbot, (lab / "scene-drive.h5").exists)
+    wait(qtbot, (lab / "scene-drive.h5").exists, A_NIGHT_MS)
 
     turn_to(qtbot, window, "Verification")
     verification = next(one for one in window.tabs if isinstance(one, VerificationTab))
     choose(qtbot, window, verification.form.bank, "plate.h5")
     assert verification.form.missing() == ""  # scene and rig lie beside the bank
     press(qtbot, _named(verification, "Verify"))
-    wait(qtbot, lambda: verification.results is not None)
+    wait(qtbot, lambda: verification.results is not None, A_NIGHT_MS)
     assert verification.results is not None
     assert verification.results.record.passed
     assert (bank.with_name("verify") / RECORD_NAME).exists()
