@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -73,6 +73,7 @@ OVER = (
     ("recordings", "dark", 0, 3, 0),
     ("drift", "light", 5, 4, 0),
 )
+Look = tuple[str, str]
 
 
 def main() -> None:
@@ -150,14 +151,18 @@ def take(out: Path, run_file: Path, what: str) -> None:
         tab.position_panel.setCurrentIndex(page)
         tab.position_panel.show_green_as(view)
         keep(name)
-    if what == "over":
-        verify(window, run_file, until, keep)
-        draw(window, run_file, until, keep)
+    # Theme, and the end of the name.
+    looks = {"over": (("light", "light"), ("dark", "dark")), "scaled": (("light", "scaled-200"),)}.get(what, ())
+    if looks:
+        verify(window, run_file, until, keep, looks)
+        draw(window, run_file, until, keep, looks)
     window.close_at_once()
     print(f"{what}: {bank.name}, pictures in {out}")
 
 
-def verify(window: Window, run_file: Path, until: Callable[..., None], keep: Callable[[str], None]) -> None:
+def verify(
+    window: Window, run_file: Path, until: Callable[..., None], keep: Callable[[str], None], looks: Sequence[Look]
+) -> None:
     """Verify a scene with the campaign's bank, and keep pictures of what was found."""
     from gui.verification.tab import VerificationTab
 
@@ -168,14 +173,16 @@ def verify(window: Window, run_file: Path, until: Callable[..., None], keep: Cal
     tab.row.start.trigger()
     until(lambda: tab.results is not None)
     window.messages.put_away()
-    for theme, shown in (("light", 0), ("dark", 1)):
+    for shown, (theme, name) in enumerate(looks):
         window.choose_theme(theme)
         tab.maps.third.setCurrentIndex(shown)
         tab.maps.time.to_mark(1)
-        keep(f"verification-{theme}")
+        keep(f"verification-{name}")
 
 
-def draw(window: Window, run_file: Path, until: Callable[..., None], keep: Callable[[str], None]) -> None:
+def draw(
+    window: Window, run_file: Path, until: Callable[..., None], keep: Callable[[str], None], looks: Sequence[Look]
+) -> None:
     """Open a scene over the campaign's bank, and keep pictures of it."""
     from gui.scene.tab import SceneTab
 
@@ -184,9 +191,9 @@ def draw(window: Window, run_file: Path, until: Callable[..., None], keep: Calla
     tab.document.use_bank(run_file.with_name("plate.h5"))
     until(lambda: tab.live.idle and tab.results.complete)
     window.messages.put_away()
-    for theme in ("light", "dark"):
+    for theme, name in looks:
         window.choose_theme(theme)
-        keep(f"scene-{theme}")
+        keep(f"scene-{name}")
 
 
 def _lab(folder: Path) -> Path:

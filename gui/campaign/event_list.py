@@ -173,6 +173,7 @@ class EventList(QWidget):
         side.setDefaultSectionSize(line + 5)
         self.view.setColumnWidth(0, self.fontMetrics().horizontalAdvance("Wed 00:00:00") + 18)
         self.view.setColumnWidth(1, self.fontMetrics().horizontalAdvance("warning") + 22)
+        self._count.setMinimumWidth(self.fontMetrics().horizontalAdvance("0000 of 00000"))
 
     def _restrict(self) -> None:
         self.lines.restrict(Weight(self.weight.currentIndex()), self.text.text())
