@@ -154,15 +154,14 @@ class EventList(QWidget):
 
     def draw(self) -> None:
         """Draw what came in, and follow it where the newest line was in sight."""
+        if self._seen != self._campaign.revision["lines"]:
+            self._seen = self._campaign.revision["lines"]
+            bar = self.view.verticalScrollBar()
+            at_end = bar is None or bar.value() >= bar.maximum() - 1
+            if self.lines.take_new() and at_end:
+                self.view.scrollToBottom()
         if time.monotonic() >= self._count_due_s:
             self._tell_count()
-        if self._seen == self._campaign.revision["lines"]:
-            return
-        self._seen = self._campaign.revision["lines"]
-        bar = self.view.verticalScrollBar()
-        at_end = bar is None or bar.value() >= bar.maximum() - 1
-        if self.lines.take_new() and at_end:
-            self.view.scrollToBottom()
 
     def dress(self, theme: Theme) -> None:
         """Take the theme's colours and the text's size."""
