@@ -231,9 +231,17 @@ def calibrate(
 def operate(rig: RigArgument) -> None:
     """Operate a rig by hand: orders as JSON lines on standard input, answers as JSON lines on standard output.
 
-    Orders: {"order": "jog", "x_mm": 10, "y_mm": 5} (or x_mrad, y_mrad), "park", "level" (on, every_s, actuator,
-    level_v), "sweep" (actuator, level_v, start_hz, stop_hz, duration_s), "mute", "state", "reconnect" (instrument),
-    "end". However it ends, the outputs are muted and the mirror is parked. docs/reference/operate.md has them all.
+    {"order": "jog", "x_mm": 10, "y_mm": 5} moves the beam; or x_mrad, y_mrad.
+
+    {"order": "level"} tells levels; on, every_s, actuator, level_v.
+
+    {"order": "sweep"} plays once; actuator, level_v, start_hz, stop_hz, duration_s.
+
+    {"order": "reconnect", "instrument": "mirror"} connects afresh.
+
+    "park", "mute", "state" and "end" need nothing more.
+
+    However it ends, outputs are muted and the mirror is parked. docs/reference/operate.md has every order and answer.
     """
     from wavefocus.commands import operate as command
 
