@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Literal
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import Instruments, Mirror, Player, Recorder
+from drivers.protocols import Instrument, Instruments
 
 Role = Literal["mirror", "recorder", "player"]
 
@@ -35,9 +35,9 @@ def as_lost(failure: InstrumentError, cause: str) -> InstrumentLostError:
     return lost
 
 
-def instrument_of(instruments: Instruments, role: str) -> Mirror | Recorder | Player:
+def instrument_of(instruments: Instruments, role: str) -> Instrument:
     """The instrument that has a role."""
-    by_role: dict[str, Mirror | Recorder | Player] = {
+    by_role: dict[str, Instrument] = {
         "mirror": instruments.mirror,
         "recorder": instruments.recorder,
         "player": instruments.player,

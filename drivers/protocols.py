@@ -97,23 +97,11 @@ class Clock(Protocol):
 
 
 @runtime_checkable
-class Mirror(Protocol):
-    """Points the laser. Coordinates are optical angles in milliradians."""
+class Instrument(Protocol):
+    """What every role can do."""
 
     def identify(self) -> str:
         """Name, model and serial number of the device. Raises InstrumentError."""
-        ...
-
-    def move_to(self, x_mrad: float, y_mrad: float) -> None:
-        """Start a move and return at once. Raises InstrumentError outside the limits."""
-        ...
-
-    def wait_settled(self, timeout_s: float) -> None:
-        """Return when the beam stands still. Raises InstrumentError after `timeout_s`."""
-        ...
-
-    def park(self) -> None:
-        """Move to the safe direction. Safe to call at any time, from any state."""
         ...
 
     def reconnect(self) -> None:
@@ -134,12 +122,25 @@ class Mirror(Protocol):
 
 
 @runtime_checkable
-class Recorder(Protocol):
-    """Records the reference (loopback of the player) and the response (vibrometer)."""
+class Mirror(Instrument, Protocol):
+    """Points the laser. Coordinates are optical angles in milliradians."""
 
-    def identify(self) -> str:
-        """Name, model and serial number of the device. Raises InstrumentError."""
+    def move_to(self, x_mrad: float, y_mrad: float) -> None:
+        """Start a move and return at once. Raises InstrumentError outside the limits."""
         ...
+
+    def wait_settled(self, timeout_s: float) -> None:
+        """Return when the beam stands still. Raises InstrumentError after `timeout_s`."""
+        ...
+
+    def park(self) -> None:
+        """Move to the safe direction. Safe to call at any time, from any state."""
+        ...
+
+
+@runtime_checkable
+class Recorder(Instrument, Protocol):
+    """Records the reference (loopback of the player) and the response (vibrometer)."""
 
     def start(self, request: RecordRequest) -> None:
         """Start one finite record and return at once. Raises InstrumentError."""
@@ -151,22 +152,6 @@ class Recorder(Protocol):
 
     def abort(self) -> None:
         """Drop a record under way. Safe to call at any time."""
-        ...
-
-    def reconnect(self) -> None:
-        """Drop the connection and open a fresh one to the same device; from any state but closed.
-
-        Raises
-        ------
-        InstrumentLostError
-            The device is not there (yet): trying again later can help.
-        InstrumentError
-            Another device answers in its place.
-        """
-        ...
-
-    def close(self) -> None:
-        """Release the device. Safe to call twice."""
         ...
 
 
@@ -181,7 +166,7 @@ class OffersRanges(Protocol):
 
 
 @runtime_checkable
-class Player(Protocol):
+class Player(Instrument, Protocol):
     """Plays one signal per channel of an audio interface."""
 
     @property
@@ -192,10 +177,6 @@ class Player(Protocol):
     @property
     def full_scale_v(self) -> float:
         """Largest output magnitude in volts."""
-        ...
-
-    def identify(self) -> str:
-        """Name, model and serial number of the device. Raises InstrumentError."""
         ...
 
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
@@ -229,18 +210,6 @@ class Player(Protocol):
 
     def mute(self) -> None:
         """Silence every channel at once. Safe to call at any time, from any state."""
-        ...
-
-    def reconnect(self) -> None:
-        """Drop the connection and open a fresh one to the same device; from any state but closed.
-
-        Raises
-        ------
-        InstrumentLostError
-            The device is not there (yet): trying again later can help.
-        InstrumentError
-            Another device answers in its place.
-        """
         ...
 
     def close(self) -> None:

@@ -8,10 +8,10 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from gui.apart import leave, start_apart
 from gui.front_door import FrontDoor
 
 _TAIL_BYTES = 4096
-_ON_ITS_OWN = 0x00000200 | 0x08000000  # Windows: CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
 _RESUME = "resume goes on from what is in the bank"
 
 
@@ -61,15 +61,11 @@ class OwnRun:
             self._said = Path(tempfile.gettempdir()) / self._said.name
             heard = self._said.open("wb")
         with heard:
-            # Signals and the closing of consoles that are meant for the window are kept away from it.
-            self._process = subprocess.Popen(
+            self._process = start_apart(
                 [*front.command, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=heard,
-                env={**os.environ, "PYTHONIOENCODING": "utf-8"},
-                start_new_session=os.name == "posix",
-                creationflags=0 if os.name == "posix" else _ON_ITS_OWN,
             )
 
     @property
@@ -113,6 +109,4 @@ class OwnRun:
 
     def let_go(self) -> None:
         """Leave it running without a parent that would wait for it."""
-        # Otherwise the interpreter warns on exit that a child is still running, which is what was asked for.
-        if self._process.returncode is None:
-            self._process.returncode = 0
+        leave(self._process)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from PyQt5.QtCore import Qt, pyqtSignal
+from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QLineEdit, QToolButton, QWidget
 
+from gui.chosen_files import make_dialog
 from gui.memory import Memory
 
 
@@ -70,9 +71,7 @@ class PathField(QWidget):
 
     def _browse(self) -> None:
         folder = self.path.parent if self.path else self._memory.folder(self._ending)
-        dialog = QFileDialog(self, f"Choose {self._kind}", str(folder), f"{self._kind} (*{self._ending})")
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.setModal(False)
+        dialog = make_dialog(self, f"Choose {self._kind}", folder, self._kind, [self._ending])
         if not self._ending:
             # One that does not exist yet can be typed.
             dialog.setFileMode(QFileDialog.FileMode.Directory)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from PyQt5.QtWidgets import QAction, QWidget
+from PyQt5.QtWidgets import QAction, QSplitter, QWidget
 
 from gui.desk import Desk
 from gui.theme import Theme
@@ -57,6 +57,7 @@ class Tab(QWidget):
     def __init__(self, desk: Desk) -> None:
         super().__init__()
         self.desk = desk
+        self._splitters: dict[str, QSplitter] = {}
         self.setAccessibleName(self.title)
 
     def menu_actions(self) -> list[QAction | None]:
@@ -95,8 +96,16 @@ class Tab(QWidget):
     def closed(self) -> None:
         """Let go of threads and processes; the window closes."""
 
+    def divide(self, **splitters: QSplitter) -> None:
+        """Divide its room as it was last time."""
+        self._splitters = splitters
+        for name, splitter in splitters.items():
+            splitter.restoreState(self.desk.memory.bytes(f"{self.title.lower()}/{name}"))
+
     def keep(self) -> None:
-        """Remember what should be as it is next time."""
+        """Remember what should be as it is next time: here, how the room is divided."""
+        for name, splitter in self._splitters.items():
+            self.desk.memory.keep(f"{self.title.lower()}/{name}", splitter.saveState())
 
 
 def make_tabs(desk: Desk) -> list[Tab]:

@@ -28,6 +28,8 @@ class Theme:
         Of widgets.
     grid, cell : str
         Lines that must not compete with data; positions that are not measured.
+    ink : str
+        Of words on a coloured ground.
     good, warning, fault : str
         After Okabe and Ito: told apart with any kind of colour vision.
     traces : tuple of str
@@ -44,6 +46,7 @@ class Theme:
     accent: str
     grid: str
     cell: str
+    ink: str
     good: str
     warning: str
     fault: str
@@ -52,11 +55,11 @@ class Theme:
 
 LIGHT = Theme(
     "light", "#f3f4f6", "#ffffff", "#f1f4f8", "#e8ebef", "#1b1f24", "#5b6572", "#0b5c94", "#c3cad2", "#d9dee4",
-    "#0072b2", "#b26a00", "#b83a00", ("#0072b2", "#d55e00", "#117a5b", "#a3488c", "#8a6d00"),
+    "#ffffff", "#0072b2", "#b26a00", "#b83a00", ("#0072b2", "#d55e00", "#117a5b", "#a3488c", "#8a6d00"),
 )  # fmt: skip
 DARK = Theme(
     "dark", "#22262b", "#191c20", "#20242a", "#2e343b", "#e8ebee", "#9aa5b1", "#56b4e9", "#4a535d", "#3a424b",
-    "#56b4e9", "#f0b030", "#ff8a4c", ("#56b4e9", "#ff8a4c", "#35c49b", "#e29ac6", "#f0e442"),
+    "#10151a", "#56b4e9", "#f0b030", "#ff8a4c", ("#56b4e9", "#ff8a4c", "#35c49b", "#e29ac6", "#f0e442"),
 )  # fmt: skip
 CHOICES = ("system", "light", "dark")
 
@@ -80,7 +83,7 @@ def palette_of(theme: Theme) -> QPalette:
         ((role.WindowText, role.Text, role.ButtonText, role.ToolTipText), theme.text),
         ((role.ToolTipBase,), theme.base),
         ((role.Highlight, role.Link), theme.accent),
-        ((role.HighlightedText,), "#ffffff" if theme is LIGHT else "#10151a"),
+        ((role.HighlightedText,), theme.ink),
         ((role.PlaceholderText,), theme.faint),
     ):
         for one in roles:

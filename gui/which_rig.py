@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+
+from calibration.errors import InputError
+from gui.toml_file import tables_of
 
 VIRTUAL = "virtual"
 
@@ -20,8 +22,8 @@ def names_virtual_rig(rig: str | Path) -> bool:
     if str(rig) == VIRTUAL:
         return True
     try:
-        return is_virtual(tomllib.loads(Path(rig).read_text(encoding="utf-8")))
-    except (OSError, ValueError):
+        return is_virtual(tables_of(Path(rig)))
+    except InputError:
         return True
 
 
@@ -30,12 +32,10 @@ def rig_of_run(run: Path) -> Path | None:
 
     Raises
     ------
-    OSError
-        The run file cannot be read.
-    ValueError
-        It is no TOML.
+    InputError
+        The run file cannot be read, or is no TOML.
     """
-    named = tomllib.loads(run.read_text(encoding="utf-8")).get("rig")
+    named = tables_of(run).get("rig")
     return run.parent / named if isinstance(named, str) and named != VIRTUAL else None
 
 
@@ -43,6 +43,6 @@ def runs_on_virtual_rig(run: Path) -> bool:
     """Whether a run file's campaign needs no instruments; one that nobody can read is told about by the capture."""
     try:
         rig = rig_of_run(run)
-    except (OSError, ValueError):
+    except InputError:
         return True
     return rig is None or names_virtual_rig(rig)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import Qt, QTimer, QUrl
+from PyQt5.QtCore import QTimer
 from PyQt5.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
 from PyQt5.QtWidgets import (
     QAction,
@@ -20,7 +20,9 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
+from gui.actions import make_action
 from gui.background import Background
+from gui.chosen_files import dropped_files, make_dialog
 from gui.desk import Desk
 from gui.front_door import FrontDoor
 from gui.memory import Memory
@@ -104,8 +106,7 @@ class Window(QMainWindow):
                 tab.open_file(path)
                 self.memory.opened(path)
                 return
-        endings = ", ".join(dict.fromkeys(ending for tab in self.tabs for ending in tab.opens))
-        self.messages.warn(f"{path}: no tab opens such a file; they open {endings}")
+        self.messages.warn(f"{path}: no tab opens such a file; they open {', '.join(self._endings())}")
 
     def tell_unexpected(self, sentence: str, details: str) -> None:
         """Tell an error that nobody caught."""
@@ -157,14 +158,14 @@ class Window(QMainWindow):
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
         """Take files that a tab opens."""
-        if event is not None and any(tab.accepts(path) for path in _files(event) for tab in self.tabs):
+        if event is not None and any(tab.accepts(path) for path in dropped_files(event) for tab in self.tabs):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
         """Open what was dropped."""
         if event is not None:
             event.acceptProposedAction()
-            for path in _files(event):
+            for path in dropped_files(event):
                 self.open_file(path)
 
     def _ask(self, questions: Sequence[Question], chosen: Sequence[Act]) -> None:
@@ -215,14 +216,14 @@ class Window(QMainWindow):
             _add(view, tab.title, partial(self._pages.setCurrentIndex, index), f"Alt+{index + 1}")
 
     def _choose_file(self) -> None:
-        dialog = QFileDialog(self, "Open", str(self.memory.folder(".h5")))
+        dialog = make_dialog(self, "Open", self.memory.folder(".h5"), "What the window opens", self._endings())
+        dialog.setNameFilters([*dialog.nameFilters(), "All files (*)"])
         dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
-        endings = " ".join(dict.fromkeys(f"*{ending}" for tab in self.tabs for ending in tab.opens))
-        dialog.setNameFilters([f"What the window opens ({endings})", "All files (*)"])
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.setModal(False)
         dialog.filesSelected.connect(self._open_named)
         dialog.show()
+
+    def _endings(self) -> list[str]:
+        return list(dict.fromkeys(ending for tab in self.tabs for ending in tab.opens))
 
     def _open_named(self, names: list[str]) -> None:
         for name in names:
@@ -239,27 +240,12 @@ class Window(QMainWindow):
         self.memory.keep("text_pt", resized_text(self._application, step))
 
 
-def _files(event: QDropEvent) -> list[Path]:
-    content = event.mimeData()
-    urls: list[QUrl] = [] if content is None else content.urls()
-    return [Path(url.toLocalFile()) for url in urls if url.isLocalFile()]
-
-
 def _menu(menu: QMenu | None) -> QMenu:
     assert menu is not None
     return menu
 
 
-def _add(
-    menu: QMenu, words: str, act: Callable[[], object], keys: QKeySequence.StandardKey | str | None = None
-) -> QAction:
-    action = QAction(words, menu)
-
-    def triggered(_checked: bool = False) -> None:
-        act()
-
-    action.triggered.connect(triggered)
-    if keys is not None:
-        action.setShortcut(QKeySequence(keys))
+def _add(menu: QMenu, words: str, act: Callable[[], object], *keys: QKeySequence.StandardKey | str) -> QAction:
+    action = make_action(menu, words, act, *keys)
     menu.addAction(action)
     return action

@@ -17,7 +17,7 @@ import numpy as np
 
 from drivers.audio.devices import DeviceChoiceError
 from drivers.audio.messages import Message, MessagePipe
-from drivers.audio.output_stream import StreamRequest, WatchedStream, load_sounddevice, outputs
+from drivers.audio.output_stream import StreamRequest, WatchedStream, load_sounddevice
 from drivers.audio.piece_by_piece import PieceByPiece
 from drivers.audio.playback import FADE_S, Ended, Float32Array, Play, Voice
 
@@ -53,10 +53,6 @@ def _serve(pipe: MessagePipe) -> int:
         return 0
     request, _ = received
     sounddevice = load_sounddevice()
-    if request.pop("do") == "list":
-        devices, host_apis = outputs(sounddevice)
-        pipe.send({"is": "list", "devices": [asdict(one) for one in devices], "host_apis": host_apis})
-        return 0
     stream = WatchedStream(sounddevice, StreamRequest(**request))
     gc.freeze()
     gc.disable()  # a collection would keep the callback waiting; nothing here makes cycles

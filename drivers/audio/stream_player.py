@@ -78,7 +78,6 @@ class StreamPlayer:
                 "give one finite voltage above 0 for each channel",
             )
         self._request: Message = {
-            "do": "open",
             "host_api": host_api,
             "device": device,
             "channels": channels,

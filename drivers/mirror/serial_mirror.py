@@ -15,7 +15,6 @@ from drivers.serial_line.dialogue import Dialogue
 from drivers.serial_line.line import LineSettings, SerialLine
 
 DIALECTS = ("asi-tiger", "mirrorcle-mti", "generic", "optotune-mre2")
-EXPERIMENTAL = ("optotune-mre2",)
 
 # Pause between two questions whether the mirror still moves.
 POLL_S = 0.001

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from PyQt5.QtGui import QKeySequence
 from PyQt5.QtWidgets import QAction, QHBoxLayout, QToolButton, QWidget
 
+from gui.actions import make_action, make_button
 from gui.campaign.standing import Order
 
 
@@ -48,14 +48,9 @@ class Controls(QWidget):
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
         for button in _BUTTONS:
-            action = QAction(button.words, self)
+            action = make_action(self, button.words, acts[button.name], button.keys, tip=button.tip)
             action.setEnabled(False)
-            action.setShortcut(QKeySequence(button.keys))
-            action.setToolTip(f"{button.tip} ({button.keys})")
-            action.triggered.connect(lambda _checked=False, act=acts[button.name]: act())
-            shown = QToolButton()
-            shown.setDefaultAction(action)
-            shown.setAccessibleName(button.words)
+            shown = make_button(action)
             row.addWidget(shown)
             if button.name in ("plan", "stop"):
                 row.addSpacing(10)

@@ -90,7 +90,6 @@ class Campaign:
     )
     _state: State = State.IDLE
     _reason: str = ""
-    _state_at_s: float = float("nan")
     _heard_s: float = 0.0
     _asked_s: float = 0.0
 
@@ -211,7 +210,6 @@ class Campaign:
         except ValueError:
             return  # a later version's
         self._reason = str(record.get("reason", ""))
-        self._state_at_s = instant_s(record)
         if self._state in OVER:
             self.current = -1
             self._changed("map")

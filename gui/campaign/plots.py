@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyqtgraph
-from PyQt5.QtCore import QRectF, Qt
+from PyQt5.QtCore import QRectF
 from PyQt5.QtWidgets import QVBoxLayout, QWidget
 
-from gui.surface.plot import MOST_COLUMNS, Plot, Real, thinned
+from gui.surface.plot import MOST_COLUMNS, Plot, Real, whole_ticks
 from gui.surface.surface import Surface
 from gui.theme import Theme
 
@@ -70,7 +70,7 @@ class GreenPlot(Plot):
                 colour = self.theme.fault if chosen else self.theme.traces[0]
                 self.line(time_ms, number + 0.9 * trace / largest, colour, 1.6 if chosen else 1.0)
             plot.setTitle(f"{title} = 0.9 of a step", color=self.theme.text)
-        plot.getAxis("left").setTicks([_ticks(len(green)), []])
+        plot.getAxis("left").setTicks([whole_ticks(len(green)), []])
         plot.setXRange(0.0, float(time_ms[-1]), padding=0.01)
         plot.setYRange(-1.0, len(green), padding=0.0)
 
@@ -102,10 +102,7 @@ class SpectrumPlot(Plot):
             level, told = np.sqrt(np.mean(spectrum**2, axis=0)), "rms of all actuators; each in grey"
         level_db = 20 * np.log10(level)
         self.line(frequency_hz, level_db, self.theme.traces[0], 2.0)
-        for edge_hz in (low_hz, high_hz):
-            plot.addItem(
-                pyqtgraph.InfiniteLine(edge_hz, pen=pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine))
-            )
+        self.mark_band(low_hz, high_hz)
         plot.setTitle(f"position {greens.position}: {told}", color=self.theme.text)
         in_band = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
         top_db = float(level_db[in_band].max()) if in_band.any() else float(level_db.max())
@@ -117,13 +114,7 @@ class RecordingPlot(Plot):
     """The two DAQ channels of one record."""
 
     def __init__(self) -> None:
-        super().__init__("Raw recordings", "time (s)", "input (V)")
-        self.legend = self.getPlotItem().addLegend(offset=(-10, 10))
-
-    def dress(self, theme: Theme) -> None:
-        """Take the theme's colours."""
-        super().dress(theme)
-        self.legend.setLabelTextColor(theme.text)
+        super().__init__("Raw recordings", "time (s)", "input (V)", legend_at=(-10, 10))
 
     def show_record(self, recordings: Recordings, record: int, sample_rate_hz: float, position: int) -> None:
         """Draw one record."""
@@ -135,8 +126,7 @@ class RecordingPlot(Plot):
             ("reference", reference, self.theme.grid),
             ("response", response, self.theme.traces[0]),
         ):
-            x, y = thinned(time_s, values)
-            plot.plot(x, y, pen=pyqtgraph.mkPen(colour, width=1.2), name=name)
+            self.line(time_s, values, colour, 1.2, name)
         plot.setTitle(
             f"position {position}, record {record}: response up to {float(np.abs(response).max()):.3g} V of "
             f"{recordings.range_v[1]:g} V",
@@ -209,8 +199,3 @@ def _columns(green: Real) -> Real:
     used = green.shape[1] // step * step
     largest: Real = np.abs(green[:, :used]).reshape(len(green), -1, step).max(axis=2)
     return largest
-
-
-def _ticks(count: int) -> list[tuple[float, str]]:
-    step = max(1, -(-count // 12))
-    return [(float(number), str(number)) for number in range(0, count, step)]

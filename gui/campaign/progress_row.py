@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-import time
-from datetime import datetime
 
 from PyQt5.QtWidgets import QGridLayout, QLabel, QProgressBar, QSizePolicy, QWidget
 
-from acquisition.durations import hours
 from acquisition.events import State
 from gui.campaign.model import Pace
 from gui.campaign.standing import Extra, Standing
+from gui.progress import Badge, finish_words, put
 from gui.theme import LIGHT, Theme
 
 _TROUBLED = (State.FAILED, Extra.GONE, Extra.SILENT)
@@ -24,9 +22,7 @@ class ProgressRow(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._theme = LIGHT
-        self._styled = ""
-        self.state = QLabel()
-        self.state.setAccessibleName("State of the campaign")
+        self.state = Badge("State of the campaign")
         self.reason = QLabel()
         self.reason.setAccessibleName("Reason of the state")
         self.reason.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
@@ -48,9 +44,8 @@ class ProgressRow(QWidget):
 
     def show_standing(self, standing: Standing, said: str, owner: str) -> None:
         """Show state and reason; `said` is what the capture told last while it has no state yet."""
-        self._style(standing)
-        _put(self.state, str(standing.word))
-        _put(self.reason, said or standing.reason)
+        self.state.show_word(str(standing.word), self._colour(standing))
+        put(self.reason, said or standing.reason)
         self.reason.setToolTip(f"{said or standing.reason}\n{owner}".strip())
 
     def show_progress(self, measured: int, total: int, pace: Pace | None, *, measuring: bool) -> None:
@@ -59,42 +54,24 @@ class ProgressRow(QWidget):
         if (self.bar.value(), self.bar.maximum()) != (done, max(of, 1)):
             self.bar.setMaximum(max(of, 1))
             self.bar.setValue(done)
-        _put(self.figures, _figures(pace) if measuring and pace is not None else "")
+        put(self.figures, _figures(pace) if measuring and pace is not None else "")
 
     def dress(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
-        self._styled = ""
+        self.state.dress(theme)
 
-    def _style(self, standing: Standing) -> None:
+    def _colour(self, standing: Standing) -> str:
         theme = self._theme
-        colour = (
+        return (
             theme.fault if standing.word in _TROUBLED
             else theme.warning if standing.word in _WAITING
             else theme.good if standing.measuring or standing.word is State.FINISHED
             else theme.faint
         )  # fmt: skip
-        if colour != self._styled:
-            self._styled = colour
-            ink = "#ffffff" if theme is LIGHT else "#10151a"
-            self.state.setStyleSheet(
-                f"background: {colour}; color: {ink}; font-weight: 600; padding: 2px 9px; border-radius: 4px;"
-            )
-
-
-def _put(label: QLabel, text: str) -> None:
-    """Change a label only when it changes: setting a text lays the whole row out anew."""
-    if label.text() != text:
-        label.setText(text)
 
 
 def _figures(pace: Pace) -> str:
     told = f"{pace.per_hour:.0f} positions an hour" if not math.isnan(pace.per_hour) else ""
     finish_s = pace.told_s + pace.wall_remaining_s
-    if math.isnan(finish_s):
-        return told
-    left_s = max(0.0, finish_s - time.time())
-    finish = datetime.fromtimestamp(finish_s).astimezone()
-    today = datetime.now().astimezone().date()
-    at = finish.strftime("%H:%M" if finish.date() == today else "%a %d %b %H:%M")
-    return f"{told}  ·  {hours(left_s)} left  ·  finished at {at}"
+    return told if math.isnan(finish_s) else f"{told}  ·  {finish_words(finish_s)}"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-import tomllib
+from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import Qt
-from PyQt5.QtWidgets import QAction, QHBoxLayout, QSplitter, QVBoxLayout
+from PyQt5.QtWidgets import QAction, QHBoxLayout, QVBoxLayout
 
+from gui.actions import make_action
 from gui.campaign.campaign_run import CampaignRun
 from gui.campaign.controls import Controls
 from gui.campaign.event_list import EventList
@@ -21,9 +22,11 @@ from gui.campaign.progress_row import ProgressRow
 from gui.campaign.standing import possible
 from gui.campaign.statuses import FAILED, OVER_RANGE, POOR_SIGNAL
 from gui.desk import Desk
+from gui.divided import side_by_side, stacked
 from gui.path_field import PathField
 from gui.tab import Question, Tab
 from gui.theme import Theme
+from gui.toml_file import TomlKind, toml_kind
 from gui.which_rig import runs_on_virtual_rig
 from rendering.verification_names import FIELD_NAMES, RECORD_NAME
 
@@ -76,9 +79,8 @@ class CampaignTab(Tab):
 
     def menu_actions(self) -> list[QAction | None]:
         """What the buttons do, and what a resume may accept."""
-        find = QAction("&Find in events", self)
-        find.setShortcut("Ctrl+F")
-        find.triggered.connect(lambda: self.events.text.setFocus(Qt.FocusReason.ShortcutFocusReason))
+        seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
+        find = make_action(self, "&Find in events", seek, "Ctrl+F")
         return [*self.controls.actions_by_name.values(), None, self.run.accept_drift, self.run.accept_calibration,
                 None, find]  # fmt: skip
 
@@ -86,7 +88,7 @@ class CampaignTab(Tab):
         """Banks, and TOML files that are neither rigs nor scenes; what a verification left is its tab's to open."""
         name = path.name.lower()
         if name.endswith(".toml"):
-            return _may_be_run(path)
+            return toml_kind(path) in (TomlKind.RUN, TomlKind.UNREADABLE)  # the capture tells what is wrong with it
         of_verification = path.name in FIELD_NAMES and path.with_name(RECORD_NAME).exists()
         return name.endswith(".h5") and not name.endswith(".raw.h5") and not of_verification
 
@@ -179,31 +181,14 @@ class CampaignTab(Tab):
             self.follower.end()
         self.run.let_go()
 
-    def keep(self) -> None:
-        """Remember how the room is divided."""
-        for name, splitter in self._splitters.items():
-            self.desk.memory.keep(f"campaign/{name}", splitter.saveState())
-
     def _lay_out(self) -> None:
         files = QHBoxLayout()
         files.addWidget(self.run_field, stretch=1)
         files.addWidget(self.bank_field, stretch=1)
-        upper, lower = QSplitter(Qt.Orientation.Horizontal), QSplitter(Qt.Orientation.Horizontal)
-        upper.addWidget(self.map_panel)
-        upper.addWidget(self.position_panel)
-        upper.setSizes([700, 560])
-        lower.addWidget(self.instruments)
-        lower.addWidget(self.events)
-        lower.setSizes([480, 780])
-        both = QSplitter(Qt.Orientation.Vertical)
-        both.addWidget(upper)
-        both.addWidget(lower)
-        both.setSizes([470, 190])
-        both.setStretchFactor(0, 1)
-        self._splitters = {"upper": upper, "lower": lower, "both": both}
-        for name, splitter in self._splitters.items():
-            splitter.setChildrenCollapsible(False)
-            splitter.restoreState(self.desk.memory.bytes(f"campaign/{name}"))
+        upper = side_by_side((self.map_panel, 700), (self.position_panel, 560))
+        lower = side_by_side((self.instruments, 480), (self.events, 780))
+        both = stacked((upper, 470), (lower, 190), growing=[0])
+        self.divide(upper=upper, lower=lower, both=both)
         column = QVBoxLayout(self)
         column.setContentsMargins(4, 6, 4, 4)
         column.addLayout(files)
@@ -255,14 +240,3 @@ class CampaignTab(Tab):
         rows = ",".join(str(row) for row in sorted(self.map_panel.map.selected))
         if rows:
             self._start("Remeasure", "remeasure", "--positions", rows)
-
-
-def _may_be_run(path: Path) -> bool:
-    """Whether a TOML file is neither a rig nor a scene; one that cannot be read is told about by the capture."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return True
-    if "source" in content or "scene" in content:
-        return False
-    return not any(isinstance(content.get(table), dict) for table in ("rig", "mirror", "player"))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gui.desk import Desk, sentence_of
+from gui.desk import Desk
 from gui.rig.facts import ChannelLevel, maybe
 from gui.rig.lines_process import LinesProcess, Told
 
@@ -103,10 +103,8 @@ class Calibration:
         if self._process is not None:
             return
         self._forget()
-        try:
-            self._process = LinesProcess(self._desk.front, ["calibrate", str(rig), "--operator", "lines", *options])
-        except OSError as failure:
-            self._desk.messages.fault(f"the calibration cannot be started: {sentence_of(failure)}")
+        arguments = ["calibrate", str(rig), "--operator", "lines", *options]
+        self._process = LinesProcess.started(self._desk, arguments, "the calibration cannot be started")
         self._changed("ask")
 
     def answer(self, word: str, **numbers: float) -> None:
@@ -136,12 +134,7 @@ class Calibration:
     def collect(self, then: Callable[[], object]) -> None:
         """Take up what came in; `then` is called when it is over."""
         process = self._process
-        if process is None:
-            return
-        over = process.over()
-        for told in process.take():
-            self._hear(told)
-        if over:
+        if process is not None and process.hand_over(self._hear):
             self._process = None
             self.ask = None
             cancelled = process.exit_code == _STOPPED

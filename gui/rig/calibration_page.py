@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from PyQt5.QtCore import Qt, pyqtSignal
-from PyQt5.QtWidgets import QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QSplitter, QVBoxLayout, QWidget
+from PyQt5.QtCore import Qt
+from PyQt5.QtWidgets import QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QVBoxLayout, QWidget
 
 from acquisition.calibration_procedures.marks import default_marks_mm
+from gui.divided import side_by_side
 from gui.memory import Memory
 from gui.rig.arrows import Arrows
 from gui.rig.calibration import Ask, Calibration, Pair
@@ -28,9 +29,6 @@ class CalibrationPage(QWidget):
     memory : Memory
         Knows folders.
     """
-
-    #: A file to open for reading.
-    file_wanted = pyqtSignal(str)
 
     def __init__(self, calibration: Calibration, memory: Memory) -> None:
         super().__init__()
@@ -120,11 +118,7 @@ class CalibrationPage(QWidget):
         column.addLayout(buttons)
         column.addWidget(self.told)
         column.addWidget(self._rest, stretch=1)
-        self.splitter = QSplitter(Qt.Orientation.Horizontal)
-        self.splitter.setChildrenCollapsible(False)
-        self.splitter.addWidget(self.picture)
-        self.splitter.addWidget(side)
-        self.splitter.setSizes([640, 600])
+        self.splitter = side_by_side((self.picture, 640), (side, 600))
         row = QHBoxLayout(self)
         row.setContentsMargins(4, 6, 4, 4)
         row.addWidget(self.splitter)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from gui.desk import Desk, sentence_of
+from gui.desk import Desk
 from gui.rig.examination_page import ExaminationPage
 from gui.rig.lines_process import LinesProcess, Told
 from gui.rig.remedies import Finding
@@ -36,12 +36,10 @@ class Examination:
     def start(self, rig: Path, options: Sequence[str]) -> None:
         """Start one."""
         quiet = [] if self._page.plays.isChecked() else ["--no-play"]
-        try:
-            self._process = LinesProcess(self._desk.front, ["doctor", str(rig), "--lines", *quiet, *options])
-        except OSError as failure:
-            self._desk.messages.fault(f"the examination cannot be started: {sentence_of(failure)}")
-            return
-        self._page.begin()
+        arguments = ["doctor", str(rig), "--lines", *quiet, *options]
+        self._process = LinesProcess.started(self._desk, arguments, "the examination cannot be started")
+        if self._process is not None:
+            self._page.begin()
 
     def cancel(self) -> None:
         """End it; instruments are put to rest first."""
@@ -51,12 +49,7 @@ class Examination:
     def collect(self) -> None:
         """Take up what came in."""
         process = self._process
-        if process is None:
-            return
-        over = process.over()
-        for told in process.take():
-            self._hear(told)
-        if over:
+        if process is not None and process.hand_over(self._hear):
             self._process = None
             self._ended(process)
 

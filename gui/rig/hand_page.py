@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from PyQt5.QtCore import Qt
-from PyQt5.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSplitter, QVBoxLayout, QWidget
+from PyQt5.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from gui.divided import side_by_side
 from gui.rig.hands import Hands
 from gui.rig.jog_panel import JogPanel
 from gui.rig.sound_panel import SoundPanel
@@ -48,11 +48,7 @@ class HandPage(QWidget):
         for widget in (self.take, self.release, self.mute, self.state):
             row.addWidget(widget)
         row.addStretch(1)
-        self.splitter = QSplitter(Qt.Orientation.Horizontal)
-        self.splitter.setChildrenCollapsible(False)
-        self.splitter.addWidget(self.jog)
-        self.splitter.addWidget(self.sound)
-        self.splitter.setSizes([600, 640])
+        self.splitter = side_by_side((self.jog, 600), (self.sound, 640))
         column = QVBoxLayout(self)
         column.setContentsMargins(4, 6, 4, 4)
         column.addLayout(row)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gui.desk import Desk, sentence_of
+from gui.desk import Desk
 from gui.rig.facts import ChannelLevel, RigFacts, Spot, Sweep
 from gui.rig.lines_process import LinesProcess, Told
 
@@ -80,12 +80,9 @@ class Hands:
         if self._process is not None:
             return
         self._forget()
-        try:
-            self._process = LinesProcess(self._desk.front, ["operate", str(rig)])
-        except OSError as failure:
-            self._desk.messages.fault(f"the instruments cannot be taken: {sentence_of(failure)}")
-            return
-        self._enter("opening")
+        self._process = LinesProcess.started(self._desk, ["operate", str(rig)], "the instruments cannot be taken")
+        if self._process is not None:
+            self._enter("opening")
 
     def release(self, then: Callable[[], object] | None = None) -> None:
         """Mute, park and give the instruments back; `then` is called when they are free."""
@@ -146,12 +143,7 @@ class Hands:
     def collect(self) -> None:
         """Take up what came in."""
         process = self._process
-        if process is None:
-            return
-        over = process.over()
-        for told in process.take():
-            self._hear(told)
-        if over:
+        if process is not None and process.hand_over(self._hear):
             self._ended(process)
 
     def let_go(self) -> None:

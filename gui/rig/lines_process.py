@@ -9,15 +9,16 @@ import signal
 import subprocess
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import IO
 
+from gui.apart import leave, start_apart
+from gui.desk import Desk, sentence_of
 from gui.front_door import FrontDoor
 
 Told = dict[str, object]
 
-_ON_ITS_OWN = 0x00000200 | 0x08000000  # Windows: CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
 _STOPS = signal.SIGTERM if os.name == "posix" else signal.Signals(getattr(signal, "CTRL_BREAK_EVENT", 15))
 _LINES_KEPT = 50
 _KILLED = (
@@ -46,15 +47,8 @@ class LinesProcess:
 
     def __init__(self, front: FrontDoor, arguments: Sequence[str]) -> None:
         self._what = arguments[0]
-        self._process = subprocess.Popen(
-            [*front.command, *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "PYTHONIOENCODING": "utf-8"},
-            start_new_session=os.name == "posix",
-            creationflags=0 if os.name == "posix" else _ON_ITS_OWN,
-        )
+        pipe = subprocess.PIPE
+        self._process = start_apart([*front.command, *arguments], stdin=pipe, stdout=pipe, stderr=pipe)
         self._told: queue.SimpleQueue[Told] = queue.SimpleQueue()
         self._said: deque[str] = deque(maxlen=_LINES_KEPT)
         self._threads = [
@@ -67,30 +61,37 @@ class LinesProcess:
         for thread in self._threads:
             thread.start()
 
+    @classmethod
+    def started(cls, desk: Desk, arguments: Sequence[str], failing: str) -> LinesProcess | None:
+        """Start one; where that fails, None, and a message that begins with `failing`."""
+        try:
+            return cls(desk.front, arguments)
+        except OSError as failure:
+            desk.messages.fault(f"{failing}: {sentence_of(failure)}")
+            return None
+
     @property
     def pid(self) -> int:
         """Its process id."""
         return self._process.pid
-
-    def over(self) -> bool:
-        """Whether it has ended and all that it told can be taken."""
-        if self._process.poll() is None or any(thread.is_alive() for thread in self._threads):
-            return False
-        self.end()
-        return True
 
     @property
     def exit_code(self) -> int | None:
         """Its exit code; None while it runs."""
         return self._process.poll()
 
-    def take(self) -> list[Told]:
-        """What it told since the last look."""
+    def hand_over(self, hear: Callable[[Told], object]) -> bool:
+        """Give `hear` what it told since the last look; whether it has ended, and that was all."""
+        over = self._process.poll() is not None and not any(thread.is_alive() for thread in self._threads)
         told = []
         with suppress(queue.Empty):
             while True:
                 told.append(self._told.get_nowait())
-        return told
+        if over:
+            self.end()
+        for line in told:
+            hear(line)
+        return over
 
     def send(self, **line: object) -> None:
         """Give it an order or an answer; one that is gone hears nothing, which its end tells."""
@@ -125,9 +126,7 @@ class LinesProcess:
     def let_go(self) -> None:
         """Leave it to its way out, without a parent that would wait for it."""
         self.end()
-        # Otherwise the interpreter warns on exit that a child is still running, which is what was asked for.
-        if self._process.poll() is None:
-            self._process.returncode = 0
+        leave(self._process)
 
     def _read(self, stream: IO[bytes]) -> None:
         with stream:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from acquisition.text_file import read_text
+from calibration.errors import InputError
+from gui.toml_file import tables_of
 from gui.which_rig import is_virtual
 
 Pair = tuple[float, float]
@@ -44,12 +46,10 @@ def read_rig_file(path: Path) -> RigFile:
 
     Raises
     ------
-    OSError
-        The file cannot be read.
-    ValueError
-        It is no TOML.
+    InputError
+        The file cannot be read, or is no TOML.
     """
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    content = tables_of(path)
     surface, places = _table(content, "surface"), _table(content, "actuators").get("position_mm")
     length_mm, width_mm = _size(surface, "length_mm", _LENGTH_MM), _size(surface, "width_mm", _WIDTH_MM)
     return RigFile(
@@ -66,8 +66,8 @@ def line_of(path: Path, key: str) -> int:
     table, _, name = key.rpartition(".")
     table = table or name
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError):
+        lines = read_text(path).splitlines()
+    except InputError:
         return 0
     inside, found = False, 0
     for number, line in enumerate(lines, start=1):

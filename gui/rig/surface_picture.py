@@ -39,7 +39,6 @@ class SurfacePicture(pyqtgraph.PlotWidget):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self._theme = LIGHT
         self._size_mm: Pair | None = None
-        self._spot_at: Pair | None = None
         self._labels: list[pyqtgraph.TextItem] = []
         self._outline = pyqtgraph.PlotCurveItem(antialias=True)
         self._actuators = pyqtgraph.ScatterPlotItem(symbol="o", size=9, pxMode=True)
@@ -80,7 +79,6 @@ class SurfacePicture(pyqtgraph.PlotWidget):
 
     def show_spot(self, place: Pair | None) -> None:
         """Show where the beam is, as far as the map knows; None for nowhere on the surface."""
-        self._spot_at = place
         where = [] if place is None else [place]
         for item in (self._spot, self._cross):
             item.setData(pos=np.asarray(where, np.float64).reshape(-1, 2))

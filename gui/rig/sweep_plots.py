@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pyqtgraph
-from PyQt5.QtCore import Qt
 
 from gui.rig.facts import Sweep
-from gui.surface.plot import Plot, thinned
-from gui.theme import Theme
+from gui.surface.plot import Plot
 
+_LEGEND_AT = (-8, 6)
 _MILLI_BELOW_V = 0.5
 _BELOW_DB, _ABOVE_DB = 15.0, 10.0
 
@@ -18,13 +17,7 @@ class WaveformPlot(Plot):
     """Both inputs over time; the reference is drawn as high as the response."""
 
     def __init__(self) -> None:
-        super().__init__("Waveform of the sweep", "time (s)", "response (mV)")
-        self.legend = self.getPlotItem().addLegend(offset=(-8, 6))
-
-    def dress(self, theme: Theme) -> None:
-        """Take the theme's colours."""
-        super().dress(theme)
-        self.legend.setLabelTextColor(theme.text)
+        super().__init__("Waveform of the sweep", "time (s)", "response (mV)", legend_at=_LEGEND_AT)
 
     def show_sweep(self, sweep: Sweep) -> None:
         """Draw it."""
@@ -40,8 +33,7 @@ class WaveformPlot(Plot):
             (f"reference × {share:.2g}", share * sweep.reference_v, self.theme.grid),
             ("response", sweep.response_v, self.theme.traces[0]),
         ):
-            x, y = thinned(time_s, factor * values)
-            plot.plot(x, y, pen=pyqtgraph.mkPen(colour, width=1.2), name=name)
+            self.line(time_s, factor * values, colour, 1.2, name)
         plot.getViewBox().autoRange()
 
 
@@ -49,13 +41,9 @@ class SweepSpectrumPlot(Plot):
     """Spectra of the response with the sweep and in silence, with the sweep's band."""
 
     def __init__(self) -> None:
-        super().__init__("Spectrum of the sweep", "frequency (Hz); dashed: the sweep's band", "dB re 1 V/√Hz")
-        self.legend = self.getPlotItem().addLegend(offset=(-8, 6))
-
-    def dress(self, theme: Theme) -> None:
-        """Take the theme's colours."""
-        super().dress(theme)
-        self.legend.setLabelTextColor(theme.text)
+        super().__init__(
+            "Spectrum of the sweep", "frequency (Hz); dashed: the sweep's band", "dB re 1 V/√Hz", legend_at=_LEGEND_AT
+        )
 
     def show_sweep(self, sweep: Sweep) -> None:
         """Draw it."""
@@ -66,9 +54,7 @@ class SweepSpectrumPlot(Plot):
             ("with the sweep", sweep.response_db, self.theme.traces[0], 1.6),
         ):
             plot.plot(sweep.frequency_hz, values, pen=pyqtgraph.mkPen(colour, width=width), name=name)
-        pen = pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine)
-        for edge_hz in sweep.band_hz:
-            plot.addItem(pyqtgraph.InfiniteLine(edge_hz, pen=pen))
+        self.mark_band(*sweep.band_hz)
         low_db = float(np.median(sweep.noise_db)) - _BELOW_DB
         plot.setYRange(low_db, float(sweep.response_db.max()) + _ABOVE_DB, padding=0)
         plot.setXRange(0.0, float(sweep.frequency_hz[-1]), padding=0.01)

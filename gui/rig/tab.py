@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +9,8 @@ from PyQt5.QtCore import QUrl
 from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtWidgets import QAction, QApplication, QHBoxLayout, QPushButton, QTabWidget, QVBoxLayout
 
+from calibration.errors import InputError
+from gui.actions import make_action
 from gui.desk import Desk
 from gui.path_field import PathField
 from gui.rig.calibration import Calibration
@@ -21,6 +22,7 @@ from gui.rig.hands import Hands
 from gui.rig.rig_file import RigFile, line_of, read_rig_file
 from gui.tab import Question, Tab
 from gui.theme import Theme
+from gui.toml_file import TomlKind, toml_kind
 from gui.which_rig import rig_of_run
 
 
@@ -59,9 +61,7 @@ class RigTab(Tab):
         column.setContentsMargins(4, 6, 4, 4)
         column.addLayout(files)
         column.addWidget(self.pages, stretch=1)
-        self._splitters = {"hand": self.hand_page.splitter, "calibration": self.calibration_page.splitter}
-        for name, splitter in self._splitters.items():
-            splitter.restoreState(desk.memory.bytes(f"rig/{name}"))
+        self.divide(hand=self.hand_page.splitter, calibration=self.calibration_page.splitter)
         self.rig_field.chosen.connect(self.open_file)
         self.of_run.clicked.connect(self._take_rig_of_run)
         self.examination_page.examine.clicked.connect(lambda _checked=False: self.examine())
@@ -80,7 +80,7 @@ class RigTab(Tab):
 
     def accepts(self, path: Path) -> bool:
         """TOML files that describe a rig."""
-        return path.name.lower().endswith(".toml") and _may_be_rig(path)
+        return path.name.lower().endswith(".toml") and toml_kind(path) is TomlKind.RIG
 
     def open_file(self, path: Path) -> None:
         """Take another rig; the instruments of the one before are given back first."""
@@ -170,32 +170,17 @@ class RigTab(Tab):
         self.examination.let_go()
         self.calibration_page.start.close_down()
 
-    def keep(self) -> None:
-        """Remember how the room is divided."""
-        for name, splitter in self._splitters.items():
-            self.desk.memory.keep(f"rig/{name}", splitter.saveState())
-
     def _make_actions(self) -> list[QAction | None]:
-        rows: tuple[tuple[str, str, Callable[[], object]] | None, ...] = (
-            ("Examine", "Ctrl+I", self.examine),
-            ("Cancel the examination", "", self.examination.cancel),
+        return [
+            make_action(self, "Examine", self.examine, "Ctrl+I"),
+            make_action(self, "Cancel the examination", self.examination.cancel),
             None,
-            ("Take the instruments", "Ctrl+Shift+T", self.take),
-            ("Give them back", "Ctrl+Shift+G", self.hands.release),
-            ("Sweep", "F5", self.hand_page.sound.take_sweep),
-            ("Mute", "Ctrl+0", self.hand_page.sound.mute),
-            ("Park the beam", "Ctrl+Shift+P", self.hands.park),
-        )
-        actions: list[QAction | None] = []
-        for row in rows:
-            action = None
-            if row is not None:
-                words, keys, act = row
-                action = QAction(words, self)
-                action.setShortcut(keys)
-                action.triggered.connect(lambda _checked=False, act=act: act())
-            actions.append(action)
-        return actions
+            make_action(self, "Take the instruments", self.take, "Ctrl+Shift+T"),
+            make_action(self, "Give them back", self.hands.release, "Ctrl+Shift+G"),
+            make_action(self, "Sweep", self.hand_page.sound.take_sweep, "F5"),
+            make_action(self, "Mute", self.hand_page.sound.mute, "Ctrl+0"),
+            make_action(self, "Park the beam", self.hands.park, "Ctrl+Shift+P"),
+        ]
 
     def _show_rig(self, path: Path) -> None:
         self.rig_field.show_path(path)
@@ -204,9 +189,8 @@ class RigTab(Tab):
         self.examination_page.finish("not examined yet")
         try:
             self.rig = read_rig_file(path)
-        except (OSError, ValueError) as wrong:
-            told = wrong.strerror if isinstance(wrong, OSError) else f"is no TOML file: {wrong}"
-            self.desk.messages.fault(f"{path}: {told}")
+        except InputError as wrong:
+            self.desk.messages.fault(str(wrong))
         rig = self.rig
         self.hand_page.jog.picture.show_surface(rig.length_mm, rig.width_mm, rig.actuator_mm)
         self.calibration_page.show_surface(rig.length_mm, rig.width_mm, rig.actuator_mm)
@@ -235,8 +219,8 @@ class RigTab(Tab):
             return
         try:
             rig = rig_of_run(run)
-        except (OSError, ValueError) as wrong:
-            self.desk.messages.fault(f"{run}: {wrong}")
+        except InputError as wrong:
+            self.desk.messages.fault(str(wrong))
             return
         if rig is None:
             self.desk.messages.warn(f'{run}: names no rig file (rig = "virtual" has none)')
@@ -246,11 +230,3 @@ class RigTab(Tab):
     def _open(self, path: Path) -> None:
         if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
             self.desk.messages.warn(f"the desktop opens nothing for {path}; open it by hand")
-
-
-def _may_be_rig(path: Path) -> bool:
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(content.get("rig"), dict) or ("mirror" in content and "player" in content)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from PyQt5.QtCore import Qt, pyqtSignal
-from PyQt5.QtWidgets import QFileDialog, QHBoxLayout, QLineEdit, QSizePolicy, QToolButton, QWidget
+from PyQt5.QtCore import pyqtSignal
+from PyQt5.QtWidgets import QHBoxLayout, QLineEdit, QSizePolicy, QToolButton, QWidget
 
+from gui.chosen_files import choose_file
 from gui.memory import Memory
 
 
@@ -51,15 +52,9 @@ class FileRow(QWidget):
 
     def browse(self) -> None:
         """Let somebody choose; nothing is held up meanwhile."""
-        words = f"{self._kind} ({' '.join(f'*{ending}' for ending in self._endings)})"
-        dialog = QFileDialog(self, f"Choose a {self._kind}", str(self._memory.folder(self._endings[0])), words)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.setModal(False)
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-        dialog.fileSelected.connect(self._chosen)
-        dialog.show()
+        folder = self._memory.folder(self._endings[0])
+        choose_file(self, f"Choose a {self._kind}", folder, self._kind, self._endings, self._chosen)
 
-    def _chosen(self, name: str) -> None:
-        path = Path(name)
+    def _chosen(self, path: Path) -> None:
         self._memory.keep(f"folder/{self._endings[0]}", str(path.parent))
         self.edited.emit(str(path))

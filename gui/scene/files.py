@@ -8,10 +8,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from PyQt5.QtCore import QObject, Qt, QTimer, pyqtSignal
-from PyQt5.QtWidgets import QFileDialog, QWidget
+from PyQt5.QtCore import QObject, QTimer, pyqtSignal
+from PyQt5.QtWidgets import QWidget
 
 from calibration.errors import WavefocusError
+from gui.chosen_files import choose_place
 from gui.desk import Desk
 from gui.scene.document import SceneDocument
 from gui.tab import Question
@@ -78,15 +79,8 @@ class SceneFiles(QObject):
 
     def save_as(self, then: Then | None = None) -> None:
         """Ask for a file and save to it; nothing is held up meanwhile."""
-        folder = self._document.path or self._desk.memory.folder(".toml") / "scene.toml"
-        dialog = QFileDialog(self._owner, "Save the scene", str(folder.parent), "scene (*.toml)")
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.setModal(False)
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
-        dialog.setDefaultSuffix("toml")
-        dialog.selectFile(folder.name)
-        dialog.fileSelected.connect(lambda name: self._save(Path(name), then))
-        dialog.show()
+        file = self._document.path or self._desk.memory.folder(".toml") / "scene.toml"
+        choose_place(self._owner, "Save the scene", file, "scene", ".toml", lambda chosen: self._save(chosen, then))
 
     def closing(self) -> Question | None:
         """What to ask before the window closes."""

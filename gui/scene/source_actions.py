@@ -7,10 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PyQt5.QtCore import QObject, Qt, pyqtSignal
-from PyQt5.QtWidgets import QApplication, QFileDialog, QWidget
+from PyQt5.QtCore import QObject, pyqtSignal
+from PyQt5.QtWidgets import QApplication, QWidget
 
 from calibration.errors import WavefocusError
+from gui.chosen_files import choose_file
 from gui.desk import Desk
 from gui.scene.document import SceneDocument
 from gui.scene.draft import FileDraft, PathDraft, SourceDraft, SvgDraft
@@ -102,13 +103,8 @@ class SourceActions(QObject):
 
     def choose_drawing(self, _checked: bool = False) -> None:
         """Let somebody choose an SVG file to add; nothing is held up meanwhile."""
-        folder = str(self._desk.memory.folder(".svg"))
-        dialog = QFileDialog(self._owner, "Add a drawing", folder, "drawing (*.svg)")
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.setModal(False)
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-        dialog.fileSelected.connect(lambda name: self.add_drawing(Path(name)))
-        dialog.show()
+        folder = self._desk.memory.folder(".svg")
+        choose_file(self._owner, "Add a drawing", folder, "drawing", [".svg"], self.add_drawing)
 
     def add_drawing(self, file: Path) -> None:
         """Add the first path of an SVG file, in the middle of the surface and of a size that fits."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtGui import QColor, QIcon, QPainter, QPixmap
@@ -12,11 +12,11 @@ from PyQt5.QtWidgets import (
     QLabel,
     QListWidget,
     QListWidgetItem,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
+from gui.actions import make_button
 from gui.scene.document import SceneDocument
 from gui.scene.picture import source_colour
 from gui.scene.trace import Trace
@@ -56,10 +56,7 @@ class SourceList(QWidget):
         buttons = QHBoxLayout()
         buttons.setSpacing(2)
         for action in actions:
-            button = QToolButton()
-            button.setDefaultAction(action)
-            button.setAccessibleName(action.text().replace("&", ""))
-            buttons.addWidget(button)
+            buttons.addWidget(make_button(action))
         buttons.addStretch(1)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
@@ -107,21 +104,6 @@ class SourceList(QWidget):
     def _choose(self, row: int) -> None:
         if row >= 0:
             self._document.choose(row)
-
-
-def make_action(owner: QWidget, words: str, tip: str, act: Callable[[], object], keys: Sequence[str] = ()) -> QAction:
-    """An action whose keys work while its tab has the focus, and not in other tabs."""
-    action = QAction(words, owner)
-    action.setShortcuts(list(keys))
-    action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-    action.setToolTip(f"{tip} ({keys[0]})" if keys else tip)
-
-    def triggered(_checked: bool = False) -> None:
-        act()
-
-    action.triggered.connect(triggered)
-    owner.addAction(action)
-    return action
 
 
 def _swatch(colour: str) -> QIcon:

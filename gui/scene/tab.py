@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 from PyQt5.QtCore import Qt
@@ -13,14 +12,14 @@ from PyQt5.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QScrollArea,
-    QSplitter,
     QTabWidget,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
+from gui.actions import make_action, make_button
 from gui.desk import Desk
+from gui.divided import side_by_side, stacked
 from gui.path_field import PathField
 from gui.scene.document import SceneDocument
 from gui.scene.draft import SourceDraft, TextDraft
@@ -30,12 +29,11 @@ from gui.scene.results.panel import ResultsPanel
 from gui.scene.scene_form import SceneForm
 from gui.scene.source_actions import SourceActions
 from gui.scene.source_form import SourceForm
-from gui.scene.source_list import SourceList, make_action
+from gui.scene.source_list import SourceList
 from gui.scene.surface_panel import SurfacePanel
 from gui.tab import Question, Tab
 from gui.theme import Theme
-
-_SIZES = {"columns": [300, 490, 470], "left": [130, 500]}
+from gui.toml_file import TomlKind, toml_kind
 
 
 class SceneTab(Tab):
@@ -83,7 +81,7 @@ class SceneTab(Tab):
     def accepts(self, path: Path) -> bool:
         """Scenes, drawings and sounds."""
         name = path.name.lower()
-        return name.endswith((".svg", ".wav")) or (name.endswith(".toml") and _is_scene(path))
+        return name.endswith((".svg", ".wav")) or (name.endswith(".toml") and toml_kind(path) is TomlKind.SCENE)
 
     def open_file(self, path: Path) -> None:
         """Open a scene, add a drawing, or let the chosen source emit a sound."""
@@ -123,8 +121,7 @@ class SceneTab(Tab):
 
     def keep(self) -> None:
         """Remember how the room is divided, and what is not saved."""
-        for name, splitter in self._splitters.items():
-            self.desk.memory.keep(f"scene/{name}", splitter.saveState())
+        super().keep()
         self.desk.memory.keep("scene/snaps", int(self.surface.tools.snaps.isChecked()))
         self.desk.memory.keep("scene/bank", str(self.document.bank or ""))
         self.files.keep()
@@ -144,18 +141,20 @@ class SceneTab(Tab):
     def _make_actions(self) -> dict[str, QAction]:
         acts, files, steps = self.acts, self.files, self.document.steps
         made = {
-            "new": make_action(self, "&New", "Begin a new scene", files.new, ["Ctrl+N"]),
-            "save": make_action(self, "&Save", "Save the scene to its file", files.save, ["Ctrl+S"]),
-            "save as": make_action(self, "Save &as…", "Save to another file", files.save_as, ["Ctrl+Shift+S"]),
-            "undo": make_action(self, "&Undo", "Take the last change back", steps.undo, ["Ctrl+Z"]),
-            "redo": make_action(self, "&Redo", "Do it again", steps.redo, ["Ctrl+Shift+Z", "Ctrl+Y"]),
-            "copy": make_action(self, "&Copy", "Copy the source as text of a scene file", acts.copy, ["Ctrl+C"]),
-            "paste": make_action(self, "&Paste", "Add sources that were copied", acts.paste, ["Ctrl+V"]),
-            "duplicate": make_action(self, "&Duplicate", "Add the same source again", acts.duplicate, ["Ctrl+Shift+D"]),
-            "delete": make_action(self, "D&elete", "Delete the source (Del, on the surface)", acts.delete),
-            "up": make_action(self, "Up", "Put the source before the one above it", lambda: acts.move(-1)),
-            "down": make_action(self, "Down", "Put the source behind the one beneath it", lambda: acts.move(1)),
-            "drawing": make_action(self, "Add a dra&wing…", "Add a path of an SVG file", acts.choose_drawing),
+            "new": make_action(self, "&New", files.new, "Ctrl+N", tip="Begin a new scene"),
+            "save": make_action(self, "&Save", files.save, "Ctrl+S", tip="Save the scene to its file"),
+            "save as": make_action(self, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
+            "undo": make_action(self, "&Undo", steps.undo, "Ctrl+Z", tip="Take the last change back"),
+            "redo": make_action(self, "&Redo", steps.redo, "Ctrl+Shift+Z", "Ctrl+Y", tip="Do it again"),
+            "copy": make_action(self, "&Copy", acts.copy, "Ctrl+C", tip="Copy the source as text of a scene file"),
+            "paste": make_action(self, "&Paste", acts.paste, "Ctrl+V", tip="Add sources that were copied"),
+            "duplicate": make_action(
+                self, "&Duplicate", acts.duplicate, "Ctrl+Shift+D", tip="Add the same source again"
+            ),
+            "delete": make_action(self, "D&elete", acts.delete, tip="Delete the source (Del, on the surface)"),
+            "up": make_action(self, "Up", lambda: acts.move(-1), tip="Put the source before the one above it"),
+            "down": make_action(self, "Down", lambda: acts.move(1), tip="Put the source behind the one beneath it"),
+            "drawing": make_action(self, "Add a dra&wing…", acts.choose_drawing, tip="Add a path of an SVG file"),
         }
         steps.undoTextChanged.connect(self._name_undo)
         steps.redoTextChanged.connect(self._name_redo)
@@ -164,15 +163,16 @@ class SceneTab(Tab):
         for name in ("undo", "redo"):
             made[name].setIconText(name.capitalize())  # on the button, whatever it would undo
             made[name].setEnabled(False)
+        for action in made.values():
+            # Other tabs mean something else by the same keys.
+            action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+            self.addAction(action)
         return made
 
     def _lay_out(self) -> None:
         top = QHBoxLayout()
         for name in ("new", "save", "save as", "undo", "redo"):
-            button = QToolButton()
-            button.setDefaultAction(self.actions_by_name[name])
-            button.setAccessibleName(button.text())
-            top.addWidget(button)
+            top.addWidget(make_button(self.actions_by_name[name]))
         self._file.setAccessibleName("Scene file")
         top.addWidget(self._file, stretch=1)
         top.addWidget(self.bank_field, stretch=1)
@@ -181,19 +181,9 @@ class SceneTab(Tab):
         pages.setDocumentMode(True)
         pages.addTab(_scrolling(self.source_form), "Source")
         pages.addTab(_scrolling(self.scene_form), "Scene")
-        left, columns = QSplitter(Qt.Orientation.Vertical), QSplitter(Qt.Orientation.Horizontal)
-        left.addWidget(self.sources)
-        left.addWidget(pages)
-        left.setStretchFactor(1, 1)
-        for part in (left, self.surface, self.results):
-            columns.addWidget(part)
-        columns.setStretchFactor(1, 1)
-        columns.setStretchFactor(2, 1)
-        self._splitters = {"columns": columns, "left": left}
-        for name, splitter in self._splitters.items():
-            splitter.setChildrenCollapsible(False)
-            splitter.setSizes(_SIZES[name])
-            splitter.restoreState(self.desk.memory.bytes(f"scene/{name}"))
+        left = stacked((self.sources, 130), (pages, 500), growing=[1])
+        columns = side_by_side((left, 300), (self.surface, 490), (self.results, 470), growing=[1, 2])
+        self.divide(columns=columns, left=left)
         column = QVBoxLayout(self)
         column.setContentsMargins(4, 6, 4, 4)
         column.addLayout(top)
@@ -251,12 +241,3 @@ def _scrolling(form: QWidget) -> QScrollArea:
     area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
     area.setWidget(form)
     return area
-
-
-def _is_scene(path: Path) -> bool:
-    """Whether a TOML file has what only scenes have."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError):
-        return False
-    return "source" in content or "scene" in content

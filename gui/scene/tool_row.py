@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from PyQt5.QtCore import Qt
-from PyQt5.QtWidgets import QAction, QCheckBox, QHBoxLayout, QToolButton, QWidget
+from PyQt5.QtWidgets import QCheckBox, QHBoxLayout, QToolButton, QWidget
 
+from gui.actions import make_action
 from gui.scene.canvas import SceneCanvas
 
 _TOOLS = (
@@ -44,10 +46,8 @@ class ToolRow(QWidget):
             button.setAccessibleName(f"Tool: {words}")
             button.setToolTip(f"{tip} ({key}, on the surface)")
             button.clicked.connect(lambda _checked=False, kind=kind: self._choose(canvas, kind))
-            action = QAction(words, canvas)
-            action.setShortcut(key)
+            action = make_action(canvas, words, partial(canvas.use_tool, kind), key)
             action.setShortcutContext(Qt.ShortcutContext.WidgetShortcut)
-            action.triggered.connect(lambda _checked=False, kind=kind: canvas.use_tool(kind))
             canvas.addAction(action)
             row.addWidget(button)
             self.buttons[kind] = button

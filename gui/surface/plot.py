@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
+from PyQt5.QtCore import Qt
 
 from gui.theme import LIGHT, Theme, dress_axes
 
@@ -15,13 +16,24 @@ MOST_COLUMNS = 2000
 
 
 class Plot(pyqtgraph.PlotWidget):
-    """A plot that takes the theme's colours and has its tools on the mouse alone."""
+    """A plot that takes the theme's colours and has its tools on the mouse alone.
 
-    def __init__(self, name: str, bottom: str, left: str) -> None:
+    Parameters
+    ----------
+    name : str
+        Its accessible name.
+    bottom, left : str
+        Labels of the axes.
+    legend_at : tuple of int, optional
+        Where a legend lies, in pixels from the corner; without one, lines need no name.
+    """
+
+    def __init__(self, name: str, bottom: str, left: str, legend_at: tuple[int, int] | None = None) -> None:
         super().__init__(enableMenu=False)
         self.setAccessibleName(name)
         self.theme = LIGHT
         plot = self.getPlotItem()
+        self._legend = None if legend_at is None else plot.addLegend(offset=legend_at)
         plot.setLabel("bottom", bottom)
         plot.setLabel("left", left)
         plot.hideButtons()
@@ -39,11 +51,19 @@ class Plot(pyqtgraph.PlotWidget):
         self.theme = theme
         self.setBackground(theme.base)
         dress_axes(self.getPlotItem(), theme)
+        if self._legend is not None:
+            self._legend.setLabelTextColor(theme.text)
 
-    def line(self, x: Real, y: Real, colour: str, width: float = 1.0) -> None:
-        """Draw a line, thinned to what can be seen without losing a peak."""
+    def line(self, x: Real, y: Real, colour: str, width: float = 1.0, name: str | None = None) -> None:
+        """Draw a line, thinned to what can be seen without losing a peak; `name` for the legend."""
         x, y = thinned(x, y)
-        self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width))
+        self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width), name=name)
+
+    def mark_band(self, low_hz: float, high_hz: float) -> None:
+        """Draw the ends of a band, dashed."""
+        pen = pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine)
+        for edge_hz in (low_hz, high_hz):
+            self.getPlotItem().addItem(pyqtgraph.InfiniteLine(edge_hz, pen=pen))
 
 
 def thinned(x: Real, y: Real) -> tuple[Real, Real]:
@@ -56,3 +76,16 @@ def thinned(x: Real, y: Real) -> tuple[Real, Real]:
     both = np.asarray(np.stack([blocks.min(axis=1), blocks.max(axis=1)], axis=1).reshape(-1), np.float64)
     twice = np.asarray(np.repeat(x[:used:step], 2), np.float64)
     return twice, both
+
+
+def thinning_curve() -> pyqtgraph.PlotDataItem:
+    """A curve that thins anew what is seen at each zoom, for as many samples as can be looked into.
+
+    To be kept in its plot and filled anew: taken out, it asks a view that it has no longer.
+    """
+    return pyqtgraph.PlotDataItem(autoDownsample=True, downsampleMethod="peak", clipToView=True, skipFiniteCheck=True)
+
+
+def whole_ticks(count: int, most: int = 12) -> list[tuple[float, str]]:
+    """Ticks at the numbers from 0 on, as many as have room."""
+    return [(float(one), str(one)) for one in range(0, count, max(1, -(-count // most)))]

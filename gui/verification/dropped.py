@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import tomllib
 from enum import Enum, auto
 from pathlib import Path
 
-from PyQt5.QtCore import QUrl
-from PyQt5.QtGui import QDropEvent
-
+from gui.toml_file import TomlKind, toml_kind
 from gui.verification.results import record_of
 
 
@@ -34,17 +31,4 @@ def kind_of(path: Path) -> Dropped:
         return Dropped.BANK
     if not name.endswith(".toml"):
         return Dropped.STRANGE
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return Dropped.STRANGE
-    if "source" in content or "scene" in content:
-        return Dropped.SCENE
-    return Dropped.RIG if isinstance(content.get("rig"), dict) else Dropped.STRANGE
-
-
-def dropped_paths(event: QDropEvent) -> list[Path]:
-    """Files of this machine in a drop."""
-    content = event.mimeData()
-    urls: list[QUrl] = [] if content is None else content.urls()
-    return [Path(url.toLocalFile()) for url in urls if url.isLocalFile()]
+    return {TomlKind.SCENE: Dropped.SCENE, TomlKind.RIG: Dropped.RIG}.get(toml_kind(path), Dropped.STRANGE)

@@ -18,6 +18,7 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
+from gui.progress import Badge
 from gui.theme import LIGHT, Theme
 from gui.verification.results import Results
 from rendering.number_words import number, precise
@@ -47,8 +48,7 @@ class FiguresPanel(QWidget):
         super().__init__()
         self._theme = LIGHT
         self._record: VerificationRecord | None = None
-        self.verdict = QLabel()
-        self.verdict.setAccessibleName("Verdict")
+        self.verdict = Badge("Verdict")
         self.summary = QLabel()
         self.summary.setAccessibleName("Summary")
         self.summary.setWordWrap(True)
@@ -119,6 +119,7 @@ class FiguresPanel(QWidget):
     def dress(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
+        self.verdict.dress(theme)
         self._fill()
 
     def _fill(self) -> None:
@@ -129,12 +130,10 @@ class FiguresPanel(QWidget):
             self.summary.setToolTip("")
             self.table.setRowCount(0)
             return
-        ink = "#ffffff" if theme is LIGHT else "#10151a"
-        colour = theme.good if record.passed else theme.fault
-        self.verdict.setText("✓ passed" if record.passed else "✗ not good enough")
-        self.verdict.setStyleSheet(
-            f"background: {colour}; color: {ink}; font-weight: 600; padding: 2px 9px; border-radius: 4px;"
-        )
+        if record.passed:
+            self.verdict.show_word("✓ passed", theme.good)
+        else:
+            self.verdict.show_word("✗ not good enough", theme.fault)
         self.summary.setText(f"{record.scene}, {_when(record)}, in {record.folder.name}")
         self.summary.setToolTip(
             f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{record.folder}"

@@ -6,14 +6,16 @@ from pathlib import Path
 
 from PyQt5.QtCore import Qt, QUrl
 from PyQt5.QtGui import QDesktopServices, QDragEnterEvent, QDropEvent
-from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QLabel, QSplitter, QStackedWidget, QVBoxLayout
+from PyQt5.QtWidgets import QAction, QApplication, QLabel, QStackedWidget, QVBoxLayout
 
 from calibration.errors import InputError
 from gui.background import Background
+from gui.chosen_files import choose_file, dropped_files
 from gui.desk import Desk, sentence_of
+from gui.divided import side_by_side, stacked
 from gui.tab import Question, Tab
 from gui.theme import Theme
-from gui.verification.dropped import Dropped, dropped_paths, kind_of
+from gui.verification.dropped import Dropped, kind_of
 from gui.verification.figures_panel import FiguresPanel
 from gui.verification.maps_panel import MapsPanel
 from gui.verification.reading import Reading
@@ -113,13 +115,12 @@ class VerificationTab(Tab):
 
     def keep(self) -> None:
         """Remember what is chosen, and how the room is divided."""
+        super().keep()
         self.form.keep()
-        for name, splitter in self._splitters.items():
-            self.desk.memory.keep(f"verification/{name}", splitter.saveState())
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
         """Take what a verification is made of, and what one left."""
-        if event is not None and any(kind_of(path) is not Dropped.STRANGE for path in dropped_paths(event)):
+        if event is not None and any(kind_of(path) is not Dropped.STRANGE for path in dropped_files(event)):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
@@ -127,7 +128,7 @@ class VerificationTab(Tab):
         if event is None:
             return
         event.acceptProposedAction()
-        for path in dropped_paths(event):
+        for path in dropped_files(event):
             self.take_dropped(path)
 
     def take_dropped(self, path: Path) -> None:
@@ -150,19 +151,9 @@ class VerificationTab(Tab):
                 )
 
     def _lay_out(self) -> None:
-        lower = QSplitter(Qt.Orientation.Horizontal)
-        lower.addWidget(self.waveforms)
-        lower.addWidget(self.figures)
-        lower.setSizes([515, 745])
-        both = QSplitter(Qt.Orientation.Vertical)
-        both.addWidget(self.maps)
-        both.addWidget(lower)
-        both.setSizes([360, 260])
-        both.setStretchFactor(0, 1)
-        self._splitters = {"lower": lower, "both": both}
-        for name, splitter in self._splitters.items():
-            splitter.setChildrenCollapsible(False)
-            splitter.restoreState(self.desk.memory.bytes(f"verification/{name}"))
+        lower = side_by_side((self.waveforms, 515), (self.figures, 745))
+        both = stacked((self.maps, 360), (lower, 260), growing=[0])
+        self.divide(lower=lower, both=both)
         column = QVBoxLayout(self)
         column.setContentsMargins(4, 6, 4, 4)
         column.addWidget(self.form)
@@ -190,12 +181,7 @@ class VerificationTab(Tab):
 
     def _choose_record(self) -> None:
         folder = self.form.out.path or self.desk.memory.folder(".json")
-        dialog = QFileDialog(self, "Open an earlier verification", str(folder), "Verifications (*.json)")
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.setModal(False)
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-        dialog.fileSelected.connect(lambda name: self.open_record(Path(name)))
-        dialog.show()
+        choose_file(self, "Open an earlier verification", folder, "Verifications", self.opens, self.open_record)
 
     def _show(self, results: Results) -> None:
         self.results = results

@@ -62,7 +62,7 @@ def order(bank: Path, word: str, wait_s: float, *, as_json: bool) -> Exit:
             time.sleep(LOOKS_EVERY_S)
     if heard is None:
         withdraw(bank, given)
-    line = _line(bank, word, owner, heard, wait_s, carried_out=carried_out)
+    line = _line(bank, owner, heard, wait_s, carried_out=carried_out)
     say(line)
     if as_json:
         state = None if heard is None else heard.state
@@ -79,7 +79,7 @@ def _owner(bank: Path, word: str) -> Owner:
     return owner
 
 
-def _line(bank: Path, word: str, owner: Owner, heard: Heartbeat | None, wait_s: float, *, carried_out: bool) -> str:
+def _line(bank: Path, owner: Owner, heard: Heartbeat | None, wait_s: float, *, carried_out: bool) -> str:
     who = f"process {owner.pid} on {owner.host}"
     if heard is None:
         beat = read_heartbeat(bank)

@@ -6,11 +6,9 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import (
     QAction,
     QDoubleSpinBox,
-    QFileDialog,
     QHBoxLayout,
     QLabel,
     QSizePolicy,
@@ -20,6 +18,8 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
+from gui.actions import make_action, make_button
+from gui.chosen_files import choose_place
 from gui.desk import Desk
 from gui.path_field import PathField
 from gui.scene.results.rig_play import IDLE, STOPPING, RigPlay
@@ -73,10 +73,12 @@ class ActionsBar(QWidget):
         self.said.setProperty("role", "faint")
         self.saves: dict[str, QAction] = {}
         for words, kind, keys, tip in _SAVES:
-            self.saves[kind] = self._action(words, keys, tip, partial(self._choose, kind))
-        self.cancel = self._action("&Cancel", "", "Give up what is being saved", saving.cancel)
-        self.play = self._action("&Play", "F9", "Render within the rig's limits and play", self._play)
-        self.stop = self._action("&Stop", "Shift+F9", "Fall silent at once: the outputs are muted", playing.stop)
+            self.saves[kind] = make_action(self, words, partial(self._choose, kind), keys, tip=tip)
+        self.cancel = make_action(self, "&Cancel", saving.cancel, tip="Give up what is being saved")
+        self.play = make_action(self, "&Play", self._play, "F9", tip="Render within the rig's limits and play")
+        self.stop = make_action(
+            self, "&Stop", playing.stop, "Shift+F9", tip="Fall silent at once: the outputs are muted"
+        )
         self.buttons: dict[str, QToolButton] = {}
         self._lay_out()
         for part in (saving, playing):
@@ -135,40 +137,16 @@ class ActionsBar(QWidget):
         column.addWidget(self.said)
 
     def _button(self, name: str, action: QAction) -> QToolButton:
-        button = QToolButton()
-        button.setDefaultAction(action)
-        button.setText(action.text().replace("&", ""))
-        button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextOnly)
-        button.setAccessibleName(action.text().replace("&", "").rstrip("…"))
+        button = make_button(action)
+        button.setAccessibleName(button.accessibleName().rstrip("…"))
         self.buttons[name] = button
         return button
 
-    def _action(self, words: str, keys: str, tip: str, act: Callable[[], object]) -> QAction:
-        action = QAction(words, self)
-        if keys:
-            action.setShortcut(keys)
-        action.setToolTip(f"{tip} ({keys})" if keys else tip)
-
-        def triggered(_checked: bool = False) -> None:
-            act()
-
-        action.triggered.connect(triggered)
-        return action
-
     def _choose(self, kind: str) -> None:
-        ending, file = ENDINGS[kind], self._saving.suggested(kind)
-        dialog = QFileDialog(self, f"Save {kind}", str(file.parent), f"{_KINDS[kind]} (*{ending})")
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.setModal(False)
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
-        dialog.setDefaultSuffix(ending.lstrip("."))
-        dialog.selectFile(file.name)
+        def chosen(file: Path) -> None:
+            self.save_asked(kind, file)
 
-        def chosen(name: str) -> None:
-            self.save_asked(kind, Path(name))
-
-        dialog.fileSelected.connect(chosen)
-        dialog.show()
+        choose_place(self, f"Save {kind}", self._saving.suggested(kind), _KINDS[kind], ENDINGS[kind], chosen)
 
     def _play(self) -> None:
         self.play_asked()

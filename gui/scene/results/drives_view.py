@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import QSize, Qt
-from PyQt5.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QSplitter, QVBoxLayout, QWidget
+from PyQt5.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from gui.divided import side_by_side, stacked
 from gui.scene.results.messages import Driven
-from gui.scene.results.thinning import thinning_curve
-from gui.surface.plot import Plot, Real
+from gui.surface.plot import Plot, Real, thinning_curve, whole_ticks
 from gui.theme import Theme
 
 _STEP = 0.45  # the loudest trace fills so much of the distance to its neighbours, up and down
@@ -37,17 +37,8 @@ class DrivesView(QWidget):
         self.traces = _Traces()
         self.levels = _Levels()
         self.gains = _Gains()
-        lower = QSplitter(Qt.Orientation.Horizontal)
-        lower.addWidget(self.levels)
-        lower.addWidget(self.gains)
-        lower.setSizes([280, 200])
-        both = QSplitter(Qt.Orientation.Vertical)
-        both.addWidget(self.traces)
-        both.addWidget(lower)
-        both.setSizes([330, 180])
-        both.setStretchFactor(0, 1)
-        for splitter in (lower, both):
-            splitter.setChildrenCollapsible(False)
+        lower = side_by_side((self.levels, 280), (self.gains, 200))
+        both = stacked((self.traces, 330), (lower, 180), growing=[0])
         row = QHBoxLayout()
         row.setContentsMargins(4, 4, 4, 2)
         row.addWidget(self.actuator)
@@ -141,7 +132,7 @@ class _Traces(Plot):
             self._show_curves(time_s, [number + scale * trace for number, trace in enumerate(volts)], 1.0)
             self._show_limit(None)
             plot.setLabel("left", "actuator")
-            plot.getAxis("left").setTicks([_numbers(len(volts)), []])
+            plot.getAxis("left").setTicks([whole_ticks(len(volts)), []])
             plot.setYRange(-1.0, len(volts), padding=0.0)
             told = f"a step is {largest / _STEP:.3g} V"
         plot.setTitle(told, color=theme.text, size="9pt")
@@ -201,7 +192,7 @@ class _Levels(Plot):
                 pen = pyqtgraph.mkPen(theme.fault, width=1.5, style=style)
                 plot.addItem(pyqtgraph.InfiniteLine(limit_v, angle=0, pen=pen))
                 top = max(top, limit_v)
-        plot.getAxis("bottom").setTicks([_numbers(count, 7), []])
+        plot.getAxis("bottom").setTicks([whole_ticks(count, 7), []])
         plot.setXRange(-0.7, count - 0.3, padding=0.0)
         plot.setYRange(0.0, _ROOM * top, padding=0.0)
 
@@ -225,7 +216,3 @@ class _Gains(Plot):
         first, last = float(driven.gain_s[known][0]), float(driven.gain_s[known][-1])
         plot.setXRange(first, max(last, first + 1e-3), padding=0.03)
         plot.setYRange(min(-3.0, float(level_db.min()) - 1.0), 1.0, padding=0.0)
-
-
-def _numbers(count: int, most: int = 12) -> list[tuple[float, str]]:
-    return [(float(one), str(one)) for one in range(0, count, max(1, -(-count // most)))]

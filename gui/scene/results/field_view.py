@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
-from PyQt5.QtCore import Qt
-from PyQt5.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QSizePolicy, QSplitter, QVBoxLayout, QWidget
+from PyQt5.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from gui.divided import stacked
 from gui.scene.results.instants import between
 from gui.scene.results.messages import Driven, FieldBegun, Plate
-from gui.scene.results.thinning import thinning_curve
 from gui.surface.colour_bar import ColourBar
 from gui.surface.field_map import FieldMap
 from gui.surface.ground import Ground
-from gui.surface.plot import Plot
+from gui.surface.plot import Plot, thinning_curve
 from gui.surface.time_slider import TimeSlider
 from gui.theme import Theme
 
@@ -128,15 +127,9 @@ class FieldView(QWidget):
         column.addWidget(self.map, stretch=1)
         column.addWidget(self.bar)
         column.addWidget(self.slider)
-        both = QSplitter(Qt.Orientation.Vertical)
-        both.addWidget(upper)
-        both.addWidget(self.waveform)
-        both.setChildrenCollapsible(False)
-        both.setSizes([420, 130])
-        both.setStretchFactor(0, 1)
         outer = QVBoxLayout(self)
         outer.setContentsMargins(0, 0, 0, 0)
-        outer.addWidget(both)
+        outer.addWidget(stacked((upper, 420), (self.waveform, 130), growing=[0]))
 
     def _show_ground(self, plate: Plate, driven: Driven) -> None:
         kept = self.map.box.viewRect() if self._bank_seen is plate else None
