@@ -1,8 +1,9 @@
-"""Windows of some blocks times rows of the bank, and back to time: what one thread does at a time."""
+"""Windows of some blocks times rows of the bank, and back to time, step by step."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,12 +14,17 @@ from scipy import fft as scipy_fft
 from rendering.omission import TRANSFORM, Economy
 from rendering.overlap_add import FullRate, LowRate, OverlapAdd
 from rendering.row_pages import RowsView
+from rendering.threads import AtOnce
 from rendering.upsampling import Upsampling, energies
 from rendering.window_spectra import WindowSpectra, window_spectra
 from rendering.windows import Windows
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
+
+
+MANY = 16
+"""With so many windows to a block, products are large enough to be left to a worker."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,83 +109,159 @@ class BlockShape:
             return LowRate(len(self.actuators), self.fft_samples, self.hop, self.upsampling)
         return FullRate(len(self.actuators), self.fft_samples, self.hop)
 
-    def in_time(self, spectra: NDArray[Any]) -> tuple[NDArray[Any], Float64Array]:
-        """Transform blocks back, (blocks, actuators, samples), and bound what comes of that."""
-        samples: NDArray[Any] = scipy_fft.irfft(spectra, self.samples, axis=2, overwrite_x=True)
+    def errors_in_time(self, samples: NDArray[Any]) -> Float64Array:
+        """Bounds on what transforming back makes of blocks (blocks, actuators, samples), over sqrt(2 / fft_samples)."""
         if not self.bounded:
-            return samples, np.zeros(len(samples))
+            return np.zeros(len(samples))
         norms = np.sqrt(energies(samples) * self.samples / self.fft_samples)
-        errors = TRANSFORM * np.log2(self.fft_samples) * self.economy.roundoff * norms
+        errors: Float64Array = TRANSFORM * np.log2(self.fft_samples) * self.economy.roundoff * norms
         if self.upsampling:
             errors += self.upsampling.errors(samples, norms)
-        return samples, errors / np.sqrt(2.0 / self.fft_samples)
+        errors /= np.sqrt(2.0 / self.fft_samples)
+        return errors
 
 
-@dataclass(frozen=True, slots=True)
 class BlockTask:
-    """Some windows of some planned blocks, on their way to become a part."""
+    """Some windows of some planned blocks, on their way to become a part.
 
-    shape: BlockShape
-    windows: Windows
-    begin: int
-    end: int
-    part: range
-    planned_from: int
-    done: int
-    rows: RowsView
+    Its steps are taken one after the other by one thread, while workers transform what other tasks have begun.
 
-    def evaluate(self) -> Part:
-        """Make the drives of the part."""
-        shape, economy, first = self.shape, self.shape.economy, self.planned_from + self.part.start
-        actuators = len(shape.actuators)
-        bounds = np.searchsorted(
-            self.windows.block[self.begin : self.end], np.arange(self.part.start, self.part.stop + 1)
-        )
-        errors = self.windows.quiet_errors[self.part.start : self.part.stop].copy()
-        quiet = int(self.windows.quiet[self.part.start : self.part.stop].sum())
-        if self.begin > 0 and self.windows.block[self.begin - 1] == self.part.start:
+    Parameters
+    ----------
+    shape : BlockShape
+        What all blocks have in common.
+    windows : Windows
+        Windows of the planned blocks.
+    chosen : range
+        Which of them.
+    part : range
+        The blocks that they are of, counted from `planned_from`.
+    planned_from : int
+        First of the planned blocks.
+    done : int
+        So many blocks will be complete.
+    rows : RowsView
+        A row for each window chosen.
+    workers : Executor
+        Transforms.
+    """
+
+    def __init__(
+        self,
+        shape: BlockShape,
+        windows: Windows,
+        chosen: range,
+        part: range,
+        planned_from: int,
+        done: int,
+        rows: RowsView,
+        workers: Executor,
+    ) -> None:
+        self._shape = shape
+        self._windows = windows
+        self._chosen = chosen
+        self._part = part
+        self._first = planned_from + part.start
+        self._done = done
+        self._rows = rows
+        self._workers = workers
+        self._errors = windows.quiet_errors[part.start : part.stop].copy()
+        self._quiet = int(windows.quiet[part.start : part.stop].sum())
+        if chosen.start > 0 and windows.block[chosen.start - 1] == part.start:
             # Another part of this block has told of that.
-            errors[0] = 0.0
-            quiet -= int(self.windows.quiet[self.part.start])
-        if self.end == self.begin:
-            nothing = np.empty((0, actuators, 0))
-            return Part(first, self.done, nothing, errors, 0, quiet, 0.0, 0.0)
-        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            found = window_spectra(self.windows, self.begin, self.end, shape.fft_samples, economy, shape.band)
-            spectra = np.zeros((len(self.part), actuators, shape.samples // 2 + 1), dtype=economy.complex)
-            self._add_up(found.kept, bounds, spectra[:, :, economy.low : economy.high])
-            if shape.bounded:
-                errors += self._errors(found, bounds)
-            samples, further = shape.in_time(spectra)
-            errors += further
-        return Part(first, self.done, samples, errors, self.end - self.begin, quiet, found.band_energy, found.energy)
+            self._errors[0] = 0.0
+            self._quiet -= int(windows.quiet[part.start])
+        self._energies = (0.0, 0.0)
+        self._spectra: Callable[[], WindowSpectra] | None = None
+        self._samples: Future[NDArray[Any]] | None = None
+        if len(chosen) and shape.economy.single:
+            self._spectra = self._begin(workers)
 
-    def _add_up(self, windows: NDArray[Any], bounds: Int64Array, spectra: NDArray[Any]) -> None:
-        """Add windows times their rows to each block's spectra, (blocks, actuators, kept bins)."""
-        by = self.windows.regularised_by[self.begin : self.end] + 1
+    def multiply(self) -> None:
+        """Multiply windows with rows, and begin to transform the blocks back."""
+        if not len(self._chosen):
+            return
+        if self._spectra is None:
+            # In double precision all steps are long, so that threads do not wait for each other.
+            self._samples = self._workers.submit(self._make)
+            return
+        found, bounds = self._spectra(), self._bounds()
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            if len(self._chosen) >= MANY * len(self._part):
+                self._samples = self._workers.submit(self._in_time, found.kept, bounds)
+            else:
+                spectra = self._sums(found.kept, bounds)
+                self._samples = self._workers.submit(scipy_fft.irfft, spectra, self._shape.samples, axis=2)
+            self._judge(found, bounds)
+
+    def finish(self) -> Part:
+        """The drives of the part."""
+        if self._samples is None:
+            nothing = np.empty((0, len(self._shape.actuators), 0))
+            return Part(self._first, self._done, nothing, self._errors, 0, self._quiet, 0.0, 0.0)
+        samples = self._samples.result()
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            self._errors += self._shape.errors_in_time(samples)
+        return Part(self._first, self._done, samples, self._errors, len(self._chosen), self._quiet, *self._energies)
+
+    def _begin(self, workers: Executor) -> Callable[[], WindowSpectra]:
+        shape, chosen = self._shape, self._chosen
+        return window_spectra(
+            self._windows, chosen.start, chosen.stop, shape.fft_samples, shape.economy, shape.band, workers
+        )
+
+    def _bounds(self) -> Int64Array:
+        """Where each block's windows begin among those chosen, and the end."""
+        block = self._windows.block[self._chosen.start : self._chosen.stop]
+        return np.searchsorted(block, np.arange(self._part.start, self._part.stop + 1))
+
+    def _make(self) -> NDArray[Any]:
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            found, bounds = self._begin(AtOnce())(), self._bounds()
+            samples = self._in_time(found.kept, bounds)
+            self._judge(found, bounds)
+            return samples
+
+    def _judge(self, found: WindowSpectra, bounds: Int64Array) -> None:
+        self._energies = found.band_energy, found.energy
+        if self._shape.bounded:
+            self._errors += self._left_out(found, bounds)
+
+    def _in_time(self, windows: NDArray[Any], bounds: Int64Array) -> NDArray[Any]:
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            samples: NDArray[Any] = scipy_fft.irfft(self._sums(windows, bounds), self._shape.samples, axis=2)
+            return samples
+
+    def _sums(self, windows: NDArray[Any], bounds: Int64Array) -> NDArray[Any]:
+        """Windows times their rows added up to each block's spectra, (blocks, actuators, bins)."""
+        shape, economy = self._shape, self._shape.economy
+        whole = np.zeros((len(self._part), shape.samples // 2 + 1, len(shape.actuators)), dtype=economy.complex)
+        spectra = whole[:, economy.low : economy.high]
+        by = self._windows.regularised_by[self._chosen.start : self._chosen.stop] + 1
         span = int(by.max()) + 1
-        block = np.repeat(np.arange(len(self.part)), np.diff(bounds))
-        for group, product in self.rows.sums(windows, block * span + by):
+        block = np.repeat(np.arange(len(self._part)), np.diff(bounds))
+        for group, product in self._rows.sums(windows, block * span + by):
             place, one = divmod(group, span)
             if span == 1:
-                spectra[place] = product.T
+                spectra[place] = product
             else:
-                spectra[place] += (product * self._sigma_of(one - 1).astype(windows.real.dtype)).T
+                spectra[place] += product * self._sigma_of(one - 1).astype(windows.real.dtype)
+        # Bin by bin, as rows are: the transform gathers at no cost.
+        return whole.transpose(0, 2, 1)
 
     def _sigma_of(self, one: int) -> Float64Array:
-        return np.ones(len(self.shape.actuators)) if one < 0 else self.shape.sigma(one)
+        return np.ones(len(self._shape.actuators)) if one < 0 else self._shape.sigma(one)
 
-    def _errors(self, found: WindowSpectra, bounds: Int64Array) -> Float64Array:
-        shape, norms = self.shape, self.rows.norms()
-        by = self.windows.regularised_by[self.begin : self.end]
-        for one in np.unique(by[by >= 0]).tolist():
-            some = np.flatnonzero(by == one)
-            norms[some] = self.rows.weighted_norms(some, shape.sigma(one))
+    def _left_out(self, found: WindowSpectra, bounds: Int64Array) -> Float64Array:
+        """Bounds on the errors of the part's blocks before they are transformed back."""
+        # Of rows as they are: saturation only lessens them.
+        shape, sizes = self._shape, self._rows.sizes()
         used = np.flatnonzero(np.diff(bounds))
-        # What is cut off a row may meet the largest value of a window anywhere; saturation only lessens it.
-        cut_off = self.rows.cut_off() * found.largest[:, -1] * shape.peak_ratio * np.sqrt(shape.fft_samples / 2.0)
-        further = np.add.reduceat(norms[:, -1] * found.errors + cut_off, bounds[used])
-        coherent = np.add.reduceat(norms * found.largest, bounds[used], axis=0)
-        errors = np.zeros(len(self.part))
+        # What is cut off a row may meet the largest value of a window anywhere.
+        cut_off = sizes.cut_off * found.largest[:, -1] * shape.peak_ratio * np.sqrt(shape.fft_samples / 2.0)
+        blurred = np.minimum(sizes.norms[:, -1] * found.errors, sizes.peaks * found.blurs)
+        further = np.add.reduceat(blurred + cut_off, bounds[used])
+        coherent = np.add.reduceat(sizes.norms * found.largest, bounds[used], axis=0)
+        errors = np.zeros(len(self._part))
         errors[used] = shape.economy.block_errors(coherent, shape.fft_samples, np.diff(bounds)[used]) + further
         return errors

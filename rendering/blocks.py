@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from scipy import fft as scipy_fft
 
 from rendering.block_task import BlockShape, BlockTask, Part
 from rendering.choice import sample_blocks
-from rendering.economy_choice import choose_economy, sampled_energy
+from rendering.economy_choice import choose_economy, quietest, sampled_energy
 from rendering.emission import Emission
 from rendering.omission import Economy
 from rendering.regularisation import BankRows
@@ -30,7 +30,8 @@ PLANNED_SAMPLES = 2**16
 """Blocks are planned for so many samples at a time."""
 PART_BYTES = 2**20
 """Windows and drives of so many bytes are evaluated together, within the cache of one core."""
-PARTS_UNDER_WAY = 4
+AHEAD = 2
+"""Parts whose windows, and parts whose blocks, are being transformed while another one is multiplied."""
 
 
 class Blocks:
@@ -76,7 +77,7 @@ class Blocks:
         expected_rows: int = 0,
     ) -> None:
         self._expected_rows = expected_rows
-        self._planned_samples, self._most_under_way = (1, 1) if live else (PLANNED_SAMPLES, PARTS_UNDER_WAY)
+        self._planned_samples, self._ahead = (1, 0) if live else (PLANNED_SAMPLES, AHEAD)
         self._emission = emission
         self._rows = rows
         self._transform = transform
@@ -119,25 +120,32 @@ class Blocks:
 
     def evaluate(self) -> Iterator[Part]:
         """Drives of all blocks, in order."""
-        under_way: deque[Future[Part]] = deque()
-        at_once = max(1, self._planned_samples // self._hop)
-        try:
-            for first in range(0, len(self.starts), at_once):
-                blocks = min(at_once, len(self.starts) - first)
-                windows = self._emission.windows(self.starts[first], self._hop, blocks, self._weigh)
-                if self._quiet:
-                    windows.leave_out_quiet(self._rows.norm_of, self._quiet, self._fft_samples)
-                for task in self._tasks(windows, first, blocks):
-                    under_way.append(self._workers.submit(task.evaluate))
-                    while len(under_way) >= self._most_under_way:
-                        yield under_way.popleft().result()
-            while under_way:
-                yield under_way.popleft().result()
-        finally:
-            for future in under_way:
-                future.cancel()
+        # Of three tasks, the windows of one and the blocks of another are being transformed.
+        begun: deque[BlockTask] = deque()
+        multiplied: deque[BlockTask] = deque()
+        for task in self._tasks():
+            begun.append(task)
+            if len(begun) > self._ahead:
+                begun[0].multiply()
+                multiplied.append(begun.popleft())
+            if len(multiplied) > self._ahead:
+                yield multiplied.popleft().finish()
+        for task in begun:
+            task.multiply()
+        for task in (*multiplied, *begun):
+            yield task.finish()
 
-    def _tasks(self, windows: Windows, first: int, blocks: int) -> Iterator[BlockTask]:
+    def _tasks(self) -> Iterator[BlockTask]:
+        """Plan some blocks after the other."""
+        at_once = max(1, self._planned_samples // self._hop)
+        for first in range(0, len(self.starts), at_once):
+            blocks = min(at_once, len(self.starts) - first)
+            windows = self._emission.windows(self.starts[first], self._hop, blocks, self._weigh)
+            if self._quiet:
+                windows.leave_out_quiet(self._rows.norm_of, self._quiet, self._fft_samples)
+            yield from self._tasks_of(windows, first, blocks)
+
+    def _tasks_of(self, windows: Windows, first: int, blocks: int) -> Iterator[BlockTask]:
         """Cut planned blocks into parts; a block of very many windows is cut too."""
         shape = self.shape
         item = np.dtype(shape.economy.real).itemsize
@@ -152,7 +160,8 @@ class Blocks:
             rows = windows.rows[begin:end].tolist()
             self._spectra.prepare(rows)
             part = range(block, max(stop, block + 1))
-            yield BlockTask(shape, windows, begin, end, part, first, first + stop, self._spectra.view(rows))
+            view = self._spectra.view(rows)
+            yield BlockTask(shape, windows, range(begin, end), part, first, first + stop, view, self._workers)
             block, begin = stop, end
 
     def _weigh(self, rows: Int64Array, regularised_by: Int64Array) -> tuple[Float64Array, NDArray[np.bool_]]:
@@ -191,8 +200,10 @@ class Blocks:
                 tolerance,
             )
             energy = sampled_energy(samples) / max(len(samples), 1)
-            self._quiet = SHARE * tolerance * float(np.sqrt(energy / self._overlap))
-            spent += SHARE * tolerance
+            quiet = SHARE * tolerance * float(np.sqrt(energy / self._overlap))
+            if quietest(samples) < quiet:
+                self._quiet = quiet
+                spent += SHARE * tolerance
         if not self.cut.whole:
             self._plan(multiple=MULTIPLE)
             looked_at = self._all_bins(single=single)

@@ -9,7 +9,7 @@ from scipy import fft as scipy_fft
 from rendering.economy_choice import Sample
 from rendering.emission import Emission
 from rendering.row_spectra import RowSpectra
-from rendering.window_spectra import rounding_of
+from rendering.window_spectra import magnitudes, rounding_of
 from rendering.windows import Weigh
 
 Float64Array = NDArray[np.float64]
@@ -100,13 +100,9 @@ def sample_blocks(
         spectra.prepare(rows)
         if not rows:
             continue
-        samples.append(
-            Sample(
-                np.abs(windows.spectra(chosen, fft_samples)),
-                spectra.view(rows).magnitudes(),
-                float(every),
-                rounding_of(windows, chosen),
-            )
-        )
+        greens = spectra.view(rows).magnitudes()
+        errors, blurs = rounding_of(windows, chosen, fft_samples)
+        blurred = np.minimum(np.linalg.norm(greens, axis=1) * errors, greens.max(axis=1) * blurs)
+        samples.append(Sample(magnitudes(windows, chosen, fft_samples, spectra.economy), greens, float(every), blurred))
         looked_at.append(rows)
     return samples, looked_at

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from calibration.errors import InputError
-from rendering.drive_blocks import DriveBlocks, cut_block
+from rendering.drive_blocks import DriveBlocks
+from rendering.drive_cut import CutDrive
 from rendering.economy_choice import Sample, choose_economy
 from rendering.green_source import RowReader
-from rendering.omission import Economy
+from rendering.omission import LEAST_NORM, Economy
 from rendering.row_transforms import BankSpectra
 from rendering.upsampling import MULTIPLE, choose_factor
 
@@ -32,13 +33,14 @@ PRODUCT = 2.0
 """What a bin of a product costs, in samples of a transform times factors of 2 (measured in complex64)."""
 KEPT_SHARE = 0.3
 """Share of the bins, and of the rate, that a tolerance is likely to leave."""
-FADE_SHARE = 0.125
+FADE_SHARE = 0.09
 """Share of a block over which it fades into the next."""
+LOOKED_AT_EVERY = 64
+"""Samples of a drive to the first that is looked at for its size."""
 SAMPLED_ROWS = 3
 SAMPLED_BLOCKS = 2
 KEPT_PART_BYTES = 16 * 2**20
 """The same where the rows' spectra are there already."""
-PLAIN_DRIVE_EXPONENT = 1000
 PLAIN_EXPONENT = 40
 """Responses times powers of two below this fit float32, and so do their squares."""
 
@@ -101,32 +103,38 @@ class Convolution:
         tolerance: float = 0.0,
         spectra: BankSpectra | None = None,
     ) -> None:
-        peaks = np.maximum(drive_v.max(axis=1, initial=0.0), -drive_v.min(axis=1, initial=0.0))
-        if not np.isfinite(peaks).all():
-            raise InputError("the drive holds NaN or infinity; render it again")
         self._reader = reader
         self._dtype = dtype
-        self._heard = np.flatnonzero(peaks)
         self.samples = int(drive_v.shape[1]) + reader.taps - 1
-        peak = float(peaks.max(initial=0.0))
-        # Powers of two, so that single precision holds any bank and any drive.
-        self._exponent = int(np.frexp(peak)[1])
-        heard = drive_v if len(self._heard) == len(drive_v) else drive_v[self._heard]
-        plain = abs(self._exponent) < PLAIN_DRIVE_EXPONENT
-        self._drive = heard * 2.0**-self._exponent if plain else np.ldexp(heard, -self._exponent)
-        self._tolerance = tolerance if len(self._heard) else 0.0
         self._making = threading.Lock()
         self._whole: DriveBlocks | None = None
         self._spectra = spectra
         self._economical: DriveBlocks | None = None
-        if len(self._heard) and spectra is not None:
-            self._economical = self._as_kept(spectra)
-        elif self._tolerance:
-            self._economical = self._economise(np.asarray(positions, dtype=np.int64))
+        self._tolerance = tolerance
+        if spectra is not None and tolerance:
+            # Some samples tell the size without a pass over all; what they do not tell shows in the blocks' spectra.
+            sizes = _sizes(drive_v[:, ::LOOKED_AT_EVERY])
+            if sizes.all():
+                self._scale(drive_v, sizes)
+                blocks = self._as_kept(spectra)
+                self._economical = blocks if blocks.plain else None
+        if self._economical is None:
+            self._scale(drive_v, _sizes(drive_v))
+            if len(self._heard) and spectra is not None:
+                self._economical = self._as_kept(spectra)
+            elif len(self._heard) and tolerance:
+                self._economical = self._economise(np.asarray(positions, dtype=np.int64))
         self.rows_at_once = 1
         if len(self._heard):
             most_bytes = KEPT_PART_BYTES if spectra is not None else PART_BYTES
             self.rows_at_once = max(1, most_bytes // (self._economical or self._complete()).part_bytes())
+
+    def _scale(self, drive_v: Float64Array, sizes: Float64Array) -> None:
+        """Take the drives that are not silent, by powers of two, so that single precision holds any bank and drive."""
+        self._heard = np.flatnonzero(sizes)
+        self._exponent = int(np.frexp(float(sizes.max(initial=0.0)))[1])
+        heard = drive_v if len(self._heard) == len(drive_v) else drive_v[self._heard]
+        self._drive = CutDrive(heard, self._exponent)
 
     @property
     def kept_share(self) -> float:
@@ -154,7 +162,8 @@ class Convolution:
         if self._economical:
             fits = out is not None and out.dtype == self._economical.economy.real
             field, error, energy = self._respond(positions, self._economical, out if fits else None)
-            if not self._tolerance or error <= self._tolerance * (np.sqrt(energy) - error):
+            known = energy < np.inf
+            if not self._tolerance or (known and error <= self._tolerance * (np.sqrt(energy) - error)):
                 return self._placed(field, None if fits else out, error, energy)
         field, _, _ = self._respond(positions, self._complete(), None)
         energy = float(np.einsum("ij,ij->", field, field, dtype=np.float64)) if self._tolerance else 0.0
@@ -170,10 +179,9 @@ class Convolution:
         self, positions: Int64Array, blocks: DriveBlocks, out: RealArray | None
     ) -> tuple[RealArray, float, float]:
         if self._spectra is not None and blocks is self._economical:
-            rows = self._spectra.rows(positions)
+            rows = self._spectra.rows(positions).heard(self._heard)
         else:
-            rows = blocks.transform(self._reader, positions.tolist())
-        rows = rows.heard(self._heard)
+            rows = blocks.transform(self._reader, positions.tolist(), self._heard)
         exponents = rows.exponents
         total = exponents + self._exponent
         plain = np.abs(total) < PLAIN_EXPONENT
@@ -203,26 +211,28 @@ class Convolution:
     def _as_kept(self, spectra: BankSpectra) -> DriveBlocks:
         """Blocks that the bank's spectra can be multiplied with."""
         economy, fft_samples, taps = spectra.economy, spectra.fft_samples, self._reader.taps
-        left_out = economy.kept < economy.bins
-        hop = fft_samples - taps + 1
-        fade = int(FADE_SHARE * hop) if left_out else 0
-        hop -= fade
-        hop -= hop % MULTIPLE if left_out else 0
-        factor = choose_factor(fft_samples, economy.high) if economy.single and left_out else 1
-        return DriveBlocks(self._drive, taps, fft_samples, hop, economy, fade, factor, bounded=bool(self._tolerance))
+        hop, fade, factor = fft_samples - taps + 1, 0, 1
+        faded = _faded(hop) if economy.kept < economy.bins else (0, 0)
+        if faded[0]:
+            hop, fade = faded
+            factor = choose_factor(fft_samples, economy.high) if economy.single else 1
+        bounded = bool(self._tolerance)
+        # The drive's transforms are a good part of the work where the rows' are there already.
+        return DriveBlocks(self._drive, taps, fft_samples, hop, economy, fade, factor, bounded=bounded, double=False)
 
     def _economise(self, positions: Int64Array) -> DriveBlocks | None:
         """Blocks of which so much is left out as the tolerance allows by a look at some rows; None if nothing."""
         fft_samples, taps = self._fft_samples(MULTIPLE), self._reader.taps
-        hop = fft_samples - taps + 1
-        fade = int(FADE_SHARE * hop)
-        hop -= fade
-        hop -= hop % MULTIPLE
-        if hop < 1:
+        hop, fade = _faded(fft_samples - taps + 1)
+        if not hop:
             return None
-        blocks = -(-self._drive.shape[1] // hop)
+        blocks = -(-self._drive.samples // hop)
         some = np.unique(np.linspace(0, blocks - 1, SAMPLED_BLOCKS).astype(int))
-        windows = [_magnitudes(cut_block(self._drive, block, hop, fade), fft_samples) for block in some.tolist()]
+        windows = []
+        for block in some.tolist():
+            cut = np.empty((self._drive.actuators, hop + fade), dtype=np.float32)
+            self._drive.cut(block, hop, fade, cut)
+            windows.append(_magnitudes(cut, fft_samples))
         samples = []
         chosen = positions[np.unique(np.linspace(0, len(positions) - 1, SAMPLED_ROWS).astype(int))]
         for position in chosen.tolist():
@@ -237,7 +247,7 @@ class Convolution:
 
     def _fft_samples(self, multiple: int) -> int:
         """Transform length that costs least per row: a transform per actuator, a product and one back per block."""
-        taps, samples, actuators = self._reader.taps, int(self._drive.shape[1]), len(self._heard)
+        taps, samples, actuators = self._reader.taps, self._drive.samples, self._drive.actuators
         share = 1.0 if multiple == 1 else KEPT_SHARE
         best, least = 0, np.inf
         for hop in sorted({min(samples, max(LEAST_HOP_SAMPLES, int(part * taps))) for part in HOPS}):
@@ -248,6 +258,23 @@ class Convolution:
             if cost < least:
                 best, least = length, cost
         return best
+
+
+def _faded(room: int) -> tuple[int, int]:
+    """Hop and fade of blocks with so many samples to themselves; no hop where there is no room."""
+    fade = int(FADE_SHARE * room)
+    return (room - fade) // MULTIPLE * MULTIPLE, fade
+
+
+def _sizes(drive_v: Float64Array) -> Float64Array:
+    """Size of each actuator's drive: its norm, or its peak where that is not a plain number."""
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        sizes: Float64Array = np.sqrt(np.einsum("ij,ij->i", drive_v, drive_v))
+    for place in np.flatnonzero(~((sizes > LEAST_NORM) & (sizes < np.inf))).tolist():
+        sizes[place] = max(drive_v[place].max(initial=0.0), -drive_v[place].min(initial=0.0))
+    if not np.isfinite(sizes).all():
+        raise InputError("the drive holds NaN or infinity; render it again")
+    return sizes
 
 
 def _magnitudes(values: RealArray, fft_samples: int) -> Float64Array:

@@ -82,8 +82,10 @@ class DeviceDrives:
         drive_v : float64 array
             Changed in place.
         silent : bool
-            Whether it is all zeros so far; of no importance here.
+            Whether nothing is in it so far, whatever it holds.
         """
+        if silent:
+            drive_v[...] = 0
         emission, xp = self._emission, self._device.xp
         starts = range(emission.first_sample, emission.stop_event, self._hop)
         pairs, energy, band_energy = 0, 0.0, 0.0

@@ -23,6 +23,7 @@ from rendering.limits import scale_to_limit
 from rendering.omission import relative_bound, row_norms, tolerance_of
 from rendering.regularisation import BankRows
 from rendering.render_report import RenderReport, RenderWarning, report_render
+from rendering.reused_memory import reused
 from rendering.sampling import Method, SampledSource, sample_source
 from rendering.scene import Scene
 from rendering.upsampling import MULTIPLE
@@ -169,7 +170,7 @@ def _accumulated(
     device: Device | None,
 ) -> tuple[Float64Array, list[Accumulated], Float64Array, float]:
     for share in STRICTER if tolerance > 0 and device is None else (0.0,):
-        drive_v = np.zeros((rows.bank.actuators, samples))
+        drive_v = reused((rows.bank.actuators, samples), np.float64)
         progress = _Progress(sources, on_progress)
         accumulated: list[Accumulated] = []
         with np.errstate(over="ignore", invalid="ignore"):

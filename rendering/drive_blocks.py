@@ -1,14 +1,8 @@
-"""Drives cut into blocks, and rows of a bank convolved with them: a matrix product per frequency bin.
-
-Where bins are left out, one block fades into the next: cut off sharply, each would have frequencies that the
-drive has not.
-"""
+"""Rows of a bank convolved with drives, block by block: a matrix product per frequency bin."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,18 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
+from rendering.drive_cut import CutDrive
 from rendering.green_source import RowReader
 from rendering.omission import TRANSFORM, Economy
+from rendering.product_bounds import SpectrumSizes, drive_units, joint_squares, product_errors
 from rendering.row_transforms import GROUP_BYTES, RowTransforms, transform_rows
+from rendering.shared_work import share_out
 from rendering.threads import WORKERS
 from rendering.upsampling import FRAME, Upsampling, energies, row_energies
 
 Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
 RealArray = NDArray[np.float32] | NDArray[np.float64]
 
 SPECTRA_BYTES = 128 * 2**20
 """The blocks' spectra are kept up to this size, else made anew for every part of the field."""
 BLOCKS_AT_ONCE = 64
+LARGEST_NORM = 2.0**8
+"""Drives of at most such a norm are of size about 1."""
+LANES = 4
+"""Transforms in single precision that are made at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +42,16 @@ class _Spectra:
     pairs : array, shape (bins, 2 actuators, 2 blocks)
         Kept bins as real matrices [[Re, Im], [-Im, Re]]: what a product of complex matrices is, in real parts beside
         imaginary ones, and a third faster than one.
-    largest : float64 array, shape (segments + 1, actuators, blocks)
-        Largest magnitudes.
+    sizes : SpectrumSizes
+        Over all actuators; zeros where no error is bounded.
     """
 
     pairs: NDArray[Any]
-    largest: Float64Array
+    sizes: SpectrumSizes
+
+    def blocks(self, first: int, last: int) -> _Spectra:
+        """Some of the blocks."""
+        return _Spectra(self.pairs[:, :, 2 * first : 2 * last], self.sizes.some(slice(first, last)))
 
 
 class DriveBlocks:
@@ -53,8 +59,8 @@ class DriveBlocks:
 
     Parameters
     ----------
-    drive : float64 array, shape (actuators, samples)
-        Drives of size about 1.
+    drive : CutDrive
+        The drives.
     taps : int
         Length of a Green's function.
     fft_samples : int
@@ -69,11 +75,13 @@ class DriveBlocks:
         By how much the rate of blocks is below that of the drives.
     bounded : bool
         Whether to bound errors.
+    double : bool
+        Whether to transform the drives in double precision, whatever the products are made in.
     """
 
     def __init__(
         self,
-        drive: Float64Array,
+        drive: CutDrive,
         taps: int,
         fft_samples: int,
         hop: int,
@@ -82,28 +90,38 @@ class DriveBlocks:
         factor: int = 1,
         *,
         bounded: bool = False,
+        double: bool = True,
     ) -> None:
         self.economy = economy
         self._drive = drive
         self._bounded = bounded
+        self._cut_type = np.dtype(np.float64 if double else economy.real)
+        self._units = drive_units(fft_samples, economy) if self._cut_type == np.float32 else 0.0
         self._taps = taps
         self._fft_samples = fft_samples
         self._hop = hop
         self._fade = fade
-        self._upsampling = Upsampling(fft_samples, economy.high, hop, factor) if factor > 1 else None
+        self._upsampling = _upsampling(fft_samples, economy.high, hop, factor) if factor > 1 else None
         self._factor = factor
         self._overlap = self._upsampling.overlap if self._upsampling else -(-fft_samples // hop)
-        self._blocks = -(-drive.shape[1] // hop)
+        self._blocks = -(-drive.samples // hop)
         item = np.dtype(economy.complex).itemsize
-        kept_bytes = 2 * economy.kept * len(drive) * self._blocks * item
+        kept_bytes = 2 * economy.kept * drive.actuators * self._blocks * item
         self._known: _Spectra | None = None
         if kept_bytes <= SPECTRA_BYTES:
-            self._known = self._block_spectra(0, self._blocks, bounded=bounded)
+            self._known = self._block_spectra(0, self._blocks)
+
+    @property
+    def plain(self) -> bool:
+        """Whether the drives are known to be finite and not much larger than 1, by their blocks' spectra."""
+        if self._known is None or not self._bounded:
+            return False
+        return bool(self._known.sizes.norms.max() < LARGEST_NORM * np.sqrt(self._fft_samples))
 
     @property
     def samples(self) -> int:
         """Samples of a response."""
-        return int(self._drive.shape[1]) + self._taps - 1
+        return self._drive.samples + self._taps - 1
 
     @property
     def padded_samples(self) -> int:
@@ -114,12 +132,13 @@ class DriveBlocks:
 
     def part_bytes(self) -> int:
         """Bytes that convolving takes for each row."""
-        spectra = self.economy.kept * (len(self._drive) + min(self._blocks, BLOCKS_AT_ONCE))
+        spectra = self.economy.kept * (self._drive.actuators + min(self._blocks, BLOCKS_AT_ONCE))
         return int(spectra * np.dtype(self.economy.complex).itemsize + self.samples * 4)
 
-    def transform(self, reader: RowReader, positions: Sequence[int]) -> RowTransforms:
-        """Read and transform rows, for `convolve`."""
-        return transform_rows(reader, positions, self._fft_samples, self.economy, bounded=self._bounded)
+    def transform(self, reader: RowReader, positions: Sequence[int], actuators: Int64Array) -> RowTransforms:
+        """Read and transform rows, of the actuators of the drives, for `convolve`."""
+        length, economy = self._fft_samples, self.economy
+        return transform_rows(reader, positions, length, economy, bounded=self._bounded, actuators=actuators)
 
     def convolve(
         self, rows: RowTransforms, scale: Float64Array, out: RealArray | None = None
@@ -144,38 +163,40 @@ class DriveBlocks:
             Their energies; 0 where no bounds are asked for.
         """
         economy, lower = self.economy, self._fft_samples // self._factor
-        count = rows.kept.shape[1]
+        count = len(rows.kept)
         half = self._upsampling.half if self._upsampling else 0
         found: NDArray[Any] = np.empty((count, self.padded_samples), dtype=economy.real) if out is None else out
         total = found
         if self._upsampling:
             total = np.empty((count, self.padded_samples // self._factor + 2 * half), dtype=economy.real)
-        factors = scale.astype(economy.real)[:, None, None]
         squares = np.zeros(count)
         total[:, :half] = 0
         reached = half
         for first in range(0, self._blocks, BLOCKS_AT_ONCE):
             last = min(first + BLOCKS_AT_ONCE, self._blocks)
-            spectra = self._block_spectra(first, last, bounded=self._bounded)
-            product = np.matmul(rows.kept.view(economy.real), spectra.pairs).view(economy.complex)
+            spectra = self._block_spectra(first, last)
             errors = np.zeros((count, last - first))
             if self._bounded:
-                errors = self._left_out(rows.norms, spectra.largest) * scale[:, None]
+                actuators = self._drive.actuators
+                errors = product_errors(economy, self._fft_samples, actuators, rows.sizes, spectra.sizes, self._units)
             group = max(1, GROUP_BYTES // ((last - first) * lower * np.dtype(economy.real).itemsize))
-            padded = np.zeros((min(group, count), last - first, lower // 2 + 1), dtype=economy.complex)
+            padded = np.empty((lower // 2 + 1, min(group, count), last - first), dtype=economy.complex)
+            padded[: economy.low] = 0
+            padded[economy.high :] = 0
             for begin in range(0, count, group):
                 some = slice(begin, min(begin + group, count))
-                spaced = padded[: some.stop - begin]
-                kept = spaced[:, :, economy.low : economy.high]
-                np.multiply(product[:, some].transpose(1, 2, 0), factors[some], out=kept)
-                parts: NDArray[Any] = scipy_fft.irfft(spaced, lower, axis=2)
+                spaced = padded[:, : some.stop - begin]
+                kept = rows.kept[some].view(economy.real).transpose(1, 0, 2)
+                np.matmul(kept, spectra.pairs, out=spaced[economy.low : economy.high].view(economy.real))
+                parts: NDArray[Any] = scipy_fft.irfft(spaced.transpose(1, 2, 0), lower, axis=2)
                 self._add(parts, total[some], first, reached)
                 if self._bounded:
                     errors[some] += self._rounding(parts)
             squares += np.square(errors).sum(axis=1)
             reached = half + (last - 1) * self._hop // self._factor + lower
         total[:, reached:] = 0
-        return found[:, : self.samples], np.sqrt(self._overlap * squares), self._finish(total, found)
+        total *= scale.astype(economy.real)[:, None]
+        return found[:, : self.samples], np.sqrt(self._overlap * squares) * scale, self._finish(total, found)
 
     def _finish(self, total: NDArray[Any], found: NDArray[Any]) -> Float64Array:
         """Interpolate sums of blocks where need be; the responses' energies where bounds are asked for, (rows,)."""
@@ -204,15 +225,6 @@ class DriveBlocks:
             total[:, start + shared : end] = parts[:, place, shared : end - start]
             reached = max(reached, end)
 
-    def _left_out(self, norms: Float64Array, largest: Float64Array) -> Float64Array:
-        """Bounds on what is left out and on its rounding, (rows, blocks)."""
-        coherent = np.matmul(norms, largest).transpose(1, 2, 0)
-        flat = np.ascontiguousarray(coherent.reshape(-1, self.economy.segments + 1))
-        heard = np.full(len(flat), float(len(self._drive)))
-        errors = self.economy.block_errors(flat, self._fft_samples, heard) * np.sqrt(2.0 / self._fft_samples)
-        bounds: Float64Array = errors.reshape(coherent.shape[:2])
-        return bounds
-
     def _rounding(self, parts: NDArray[Any]) -> Float64Array:
         """Bounds on the errors of transforming back and interpolating, (rows, blocks)."""
         rows, blocks, lower = parts.shape
@@ -224,43 +236,47 @@ class DriveBlocks:
         bounds: Float64Array = errors.reshape(rows, blocks)
         return bounds
 
-    def _block_spectra(self, first: int, last: int, *, bounded: bool) -> _Spectra:
+    def _block_spectra(self, first: int, last: int) -> _Spectra:
         if self._known is not None:
-            return _Spectra(self._known.pairs[:, :, 2 * first : 2 * last], self._known.largest[:, :, first:last])
-        economy, heard = self.economy, len(self._drive)
-        pairs = np.empty((economy.kept, heard, 2, last - first, 2), dtype=economy.real)
-        largest = np.zeros((economy.segments + 1, heard, last - first))
+            return self._known.blocks(first, last)
+        economy, actuators, blocks = self.economy, self._drive.actuators, last - first
+        kept = np.empty((blocks, actuators, economy.kept), dtype=economy.complex)
+        squared = np.zeros((blocks, 2, economy.bins if self._bounded else 0), dtype=economy.real)
 
-        def transform(block: int) -> None:
-            samples = cut_block(self._drive, block, self._hop, self._fade)
-            # In double precision: what a block's spectrum errs by would meet the largest of a row's values.
-            whole = scipy_fft.rfft(samples, self._fft_samples, axis=1).astype(economy.complex, copy=False)
-            kept, place = whole[:, economy.low : economy.high].T, block - first
-            pairs[:, :, 0, place, 0] = pairs[:, :, 1, place, 1] = kept.real
-            pairs[:, :, 0, place, 1] = kept.imag
-            pairs[:, :, 1, place, 0] = -kept.imag
-            if bounded:
-                largest[:, :, place] = economy.largest(economy.squared(whole)).T
+        def transform(item: tuple[int, slice]) -> None:
+            block, some = item
+            samples = np.empty((some.stop - some.start, self._fft_samples), dtype=self._cut_type)
+            # What is too large shows in the sizes.
+            with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+                self._drive.cut(block, self._hop, self._fade, samples, some)
+                whole = scipy_fft.rfft(samples, axis=1).astype(economy.complex, copy=False)
+                kept[block - first, some] = whole[:, economy.low : economy.high]
+                if self._bounded:
+                    squared[block - first, min(some.start, 1)] = joint_squares(whole)
 
-        with ThreadPoolExecutor(WORKERS) as pool:
-            deque(pool.map(transform, range(first, last)), maxlen=0)
-        return _Spectra(pairs.reshape(economy.kept, 2 * heard, 2 * (last - first)), largest)
+        share_out(self._work(first, last), transform)
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            # Together: written block by block, every cache line would be fetched as often.
+            pairs = np.empty((economy.kept, actuators, 2, blocks), dtype=economy.complex)
+            pairs[:, :, 0] = kept.transpose(2, 1, 0)
+            np.multiply(pairs[:, :, 0], 1j, out=pairs[:, :, 1])
+            sizes = SpectrumSizes.zeros(blocks, economy)
+            if self._bounded:
+                sizes = SpectrumSizes.of(squared.sum(axis=1), economy, actuators)
+        return _Spectra(pairs.view(economy.real).reshape(economy.kept, 2 * actuators, 2 * blocks), sizes)
+
+    def _work(self, first: int, last: int) -> list[tuple[int, slice]]:
+        """Blocks and actuators that are transformed together: all of them, but where that leaves a worker idle."""
+        actuators = self._drive.actuators
+        half = min(-(-actuators // (2 * LANES)) * LANES, actuators)
+        whole = last - (last - first) % WORKERS
+        work = [(block, slice(0, actuators)) for block in range(first, whole)]
+        for block in range(whole, last):
+            work += [(block, slice(0, half)), (block, slice(half, actuators))]
+        return [(block, some) for block, some in work if some.start < some.stop]
 
 
-def cut_block(drive: Float64Array, block: int, hop: int, fade: int) -> Float64Array:
-    """Samples of one block: it begins at block * hop, and fades out as the next one fades in."""
-    samples = drive[:, block * hop : (block + 1) * hop + fade].copy()
-    if fade:
-        ramp = _ramp(fade)
-        if block:
-            samples[:, :fade] *= ramp[: samples.shape[1]]
-        over = samples[:, hop:]
-        over *= 1.0 - ramp[: over.shape[1]]
-    return samples
-
-
-@lru_cache(maxsize=4)
-def _ramp(fade: int) -> Float64Array:
-    """From 0 to 1, with next to no frequencies above ten times its inverse length."""
-    steps: Float64Array = np.cumsum(np.kaiser(fade, 12.0))
-    return np.asarray(steps / steps[-1], dtype=np.float64)
+@lru_cache(maxsize=8)
+def _upsampling(fft_samples: int, high: int, hop: int, factor: int) -> Upsampling:
+    """Matrices that depend on the blocks' shape alone."""
+    return Upsampling(fft_samples, high, hop, factor)

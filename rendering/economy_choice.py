@@ -30,7 +30,7 @@ class Sample:
     repeats : float
         How many windows each stands for.
     errors : float64 array, shape (windows,)
-        Bounds on what rounding in single precision makes of any of a window's bins.
+        Bounds on what rounding of windows in single precision makes of the norms of their products.
     """
 
     windows: Float64Array
@@ -42,6 +42,12 @@ class Sample:
 def sampled_energy(samples: Sequence[Sample]) -> float:
     """Energy of the blocks that samples are of, windows added up out of phase."""
     return sum(item.repeats * float(np.square(item.windows * item.greens).sum()) for item in samples)
+
+
+def quietest(samples: Sequence[Sample]) -> float:
+    """Largest bin times norm of the window that makes least of its block: a low bound on what leaving it out costs."""
+    sizes = [item.windows.max(axis=1) * np.linalg.norm(item.greens, axis=1) for item in samples if len(item.windows)]
+    return min((float(size.min()) for size in sizes), default=0.0)
 
 
 def choose_economy(
@@ -93,7 +99,7 @@ def _rounding(sample: Sample, fft_samples: int) -> float:
     norms = np.linalg.norm(sample.greens, axis=1)
     single = Economy.of(fft_samples // 2 + 1, single=True)
     units = float(single.rounding(fft_samples, np.array(sample.repeats * len(norms))))
-    return float(sample.repeats * (norms * (units * sample.windows.max(axis=1, initial=0.0) + sample.errors)).sum())
+    return float(sample.repeats * (norms * units * sample.windows.max(axis=1, initial=0.0) + sample.errors).sum())
 
 
 def _left_out(economy: Economy, fft_samples: int, repeats: float, windows: Float64Array, greens: Float64Array) -> float:

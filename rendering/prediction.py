@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -20,6 +21,7 @@ from rendering.green_source import GreenSource, RowReader
 from rendering.low_rate import LowRateRows
 from rendering.omission import relative_bound, tolerance_of
 from rendering.row_transforms import BankSpectra
+from rendering.shared_work import share_out
 from rendering.threads import WORKERS, one_blas_thread
 
 Float64Array = NDArray[np.float64]
@@ -125,9 +127,9 @@ class Prediction:
         self._skipped = 0
         drive_v = drive.drive_v
         if decimation is not None:
-            if not np.isfinite(drive_v).all():
-                raise InputError("the drive holds NaN or infinity; render it again")
-            drive_v = np.asarray(decimation.factor * decimation.lower(drive_v), dtype=np.float64)
+            with np.errstate(over="ignore", invalid="ignore"):
+                # NaN and infinity stay what they are, and are found below.
+                drive_v = np.asarray(decimation.factor * decimation.lower(drive_v), dtype=np.float64)
             self._skipped = 2 * decimation.half
             self.sample_rate_hz /= decimation.factor
             self.passed_hz = decimation.passed_hz
@@ -150,13 +152,46 @@ class Prediction:
 
     def rows(self, on_progress: OnProgress | None = None) -> Iterator[FieldRows]:
         """Compute all rows; `on_progress` is told positions done and positions in all."""
-        return self._rows(None, on_progress)
+        index = self.position_index
+        parts = deque((rows.start, index[rows.start : rows.stop]) for rows in self.parts())
+        under_way: deque[tuple[int, Int64Array, Future[Response]]] = deque()
+        with one_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:
+            try:
+                while parts or under_way:
+                    while parts and len(under_way) <= WORKERS:
+                        first, part = parts.popleft()
+                        under_way.append((first, part, pool.submit(self._convolution.respond, part)))
+                    first, part, future = under_way.popleft()
+                    response = future.result()
+                    self._errors += response.error**2
+                    self._energy += response.energy
+                    yield FieldRows(first, part, response.field[:, self._skipped : self._skipped + self.samples])
+                    if on_progress is not None:
+                        on_progress(first + len(part), len(index))
+            finally:
+                for _, _, future in under_way:
+                    future.cancel()
 
     def field(self, on_progress: OnProgress | None = None) -> Field:
         """Compute all rows into memory."""
-        whole = np.empty((len(self.position_index), self._convolution.padded_samples), dtype=self._dtype)
-        for _ in self._rows(whole, on_progress):
-            pass
+        index, parts = self.position_index, self.parts()
+        whole = np.empty((len(index), self._convolution.padded_samples), dtype=self._dtype)
+        errors, energies, done = np.zeros(len(parts)), np.zeros(len(parts)), np.zeros(len(parts), dtype=np.int64)
+        calling = threading.get_ident()
+
+        def compute(number: int) -> None:
+            rows = slice(parts[number].start, parts[number].stop)
+            response = self._convolution.respond(index[rows], whole[rows])
+            errors[number], energies[number], done[number] = response.error, response.energy, len(parts[number])
+            if on_progress is not None and threading.get_ident() == calling:
+                on_progress(int(done.sum()), len(index))
+
+        with one_blas_thread():
+            share_out(range(len(parts)), compute)
+        self._errors += float(np.square(errors).sum())
+        self._energy += float(energies.sum())
+        if on_progress is not None:
+            on_progress(len(index), len(index))
         return Field(
             field=whole[:, self._skipped : self._skipped + self.samples],
             position_index=self.position_index,
@@ -179,28 +214,6 @@ class Prediction:
         with one_blas_thread():
             response = self._convolution.respond(positions)
         return response.field[:, self._skipped : self._skipped + self.samples]
-
-    def _rows(self, whole: RealArray | None, on_progress: OnProgress | None) -> Iterator[FieldRows]:
-        index = self.position_index
-        parts = deque((rows.start, index[rows.start : rows.stop]) for rows in self.parts())
-        under_way: deque[tuple[int, Int64Array, Future[Response]]] = deque()
-        with one_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:
-            try:
-                while parts or under_way:
-                    while parts and len(under_way) <= WORKERS:
-                        first, part = parts.popleft()
-                        out = None if whole is None else whole[first : first + len(part)]
-                        under_way.append((first, part, pool.submit(self._convolution.respond, part, out)))
-                    first, part, future = under_way.popleft()
-                    response = future.result()
-                    self._errors += response.error**2
-                    self._energy += response.energy
-                    yield FieldRows(first, part, response.field[:, self._skipped : self._skipped + self.samples])
-                    if on_progress is not None:
-                        on_progress(first + len(part), len(index))
-            finally:
-                for _, _, future in under_way:
-                    future.cancel()
 
     def lost_share(self) -> float:
         """Share of the response's energy above `passed_hz`: the largest of a few positions, by some of the drive."""

@@ -112,7 +112,7 @@ def predict_spectra(
                     if spectra is None
                     else spectra.rows(some)
                 )
-                squares = economy.squared(np.matmul(rows.kept, kept)).sum(axis=2, dtype=np.float64)
+                squares = economy.squared(np.matmul(rows.kept.transpose(1, 0, 2), kept)).sum(axis=2, dtype=np.float64)
                 power[begin : begin + len(some)] += np.ldexp(squares.T, 2 * (rows.exponents + exponent)[:, None])
     rate_hz = float(drive.sample_rate_hz)
     # Parseval: two bins each but for the first and, of an even length, the last.

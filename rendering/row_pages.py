@@ -7,6 +7,7 @@ next it is as far everywhere, so that one call multiplies a run of rows.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.omission import Economy
+from rendering.reused_memory import reused
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -22,6 +24,25 @@ MOST_GAP = 2
 """Rows are multiplied where they lie, so few unused ones between them included: one product more would cost as much."""
 LEAST_RUN = 3
 """Rows that lie in shorter runs than this, on average, are gathered before they are multiplied."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowSizes:
+    """How large rows are over all actuators, for bounds on errors.
+
+    Parameters
+    ----------
+    norms : float64 array, shape (rows, segments + 1)
+        Norms over the segments of the economy, then over all bins; no segment where nothing is left out.
+    peaks : float64 array, shape (rows,)
+        Largest magnitudes of any bin.
+    cut_off : float64 array, shape (rows,)
+        Norms of what of each row is not used, in time.
+    """
+
+    norms: Float64Array
+    peaks: Float64Array
+    cut_off: Float64Array
 
 
 class RowPage:
@@ -39,14 +60,10 @@ class RowPage:
 
     def __init__(self, places: int, actuators: int, economy: Economy) -> None:
         segments = 0 if economy.exact else economy.segments + 1
-        self.spectra: NDArray[Any] = np.empty((places, economy.kept, actuators), dtype=economy.complex)
+        self.spectra: NDArray[Any] = reused((places, economy.kept, actuators), economy.complex)
         """Bins computed, (places, kept bins, actuators)."""
-        self.norms: Float64Array = np.empty((places, actuators, segments))
-        """`Economy.norms`, (places, actuators, segments + 1); no segment where nothing is left out."""
-        self.joint_norms: Float64Array = np.empty((places, segments))
-        """The same over all actuators."""
-        self.cut_off: Float64Array = np.zeros(places)
-        """Norm of what of each row is not used, in time."""
+        self.sizes = RowSizes(np.empty((places, segments)), np.empty(places), np.zeros(places))
+        """Of each place."""
         self.taken = 0
         """Places that rows have."""
 
@@ -74,33 +91,22 @@ class RowsView:
         self._page = page
         self._place = place
 
-    def norms(self) -> Float64Array:
-        """Norms of the rows over all actuators, (rows, segments + 1), a copy."""
-        norms = np.empty((len(self._place), self._pages[0].joint_norms.shape[1]))
-        for page, rows, place in self._by_page(np.arange(len(self._place))):
-            norms[rows] = page.joint_norms[place]
-        return norms
-
-    def cut_off(self) -> Float64Array:
-        """Norms of what of each row is not used, in time, (rows,)."""
-        cut_off = np.empty(len(self._place))
-        for page, rows, place in self._by_page(np.arange(len(self._place))):
-            cut_off[rows] = page.cut_off[place]
-        return cut_off
-
-    def weighted_norms(self, chosen: Int64Array, weights: Float64Array) -> Float64Array:
-        """Norms of some rows over the actuators, each times a weight, (len(chosen), segments + 1)."""
-        norms = np.empty((len(chosen), self._pages[0].joint_norms.shape[1]))
-        for page, rows, place in self._by_page(chosen):
-            norms[rows] = np.sqrt(np.square(page.norms[place] * weights[:, None]).sum(axis=1))
-        return norms
+    def sizes(self) -> RowSizes:
+        """How large the rows are, copies."""
+        segments = self._pages[0].sizes.norms.shape[1]
+        found = RowSizes(np.empty((len(self._place), segments)), np.empty(len(self._place)), np.empty(len(self._place)))
+        for page, rows, place in self._by_page():
+            found.norms[rows] = page.sizes.norms[place]
+            found.peaks[rows] = page.sizes.peaks[place]
+            found.cut_off[rows] = page.sizes.cut_off[place]
+        return found
 
     def magnitudes(self) -> Float64Array:
         """Norms of the rows over the actuators, bin by bin, (rows, kept bins)."""
         magnitudes = np.empty((len(self._place), self._pages[0].spectra.shape[1]))
-        for page, rows, place in self._by_page(np.arange(len(self._place))):
-            for row, spectra in zip(rows.tolist(), page.spectra[place], strict=True):
-                parts = spectra.view(spectra.real.dtype)
+        for page, rows, place in self._by_page():
+            for row, at in zip(rows.tolist(), place.tolist(), strict=True):
+                parts = page.spectra[at].view(page.spectra.real.dtype)
                 magnitudes[row] = np.sqrt(np.einsum("bi,bi->b", parts, parts))
         return magnitudes
 
@@ -142,15 +148,11 @@ class RowsView:
                 yield int(group[begin]), parts[0]
                 parts = []
 
-    def _by_page(self, chosen: Int64Array) -> Iterator[tuple[RowPage, Int64Array, Int64Array]]:
-        """Each page, which of the rows chosen lie in it, and where: in the order in which they lie."""
-        page, place = self._page[chosen], self._place[chosen]
-        order = np.lexsort((place, page))
-        number = page[order]
-        bounds = np.flatnonzero(np.diff(number, prepend=-1, append=-1)).tolist() if len(order) else []
-        for begin, end in pairwise(bounds):
-            rows = order[begin:end]
-            yield self._pages[int(number[begin])], rows, place[rows]
+    def _by_page(self) -> Iterator[tuple[RowPage, Int64Array, Int64Array]]:
+        """Each page, which of the rows lie in it, and where."""
+        for number, page in enumerate(self._pages):
+            rows = np.flatnonzero(self._page == number)
+            yield page, rows, self._place[rows]
 
 
 def _run(windows: NDArray[Any], place: Int64Array, spectra: NDArray[Any]) -> NDArray[Any]:

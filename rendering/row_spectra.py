@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import threading
+from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from rendering.omission import Economy
+from rendering.product_bounds import SpectrumSizes
 from rendering.regularisation import BankRows
 from rendering.row_cut import RowCut
 from rendering.row_pages import RowPage, RowsView
@@ -22,8 +23,10 @@ PAGE_BYTES = 16 * 2**20
 """Rows lie together in pages of at most so many bytes, which go all at once."""
 LEAST_ROWS = 16
 """Room is made for at least so many rows."""
-GROUP_BYTES = 5 * 2**17
+GROUP_BYTES = 5 * 2**18
 """Rows of so many bytes are transformed together, within the cache of one core."""
+AHEAD = 4
+"""Groups that are being transformed while another one is read."""
 
 
 class RowSpectra:
@@ -71,7 +74,7 @@ class RowSpectra:
         self._page_rows = max(1, PAGE_BYTES // row_bytes)
         self._group = max(1, GROUP_BYTES // (actuators * fft_samples * np.dtype(economy.real).itemsize))
         self._expected = expected_rows
-        self._workspace = threading.local()
+        self._workspace: list[NDArray[Any]] = []
         self._place: dict[int, tuple[RowPage, int]] = {}
         self._pages: list[RowPage] = []
 
@@ -91,9 +94,7 @@ class RowSpectra:
         try:
             seen = {} if self._looked_at is None else self._looked_at._place
             fresh = [row for row in missing if row not in seen]
-            groups = [fresh[begin : begin + self._group] for begin in range(0, len(fresh), self._group)]
-            for _ in self._workers.map(self._transform, groups):
-                pass
+            self._transform(fresh)
             self._copy([row for row in missing if row in seen])
         except BaseException:
             # Nothing may be taken for there that is not.
@@ -161,50 +162,78 @@ class RowSpectra:
             first += len(some)
         return placed
 
-    def _transform(self, rows: list[int]) -> None:
-        economy, actuators = self.economy, self._actuators
-        padded = getattr(self._workspace, "padded", None)
-        if padded is None:
-            # Kept and refilled: fresh zeros for each group would cost as much as its transforms.
-            padded = np.zeros((self._group * actuators, self._fft_samples), dtype=economy.real)
-            self._workspace.padded = padded
+    def _transform(self, rows: Sequence[int]) -> None:
+        """Read rows here, while workers transform those that were read before.
+
+        What takes many small steps stays in one thread: threads would wait for each other more than they gain.
+        """
+        under_way: deque[tuple[NDArray[Any], Future[None]]] = deque()
+        squares = np.empty((len(rows), self.economy.bins), dtype=self.economy.real)
+        for begin in range(0, len(rows), self._group):
+            some = rows[begin : begin + self._group]
+            if len(under_way) > AHEAD:
+                self._finish(*under_way.popleft())
+            padded = self._workspace.pop() if self._workspace else self._room()
+            self._fill(some, padded)
+            # Bin by bin, as pages have them: the transform gathers and scatters at no cost.
+            turned = padded[: len(some)].transpose(0, 2, 1)
+            under_way.append((padded, self._workers.submit(self._keep, some, turned, squares[begin:])))
+        while under_way:
+            self._finish(*under_way.popleft())
+        self._measure(rows, squares)
+
+    def _room(self) -> NDArray[Any]:
+        # Kept and refilled: fresh zeros for each group would cost as much as its transforms.
+        return np.zeros((self._group, self._actuators, self._fft_samples), dtype=self.economy.real)
+
+    def _fill(self, rows: Sequence[int], padded: NDArray[Any]) -> None:
         for number, row in enumerate(rows):
-            values = self._rows.read(row, single=economy.single).values
+            values = self._rows.read(row, single=self.economy.single).values
             page, place = self._place[row]
-            page.cut_off[place] = self._cut.left_out(values)
+            page.sizes.cut_off[place] = self._cut.left_out(values)
             values = self._cut.used(values)
-            padded[number * actuators : (number + 1) * actuators, : values.shape[1]] = values[:, ::-1]
-        self._keep(rows, scipy_fft.rfft(padded[: len(rows) * actuators], axis=1))
+            padded[number, :, : values.shape[1]] = values[:, ::-1]
+
+    def _finish(self, padded: NDArray[Any], kept: Future[None]) -> None:
+        kept.result()
+        self._workspace.append(padded)
+
+    def _keep(self, rows: Sequence[int], turned: NDArray[Any], squares: NDArray[Any]) -> None:
+        """Transform rows (rows, samples, actuators) and keep the bins that are computed."""
+        economy = self.economy
+        whole = scipy_fft.rfft(turned, axis=1)
+        for number, row in enumerate(rows):
+            page, place = self._place[row]
+            page.spectra[place] = whole[number, economy.low : economy.high]
+        if not economy.exact:
+            _joint_squares(whole, squares)
 
     def _copy(self, rows: list[int]) -> None:
         looked_at = self._looked_at
         if looked_at is None or not rows:
             return
-        by_page: dict[RowPage, list[int]] = {}
-        for row in rows:
-            by_page.setdefault(looked_at._place[row][0], []).append(row)
-        for seen, some in by_page.items():
-            places = [looked_at._place[row][1] for row in some]
-            whole = np.ascontiguousarray(seen.spectra[places].transpose(0, 2, 1))
-            self._keep(some, whole.reshape(-1, whole.shape[2]))
-            for row, place in zip(some, places, strict=True):
-                page, here = self._place[row]
-                page.cut_off[here] = seen.cut_off[place]
+        economy = self.economy
+        squares = np.empty((len(rows), economy.bins), dtype=economy.real)
+        for number, row in enumerate(rows):
+            seen, there = looked_at._place[row]
+            page, here = self._place[row]
+            page.sizes.cut_off[here] = seen.sizes.cut_off[there]
+            page.spectra[here] = seen.spectra[there, economy.low : economy.high]
+            if not economy.exact:
+                _joint_squares(seen.spectra[there : there + 1], squares[number:])
+        self._measure(rows, squares)
 
-    def _keep(self, rows: list[int], whole: NDArray[Any]) -> None:
-        """Keep spectra in all bins, (rows x actuators, bins), as the economy has them."""
-        economy, actuators = self.economy, self._actuators
-        spectra = whole.reshape(len(rows), actuators, -1)
-        norms = None if economy.exact else economy.norms(spectra)
-        begin = 0
-        while begin < len(rows):
-            page, place = self._place[rows[begin]]
-            end = begin + 1
-            while end < len(rows) and self._place[rows[end]] == (page, place + end - begin):
-                end += 1
-            where = slice(place, place + end - begin)
-            page.spectra[where] = spectra[begin:end, :, economy.low : economy.high].transpose(0, 2, 1)
-            if norms is not None:
-                page.norms[where] = norms[begin:end]
-                page.joint_norms[where] = np.sqrt(np.square(norms[begin:end]).sum(axis=1))
-            begin = end
+    def _measure(self, rows: Sequence[int], squares: NDArray[Any]) -> None:
+        """Find norms and peaks of rows from the squares of their magnitudes, (rows, bins)."""
+        if self.economy.exact or not len(rows):
+            return
+        sizes = SpectrumSizes.of(squares, self.economy, self._actuators)
+        for number, row in enumerate(rows):
+            page, place = self._place[row]
+            page.sizes.norms[place], page.sizes.peaks[place] = sizes.norms[number], sizes.largest[number, -1]
+
+
+def _joint_squares(spectra: NDArray[Any], out: NDArray[Any]) -> None:
+    """Squares of magnitudes (rows, bins, actuators), added up over the actuators into the first rows of (k, bins)."""
+    parts: NDArray[Any] = spectra.view(spectra.real.dtype)
+    np.einsum("rka,rka->rk", parts, parts, out=out[: len(parts)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +16,9 @@ from rendering.economy_choice import Sample, choose_economy
 from rendering.green_source import GreenSource, RowReader
 from rendering.low_rate import LowRateRows
 from rendering.omission import Economy, tolerance_of
-from rendering.threads import WORKERS, one_blas_thread
+from rendering.product_bounds import SpectrumSizes, joint_squares
+from rendering.shared_work import share_out
+from rendering.threads import one_blas_thread
 from rendering.upsampling import MULTIPLE
 
 Float64Array = NDArray[np.float64]
@@ -39,28 +40,43 @@ class RowTransforms:
 
     Parameters
     ----------
-    kept : complex array, shape (kept bins, rows, actuators)
+    kept : complex array, shape (rows, kept bins, actuators)
         Actuators side by side.
-    norms : float64 array, shape (segments + 1, rows, actuators)
-        Norms over the segments of the economy; zeros where no error is bounded.
+    sizes : SpectrumSizes
+        Over these actuators or more; zeros where no error is bounded.
     exponents : int64 array, shape (rows,)
         The rows are these times two to such a power.
     """
 
     kept: NDArray[Any]
-    norms: Float64Array
+    sizes: SpectrumSizes
     exponents: Int64Array
+
+    @classmethod
+    def empty(cls, rows: int, actuators: int, economy: Economy) -> RowTransforms:
+        """Room for some rows."""
+        kept = np.empty((rows, economy.kept, actuators), dtype=economy.complex)
+        return cls(kept, SpectrumSizes.zeros(rows, economy), np.zeros(rows, dtype=np.int64))
+
+    def rows(self, places: slice | Int64Array) -> RowTransforms:
+        """Some of the rows; those of a slice are the same memory."""
+        return RowTransforms(self.kept[places], self.sizes.some(places), self.exponents[places])
 
     def heard(self, actuators: Int64Array) -> RowTransforms:
         """Of some actuators only."""
         if len(actuators) == self.kept.shape[2]:
             return self
-        kept, norms = self.kept.take(actuators, axis=2), self.norms.take(actuators, axis=2)
-        return RowTransforms(kept, norms, self.exponents)
+        return RowTransforms(self.kept.take(actuators, axis=2), self.sizes, self.exponents)
 
 
 def transform_rows(
-    reader: RowReader, positions: Sequence[int], fft_samples: int, economy: Economy, *, bounded: bool
+    reader: RowReader,
+    positions: Sequence[int],
+    fft_samples: int,
+    economy: Economy,
+    *,
+    bounded: bool,
+    actuators: Int64Array | None = None,
 ) -> RowTransforms:
     """Read rows and transform them.
 
@@ -75,28 +91,43 @@ def transform_rows(
     economy : Economy
         Precision, and which bins to keep.
     bounded : bool
-        Whether norms are needed.
+        Whether sizes are needed.
+    actuators : int64 array, optional
+        Of which; by default of all.
     """
-    actuators, count = reader.actuators, len(positions)
-    made = RowTransforms(
-        np.empty((economy.kept, count, actuators), dtype=economy.complex),
-        np.zeros((economy.segments + 1, count, actuators)),
-        np.zeros(count, dtype=np.int64),
-    )
-    at_once = max(1, GROUP_BYTES // (actuators * fft_samples * np.dtype(economy.real).itemsize))
-    padded = np.zeros((min(at_once, count) * actuators, fft_samples), dtype=economy.real)
+    heard = np.arange(reader.actuators) if actuators is None else actuators
+    made = RowTransforms.empty(len(positions), len(heard), economy)
+    _fill(made, reader, positions, fft_samples, economy, heard, bounded=bounded)
+    return made
+
+
+def _fill(
+    made: RowTransforms,
+    reader: RowReader,
+    positions: Sequence[int],
+    fft_samples: int,
+    economy: Economy,
+    actuators: Int64Array,
+    *,
+    bounded: bool,
+) -> None:
+    """Read and transform rows into their place."""
+    heard, count = len(actuators), len(positions)
+    some_only = heard < reader.actuators
+    at_once = max(1, GROUP_BYTES // (heard * fft_samples * np.dtype(economy.real).itemsize))
+    padded = np.zeros((min(at_once, count), heard, fft_samples), dtype=economy.real)
     for begin in range(0, count, at_once):
         some = positions[begin : begin + at_once]
         for place, position in enumerate(some):
             row = reader.read(int(position), single=economy.single)
-            padded[place * actuators : (place + 1) * actuators, : row.values.shape[1]] = row.values
+            padded[place, :, : row.values.shape[1]] = row.values[actuators] if some_only else row.values
             made.exponents[begin + place] = row.exponent
-        whole = scipy_fft.rfft(padded[: len(some) * actuators], axis=1)
+        whole = scipy_fft.rfft(padded[: len(some)], axis=2)
         where = slice(begin, begin + len(some))
-        made.kept[:, where] = whole[:, economy.low : economy.high].T.reshape(economy.kept, len(some), actuators)
+        made.kept[where] = whole[:, :, economy.low : economy.high].transpose(0, 2, 1)
         if bounded:
-            made.norms[:, where] = economy.norms(whole).T.reshape(-1, len(some), actuators)
-    return made
+            sizes = SpectrumSizes.of(joint_squares(whole), economy, heard)
+            made.sizes.norms[where], made.sizes.largest[where] = sizes.norms, sizes.largest
 
 
 class BankSpectra:
@@ -161,7 +192,7 @@ class BankSpectra:
     @property
     def size_bytes(self) -> int:
         """Memory that the spectra take."""
-        return int(self._made.kept.nbytes + self._made.norms.nbytes)
+        return int(self._made.kept.nbytes + self._made.sizes.norms.nbytes + self._made.sizes.largest.nbytes)
 
     def rows(self, positions: Int64Array) -> RowTransforms:
         """Spectra of some rows. Raises InputError where one was not among the positions."""
@@ -172,10 +203,9 @@ class BankSpectra:
                 " positions that are asked for"
             )
         first, last = int(place[0]), int(place[-1]) + 1
-        made = self._made
         if last - first == len(place) and (np.diff(place) == 1).all():
-            return RowTransforms(made.kept[:, first:last], made.norms[:, first:last], made.exponents[first:last])
-        return RowTransforms(made.kept.take(place, axis=1), made.norms.take(place, axis=1), made.exponents[place])
+            return self._made.rows(slice(first, last))
+        return self._made.rows(place)
 
     def _choose(self, rows: Int64Array) -> Economy:
         """Bins that matter for drives that are made from the bank, by a look at some rows."""
@@ -195,23 +225,15 @@ class BankSpectra:
         return choose_economy(samples, self.fft_samples, 1, CHOICE_SHARE * self.tolerance)
 
     def _transform(self, rows: Int64Array) -> RowTransforms:
-        actuators, economy = self.bank.actuators, self.economy
-        made = RowTransforms(
-            np.empty((economy.kept, len(rows), actuators), dtype=economy.complex),
-            np.empty((economy.segments + 1, len(rows), actuators)),
-            np.empty(len(rows), dtype=np.int64),
-        )
-        at_once = max(1, 2 * GROUP_BYTES // (actuators * self.fft_samples * 4))
+        economy, every = self.economy, np.arange(self.bank.actuators)
+        made = RowTransforms.empty(len(rows), self.bank.actuators, economy)
+        at_once = max(1, 2 * GROUP_BYTES // (self.bank.actuators * self.fft_samples * 4))
 
         def fill(first: int) -> None:
-            where = slice(first, min(first + at_once, len(rows)))
-            part = transform_rows(
-                self.reader, rows[where].tolist(), self.fft_samples, economy, bounded=self.tolerance > 0
-            )
-            made.kept[:, where], made.norms[:, where] = part.kept, part.norms
-            made.exponents[where] = part.exponents
+            where, bounded = slice(first, first + at_once), self.tolerance > 0
+            some = rows[where].tolist()
+            _fill(made.rows(where), self.reader, some, self.fft_samples, economy, every, bounded=bounded)
 
-        with one_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:
-            for _ in pool.map(fill, range(0, len(rows), at_once)):
-                pass
+        with one_blas_thread():
+            share_out(range(0, len(rows), at_once), fill)
         return made

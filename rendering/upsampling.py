@@ -25,7 +25,7 @@ Float64Array = NDArray[np.float64]
 FACTORS = (2, 3, 4, 6, 8, 12)
 MULTIPLE = 24
 """Blocks and hops that are multiples of this can be made at any of these fractions of the rate."""
-LEAST_ROOM = 0.12
+LEAST_ROOM = 0.1
 """Width of the low-pass's transition, as a share of the lower rate: less would make it long."""
 STOPBAND_DB = 110.0
 FRAMES_BYTES = 2**19

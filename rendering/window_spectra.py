@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft as scipy_fft
 
-from rendering.omission import SQUARES_LOST, SQUARES_SLACK, Economy
+from rendering.omission import SQUARES_LOST, SQUARES_SLACK, TRANSFORM, Economy
 from rendering.windows import Windows
 
 Float64Array = NDArray[np.float64]
@@ -32,8 +35,9 @@ class WindowSpectra:
         The bins that an economy keeps.
     largest : float64 array, shape (windows, segments + 1)
         `Economy.largest`; no segment where nothing is left out.
-    errors : float64 array, shape (windows,)
-        Bounds on what rounding makes of any bin, beyond the last digit of the largest.
+    errors, blurs : float64 array, shape (windows,)
+        Bounds on what rounding makes of any bin beyond the last digit of the largest, and on the norm of that over
+        all bins.
     band_energy, energy : float
         Squares of magnitudes added up over a band, and over all bins.
     """
@@ -41,14 +45,15 @@ class WindowSpectra:
     kept: NDArray[Any]
     largest: Float64Array
     errors: Float64Array
+    blurs: Float64Array
     band_energy: float
     energy: float
 
 
 def window_spectra(
-    windows: Windows, first: int, last: int, fft_samples: int, economy: Economy, band: slice
-) -> WindowSpectra:
-    """Transform windows first to last - 1.
+    windows: Windows, first: int, last: int, fft_samples: int, economy: Economy, band: slice, workers: Executor
+) -> Callable[[], WindowSpectra]:
+    """Begin to transform windows first to last - 1; what is returned waits for the end.
 
     Parameters
     ----------
@@ -62,6 +67,8 @@ def window_spectra(
         Precision, and bins to keep.
     band : slice
         Bins whose energy is added up.
+    workers : Executor
+        Transforms.
     """
     within = band.stop == 0 or (economy.low <= band.start and band.stop <= economy.high)
     if economy.single and within and not windows.of_signals:
@@ -69,36 +76,60 @@ def window_spectra(
         lengths = stop - start
         for frame in FRAMES:
             if 2 * np.count_nonzero(lengths <= frame) > last - first and FINENESS * 2 * frame <= fft_samples:
-                return _joined(windows, first, start, lengths, frame, fft_samples, economy, band)
-    return _long(windows, np.arange(first, last), fft_samples, economy, band)
+                return _joined(windows, first, start, lengths, frame, fft_samples, economy, band, workers)
+    return _long(windows, np.arange(first, last), fft_samples, economy, band, workers)
 
 
-def rounding_of(windows: Windows, chosen: Int64Array) -> Float64Array:
-    """`WindowSpectra.errors` that are to be expected of some windows in single precision."""
-    errors = np.zeros(len(chosen))
+def magnitudes(windows: Windows, chosen: Int64Array, fft_samples: int, economy: Economy) -> Float64Array:
+    """Magnitudes of some windows' spectra in the precision of an economy, (len(chosen), bins)."""
+    if windows.of_signals:
+        return np.abs(windows.spectra(chosen, fft_samples))
+    spectra = scipy_fft.rfft(windows.samples(chosen, fft_samples, economy.real), axis=1)
+    return np.abs(spectra).astype(np.float64)
+
+
+def rounding_of(windows: Windows, chosen: Int64Array, fft_samples: int) -> tuple[Float64Array, Float64Array]:
+    """`WindowSpectra.errors` and `.blurs` that are to be expected of some windows in single precision."""
+    errors, blurs = np.zeros(len(chosen)), np.zeros(len(chosen))
     if windows.of_signals or not len(chosen):
-        return errors
+        return errors, blurs
     start, stop = windows.spans(0, len(windows))
-    for frame in FRAMES[::-1]:
-        short = (stop - start)[chosen] <= frame
-        if short.any():
-            number = start[chosen[short]] // frame
-            values = windows.samples(chosen[short], 2 * frame, shift=number * frame)
-            longest = int((stop - start)[chosen[short]].max())
-            errors[short] = (longest + 5) * 2.0**-24 * np.abs(values).sum(axis=1)
-    return errors
+    lengths = (stop - start)[chosen]
+    samples = windows.samples(chosen, fft_samples)
+    sums, norms = np.abs(samples).sum(axis=1), np.sqrt(np.einsum("ij,ij->i", samples, samples))
+    short = lengths <= max(FRAMES)
+    errors, blurs = _rounding_of_sums(lengths.max(where=short, initial=0), sums, fft_samples)
+    rest = _rounding_of_transforms(norms[~short], fft_samples)
+    errors[~short] = blurs[~short] = rest
+    return errors, blurs
 
 
-def _long(windows: Windows, chosen: Int64Array, fft_samples: int, economy: Economy, band: slice) -> WindowSpectra:
-    whole = windows.spectra(chosen, fft_samples).astype(economy.complex, copy=False)
-    squared = economy.squared(whole)
-    return WindowSpectra(
-        whole[:, economy.low : economy.high],
-        np.zeros((len(chosen), 0)) if economy.exact else economy.largest(squared),
-        np.zeros(len(chosen)),
-        float(squared[:, band].sum(axis=1).sum(dtype=np.float64)),
-        float(squared.sum(axis=1).sum(dtype=np.float64)),
-    )
+def _long(
+    windows: Windows, chosen: Int64Array, fft_samples: int, economy: Economy, band: slice, workers: Executor
+) -> Callable[[], WindowSpectra]:
+    blurs = np.zeros(len(chosen))
+    if windows.of_signals:
+        whole = workers.submit(windows.spectra, chosen, fft_samples)
+    else:
+        samples = windows.samples(chosen, fft_samples, economy.real)
+        whole = workers.submit(scipy_fft.rfft, samples, axis=1)
+        if economy.single:
+            norms = np.sqrt(np.einsum("ij,ij->i", samples, samples)) * SQUARES_SLACK
+            blurs = _rounding_of_transforms(norms + SQUARES_LOST * np.sqrt(fft_samples), fft_samples)
+
+    def end() -> WindowSpectra:
+        spectra = whole.result().astype(economy.complex, copy=False)
+        squared = economy.squared(spectra)
+        return WindowSpectra(
+            spectra[:, economy.low : economy.high],
+            np.zeros((len(chosen), 0)) if economy.exact else economy.largest(squared),
+            blurs,
+            blurs,
+            float(squared[:, band].sum(axis=1).sum(dtype=np.float64)),
+            float(squared.sum(axis=1).sum(dtype=np.float64)),
+        )
+
+    return end
 
 
 def _joined(
@@ -110,23 +141,30 @@ def _joined(
     fft_samples: int,
     economy: Economy,
     band: slice,
-) -> WindowSpectra:
+    workers: Executor,
+) -> Callable[[], WindowSpectra]:
     """Short windows, and the few long ones among them."""
     short = lengths <= frame
     number = np.arange(first, first + len(start))
     longest = int(lengths[short].max())
-    found = _short(windows, number[short], start[short] // frame, longest, frame, fft_samples, economy, band)
-    if short.all():
-        return found
-    kept = np.empty((len(start), economy.kept), dtype=np.complex64)
-    largest, errors = np.empty((len(start), economy.segments + 1)), np.empty(len(start))
-    parts = [(short, found)]
-    parts.append((~short, _long(windows, number[~short], fft_samples, economy, band)))
-    for where, part in parts:
-        kept[where], largest[where], errors[where] = part.kept, part.largest, part.errors
-    return WindowSpectra(
-        kept, largest, errors, sum(part.band_energy for _, part in parts), sum(part.energy for _, part in parts)
+    of_short = workers.submit(
+        _short, windows, number[short], start[short] // frame, longest, frame, fft_samples, economy, band
     )
+    if short.all():
+        return of_short.result
+    of_long = _long(windows, number[~short], fft_samples, economy, band, workers)
+    return lambda: _merged(economy, short, of_short.result(), of_long())
+
+
+def _merged(economy: Economy, short: NDArray[np.bool_], found: WindowSpectra, rest: WindowSpectra) -> WindowSpectra:
+    """Short windows and others, as they were."""
+    kept = np.empty((len(short), economy.kept), dtype=np.complex64)
+    largest = np.empty((len(short), economy.segments + 1))
+    errors, blurs = np.empty(len(short)), np.empty(len(short))
+    for where, part in ((short, found), (~short, rest)):
+        kept[where], largest[where], errors[where], blurs[where] = part.kept, part.largest, part.errors, part.blurs
+    energy = found.energy + rest.energy
+    return WindowSpectra(kept, largest, errors, blurs, found.band_energy + rest.band_energy, energy)
 
 
 def _short(
@@ -163,12 +201,23 @@ def _short(
     largest = np.maximum.reduceat(np.pad(coarse, ((0, 0), (0, 1))), between, axis=1)[:, ::2].astype(np.float64)
     peak = coarse.max(axis=1)[:, None].astype(np.float64)
     magnitude = np.sqrt(np.concatenate([largest + rise * peak, (1.0 + rise) * peak], axis=1))
-    size = np.abs(values).sum(axis=1, dtype=np.float64)
-    errors = (longest + 5) * 2.0**-24 * size
+    errors, blurs = _rounding_of_sums(longest, np.abs(values).sum(axis=1, dtype=np.float64), fft_samples)
     energy = fft_samples / 2 * float(np.einsum("wt,wt->w", values, values).sum(dtype=np.float64))
     in_band = economy.squared(np.ascontiguousarray(kept[:, max(band.start - low, 0) : max(band.stop - low, 0)]))
     largest = magnitude * SQUARES_SLACK + SQUARES_LOST + errors[:, None]
-    return WindowSpectra(kept, largest, errors, float(in_band.sum(axis=1).sum(dtype=np.float64)), energy)
+    return WindowSpectra(kept, largest, errors, blurs, float(in_band.sum(axis=1).sum(dtype=np.float64)), energy)
+
+
+def _rounding_of_sums(longest: int, sums: Float64Array, fft_samples: int) -> tuple[Float64Array, Float64Array]:
+    """Bounds on the error of any bin, and of all, of windows of so many samples summed as they are."""
+    errors = (longest + 5) * 2.0**-24 * sums
+    return errors, errors * np.sqrt(fft_samples / 2.0 + 1.0)
+
+
+def _rounding_of_transforms(norms: Float64Array, fft_samples: int) -> Float64Array:
+    """Bounds on the norm of the error of windows that are rounded and transformed; so large may that of one bin be."""
+    blurs: Float64Array = (TRANSFORM * np.log2(fft_samples) + 1.0) * 2.0**-24 * np.sqrt(fft_samples / 2.0) * norms
+    return blurs
 
 
 def _product(values: NDArray[np.float32], transform: Complex64Array) -> Complex64Array:

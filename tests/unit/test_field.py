@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 
 import numpy as np
 import pytest
@@ -229,6 +230,69 @@ def test_a_field_at_a_lower_rate_is_the_field_without_what_lies_above(kept):
     assert Prediction(drive, bank, range(4), rate_hz=bank.sample_rate_hz).field().low_pass is None
     assert relative_error(found.field, convolved(bank, drive, range(4))[:, ::4]) < 1e-3
     assert prediction.lost_share() < 1e-4
+
+
+def test_drives_are_told_by_all_their_samples():
+    rng = np.random.default_rng(5)
+    bank = make_bank(band_limited(rng, (3, 3, 200)))
+    spectra = BankSpectra(bank, range(3), tolerance_db=-60.0)
+    volts = band_limited(rng, (3, 3000))
+    # What lies between the samples that are looked at first: all there is of one actuator, and most of another.
+    volts[1] = 0
+    volts[1, 100:120] = 1e-3
+    volts[2, 1001] = 1e30
+    drive = make_drive(volts)
+    prediction = Prediction(drive, spectra, range(3))
+    error = relative_error(prediction.field().field, convolved(bank, drive, range(3)))
+    assert error <= max(prediction.omitted_bound, 3e-6)
+    assert error < 1e-3
+    for bad in (np.nan, np.inf):
+        drive.drive_v[2, 1001] = bad
+        with pytest.raises(InputError, match="NaN or infinity"):
+            Prediction(drive, spectra, range(3))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_drive_that_is_not_finite_is_refused_at_a_lower_rate_too(bad):
+    drive = make_drive(np.ones((2, 900)))
+    drive.drive_v[1, 417] = bad
+    bank = make_bank(np.ones((2, 2, 60)))
+    with pytest.raises(InputError, match="NaN or infinity"):
+        Prediction(drive, bank, range(2), rate_hz=250.0)
+
+
+@pytest.mark.parametrize("tolerance_db", [-40.0, -60.0])
+def test_one_actuator_alone_goes_with_kept_spectra_of_all(tolerance_db):
+    rng = np.random.default_rng(6)
+    bank = make_bank(band_limited(rng, (4, 6, 250)))
+    volts = np.zeros((6, 2500))
+    volts[3] = band_limited(rng, (1, 2500))
+    drive = make_drive(volts)
+    prediction = Prediction(drive, BankSpectra(bank, range(4), tolerance_db=tolerance_db), range(4))
+    error = relative_error(prediction.field().field, convolved(bank, drive, range(4)))
+    assert error <= max(prediction.omitted_bound, 3e-6)
+    assert prediction.omitted_bound <= 10 ** (tolerance_db / 20)
+
+
+@pytest.mark.parametrize("taps", [1, 3, 7, 20])
+def test_the_shortest_of_rows_can_be_kept_within_a_tolerance(taps):
+    rng = np.random.default_rng(7)
+    bank = make_bank(rng.standard_normal((2, 2, taps)) * np.hanning(taps + 2)[1:-1])
+    drive = make_drive(band_limited(rng, (2, 300), 0.1))
+    found = Prediction(drive, BankSpectra(bank, range(2), tolerance_db=-20.0), range(2)).field()
+    assert relative_error(found.field, convolved(bank, drive, range(2))) < 0.1
+
+
+def test_a_whole_field_tells_its_progress_from_the_calling_thread():
+    rng = np.random.default_rng(8)
+    bank = make_bank(rng.standard_normal((200, 2, 30)))
+    drive = make_drive(rng.standard_normal((2, 50_000)))
+    told = []
+    predict(drive, bank, on_progress=lambda *count: told.append((*count, threading.get_ident())))
+    assert {ident for _, _, ident in told} == {threading.get_ident()}
+    assert [count for count, _, _ in told] == sorted(count for count, _, _ in told)
+    assert told[-1][:2] == (200, 200)
+    assert len(told) > 1
 
 
 def test_a_rate_that_is_no_fraction_of_the_banks_is_refused():

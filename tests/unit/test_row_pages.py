@@ -18,9 +18,8 @@ def make_pages(economy: Economy, seed: int) -> list[RowPage]:
     pages = [RowPage(PLACES, ACTUATORS, economy) for _ in range(3)]
     for page in pages:
         page.spectra[:] = rng.standard_normal(page.spectra.shape) + 1j * rng.standard_normal(page.spectra.shape)
-        page.norms[:] = rng.uniform(size=page.norms.shape)
-        page.joint_norms[:] = np.linalg.norm(page.norms, axis=1)
-        page.cut_off[:] = rng.uniform(size=PLACES)
+        for sizes in (page.sizes.norms, page.sizes.peaks, page.sizes.cut_off):
+            sizes[:] = rng.uniform(size=sizes.shape)
     return pages
 
 
@@ -55,17 +54,16 @@ def test_rows_that_are_not_asked_for_count_nothing(place):
     np.testing.assert_allclose(product, pages[1].spectra[place].sum(axis=0), rtol=1e-12, atol=1e-12)
 
 
-def test_norms_and_magnitudes_are_those_of_the_rows_in_the_order_asked_for():
+def test_sizes_and_magnitudes_are_those_of_the_rows_in_the_order_asked_for():
     economy = Economy.of(BINS, 2, 5, single=True)
     pages = make_pages(economy, 3)
     page, place = np.array([2, 0, 2, 1]), np.array([5, 7, 0, 3])
     view = RowsView(pages, page, place)
     rows = list(zip(page, place, strict=True))
-    weights = np.array([1.0, 0.5, 0.0])
-    np.testing.assert_allclose(view.norms(), [pages[p].joint_norms[n] for p, n in rows])
-    np.testing.assert_allclose(view.cut_off(), [pages[p].cut_off[n] for p, n in rows])
-    expected = [np.linalg.norm(pages[p].norms[n] * weights[:, None], axis=0) for p, n in rows[1:3]]
-    np.testing.assert_allclose(view.weighted_norms(np.array([1, 2]), weights), expected)
+    sizes = view.sizes()
+    np.testing.assert_array_equal(sizes.norms, [pages[p].sizes.norms[n] for p, n in rows])
+    np.testing.assert_array_equal(sizes.peaks, [pages[p].sizes.peaks[n] for p, n in rows])
+    np.testing.assert_array_equal(sizes.cut_off, [pages[p].sizes.cut_off[n] for p, n in rows])
     expected = [np.linalg.norm(pages[p].spectra[n], axis=1) for p, n in rows]
     np.testing.assert_allclose(view.magnitudes(), expected, rtol=1e-6)
 

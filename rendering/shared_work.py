@@ -1,0 +1,46 @@
+"""Work shared out to threads of which the calling one is the first, so that none waits for another to wake up."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from rendering.threads import WORKERS
+
+Item = TypeVar("Item")
+
+
+def share_out(items: Sequence[Item], task: Callable[[Item], None]) -> None:
+    """Do a task for each of some items, begun in their order; an error in one stops the rest and is raised.
+
+    For work of some milliseconds: threads of its own cost half as much as a pool of them.
+
+    Parameters
+    ----------
+    items : sequence
+        What is to be done.
+    task : callable
+        Does one; called by `WORKERS` threads, the calling one among them.
+    """
+    # The iterator of a tuple gives each item to one thread only.
+    left = iter(tuple(items))
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            for item in left:
+                if errors:
+                    return
+                task(item)
+        except BaseException as error:  # raised in the calling thread, below
+            errors.append(error)
+
+    helpers = [threading.Thread(target=work, daemon=True) for _ in range(min(WORKERS, len(items)) - 1)]
+    for helper in helpers:
+        helper.start()
+    work()
+    for helper in helpers:
+        helper.join()
+    if errors:
+        raise errors[0]
