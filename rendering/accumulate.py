@@ -10,7 +10,7 @@ row) pairs.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from rendering.blocks import Blocks
 from rendering.emission import Emission
 from rendering.omission import ErrorBudget
-from rendering.overlap_add import Taken, scale
+from rendering.overlap_add import scale
 from rendering.regularisation import BankRows
-from rendering.row_cut import RowCut
 from rendering.threads import WORKERS, one_blas_thread
 
 Float64Array = NDArray[np.float64]
@@ -62,37 +61,6 @@ class Accumulated:
     left_out_taps: int = 0
     left_out_actuators: tuple[int, ...] = ()
     left_out_windows: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """Some samples of drives.
-
-    Parameters
-    ----------
-    first : int
-        The first of them.
-    taken : Taken
-        What they are made from.
-    cut : RowCut
-        Which actuators those are.
-    exponent : int
-        Power of two that they are to be multiplied with.
-    """
-
-    first: int
-    taken: Taken
-    cut: RowCut
-    exponent: int
-
-    @property
-    def count(self) -> int:
-        """How many samples."""
-        return self.taken.count
-
-    def samples(self) -> NDArray[Any]:
-        """Drives of all actuators, (actuators, count), still without their power of two."""
-        return self.cut.spread(self.taken.samples())
 
 
 class SourceDrives:
@@ -145,8 +113,14 @@ class SourceDrives:
         self._on_block = on_block
         self._facts: Accumulated | None = None
 
-    def pieces(self) -> Generator[Piece, None, None]:
-        """Give drives that nothing more is added to, without gaps and in order."""
+    def pieces(self) -> Generator[tuple[int, NDArray[Any], int], None, None]:
+        """Give drives that nothing more is added to, without gaps and in order.
+
+        Returns
+        -------
+        iterator of tuples
+            First sample, drives (actuators, samples), and the power of two that they are to be multiplied with.
+        """
         with one_blas_thread(), ThreadPoolExecutor(WORKERS) as workers:
             blocks = Blocks(
                 self._emission,
@@ -170,9 +144,9 @@ class SourceDrives:
                 quiet += part.quiet
                 band_energy += part.band_energy
                 energy += part.energy
-                taken = overlap_add.take(part.done if part.done < len(blocks.starts) else None)
-                if taken.count:
-                    yield Piece(blocks.first_sample + taken.first, taken, blocks.cut, blocks.exponent)
+                first, taken = overlap_add.take(part.done if part.done < len(blocks.starts) else None)
+                if taken.shape[1]:
+                    yield blocks.first_sample + first, blocks.cut.spread(taken), blocks.exponent
                 if self._on_block is not None:
                     self._on_block(part.done, len(blocks.starts))
             self._facts = Accumulated(
@@ -204,30 +178,18 @@ class SourceDrives:
         silent : bool
             Whether nothing is in it so far, whatever it holds.
         """
-        written: list[Future[None]] = []
-        begin = end = 0
-        # Memory that is touched for the first time is slow to write to.
-        with one_blas_thread(), ThreadPoolExecutor(1) as writer:
-            for piece in self.pieces():
-                if not written:
-                    begin = max(0, piece.first)
-                end = piece.first + piece.count
-                written.append(writer.submit(_write, piece, drive_v, silent=silent))
-        for done in written:
-            done.result()
+        written = 0
+        for first, samples, exponent in self.pieces():
+            begin, end = max(0, first), min(drive_v.shape[1], first + samples.shape[1])
+            if end <= begin:
+                continue
+            place, found = drive_v[:, begin:end], samples[:, begin - first : end - first]
+            if silent:
+                drive_v[:, written:begin] = 0
+                scale(found, exponent, place)
+            else:
+                place += scale(found, exponent)
+            written = end
         if silent:
-            drive_v[:, :begin] = 0
-            drive_v[:, max(0, end) :] = 0
+            drive_v[:, written:] = 0
         return self.facts
-
-
-def _write(piece: Piece, drive_v: Float64Array, *, silent: bool) -> None:
-    begin, end = max(0, piece.first), min(drive_v.shape[1], piece.first + piece.count)
-    if end <= begin:
-        return
-    samples, place = piece.samples()[:, begin - piece.first : end - piece.first], drive_v[:, begin:end]
-    with np.errstate(over="ignore", invalid="ignore"):
-        if silent:
-            scale(samples, piece.exponent, place)
-        else:
-            place += scale(samples, piece.exponent)

@@ -10,12 +10,13 @@ from collections.abc import Generator, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
-from rendering.accumulate import Accumulated, Piece, SourceDrives
+from rendering.accumulate import Accumulated, SourceDrives
 from rendering.between_positions import scene_interpolation
 from rendering.coil_limits import DriveLimits
 from rendering.drive import chosen_method
@@ -38,7 +39,7 @@ SUMMED = 1e-9
 class _Source:
     """One source's drives that are not given out yet."""
 
-    pieces: Generator[Piece, None, None]
+    pieces: Generator[tuple[int, NDArray[Any], int], None, None]
     ready: Float64Array
     """From the sample that is given out next."""
     done: bool = False
@@ -178,11 +179,12 @@ class LiveDrive:
                 silence = np.zeros((len(source.ready), count - source.ready.shape[1]))
                 source.ready = np.concatenate([source.ready, silence], axis=1)
                 return
+            begin, samples, exponent = piece
             have = first + source.ready.shape[1]
-            volts = scale(piece.samples(), piece.exponent)
-            if piece.first > have:
-                volts = np.pad(volts, ((0, 0), (piece.first - have, 0)))
-            source.ready = np.concatenate([source.ready, volts[:, max(have - piece.first, 0) :]], axis=1)
+            volts = scale(samples, exponent)
+            if begin > have:
+                volts = np.pad(volts, ((0, 0), (begin - have, 0)))
+            source.ready = np.concatenate([source.ready, volts[:, max(have - begin, 0) :]], axis=1)
 
     def _judge(self, block: Float64Array, first: int, levels: RunningLevels) -> None:
         if not np.isfinite(block).all():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,25 +15,6 @@ PLAIN_SINGLE, PLAIN_DOUBLE = 60, 900
 """Samples about 1 can be multiplied by two to a power below these."""
 
 
-@dataclass(frozen=True, slots=True)
-class Taken:
-    """Samples that are final.
-
-    Parameters
-    ----------
-    first : int
-        The first of them.
-    count : int
-        How many.
-    samples : callable
-        Gives them, (actuators, count); another thread may ask.
-    """
-
-    first: int
-    count: int
-    samples: Callable[[], NDArray[Any]]
-
-
 class OverlapAdd(Protocol):
     """Adds up blocks in order; samples count from the first block's start."""
 
@@ -43,8 +22,8 @@ class OverlapAdd(Protocol):
         """Add the samples of one block, (actuators, samples)."""
         ...
 
-    def take(self, done: int | None) -> Taken:
-        """What is final now that `done` blocks are (None: all), once."""
+    def take(self, done: int | None) -> tuple[int, NDArray[Any]]:
+        """What is final now that `done` blocks are (None: all), once: its first sample, and (actuators, samples)."""
         ...
 
 
@@ -69,7 +48,7 @@ class FullRate:
         self._reach(begin + samples.shape[1], samples.dtype)
         self._sum[:, begin : begin + samples.shape[1]] += samples
 
-    def take(self, done: int | None) -> Taken:
+    def take(self, done: int | None) -> tuple[int, NDArray[Any]]:
         first = self._from
         count = self._last if done is None else done * self._hop - first
         self._reach(count, self._sum.dtype)
@@ -78,7 +57,7 @@ class FullRate:
         self._sum[:, :left] = self._sum[:, count : self._last].copy()
         self._sum[:, left : self._last] = 0
         self._from, self._last = first + count, left
-        return Taken(first, count, lambda: taken)
+        return first, taken
 
     def _reach(self, last: int, dtype: np.dtype[Any]) -> None:
         """Make room up to a sample."""
@@ -111,17 +90,16 @@ class LowRate:
     def add(self, block: int, samples: NDArray[Any]) -> None:
         self._low.add(block, samples)
 
-    def take(self, done: int | None) -> Taken:
+    def take(self, done: int | None) -> tuple[int, NDArray[Any]]:
         half, factor = self._upsampling.half, self._upsampling.factor
-        low = self._low.take(done).samples()
+        _, low = self._low.take(done)
         rest = np.concatenate([self._rest, low.astype(np.float32, copy=False)], axis=1)
         if done is None:
             rest = np.pad(rest, ((0, 0), (0, 2 * half + -(rest.shape[1]) % FRAME)))
         count = max(rest.shape[1] - 2 * half, 0) // FRAME * FRAME
         self._rest = rest[:, count:].copy()
         first, self._from = self._from, self._from + count
-        some = rest[:, : count + 2 * half]
-        return Taken(first * factor, count * factor, lambda: self._upsampling.interpolate(some))
+        return first * factor, self._upsampling.interpolate(rest[:, : count + 2 * half])
 
 
 def scale(samples: NDArray[Any], exponent: int, out: Float64Array | None = None) -> Float64Array:

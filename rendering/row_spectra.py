@@ -163,9 +163,10 @@ class RowSpectra:
         return placed
 
     def _transform(self, rows: Sequence[int]) -> None:
-        """Read rows here, while workers transform those that were read before.
+        """Transform rows by the workers.
 
-        What takes many small steps stays in one thread: threads would wait for each other more than they gain.
+        In single precision they are read here meanwhile: that takes many small steps, over which threads would wait for
+        each other more than they gain.
         """
         under_way: deque[tuple[NDArray[Any], Future[None]]] = deque()
         squares = np.empty((len(rows), self.economy.bins), dtype=self.economy.real)
@@ -174,10 +175,11 @@ class RowSpectra:
             if len(under_way) > AHEAD:
                 self._finish(*under_way.popleft())
             padded = self._workspace.pop() if self._workspace else self._room()
-            self._fill(some, padded)
-            # Bin by bin, as pages have them: the transform gathers and scatters at no cost.
-            turned = padded[: len(some)].transpose(0, 2, 1)
-            under_way.append((padded, self._workers.submit(self._keep, some, turned, squares[begin:])))
+            work = self._fill_and_keep
+            if self.economy.single:
+                self._fill(some, padded)
+                work = self._keep
+            under_way.append((padded, self._workers.submit(work, some, padded, squares[begin:])))
         while under_way:
             self._finish(*under_way.popleft())
         self._measure(rows, squares)
@@ -198,10 +200,15 @@ class RowSpectra:
         kept.result()
         self._workspace.append(padded)
 
-    def _keep(self, rows: Sequence[int], turned: NDArray[Any], squares: NDArray[Any]) -> None:
-        """Transform rows (rows, samples, actuators) and keep the bins that are computed."""
+    def _fill_and_keep(self, rows: Sequence[int], padded: NDArray[Any], squares: NDArray[Any]) -> None:
+        self._fill(rows, padded)
+        self._keep(rows, padded, squares)
+
+    def _keep(self, rows: Sequence[int], padded: NDArray[Any], squares: NDArray[Any]) -> None:
+        """Transform rows and keep the bins that are computed."""
         economy = self.economy
-        whole = scipy_fft.rfft(turned, axis=1)
+        # Bin by bin, as pages have them: the transform gathers and scatters at no cost.
+        whole = scipy_fft.rfft(padded[: len(rows)].transpose(0, 2, 1), axis=1)
         for number, row in enumerate(rows):
             page, place = self._place[row]
             page.spectra[place] = whole[number, economy.low : economy.high]
