@@ -185,8 +185,8 @@ class BlockTask:
             # In double precision all steps are long, so that threads do not wait for each other.
             self._samples = self._workers.submit(self._make)
             return
-        found, bounds = self._spectra(), self._bounds()
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            found, bounds = self._spectra(), self._bounds()
             if len(self._chosen) >= MANY * len(self._part):
                 self._samples = self._workers.submit(self._in_time, found.kept, bounds)
             else:

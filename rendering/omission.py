@@ -10,7 +10,8 @@ sample lies in at most q = ceil(fft / hop) blocks, so by Cauchy-Schwarz the bloc
 sqrt(q * sum of squares). The same sum over all bins, times the unit roundoff and the number of operations,
 bounds the rounding: a transform of n samples errs by at most 8 log2(n) units of its norm (N. Higham, Accuracy
 and Stability of Numerical Algorithms, 2nd ed., theorem 24.2: 6.7 per factor 2). A row's error falls either into
-the bins computed or into those whose norm it falsifies, so counts once; the transform back errs in proportion
+the bins computed or into those whose norm it falsifies, so counts once; that of a window transformed in single
+precision is a vector that meets at most the largest magnitude of its row; the transform back errs in proportion
 to the block that it makes. Relative to the drives without omission: error / (norm computed - error).
 """
 
@@ -124,23 +125,6 @@ class Economy:
         if self.single:
             largest = largest * SQUARES_SLACK + SQUARES_LOST
         return np.concatenate([largest, largest.max(axis=-1, keepdims=True)], axis=-1)
-
-    def norms(self, spectra: NDArray[Any]) -> Float64Array:
-        """Euclidean norm of each segment, then over all bins, no smaller than rounding, (..., segments + 1).
-
-        Parameters
-        ----------
-        spectra : complex array, shape (..., bins)
-            Spectra.
-        """
-        parts = np.square(np.ascontiguousarray(spectra).view(self.real))
-        square = np.empty((*spectra.shape[:-1], self.segments + 1))
-        square[..., :-1] = np.add.reduceat(parts, 2 * self.starts, axis=-1)
-        square[..., -1] = square[..., :-1].sum(axis=-1)
-        norms: Float64Array = np.sqrt(square)
-        if self.single:
-            norms = norms * SQUARES_SLACK + np.sqrt(self.bins) * SQUARES_LOST
-        return norms
 
     def rounding(self, fft_samples: int, windows: Int64Array | Float64Array) -> Float64Array:
         """Bound on what rounding does to blocks of so many windows, relative to sum_J max |U_J| |G_J|_2."""

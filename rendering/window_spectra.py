@@ -167,6 +167,7 @@ def _merged(economy: Economy, short: NDArray[np.bool_], found: WindowSpectra, re
     return WindowSpectra(kept, largest, errors, blurs, found.band_energy + rest.band_energy, energy)
 
 
+@np.errstate(over="ignore", under="ignore", invalid="ignore")
 def _short(
     windows: Windows,
     chosen: Int64Array,

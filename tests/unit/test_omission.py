@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from rendering.choice import choose_fft_samples
 from rendering.omission import Economy, ErrorBudget, choose_bins, relative_bound, row_norms, scaled_norm
+from rendering.product_bounds import SpectrumSizes
 
 
 @given(bins=st.integers(1, 3000), ends=st.tuples(st.floats(0, 1), st.floats(0, 1)), single=st.booleans())
@@ -54,7 +55,8 @@ def test_the_error_of_a_block_is_within_its_bound(seed, single, ends, fall):
     for u, g in zip(rough_windows, rough, strict=True):
         kept[:, low:high] += u[low:high] * g[:, low:high]
     largest = economy.largest(economy.squared(rough_windows))
-    coherent = (np.linalg.norm(economy.norms(rough), axis=1) * largest).sum(axis=0)
+    sizes = SpectrumSizes.of(economy.squared(rough).sum(axis=1), economy, 4)
+    coherent = (sizes.norms * largest).sum(axis=0)
     budget = ErrorBudget(samples, 1)
     budget.add(0, economy.block_errors(coherent[None], samples, np.array([3])))
     error = np.linalg.norm(irfft(kept, samples) - exact)
