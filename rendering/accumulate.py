@@ -10,7 +10,6 @@ row) pairs.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +21,7 @@ from rendering.emission import Emission
 from rendering.omission import ErrorBudget
 from rendering.overlap_add import scale
 from rendering.regularisation import BankRows
-from rendering.threads import WORKERS, one_blas_thread
+from rendering.threads import one_blas_thread, workers
 
 Float64Array = NDArray[np.float64]
 
@@ -121,14 +120,14 @@ class SourceDrives:
         iterator of tuples
             First sample, drives (actuators, samples), and the power of two that they are to be multiplied with.
         """
-        with one_blas_thread(), ThreadPoolExecutor(WORKERS) as workers:
+        with one_blas_thread(), workers() as threads:
             blocks = Blocks(
                 self._emission,
                 self._rows,
                 self._transform,
                 self._tolerance,
                 self._band_hz,
-                workers,
+                threads,
                 live=self._live,
                 expected_rows=self._expected_rows,
             )

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0
 
-from rendering.green_source import GreenSource, fetch_row, scale_row, usable
+from rendering.green_source import GreenSource, fetch_row, usable
 from rendering.interpolation import GridInterpolation
+from rendering.row_scaling import scale_row
 from rendering.snapping import PositionGrid
 
 Float64Array = NDArray[np.float64]

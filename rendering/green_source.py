@@ -10,19 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.errors import InputError
+from rendering.row_scaling import ScaledRow, scale_row
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
-RealArray = NDArray[np.float32] | NDArray[np.float64]
 
 USABLE_BITS = 1 | 2 | 4
 """Status bits of a row that holds a measurement: valid, over-range, poor signal."""
 DOUBTFUL_BITS = 2 | 4
 REFUSED_BITS = 8 | 16
-LOOKED_AT = 8
-"""Every so many samples are looked at for denormal numbers."""
-FLUSH = np.float32(2.0**-70)
-"""Added and taken away again, it rounds single precision to multiples of 2**-94: no denormal is left."""
 
 
 class GreenSource(Protocol):
@@ -136,28 +132,6 @@ class GreenArray:
         return np.asarray(self.values[position])
 
 
-@dataclass(frozen=True, slots=True)
-class ScaledRow:
-    """One row of a bank as `values * 2**exponent`, with the largest value in [0.5, 1).
-
-    Powers of two scale without rounding, so that a bank in any unit renders to the same bits and squares
-    neither vanish nor overflow. A row of zeros has exponent 0.
-    """
-
-    values: RealArray
-    exponent: int
-
-    @property
-    def silent(self) -> bool:
-        # A look at the exponent spares most rows the search through all values.
-        return not self.exponent and not self.values.any()
-
-    def rounded(self) -> ScaledRow:
-        """The row in float32, without a denormal number."""
-        single = self.values.astype(np.float32) + FLUSH
-        return ScaledRow(np.subtract(single, FLUSH, out=single), self.exponent)
-
-
 def read_row(bank: GreenSource, position: int) -> ScaledRow:
     """Read one row as float64, scaled by a power of two.
 
@@ -190,96 +164,6 @@ def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:
     if raw.dtype.kind not in "fiu":
         raise InputError(f"row {position} of the bank is of type {raw.dtype}; allowed are real numbers")
     return raw
-
-
-def scale_row(raw: NDArray[Any], position: int, *, single: bool = False) -> ScaledRow:
-    """Scale one row by a power of two.
-
-    Parameters
-    ----------
-    raw : array, shape (actuators, taps)
-        The row as the bank has it.
-    position : int
-        Its number, for messages.
-    single : bool
-        As float32, without a denormal number, instead of float64.
-
-    Raises
-    ------
-    InputError
-        The row holds NaN or infinity.
-    """
-    if raw.dtype == np.float32:
-        row = _scaled_plainly(raw, single=single)
-        if row is not None:
-            return row
-    values, shift = _without_denormals(raw)
-    peak = max(float(values.max()), -float(values.min()))
-    if not np.isfinite(peak):
-        actuator = int(np.argmin(np.isfinite(values).all(axis=1)))
-        raise InputError(
-            f"position {position}, actuator {actuator} of the bank holds NaN or infinity; remeasure or disable"
-            " the position"
-        )
-    exponent = int(np.frexp(peak)[1]) if peak else 0
-    if exponent:
-        values *= np.ldexp(1.0, -exponent)
-    if single:
-        return ScaledRow(values, exponent + shift).rounded()
-    if raw.dtype.itemsize >= np.dtype(np.float64).itemsize:
-        # What stands 290 decades below the peak adds nothing but denormal arithmetic, 100 times slower.
-        values[np.abs(values) < 1e-290] = 0.0
-    return ScaledRow(values, exponent + shift)
-
-
-def _scaled_plainly(raw: NDArray[np.float32], *, single: bool) -> ScaledRow | None:
-    """Scale as it is what can be scaled without meeting a number that is denormal or not finite."""
-    peak = max(float(raw.max()), -float(raw.min()))
-    if not 0.0 < peak < np.inf:
-        return None
-    exponent = int(np.frexp(peak)[1])
-    # Without their sign, and with zero wrapped round to the largest, the smallest integer tells. They come in
-    # flocks, where a response has died away, and a few that are missed cost next to nothing.
-    magnitude = raw[:, ::LOOKED_AT].view(np.uint32) << np.uint32(1)
-    magnitude -= np.uint32(1)
-    least_exponent = max(exponent, 0) if single else 0
-    if int(magnitude.min()) < ((least_exponent + 1) << 24) - 1:
-        return None
-    if single:
-        return ScaledRow(raw * np.ldexp(np.float32(1.0), -exponent), exponent)
-    values = raw.astype(np.float64)
-    values *= np.ldexp(1.0, -exponent)
-    return ScaledRow(values, exponent)
-
-
-def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:
-    """Copy to float64 as `values * 2**shift`, without ever computing with a denormal number.
-
-    A denormal is its integer mantissa times a fixed power of two, so that integers can carry it over.
-    """
-    integers = {np.dtype(np.float32): (np.uint32, 23, -149), np.dtype(np.float64): (np.uint64, 52, -1074)}
-    if raw.dtype not in integers:
-        return np.array(raw, dtype=np.float64, order="C"), 0
-    unsigned, mantissa_bits, unit = integers[raw.dtype]
-    raw = np.ascontiguousarray(raw)
-    magnitude = raw.view(unsigned) & unsigned(2 ** (8 * raw.dtype.itemsize - 1) - 1)
-    # Zero wraps round to the largest integer, so that the smallest one tells whether there is a denormal.
-    magnitude -= unsigned(1)
-    if magnitude.min(initial=unsigned(2**mantissa_bits)) >= 2**mantissa_bits - 1:
-        return raw.astype(np.float64), 0
-    magnitude += unsigned(1)
-    denormal = magnitude < unsigned(2**mantissa_bits)
-    largest = np.array(magnitude.max(), dtype=unsigned).view(raw.dtype)
-    double = raw.dtype == np.float64
-    if double and not largest < 2.0**-60:
-        return np.where(denormal, 0.0, raw), 0  # they stand 290 decades below the rest
-    lift = 54 if double else 0
-    lifted = magnitude.astype(np.float64)
-    lifted *= 2.0 ** (unit + lift)
-    np.copysign(lifted, raw, out=lifted)
-    if not denormal.all():
-        lifted = np.where(denormal, lifted, np.where(denormal, raw.dtype.type(0), raw) * 2.0**lift)
-    return lifted, -lift
 
 
 class RowReader:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from rendering.decimation import Decimation
-from rendering.green_source import GreenSource, RowReader, ScaledRow
+from rendering.green_source import GreenSource, RowReader
+from rendering.row_scaling import ScaledRow
 
 
 class LowRateRows(RowReader):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from rendering.low_rate import LowRateRows
 from rendering.omission import relative_bound, tolerance_of
 from rendering.row_transforms import BankSpectra
 from rendering.shared_work import share_out
-from rendering.threads import WORKERS, one_blas_thread
+from rendering.threads import WORKERS, one_blas_thread, workers
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -155,22 +155,18 @@ class Prediction:
         index = self.position_index
         parts = deque((rows.start, index[rows.start : rows.stop]) for rows in self.parts())
         under_way: deque[tuple[int, Int64Array, Future[Response]]] = deque()
-        with one_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:
-            try:
-                while parts or under_way:
-                    while parts and len(under_way) <= WORKERS:
-                        first, part = parts.popleft()
-                        under_way.append((first, part, pool.submit(self._convolution.respond, part)))
-                    first, part, future = under_way.popleft()
-                    response = future.result()
-                    self._errors += response.error**2
-                    self._energy += response.energy
-                    yield FieldRows(first, part, response.field[:, self._skipped : self._skipped + self.samples])
-                    if on_progress is not None:
-                        on_progress(first + len(part), len(index))
-            finally:
-                for _, _, future in under_way:
-                    future.cancel()
+        with one_blas_thread(), workers() as threads:
+            while parts or under_way:
+                while parts and len(under_way) <= WORKERS:
+                    first, part = parts.popleft()
+                    under_way.append((first, part, threads.submit(self._convolution.respond, part)))
+                first, part, future = under_way.popleft()
+                response = future.result()
+                self._errors += response.error**2
+                self._energy += response.energy
+                yield FieldRows(first, part, response.field[:, self._skipped : self._skipped + self.samples])
+                if on_progress is not None:
+                    on_progress(first + len(part), len(index))
 
     def field(self, on_progress: OnProgress | None = None) -> Field:
         """Compute all rows into memory."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.economy_choice import Sample, sampled_energy
-from rendering.green_source import RealArray
+from rendering.row_scaling import RealArray
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -50,8 +50,8 @@ class RowCut:
         return cls(taps, np.arange(actuators), actuators, whole=True)
 
     def used(self, values: RealArray) -> RealArray:
-        """The part of a row (actuators, taps) that is used."""
-        return values if self.whole else values[self.actuators, : self.taps]
+        """The part of rows (..., actuators, taps) that is used."""
+        return values if self.whole else values[..., self.actuators, : self.taps]
 
     @property
     def weak_actuators(self) -> tuple[int, ...]:
@@ -66,13 +66,14 @@ class RowCut:
         spread[self.actuators] = drives
         return spread
 
-    def left_out(self, values: RealArray) -> float:
-        """Norm of what is left out of a row."""
+    def left_out(self, values: RealArray) -> Float64Array:
+        """Norms of what is left out of rows (..., actuators, taps)."""
         if self.whole:
-            return 0.0
+            return np.zeros(values.shape[:-2])
         rest = values.astype(np.float64)
-        rest[self.actuators, : self.taps] = 0.0
-        return float(np.sqrt(np.einsum("it,it->", rest, rest)) * (1.0 + 1e-9))
+        rest[..., self.actuators, : self.taps] = 0.0
+        norms: Float64Array = np.sqrt(np.einsum("...it,...it->...", rest, rest)) * (1.0 + 1e-9)
+        return norms
 
 
 def choose_cut(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future
 from typing import Any
 
@@ -14,6 +14,7 @@ from scipy import fft as scipy_fft
 from rendering.omission import Economy
 from rendering.product_bounds import SpectrumSizes
 from rendering.regularisation import BankRows
+from rendering.reused_memory import reused
 from rendering.row_cut import RowCut
 from rendering.row_pages import RowPage, RowsView
 
@@ -163,57 +164,68 @@ class RowSpectra:
         return placed
 
     def _transform(self, rows: Sequence[int]) -> None:
-        """Transform rows by the workers.
-
-        In single precision they are read here meanwhile: that takes many small steps, over which threads would wait for
-        each other more than they gain.
-        """
+        """Read and transform rows by the workers, some together."""
         under_way: deque[tuple[NDArray[Any], Future[None]]] = deque()
         squares = np.empty((len(rows), self.economy.bins), dtype=self.economy.real)
         for begin in range(0, len(rows), self._group):
-            some = rows[begin : begin + self._group]
             if len(under_way) > AHEAD:
                 self._finish(*under_way.popleft())
+            some = rows[begin : begin + self._group]
             padded = self._workspace.pop() if self._workspace else self._room()
-            work = self._fill_and_keep
-            if self.economy.single:
-                self._fill(some, padded)
-                work = self._keep
-            under_way.append((padded, self._workers.submit(work, some, padded, squares[begin:])))
+            under_way.append((padded, self._workers.submit(self._read_and_keep, some, padded, squares[begin:])))
         while under_way:
             self._finish(*under_way.popleft())
         self._measure(rows, squares)
 
     def _room(self) -> NDArray[Any]:
         # Kept and refilled: fresh zeros for each group would cost as much as its transforms.
-        return np.zeros((self._group, self._actuators, self._fft_samples), dtype=self.economy.real)
-
-    def _fill(self, rows: Sequence[int], padded: NDArray[Any]) -> None:
-        for number, row in enumerate(rows):
-            values = self._rows.read(row, single=self.economy.single).values
-            page, place = self._place[row]
-            page.sizes.cut_off[place] = self._cut.left_out(values)
-            values = self._cut.used(values)
-            padded[number, :, : values.shape[1]] = values[:, ::-1]
+        room = reused((self._group, self._actuators, self._fft_samples), self.economy.real)
+        room[:, :, self._cut.taps :] = 0.0
+        return room
 
     def _finish(self, padded: NDArray[Any], kept: Future[None]) -> None:
         kept.result()
         self._workspace.append(padded)
 
-    def _fill_and_keep(self, rows: Sequence[int], padded: NDArray[Any], squares: NDArray[Any]) -> None:
-        self._fill(rows, padded)
-        self._keep(rows, padded, squares)
-
-    def _keep(self, rows: Sequence[int], padded: NDArray[Any], squares: NDArray[Any]) -> None:
-        """Transform rows and keep the bins that are computed."""
+    def _read_and_keep(self, rows: Sequence[int], padded: NDArray[Any], squares: NDArray[Any]) -> None:
+        """Read rows, transform them and keep the bins that are computed."""
         economy = self.economy
+        self._fill(rows, padded[: len(rows), :, self._cut.taps - 1 :: -1])
         # Bin by bin, as pages have them: the transform gathers and scatters at no cost.
         whole = scipy_fft.rfft(padded[: len(rows)].transpose(0, 2, 1), axis=1)
-        for number, row in enumerate(rows):
-            page, place = self._place[row]
-            page.spectra[place] = whole[number, economy.low : economy.high]
+        for page, places, some in self._runs(rows):
+            page.spectra[places] = whole[some, economy.low : economy.high]
         if not economy.exact:
             _joint_squares(whole, squares)
+
+    def _fill(self, rows: Sequence[int], out: NDArray[Any]) -> None:
+        """Read what is used of rows into (rows, kept actuators, kept taps)."""
+        if self.economy.single:
+            values = out
+            if not self._cut.whole:
+                values = np.empty((len(rows), self._rows.bank.actuators, self._rows.bank.taps), dtype=np.float32)
+            self._rows.read_together(rows, values)
+            if not self._cut.whole:
+                out[...] = self._cut.used(values)
+                left_out = self._cut.left_out(values)
+                for page, places, some in self._runs(rows):
+                    page.sizes.cut_off[places] = left_out[some]
+            return
+        for number, row in enumerate(rows):
+            found = self._rows.read(row).values
+            page, place = self._place[row]
+            page.sizes.cut_off[place] = self._cut.left_out(found)
+            out[number] = self._cut.used(found)
+
+    def _runs(self, rows: Sequence[int]) -> Iterator[tuple[RowPage, slice, slice]]:
+        """Runs of rows that lie side by side: their page, their places in it, and which of the rows they are."""
+        found = [self._place[row] for row in rows]
+        begin = 0
+        for end in range(1, len(found) + 1):
+            page, first = found[begin]
+            if end == len(found) or found[end] != (page, first + end - begin):
+                yield page, slice(first, first + end - begin), slice(begin, end)
+                begin = end
 
     def _copy(self, rows: list[int]) -> None:
         looked_at = self._looked_at
@@ -235,9 +247,8 @@ class RowSpectra:
         if self.economy.exact or not len(rows):
             return
         sizes = SpectrumSizes.of(squares, self.economy, self._actuators)
-        for number, row in enumerate(rows):
-            page, place = self._place[row]
-            page.sizes.norms[place], page.sizes.peaks[place] = sizes.norms[number], sizes.largest[number, -1]
+        for page, places, some in self._runs(rows):
+            page.sizes.norms[places], page.sizes.peaks[places] = sizes.norms[some], sizes.largest[some, -1]
 
 
 def _joint_squares(spectra: NDArray[Any], out: NDArray[Any]) -> None:

@@ -23,7 +23,6 @@ from rendering.upsampling import MULTIPLE
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
-RealArray = NDArray[np.float32] | NDArray[np.float64]
 
 GROUP_BYTES = 2**20
 """Rows of so many bytes are transformed together, within the cache of one core."""

@@ -1,20 +1,17 @@
-"""Work shared out to threads of which the calling one is the first, so that none waits for another to wake up."""
+"""Work shared out to threads of which the calling one is the first, so that it never waits for one to wake up."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from rendering.threads import WORKERS
+from rendering.threads import WORKERS, workers
 
 Item = TypeVar("Item")
 
 
 def share_out(items: Sequence[Item], task: Callable[[Item], None]) -> None:
     """Do a task for each of some items, begun in their order; an error in one stops the rest and is raised.
-
-    For work of some milliseconds: threads of its own cost half as much as a pool of them.
 
     Parameters
     ----------
@@ -36,11 +33,9 @@ def share_out(items: Sequence[Item], task: Callable[[Item], None]) -> None:
         except BaseException as error:  # raised in the calling thread, below
             errors.append(error)
 
-    helpers = [threading.Thread(target=work, daemon=True) for _ in range(min(WORKERS, len(items)) - 1)]
-    for helper in helpers:
-        helper.start()
-    work()
-    for helper in helpers:
-        helper.join()
+    with workers() as threads:
+        for _ in range(min(WORKERS, len(items)) - 1):
+            threads.submit(work)
+        work()
     if errors:
         raise errors[0]

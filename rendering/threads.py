@@ -2,16 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import Executor, Future
-from contextlib import AbstractContextManager
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from typing import Any
+from weakref import WeakSet
 
 from threadpoolctl import ThreadpoolController
 
 WORKERS = 2
 """Threads of our own, each with transforms and products of its own."""
+
+
+@contextmanager
+def workers() -> Iterator[Executor]:
+    """Lend the threads of our own; when they are given back, what was not begun is dropped, and the rest has ended.
+
+    They are kept: to start threads takes as long as to render a second of a scene.
+    """
+    given: WeakSet[Future[Any]] = WeakSet()
+    try:
+        yield _Lent(_threads(os.getpid()), given)
+    finally:
+        wait([future for future in tuple(given) if not future.cancel()])
+
+
+@cache
+def _threads(process: int) -> ThreadPoolExecutor:
+    # A process that was forked has none of its parent's.
+    return ThreadPoolExecutor(WORKERS, thread_name_prefix="render")
+
+
+class _Lent(Executor):
+    """Hands on what it is given, and keeps an eye on it."""
+
+    def __init__(self, threads: Executor, given: WeakSet[Future[Any]]) -> None:
+        self._threads = threads
+        self._given = given
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """What will come of it."""
+        future = self._threads.submit(fn, *args, **kwargs)
+        self._given.add(future)
+        return future
 
 
 class AtOnce(Executor):

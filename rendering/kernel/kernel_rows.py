@@ -11,7 +11,7 @@ from scipy import fft as scipy_fft
 from scipy.interpolate import CubicSpline
 
 from acquisition.point_status import Status
-from rendering.green_source import GreenSource, ScaledRow, read_row
+from rendering.green_source import GreenSource, read_row
 from rendering.kernel.neighbourhoods import Neighbourhoods, Patch
 from rendering.kernel.wave_model import PatchKernel, WaveModel
 from rendering.threads import one_blas_thread
@@ -202,7 +202,7 @@ class KernelRows:
     def _spectrum(self, row: int) -> tuple[Complex128Array, int]:
         """Spectrum of a measured row, (bins, actuators), over a power of two."""
         if row not in self._spectra:
-            scaled: ScaledRow = read_row(self.measured, row)
+            scaled = read_row(self.measured, row)
             bins = len(self._to_bins)
             spectrum = np.ascontiguousarray(scipy_fft.rfft(scaled.values, self._samples, axis=1)[:, :bins].T)
             self._spectra[row] = (spectrum, scaled.exponent)

@@ -45,10 +45,14 @@ def test_given_a_player_then_it_has_the_role_a_name_and_its_limits(bench):
 
 def test_given_a_signal_then_waiting_takes_its_length(bench):
     clock = bench.instruments.clock
-    before_s = clock.now_s()
-    bench.instruments.player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
-    bench.instruments.player.wait(5.0)
-    assert clock.now_s() - before_s >= 0.2
+
+    def take():
+        before_s = clock.now_s()
+        bench.instruments.player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
+        bench.instruments.player.wait(5.0)
+        return clock.now_s() - before_s
+
+    assert bench.undisturbed(take) >= 0.2
 
 
 def test_given_nothing_to_play_then_waiting_returns_at_once(bench):
@@ -73,8 +77,12 @@ def test_given_a_signal_then_only_its_channel_sounds(bench):
 def test_given_full_scale_then_it_is_played_and_no_more_is(bench):
     player = bench.instruments.player
     channel = bench.actuator_channel
-    player.play({channel: np.full(10, player.full_scale_v)}, bench.sample_rate_hz)
-    player.wait(5.0)
+
+    def take():
+        player.play({channel: np.full(10, player.full_scale_v)}, bench.sample_rate_hz)
+        player.wait(5.0)
+
+    bench.undisturbed(take)
     with pytest.raises(InstrumentError):
         player.play({channel: np.full(10, 1.01 * player.full_scale_v)}, bench.sample_rate_hz)
 
@@ -116,13 +124,17 @@ def test_given_a_mute_then_the_rest_is_silent_and_the_wait_short(bench):
 
 
 def test_given_a_signal_changed_after_the_call_then_what_was_given_is_played(bench):
-    volts = tone(bench)
     instruments = bench.instruments
-    instruments.recorder.start(asked_for(bench, 0.2 + 2 * bench.latency_s))
-    instruments.player.play({bench.loopback_channel: volts}, bench.sample_rate_hz)
-    volts[:] = 0
-    instruments.player.wait(5.0)
-    assert np.abs(instruments.recorder.read(10.0).volts[0]).max() > 0.4
+
+    def take():
+        volts = tone(bench)
+        instruments.recorder.start(asked_for(bench, 0.2 + 2 * bench.latency_s))
+        instruments.player.play({bench.loopback_channel: volts}, bench.sample_rate_hz)
+        volts[:] = 0
+        instruments.player.wait(5.0)
+        return instruments.recorder.read(10.0).volts[0]
+
+    assert np.abs(bench.undisturbed(take)).max() > 0.4
 
 
 def test_given_any_state_then_muting_is_safe(bench):

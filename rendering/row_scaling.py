@@ -1,0 +1,159 @@
+"""Rows of a bank scaled by powers of two, so that squares neither vanish nor overflow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+RealArray = NDArray[np.float32] | NDArray[np.float64]
+
+LOOKED_AT = 8
+"""Every so many samples are looked at for denormal numbers."""
+FLUSH = np.float32(2.0**-70)
+"""Added and taken away again, it rounds single precision to multiples of 2**-94: no denormal is left."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledRow:
+    """One row of a bank as `values * 2**exponent`, with the largest value in [0.5, 1).
+
+    Powers of two scale without rounding, so that a bank in any unit renders to the same bits and squares
+    neither vanish nor overflow. A row of zeros has exponent 0.
+    """
+
+    values: RealArray
+    exponent: int
+
+    @property
+    def silent(self) -> bool:
+        # A look at the exponent spares most rows the search through all values.
+        return not self.exponent and not self.values.any()
+
+    def rounded(self) -> ScaledRow:
+        """The row in float32, without a denormal number."""
+        single = self.values.astype(np.float32) + FLUSH
+        return ScaledRow(np.subtract(single, FLUSH, out=single), self.exponent)
+
+
+def scale_row(raw: NDArray[Any], position: int, *, single: bool = False) -> ScaledRow:
+    """Scale one row by a power of two.
+
+    Parameters
+    ----------
+    raw : array, shape (actuators, taps)
+        The row as the bank has it.
+    position : int
+        Its number, for messages.
+    single : bool
+        As float32, without a denormal number, instead of float64.
+
+    Raises
+    ------
+    InputError
+        The row holds NaN or infinity.
+    """
+    if raw.dtype == np.float32:
+        row = _scaled_plainly(raw, single=single)
+        if row is not None:
+            return row
+    values, shift = _without_denormals(raw)
+    peak = max(float(values.max()), -float(values.min()))
+    if not np.isfinite(peak):
+        actuator = int(np.argmin(np.isfinite(values).all(axis=1)))
+        raise InputError(
+            f"position {position}, actuator {actuator} of the bank holds NaN or infinity; remeasure or disable"
+            " the position"
+        )
+    exponent = int(np.frexp(peak)[1]) if peak else 0
+    if exponent:
+        values *= np.ldexp(1.0, -exponent)
+    if single:
+        return ScaledRow(values, exponent + shift).rounded()
+    if raw.dtype.itemsize >= np.dtype(np.float64).itemsize:
+        # What stands 290 decades below the peak adds nothing but denormal arithmetic, 100 times slower.
+        values[np.abs(values) < 1e-290] = 0.0
+    return ScaledRow(values, exponent + shift)
+
+
+def scale_together(rows: NDArray[np.float32]) -> Int64Array | None:
+    """Scale rows where they lie, each as `scale_row` does in single precision.
+
+    Parameters
+    ----------
+    rows : float32 array, shape (rows, actuators, taps)
+        Rows as the bank has them, however they lie; changed in place.
+
+    Returns
+    -------
+    int64 array, shape (rows,), or None
+        Exponents of the rows. None where one is all zeros, not finite or holds denormal numbers: then all are as they
+        were, and each needs `scale_row`.
+    """
+    exponents = _plain_exponents(rows, single=True)
+    if exponents is not None:
+        rows *= np.ldexp(np.float32(1.0), -exponents)[:, None, None]
+    return exponents
+
+
+def _scaled_plainly(raw: NDArray[np.float32], *, single: bool) -> ScaledRow | None:
+    """Scale as it is what can be scaled without meeting a number that is denormal or not finite."""
+    exponents = _plain_exponents(raw[None], single=single)
+    if exponents is None:
+        return None
+    exponent = int(exponents[0])
+    if single:
+        return ScaledRow(raw * np.ldexp(np.float32(1.0), -exponent), exponent)
+    values = raw.astype(np.float64)
+    values *= np.ldexp(1.0, -exponent)
+    return ScaledRow(values, exponent)
+
+
+def _plain_exponents(rows: NDArray[np.float32], *, single: bool) -> Int64Array | None:
+    """Exponents of rows (rows, actuators, taps), none of which has a number that is denormal or not finite."""
+    peaks = np.maximum(rows.max(axis=(1, 2)), -rows.min(axis=(1, 2)))
+    if not ((peaks > 0.0) & (peaks < np.inf)).all():
+        return None
+    exponents = np.frexp(peaks)[1].astype(np.int64)
+    # Without their sign, and with zero wrapped round to the largest, the smallest integer tells. They come in
+    # flocks, where a response has died away, and a few that are missed cost next to nothing.
+    magnitude = rows[:, :, ::LOOKED_AT].view(np.uint32) << np.uint32(1)
+    magnitude -= np.uint32(1)
+    least = (np.maximum(exponents, 0) + 1 if single else np.ones_like(exponents)) << 24
+    return None if (magnitude.min(axis=(1, 2)) < least - 1).any() else exponents
+
+
+def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:
+    """Copy to float64 as `values * 2**shift`, without ever computing with a denormal number.
+
+    A denormal is its integer mantissa times a fixed power of two, so that integers can carry it over.
+    """
+    integers = {np.dtype(np.float32): (np.uint32, 23, -149), np.dtype(np.float64): (np.uint64, 52, -1074)}
+    if raw.dtype not in integers:
+        return np.array(raw, dtype=np.float64, order="C"), 0
+    unsigned, mantissa_bits, unit = integers[raw.dtype]
+    raw = np.ascontiguousarray(raw)
+    magnitude = raw.view(unsigned) & unsigned(2 ** (8 * raw.dtype.itemsize - 1) - 1)
+    # Zero wraps round to the largest integer, so that the smallest one tells whether there is a denormal.
+    magnitude -= unsigned(1)
+    if magnitude.min(initial=unsigned(2**mantissa_bits)) >= 2**mantissa_bits - 1:
+        return raw.astype(np.float64), 0
+    magnitude += unsigned(1)
+    denormal = magnitude < unsigned(2**mantissa_bits)
+    largest = np.array(magnitude.max(), dtype=unsigned).view(raw.dtype)
+    double = raw.dtype == np.float64
+    if double and not largest < 2.0**-60:
+        return np.where(denormal, 0.0, raw), 0  # they stand 290 decades below the rest
+    lift = 54 if double else 0
+    lifted = magnitude.astype(np.float64)
+    lifted *= 2.0 ** (unit + lift)
+    np.copysign(lifted, raw, out=lifted)
+    if not denormal.all():
+        lifted = np.where(denormal, lifted, np.where(denormal, raw.dtype.type(0), raw) * 2.0**lift)
+    return lifted, -lift
