@@ -81,6 +81,8 @@ class BlockShape:
         Whether errors are bounded.
     sigma : callable
         Saturation factors (kept,) of a row.
+    turn : complex array, shape (kept bins,)
+        Spectrum of a delay by one sample less than there are taps.
     """
 
     fft_samples: int
@@ -92,6 +94,7 @@ class BlockShape:
     upsampling: Upsampling | None
     bounded: bool
     sigma: Callable[[int], Float64Array]
+    turn: NDArray[Any]
 
     @property
     def samples(self) -> int:
@@ -233,15 +236,22 @@ class BlockTask:
             return samples
 
     def _sums(self, windows: NDArray[Any], bounds: Int64Array) -> NDArray[Any]:
-        """Windows times their rows added up to each block's spectra, (blocks, actuators, bins)."""
+        """Windows times their time-reversed rows added up to each block's spectra, (blocks, actuators, bins).
+
+        A signal backwards in time has the conjugate spectrum, and is delayed so that it begins at 0. The windows and
+        the sums are conjugated rather than the rows, of which there is most.
+        """
         shape, economy = self._shape, self._shape.economy
         whole = np.zeros((len(self._part), shape.samples // 2 + 1, len(shape.actuators)), dtype=economy.complex)
         spectra = whole[:, economy.low : economy.high]
         by = self._windows.regularised_by[self._chosen.start : self._chosen.stop] + 1
         span = int(by.max()) + 1
         block = np.repeat(np.arange(len(self._part)), np.diff(bounds))
+        windows = windows * shape.turn
+        np.conjugate(windows, out=windows)
         for group, product in self._rows.sums(windows, block * span + by):
             place, one = divmod(group, span)
+            np.conjugate(product, out=product)
             if span == 1:
                 spectra[place] = product
             else:

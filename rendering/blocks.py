@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +107,8 @@ class Blocks:
             self._peak_ratio(),
             upsampling,
             not economy.exact,
-            self._sigma,
+            partial(_sigma, self._rows, self.cut.actuators),
+            self._turn(economy),
         )
 
     @property
@@ -237,6 +240,13 @@ class Blocks:
         degree = (self._hop + self._emission.event_samples - 2) / 2.0
         return float(1.0 / np.cos(np.pi * degree / self._fft_samples))
 
-    def _sigma(self, by: int) -> Float64Array:
-        sigma = self._rows.sigma(by)
-        return np.ones(len(self.cut.actuators)) if sigma is None else sigma[self.cut.actuators]
+    def _turn(self, economy: Economy) -> NDArray[Any]:
+        cycle = (self.cut.taps - 1) * np.arange(economy.low, economy.high) % self._fft_samples
+        turn: NDArray[Any] = np.exp(-2j * np.pi / self._fft_samples * cycle).astype(economy.complex)
+        return turn
+
+
+def _sigma(rows: BankRows, actuators: Int64Array, by: int) -> Float64Array:
+    """Saturation factors of some actuators; no method, lest blocks hold themselves and memory be kept from reuse."""
+    sigma = rows.sigma(by)
+    return np.ones(len(actuators)) if sigma is None else sigma[actuators]

@@ -31,7 +31,7 @@ AHEAD = 4
 
 
 class RowSpectra:
-    """Transforms of time-reversed, scaled rows.
+    """Transforms of scaled rows.
 
     Rows get places in the order in which they are first asked for: what a path visits lies side by side.
 
@@ -190,7 +190,7 @@ class RowSpectra:
     def _read_and_keep(self, rows: Sequence[int], padded: NDArray[Any], squares: NDArray[Any]) -> None:
         """Read rows, transform them and keep the bins that are computed."""
         economy = self.economy
-        self._fill(rows, padded[: len(rows), :, self._cut.taps - 1 :: -1])
+        self._fill(rows, padded[: len(rows), :, : self._cut.taps])
         # Bin by bin, as pages have them: the transform gathers and scatters at no cost.
         whole = scipy_fft.rfft(padded[: len(rows)].transpose(0, 2, 1), axis=1)
         for page, places, some in self._runs(rows):

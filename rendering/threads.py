@@ -12,6 +12,8 @@ from weakref import WeakSet
 
 from threadpoolctl import ThreadpoolController
 
+from rendering.freed_memory import keep_freed_memory
+
 WORKERS = 2
 """Threads of our own, each with transforms and products of its own."""
 
@@ -32,6 +34,7 @@ def workers() -> Iterator[Executor]:
 @cache
 def _threads(process: int) -> ThreadPoolExecutor:
     # A process that was forked has none of its parent's.
+    keep_freed_memory()
     return ThreadPoolExecutor(WORKERS, thread_name_prefix="render")
 
 
