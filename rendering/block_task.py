@@ -23,10 +23,6 @@ Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 
-MANY = 16
-"""With so many windows to a block, products are large enough to be left to a worker."""
-
-
 @dataclass(frozen=True, slots=True)
 class Part:
     """Drives of some consecutive blocks, or of some windows of one block.
@@ -190,11 +186,8 @@ class BlockTask:
             return
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             found, bounds = self._spectra(), self._bounds()
-            if len(self._chosen) >= MANY * len(self._part):
-                self._samples = self._workers.submit(self._in_time, found.kept, bounds)
-            else:
-                spectra = self._sums(found.kept, bounds)
-                self._samples = self._workers.submit(scipy_fft.irfft, spectra, self._shape.samples, axis=2)
+            spectra = self._sums(found.kept, bounds)
+            self._samples = self._workers.submit(scipy_fft.irfft, spectra, self._shape.samples, axis=2)
             self._judge(found, bounds)
 
     def finish(self) -> Part:
@@ -221,7 +214,7 @@ class BlockTask:
     def _make(self) -> NDArray[Any]:
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             found, bounds = self._begin(AtOnce())(), self._bounds()
-            samples = self._in_time(found.kept, bounds)
+            samples: NDArray[Any] = scipy_fft.irfft(self._sums(found.kept, bounds), self._shape.samples, axis=2)
             self._judge(found, bounds)
             return samples
 
@@ -229,11 +222,6 @@ class BlockTask:
         self._energies = found.band_energy, found.energy
         if self._shape.bounded:
             self._errors += self._left_out(found, bounds)
-
-    def _in_time(self, windows: NDArray[Any], bounds: Int64Array) -> NDArray[Any]:
-        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            samples: NDArray[Any] = scipy_fft.irfft(self._sums(windows, bounds), self._shape.samples, axis=2)
-            return samples
 
     def _sums(self, windows: NDArray[Any], bounds: Int64Array) -> NDArray[Any]:
         """Windows times their time-reversed rows added up to each block's spectra, (blocks, actuators, bins).

@@ -232,7 +232,10 @@ def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> li
     if share <= SPREAD_SHARE:
         return []
     samples = int(scipy_fft.next_fast_len(len(source.signal), real=True))
-    spectrum = scipy_fft.rfft(source.signal, samples)
+    # Single precision does for a share; about 1 it neither over- nor underflows.
+    peak = float(np.abs(source.signal).max(initial=0.0))
+    signal = (source.signal / peak if peak > 0 else source.signal).astype(np.float32)
+    spectrum = scipy_fft.rfft(signal, samples)
     power = np.square(spectrum.real) + np.square(spectrum.imag)
     frequency = scipy_fft.rfftfreq(samples, 1.0 / bank.sample_rate_hz)
     outside = (frequency < bank.band_hz[0]) | (frequency > bank.band_hz[1])

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.green_source import GreenSource, read_row
+from rendering.green_source import GreenSource, fetch_row
+from rendering.row_scaling import scale_row
 
 Float64Array = NDArray[np.float64]
 
@@ -69,7 +70,8 @@ def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None
     found: ResponseTail | None = None
     for index in np.unique(np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(np.int64)).tolist():
         row = rows[index]
-        energy = np.square(read_row(bank, row).values).sum(axis=0)
+        green = scale_row(fetch_row(bank, row), row, single=True).values
+        energy = np.einsum("it,it->t", green, green).astype(np.float64)
         total = float(energy.sum())
         if total == 0.0:
             continue
