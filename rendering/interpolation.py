@@ -196,24 +196,28 @@ class _OnLattice(GridInterpolation):
 
     def _cells(self, points_mm: Float64Array) -> tuple[Int64Array, Float64Array, NDArray[np.bool_]]:
         """Cell of each point, its place in the cell from 0 to 1, and whether it lies outside all cells."""
-        lattice = (points_mm - self._origin) / self._pitch
-        cell = np.clip(np.floor(lattice).astype(np.int64), 0, self._shape - 2)
-        part = lattice - cell
-        outside = ((part < -SLACK) | (part > 1.0 + SLACK)).any(axis=1)
-        part = np.clip(part, 0.0, 1.0)
-        part[part < SLACK] = 0.0
-        part[part > 1.0 - SLACK] = 1.0
-        return cell, part, outside
+        # Axis by axis: there may be very many points, and numpy is slow along an axis of two.
+        cell, part = np.empty((2, len(points_mm)), dtype=np.int64), np.empty((2, len(points_mm)))
+        outside = np.zeros(len(points_mm), dtype=bool)
+        for axis in (0, 1):
+            lattice = (points_mm[:, axis] - self._origin[axis]) / self._pitch[axis]
+            cell[axis] = np.clip(np.floor(lattice).astype(np.int64), 0, self._shape[axis] - 2)
+            beyond = np.subtract(lattice, cell[axis], out=lattice)
+            outside |= (beyond < -SLACK) | (beyond > 1.0 + SLACK)
+            within = np.clip(beyond, 0.0, 1.0, out=part[axis])
+            within[within < SLACK] = 0.0
+            within[within > 1.0 - SLACK] = 1.0
+        return cell.T, part.T, outside
 
     def _corners(
         self, cell: Int64Array, part: Float64Array, outside: NDArray[np.bool_], points_mm: Float64Array
     ) -> tuple[Int64Array, Float64Array]:
         """Rows and weights of bilinear interpolation, (n, 4) each. Raises OffGridError where a corner is missing."""
         x, y = part[:, 0], part[:, 1]
-        weights = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], axis=1)
-        rows = np.stack(
-            [self._row_at[cell[:, 0] + right, cell[:, 1] + up] for up in (0, 1) for right in (0, 1)], axis=1
-        )
+        weights = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]).T
+        lines = self._row_at.shape[1]
+        corner, row_at = cell[:, 0] * lines + cell[:, 1], self._row_at.ravel()
+        rows = np.stack([row_at[corner + right * lines + up] for up in (0, 1) for right in (0, 1)]).T
         wrong = outside | ((rows < 0) & (weights > 0)).any(axis=1)
         if wrong.any():
             point = int(np.argmax(wrong))

@@ -123,12 +123,16 @@ class _Lattice:
 
     def nearest(self, points_mm: Float64Array) -> Int64Array:
         """Row of the nearest site, -1 where it is empty or another is as near."""
-        place = (points_mm - self.origin_mm) / self.pitch_mm
-        site = np.rint(place)
-        clear = np.all(np.abs(place - site) < 0.5 - TIE_SLACK, axis=1)
-        clear &= np.all((site >= 0) & (site < self.row_at.shape), axis=1)
-        column, line = np.where(clear[:, None], site, 0.0).astype(np.int64).T
-        rows: Int64Array = np.where(clear, self.row_at[column, line], -1)
+        # Axis by axis: there may be very many points, and numpy is slow along an axis of two.
+        clear = np.ones(len(points_mm), dtype=bool)
+        index = np.zeros(len(points_mm), dtype=np.int64)
+        for axis, sites in enumerate(self.row_at.shape):
+            place = (points_mm[:, axis] - self.origin_mm[axis]) / self.pitch_mm[axis]
+            site = np.rint(place)
+            clear &= (np.abs(place - site) < 0.5 - TIE_SLACK) & (site >= 0) & (site < sites)
+            index *= sites
+            index += np.where(clear, site, 0.0).astype(np.int64)
+        rows: Int64Array = np.where(clear, self.row_at.ravel()[index], -1)
         return rows
 
 
@@ -161,9 +165,9 @@ def _find_lattice(unique_mm: Float64Array, row: Int64Array, spacing_mm: float) -
     slack = spacing_mm * TIE_SLACK / 10.0
     steps = [np.diff(np.unique(unique_mm[:, axis])) for axis in (0, 1)]
     steps = [step[step > slack] for step in steps]
-    if not (len(steps[0]) and len(steps[1])):
-        return None
-    pitch_mm = extent / np.maximum(np.rint(extent / [step.min() for step in steps]), 1.0)
+    # Across a line of positions there is one site.
+    sites = [round(float(length / step.min())) if len(step) else 0 for length, step in zip(extent, steps, strict=True)]
+    pitch_mm = np.array([length / count if count else spacing_mm for length, count in zip(extent, sites, strict=True)])
     site = np.rint((unique_mm - unique_mm.min(axis=0)) / pitch_mm)
     shape = site.max(axis=0) + 1.0
     off = np.abs(unique_mm - unique_mm.min(axis=0) - site * pitch_mm).max()

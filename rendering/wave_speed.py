@@ -32,6 +32,8 @@ def wave_speed_mm_s(bank: GreenSource, rows: Sequence[int]) -> float | None:
     """
     actuator_mm = np.asarray(bank.actuator_mm, dtype=np.float64)
     known = np.isfinite(actuator_mm).all(axis=1)
+    if not known.any():
+        return None
     distances, arrivals = [], []
     for index in np.unique(np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(int)):
         green = read_row(bank, rows[int(index)]).values

@@ -49,6 +49,18 @@ def test_on_a_tie_the_lower_index_is_nearest(seed):
     np.testing.assert_array_equal(rows, brute(position_mm, points_mm))
 
 
+@given(seed=st.integers(0, 2**31), across=st.sampled_from([0, 1]))
+@settings(max_examples=20, deadline=None)
+def test_the_nearest_row_is_found_along_a_line_of_positions(seed, across):
+    rng = np.random.default_rng(seed)
+    position_mm = rng.permutation(np.stack([np.zeros(40), 4.0 * np.arange(40)], axis=1))
+    points_mm = np.concatenate([rng.uniform(-30, 190, (300, 2)), rng.uniform(-4, 4, (300, 2)), [[0.0, 2.0]]])
+    if across:
+        position_mm, points_mm = position_mm[:, ::-1], points_mm[:, ::-1]
+    rows, _ = PositionGrid(position_mm).nearest(points_mm)
+    np.testing.assert_array_equal(rows, brute(position_mm, points_mm))
+
+
 def test_a_point_amid_a_ring_of_positions_gets_the_lowest_index():
     ring = np.array([(5, 0), (-5, 0), (0, 5), (0, -5), (3, 4), (-3, 4), (3, -4), (-3, -4), (4, 3), (-4, 3)], float)
     rows, _ = PositionGrid(ring).nearest(np.zeros((1, 2)))
