@@ -78,7 +78,7 @@ class BlockShape:
     sigma : callable
         Saturation factors (kept,) of a row.
     turn : complex array, shape (kept bins,)
-        Spectrum of a delay by one sample less than there are taps.
+        Spectrum of a delay by one sample less than there are taps, so that time-reversed rows begin at 0.
     """
 
     fft_samples: int
@@ -224,25 +224,27 @@ class BlockTask:
             self._errors += self._left_out(found, bounds)
 
     def _sums(self, windows: NDArray[Any], bounds: Int64Array) -> NDArray[Any]:
-        """Windows times their time-reversed rows added up to each block's spectra, (blocks, actuators, bins).
-
-        A signal backwards in time has the conjugate spectrum, and is delayed so that it begins at 0. The windows and
-        the sums are conjugated rather than the rows, of which there is most.
-        """
+        """Windows times their time-reversed rows added up to each block's spectra, (blocks, actuators, bins)."""
         shape, economy = self._shape, self._shape.economy
-        whole = np.zeros((len(self._part), shape.samples // 2 + 1, len(shape.actuators)), dtype=economy.complex)
+        blocks = len(self._part)
+        whole = np.empty((blocks, shape.samples // 2 + 1, len(shape.actuators)), dtype=economy.complex)
+        whole[:, : economy.low] = 0
+        whole[:, economy.high :] = 0
         spectra = whole[:, economy.low : economy.high]
-        by = self._windows.regularised_by[self._chosen.start : self._chosen.stop] + 1
-        span = int(by.max()) + 1
-        block = np.repeat(np.arange(len(self._part)), np.diff(bounds))
-        windows = windows * shape.turn
-        np.conjugate(windows, out=windows)
-        for group, product in self._rows.sums(windows, block * span + by):
-            place, one = divmod(group, span)
-            np.conjugate(product, out=product)
-            if span == 1:
-                spectra[place] = product
-            else:
+        count = np.diff(bounds)
+        block = np.repeat(np.arange(blocks), count)
+        by = self._windows.regularised_by[self._chosen.start : self._chosen.stop]
+        if (by < 0).all():
+            spectra[count == 0] = 0
+            self._rows.sums(windows, shape.turn, block, spectra)
+        else:
+            spectra[...] = 0
+            span = int(by.max()) + 2
+            pairs, group = np.unique(block * span + by + 1, return_inverse=True)
+            found = np.empty((len(pairs), *spectra.shape[1:]), dtype=economy.complex)
+            self._rows.sums(windows, shape.turn, group, found)
+            for pair, product in zip(pairs.tolist(), found, strict=True):
+                place, one = divmod(pair, span)
                 spectra[place] += product * self._sigma_of(one - 1).astype(windows.real.dtype)
         # Bin by bin, as rows are: the transform gathers at no cost.
         return whole.transpose(0, 2, 1)

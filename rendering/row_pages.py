@@ -110,43 +110,44 @@ class RowsView:
                 magnitudes[row] = np.sqrt(np.einsum("bi,bi->b", parts, parts))
         return magnitudes
 
-    def sums(self, windows: NDArray[Any], groups: Int64Array) -> Iterator[tuple[int, NDArray[Any]]]:
+    def sums(self, windows: NDArray[Any], turn: NDArray[Any], groups: Int64Array, out: NDArray[Any]) -> None:
         """Sum over the rows of each group of their spectra times those of windows.
 
         Parameters
         ----------
         windows : complex array, shape (rows, kept bins)
             One window for each row.
+        turn : complex array, shape (kept bins,)
+            What each of them is multiplied with besides.
         groups : int64 array, shape (rows,)
             Which group each of them belongs to; none holds a row twice.
-
-        Returns
-        -------
-        iterator of tuples
-            A group, and its sum (kept bins, actuators); groups in ascending order.
+        out : complex array, shape (groups, kept bins, actuators)
+            Where the sums go; groups without a row stay as they are.
         """
         order = np.lexsort((self._place, self._page, groups))
         group, page, place = groups[order], self._page[order], self._place[order]
         elsewhere = (np.diff(group, prepend=-1, append=-1) != 0) | (np.diff(page, prepend=-1, append=-1) != 0)
         apart = elsewhere | (np.diff(place, prepend=0, append=0) > MOST_GAP + 1)
-        turned = np.ascontiguousarray(windows[order].T)
+        turned = windows * turn
+        turned = np.ascontiguousarray((turned if (np.diff(order) > 0).all() else turned[order]).T)
         runs = np.flatnonzero(apart)
         ends = np.flatnonzero(elsewhere)
         # How many runs end before each end.
         before = np.searchsorted(runs, ends).tolist()
-        parts: list[NDArray[Any]] = []
+        last = -1
         for number, (begin, end) in enumerate(pairwise(ends.tolist())):
-            spectra = self._pages[int(page[begin])].spectra
+            spectra, one = self._pages[int(page[begin])].spectra, int(group[begin])
             some = runs[before[number] : before[number + 1] + 1].tolist()
             if (len(some) - 1) * LEAST_RUN > end - begin > LEAST_RUN:
-                parts.append(_product(turned[:, begin:end], spectra[place[begin:end]]))
+                products = [(turned[:, begin:end], spectra[place[begin:end]])]
             else:
-                parts += [_run(turned[:, first:last], place[first:last], spectra) for first, last in pairwise(some)]
-            if end == len(group) or group[end] != group[begin]:
-                for part in parts[1:]:
-                    parts[0] += part
-                yield int(group[begin]), parts[0]
-                parts = []
+                products = [_run(turned[:, first:stop], place[first:stop], spectra) for first, stop in pairwise(some)]
+            for product in products:
+                if one == last:
+                    out[one] += _product(*product)
+                else:
+                    _product(*product, out=out[one])
+                last = one
 
     def _by_page(self) -> Iterator[tuple[RowPage, Int64Array, Int64Array]]:
         """Each page, which of the rows lie in it, and where."""
@@ -155,17 +156,18 @@ class RowsView:
             yield page, rows, self._place[rows]
 
 
-def _run(windows: NDArray[Any], place: Int64Array, spectra: NDArray[Any]) -> NDArray[Any]:
-    """Sum over rows at ascending places, few of which between them are not used."""
+def _run(windows: NDArray[Any], place: Int64Array, spectra: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Rows at ascending places, few of which between them are not used, and windows for all of them."""
     low, high = int(place[0]), int(place[-1]) + 1
     if high - low > len(place):
         spread: NDArray[Any] = np.zeros((len(windows), high - low), dtype=windows.dtype)
         spread[:, place - low] = windows
         windows = spread
-    return _product(windows, spectra[low:high])
+    return windows, spectra[low:high]
 
 
-def _product(windows: NDArray[Any], spectra: NDArray[Any]) -> NDArray[Any]:
+def _product(windows: NDArray[Any], spectra: NDArray[Any], out: NDArray[Any] | None = None) -> NDArray[Any]:
     """Sum over rows (bins, rows) times (rows, bins, actuators), (bins, actuators)."""
-    product: NDArray[Any] = np.matmul(windows[:, None], spectra.transpose(1, 0, 2))
+    into = None if out is None else out[:, None]
+    product: NDArray[Any] = np.matmul(windows[:, None], spectra.transpose(1, 0, 2), out=into)
     return product[:, 0]

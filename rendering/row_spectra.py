@@ -31,7 +31,9 @@ AHEAD = 4
 
 
 class RowSpectra:
-    """Transforms of scaled rows.
+    """Transforms of time-reversed, scaled rows.
+
+    Backwards in time a row has the conjugate spectrum; it ends at time 0.
 
     Rows get places in the order in which they are first asked for: what a path visits lies side by side.
 
@@ -194,7 +196,7 @@ class RowSpectra:
         # Bin by bin, as pages have them: the transform gathers and scatters at no cost.
         whole = scipy_fft.rfft(padded[: len(rows)].transpose(0, 2, 1), axis=1)
         for page, places, some in self._runs(rows):
-            page.spectra[places] = whole[some, economy.low : economy.high]
+            np.conjugate(whole[some, economy.low : economy.high], out=page.spectra[places])
         if not economy.exact:
             _joint_squares(whole, squares)
 

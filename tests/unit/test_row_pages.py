@@ -38,11 +38,15 @@ def test_the_sum_of_each_group_is_that_of_its_windows_times_its_rows(rows, seed)
     groups, page, place = np.array(rows).T
     rng = np.random.default_rng(seed + 1)
     windows = rng.standard_normal((len(rows), BINS)) + 1j * rng.standard_normal((len(rows), BINS))
-    found = list(RowsView(pages, page, place).sums(windows, groups))
-    assert [group for group, _ in found] == np.unique(groups).tolist()
-    for group, product in found:
-        expected = sum(windows[n][:, None] * pages[page[n]].spectra[place[n]] for n in np.flatnonzero(groups == group))
-        np.testing.assert_allclose(product, expected, rtol=1e-12, atol=1e-12)
+    turn = np.exp(2j * np.pi * rng.uniform(size=BINS))
+    found = np.full((5, BINS, ACTUATORS), 7j)
+    RowsView(pages, page, place).sums(windows, turn, groups, found)
+    for group, product in enumerate(found):
+        some = np.flatnonzero(groups == group)
+        expected = (
+            sum((windows[n] * turn)[:, None] * pages[page[n]].spectra[place[n]] for n in some) if len(some) else 7j
+        )
+        np.testing.assert_allclose(product, np.broadcast_to(expected, product.shape), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("place", [[2, 3, 4, 5, 6], [0, 1, 4, 5], [11, 7, 0, 4], [6]])
@@ -50,7 +54,8 @@ def test_rows_that_are_not_asked_for_count_nothing(place):
     pages = make_pages(Economy.of(BINS), 1)
     windows = np.ones((len(place), BINS), dtype=complex)
     view = RowsView(pages, np.ones(len(place), dtype=np.int64), np.array(place))
-    ((_, product),) = view.sums(windows, np.zeros(len(place), dtype=np.int64))
+    (product,) = found = np.empty((1, BINS, ACTUATORS), dtype=complex)
+    view.sums(windows, np.ones(BINS), np.zeros(len(place), dtype=np.int64), found)
     np.testing.assert_allclose(product, pages[1].spectra[place].sum(axis=0), rtol=1e-12, atol=1e-12)
 
 
