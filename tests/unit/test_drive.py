@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 import soundfile
@@ -14,6 +16,7 @@ from rendering.field import predict
 from rendering.green_source import GreenArray
 from rendering.paths import Circle, Line, Point, Polyline
 from rendering.render_report import RenderWarning
+from rendering.reused_memory import spare_bytes
 from rendering.scene import Output, Regularisation, Scene, Source
 from rendering.signals import Impulse, Noise, Sine, SoundFile
 
@@ -366,3 +369,19 @@ def test_the_report_tells_how_far_path_points_were_snapped():
     _, report = render_with_report(Scene("s", (Source(path, Impulse(), 0, 100.0, 1.0),)), make_bank())
     assert (report.points, report.snapped_points, report.largest_snap_mm) == (5, 3, 2.0)
     assert report.relative_rms_drive.max() == 1.0
+
+
+@pytest.mark.parametrize("tolerance_db", [None, -60.0])
+def test_a_render_gives_its_memory_back_at_its_end_not_when_garbage_is_collected(tolerance_db):
+    scene = Scene("", (Source(Circle((0.0, 0.0), 10.0, 2.0), Noise((0.0, 500.0), 1.0), 0.0, 120.0, 1.0),))
+    bank = make_bank()
+    render_with_report(scene, bank, tolerance_db=tolerance_db)
+    gc.disable()
+    try:
+        gc.collect()
+        before = spare_bytes()
+        for _ in range(3):
+            render_with_report(scene, bank, tolerance_db=tolerance_db)
+            assert spare_bytes() == before
+    finally:
+        gc.enable()

@@ -1,0 +1,89 @@
+"""Rows scaled side by side are scaled as each by itself, and rows out of the ordinary are left to that."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration.errors import InputError
+from rendering.green_source import GreenArray
+from rendering.regularisation import BankRows
+from rendering.row_scaling import scale_row, scale_together
+from rendering.scene import Regularisation
+
+ACTUATORS, TAPS = 3, 40
+POSITION_MM = np.stack([4.0 * np.arange(6), np.zeros(6)], axis=1)
+
+
+def make_rows(seed: int = 0) -> np.ndarray:
+    """Rows of either sign, from 1e-30 to 1e30."""
+    rng = np.random.default_rng(seed)
+    rows = rng.uniform(0.01, 1.0, (6, ACTUATORS, TAPS)) * rng.choice([-1.0, 1.0], (6, ACTUATORS, TAPS))
+    return (rows * np.logspace(-30, 30, 6)[:, None, None]).astype(np.float32)
+
+
+@pytest.mark.parametrize("lie", [lambda rows: rows, lambda rows: rows[:, :, ::-1], lambda rows: rows[::-1, ::-1]])
+def test_given_plain_rows_then_each_is_scaled_as_by_itself(lie):
+    rows = make_rows()
+    expected = [scale_row(row.copy(), number, single=True) for number, row in enumerate(lie(rows))]
+    exponents = scale_together(lie(rows))
+    assert exponents.tolist() == [row.exponent for row in expected]
+    np.testing.assert_array_equal(lie(rows), [row.values for row in expected])
+    assert ((np.abs(rows).max(axis=(1, 2)) >= 0.5) & (np.abs(rows).max(axis=(1, 2)) < 1.0)).all()
+
+
+@pytest.mark.parametrize("odd", [0.0, np.nan, np.inf, -np.inf, 1e-40])
+def test_given_a_row_out_of_the_ordinary_then_all_are_left_as_they_were(odd):
+    rows = make_rows()
+    rows[3] = odd
+    before = rows.copy()
+    assert scale_together(rows) is None
+    np.testing.assert_array_equal(rows, before)
+
+
+def make_bank(values: np.ndarray, **more) -> GreenArray:
+    return GreenArray(values, POSITION_MM, 1000.0, **more)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.float16, np.int16, ">f4"])
+@pytest.mark.parametrize("regularisation", [Regularisation(), Regularisation(saturation_absolute=0.2, normalise=False)])
+def test_given_rows_read_together_then_values_and_weights_are_those_of_each_read_by_itself(dtype, regularisation):
+    values = (100 * np.random.default_rng(1).uniform(-1.0, 1.0, (6, ACTUATORS, TAPS))).astype(dtype)
+    values[2, 1] = 0
+    alone, together = (BankRows(make_bank(values), regularisation) for _ in range(2))
+    found = np.empty((4, ACTUATORS, TAPS), dtype=np.float32)
+    together.read_together([4, 0, 2, 5], found)
+    np.testing.assert_array_equal(found, [alone.read(row, single=True).values for row in (4, 0, 2, 5)])
+    rows = np.array([4, 0, 2, 5])
+    for got, expected in zip(together.weigh(rows, rows[::-1]), alone.weigh(rows, rows[::-1]), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-14)
+    np.testing.assert_allclose(together.norm_of(rows), alone.norm_of(rows), rtol=1e-14)
+    for row in rows.tolist():
+        np.testing.assert_allclose(
+            *(bank.sigma(row) if bank.sigma(row) is not None else 1.0 for bank in (together, alone))
+        )
+    assert together.silent_actuators == alone.silent_actuators == []
+
+
+def test_given_an_actuator_silent_in_all_rows_read_together_then_it_is_known():
+    values = np.random.default_rng(1).uniform(-1.0, 1.0, (6, ACTUATORS, TAPS)).astype(np.float32)
+    values[:, 1] = 0
+    rows = BankRows(make_bank(values), Regularisation())
+    rows.read_together([1, 3], np.empty((2, ACTUATORS, TAPS), dtype=np.float32))
+    assert rows.silent_actuators == [1]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda values, status: values.__setitem__((3, 1, 7), np.nan), "position 3, actuator 1 of the bank holds NaN"),
+        (lambda values, status: values.__setitem__(3, 0.0), r"position 3 at \(12, 0\) mm is all zeros"),
+        (lambda values, status: status.__setitem__(3, 16), r"position 3 at \(12, 0\) mm is disabled"),
+    ],
+)
+def test_given_a_row_that_may_not_be_used_among_others_then_it_is_named(spoil, told):
+    values, status = make_rows(), np.ones(6, dtype=np.uint8)
+    spoil(values, status)
+    rows = BankRows(make_bank(values, status=status), Regularisation())
+    with pytest.raises(InputError, match=told):
+        rows.read_together([1, 3, 5], np.empty((3, ACTUATORS, TAPS), dtype=np.float32))
