@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calibration.errors import InputError
 from rendering.green_source import GreenSource, fetch_row, read_row, refusal, usable
+from rendering.reused_memory import reused
 from rendering.row_scaling import RealArray, ScaledRow, scale_row, scale_together
 from rendering.scene import Regularisation
 
@@ -130,7 +131,10 @@ def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeig
 
 def _autocorrelation(values: RealArray) -> Float64Array:
     """Energies of Green's functions (..., actuators, taps)."""
-    double = values.astype(np.float64, copy=False)
+    double: NDArray[Any] = values
+    if values.dtype != np.float64:
+        double = reused(values.shape, np.float64)
+        double[...] = values
     energies: Float64Array = np.matmul(double[..., None, :], double[..., :, None])[..., 0, 0]
     return energies
 
@@ -250,33 +254,36 @@ class BankRows:
             self._know(row, scaled)
         return scaled.rounded() if single and scaled.values.dtype != np.float32 else scaled
 
-    def read_together(self, rows: Sequence[int], out: NDArray[np.float32]) -> None:
-        """Read some rows side by side, in few steps for all of them; otherwise as `read` does in single precision.
+    def read_together(self, rows: Sequence[int], out: RealArray) -> None:
+        """Read some rows side by side, in few steps for all of them; otherwise as `read` does.
 
         Parameters
         ----------
         rows : sequence of int
             Bank rows, none twice.
-        out : float32 array, shape (rows, actuators, taps)
+        out : float32 or float64 array, shape (rows, actuators, taps)
             Where the scaled values go, however it lies.
         """
         if not any(refusal(int(self.status[row])) for row in rows):
             raws = [self._fetch(row) for row in rows]
             if all(raw.dtype == np.float32 for raw in raws):
+                values: NDArray[Any] = out if out.dtype == np.float32 else reused(out.shape, np.float32)
                 for place, raw in enumerate(raws):
-                    out[place] = raw
-                exponents = scale_together(out)
+                    values[place] = raw
+                exponents = scale_together(values)
                 if exponents is not None:
+                    if values is not out:
+                        out[...] = values
                     self._learn(rows, out, exponents)
                     return
         for place, row in enumerate(rows):
-            out[place] = self.read(row, single=True).values
+            out[place] = self.read(row, single=out.dtype == np.float32).values
 
     def _fetch(self, row: int) -> NDArray[Any]:
         with self._reading:
             return fetch_row(self.bank, row)
 
-    def _learn(self, rows: Sequence[int], values: NDArray[np.float32], exponents: Int64Array) -> None:
+    def _learn(self, rows: Sequence[int], values: RealArray, exponents: Int64Array) -> None:
         """Find the weights of rows that were scaled together."""
         new = [place for place, row in enumerate(rows) if row not in self._weights]
         if not new:

@@ -202,22 +202,15 @@ class RowSpectra:
 
     def _fill(self, rows: Sequence[int], out: NDArray[Any]) -> None:
         """Read what is used of rows into (rows, kept actuators, kept taps)."""
-        if self.economy.single:
-            values = out
-            if not self._cut.whole:
-                values = np.empty((len(rows), self._rows.bank.actuators, self._rows.bank.taps), dtype=np.float32)
-            self._rows.read_together(rows, values)
-            if not self._cut.whole:
-                out[...] = self._cut.used(values)
-                left_out = self._cut.left_out(values)
-                for page, places, some in self._runs(rows):
-                    page.sizes.cut_off[places] = left_out[some]
+        if self._cut.whole:
+            self._rows.read_together(rows, out)
             return
-        for number, row in enumerate(rows):
-            found = self._rows.read(row).values
-            page, place = self._place[row]
-            page.sizes.cut_off[place] = self._cut.left_out(found)
-            out[number] = self._cut.used(found)
+        values = reused((len(rows), self._rows.bank.actuators, self._rows.bank.taps), out.dtype)
+        self._rows.read_together(rows, values)
+        out[...] = self._cut.used(values)
+        left_out = self._cut.left_out(values)
+        for page, places, some in self._runs(rows):
+            page.sizes.cut_off[places] = left_out[some]
 
     def _runs(self, rows: Sequence[int]) -> Iterator[tuple[RowPage, slice, slice]]:
         """Runs of rows that lie side by side: their page, their places in it, and which of the rows they are."""

@@ -45,15 +45,16 @@ def make_bank(values: np.ndarray, **more) -> GreenArray:
     return GreenArray(values, POSITION_MM, 1000.0, **more)
 
 
+@pytest.mark.parametrize("into", [np.float32, np.float64])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.float16, np.int16, ">f4"])
 @pytest.mark.parametrize("regularisation", [Regularisation(), Regularisation(saturation_absolute=0.2, normalise=False)])
-def test_given_rows_read_together_then_values_and_weights_are_those_of_each_read_by_itself(dtype, regularisation):
+def test_given_rows_read_together_then_values_and_weights_are_those_of_each_read_by_itself(dtype, into, regularisation):
     values = (100 * np.random.default_rng(1).uniform(-1.0, 1.0, (6, ACTUATORS, TAPS))).astype(dtype)
     values[2, 1] = 0
     alone, together = (BankRows(make_bank(values), regularisation) for _ in range(2))
-    found = np.empty((4, ACTUATORS, TAPS), dtype=np.float32)
+    found = np.empty((4, ACTUATORS, TAPS), dtype=into)
     together.read_together([4, 0, 2, 5], found)
-    np.testing.assert_array_equal(found, [alone.read(row, single=True).values for row in (4, 0, 2, 5)])
+    np.testing.assert_array_equal(found, [alone.read(row, single=into == np.float32).values for row in (4, 0, 2, 5)])
     rows = np.array([4, 0, 2, 5])
     for got, expected in zip(together.weigh(rows, rows[::-1]), alone.weigh(rows, rows[::-1]), strict=True):
         np.testing.assert_allclose(got, expected, rtol=1e-14)
