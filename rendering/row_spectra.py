@@ -166,7 +166,11 @@ class RowSpectra:
         return placed
 
     def _transform(self, rows: Sequence[int]) -> None:
-        """Read and transform rows by the workers, some together."""
+        """Transform rows by the workers, some together.
+
+        In single precision they are read here meanwhile: that takes many short steps, over which threads would wait for
+        each other more than they gain.
+        """
         under_way: deque[tuple[NDArray[Any], Future[None]]] = deque()
         squares = np.empty((len(rows), self.economy.bins), dtype=self.economy.real)
         for begin in range(0, len(rows), self._group):
@@ -174,7 +178,11 @@ class RowSpectra:
                 self._finish(*under_way.popleft())
             some = rows[begin : begin + self._group]
             padded = self._workspace.pop() if self._workspace else self._room()
-            under_way.append((padded, self._workers.submit(self._read_and_keep, some, padded, squares[begin:])))
+            work = self._fill_and_keep
+            if self.economy.single:
+                self._fill(some, padded)
+                work = self._keep
+            under_way.append((padded, self._workers.submit(work, some, padded, squares[begin:])))
         while under_way:
             self._finish(*under_way.popleft())
         self._measure(rows, squares)
@@ -189,19 +197,13 @@ class RowSpectra:
         kept.result()
         self._workspace.append(padded)
 
-    def _read_and_keep(self, rows: Sequence[int], padded: NDArray[Any], squares: NDArray[Any]) -> None:
-        """Read rows, transform them and keep the bins that are computed."""
-        economy = self.economy
-        self._fill(rows, padded[: len(rows), :, : self._cut.taps])
-        # Bin by bin, as pages have them: the transform gathers and scatters at no cost.
-        whole = scipy_fft.rfft(padded[: len(rows)].transpose(0, 2, 1), axis=1)
-        for page, places, some in self._runs(rows):
-            np.conjugate(whole[some, economy.low : economy.high], out=page.spectra[places])
-        if not economy.exact:
-            _joint_squares(whole, squares)
+    def _fill_and_keep(self, rows: Sequence[int], padded: NDArray[Any], squares: NDArray[Any]) -> None:
+        self._fill(rows, padded)
+        self._keep(rows, padded, squares)
 
-    def _fill(self, rows: Sequence[int], out: NDArray[Any]) -> None:
-        """Read what is used of rows into (rows, kept actuators, kept taps)."""
+    def _fill(self, rows: Sequence[int], padded: NDArray[Any]) -> None:
+        """Read what is used of rows."""
+        out = padded[: len(rows), :, : self._cut.taps]
         if self._cut.whole:
             self._rows.read_together(rows, out)
             return
@@ -211,6 +213,16 @@ class RowSpectra:
         left_out = self._cut.left_out(values)
         for page, places, some in self._runs(rows):
             page.sizes.cut_off[places] = left_out[some]
+
+    def _keep(self, rows: Sequence[int], padded: NDArray[Any], squares: NDArray[Any]) -> None:
+        """Transform rows and keep the bins that are computed."""
+        economy = self.economy
+        # Bin by bin, as pages have them: the transform gathers and scatters at no cost.
+        whole = scipy_fft.rfft(padded[: len(rows)].transpose(0, 2, 1), axis=1)
+        for page, places, some in self._runs(rows):
+            np.conjugate(whole[some, economy.low : economy.high], out=page.spectra[places])
+        if not economy.exact:
+            _joint_squares(whole, squares)
 
     def _runs(self, rows: Sequence[int]) -> Iterator[tuple[RowPage, slice, slice]]:
         """Runs of rows that lie side by side: their page, their places in it, and which of the rows they are."""
