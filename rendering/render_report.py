@@ -25,8 +25,8 @@ Float64Array = NDArray[np.float64]
 SPREAD_SHARE = 0.1
 """Share of the signal's energy that cutting it into segments may move out of the band before it is said."""
 NAMED = 8
-OWN_BLOCK = 2**13
-"""Samples of a signal that are looked at together for the energy that it has outside the bank's band itself."""
+LEAST_OWN_SAMPLES = 2**13
+"""A signal is padded to so many samples to see what lies outside the bank's band: a click has bins there, too."""
 
 
 class RenderWarning(UserWarning):
@@ -233,15 +233,13 @@ def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> li
         return []
     if share <= SPREAD_SHARE:
         return []
-    # Block by block in single precision: that does for a share, and about 1 it neither over- nor underflows.
+    # In single precision, which does for a share; about 1 it neither over- nor underflows.
+    samples = int(scipy_fft.next_fast_len(max(len(source.signal), LEAST_OWN_SAMPLES), real=True))
     peak = float(np.abs(source.signal).max(initial=0.0))
-    blocks = np.zeros((-(-len(source.signal) // OWN_BLOCK), OWN_BLOCK), dtype=np.float32)
-    np.divide(
-        source.signal, peak if peak > 0 else 1.0, out=blocks.reshape(-1)[: len(source.signal)], casting="same_kind"
-    )
-    spectra = scipy_fft.rfft(blocks, axis=1)
-    power = (np.square(spectra.real) + np.square(spectra.imag)).sum(axis=0)
-    frequency = scipy_fft.rfftfreq(OWN_BLOCK, 1.0 / bank.sample_rate_hz)
+    signal = (source.signal / (peak if peak > 0 else 1.0)).astype(np.float32)
+    spectrum = scipy_fft.rfft(signal, samples)
+    power = np.square(spectrum.real) + np.square(spectrum.imag)
+    frequency = scipy_fft.rfftfreq(samples, 1.0 / bank.sample_rate_hz)
     outside = (frequency < bank.band_hz[0]) | (frequency > bank.band_hz[1])
     own = float(power[outside].sum() / power.sum()) if power.any() else 0.0
     if share - own <= SPREAD_SHARE:
