@@ -198,6 +198,7 @@ class Blocks:
                 samples,
                 rows,
                 lambda row: self._rows.read(row, single=True).values,
+                (self._rows.bank.actuators, self._rows.bank.taps),
                 self._fft_samples,
                 self._overlap,
                 tolerance,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -80,6 +79,7 @@ def choose_cut(
     samples: Sequence[Sample],
     rows: Sequence[Sequence[int]],
     read: Callable[[int], RealArray],
+    shape: tuple[int, int],
     fft_samples: int,
     overlap: int,
     tolerance: float,
@@ -93,7 +93,9 @@ def choose_cut(
     rows : sequence of sequences of int
         The row of each of a sample's windows.
     read : callable
-        Gives a row, (actuators, taps); asked once for each.
+        Gives a row, (actuators, taps); asked at most once for each.
+    shape : tuple of int
+        Actuators and taps of a row.
     fft_samples : int
         Transform length.
     overlap : int
@@ -107,26 +109,30 @@ def choose_cut(
     spent : float
         Estimate of what it takes of the tolerance.
     """
-    greens = {row: read(row) for row in dict.fromkeys(chain.from_iterable(rows))}
-    actuators, taps = next(iter(greens.values())).shape if greens else (0, 0)
-    energy = sampled_energy(samples)
+    actuators, taps = shape
     whole = RowCut.nothing(taps, actuators)
+    energy = sampled_energy(samples)
     if not (energy > 0 and np.isfinite(energy)):
         return whole, 0.0
     # Of what may be left out, the share of each block: actuator by actuator, and tap by tap from the end.
     ends = (FRACTIONS * taps).astype(int) if taps >= LEAST_TAPS else np.zeros(0, dtype=int)
-    norms = {row: _norms(green, ends) for row, green in greens.items()}
+    norms: dict[int, tuple[Float64Array, Float64Array]] = {}
     by_actuator, by_tap = np.zeros((len(samples), actuators)), np.zeros((len(samples), len(ends)))
+    scale = np.sqrt(overlap * fft_samples / 2.0 / energy)
     for place, (sample, some) in enumerate(zip(samples, rows, strict=True)):
         for window, row in zip(sample.windows, some, strict=True):
+            if row not in norms:
+                norms[row] = _norms(read(row), ends)
             largest = sample.repeats * float(window.max())
             by_actuator[place] += largest * norms[row][0]
             by_tap[place] += largest * norms[row][1]
-    scale = np.sqrt(overlap * fft_samples / 2.0 / energy)
-    joint = scale * np.linalg.norm(by_actuator, axis=0)
+            joint = scale * np.linalg.norm(by_actuator, axis=0)
+            late = scale * np.linalg.norm(by_tap, axis=0)
+            if min(joint.min(), late.min(initial=np.inf)) > SHARE * tolerance:
+                # They only grow: nothing can be left out, and most rows need not be read.
+                return whole, 0.0
     order = np.argsort(joint)
     weak = int(np.searchsorted(np.sqrt(np.cumsum(np.square(joint[order]))), SHARE * tolerance))
-    late = scale * np.linalg.norm(by_tap, axis=0)
     enough = np.flatnonzero(late <= SHARE * tolerance)
     kept_taps = int(ends[enough[0]]) if len(enough) else taps
     kept = np.sort(order[min(weak, actuators - 1) :])

@@ -18,6 +18,9 @@ Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 Complex128Array = NDArray[np.complex128]
 
+LONG_RUN = 48
+"""Runs of so many samples, on average, are copied one by one; shorter ones sample by sample, all at once."""
+
 Weigh = Callable[[Int64Array, Int64Array], tuple[Float64Array, NDArray[np.bool_]]]
 """For pairs of a row and its regularising row, in the order in which they are first needed: the factor, and
 whether actuators are saturated."""
@@ -203,17 +206,27 @@ class Windows:
         run = np.flatnonzero(chosen[place] == self._window[begin:end]) + begin
         place = place[run - begin]
         count = self._length[run]
+        start = self._start[run] if shift is None else self._start[run] - shift[place]
+        first, target = self._begin[run], place * length + start
+        if count.sum() >= LONG_RUN * len(run):
+            dense = np.zeros(len(chosen) * length, dtype=real if self._disjoint else np.float64)
+            runs = zip(first.tolist(), target.tolist(), count.tolist(), self._factor[run].tolist(), strict=True)
+            for source, begins, samples, factor in runs:
+                there, values = dense[begins : begins + samples], self._values[source : source + samples]
+                if self._disjoint:
+                    np.multiply(values, factor, out=there, casting="same_kind")
+                else:
+                    there += values * factor
+            return dense.astype(real, copy=False).reshape(len(chosen), length)
         before = np.cumsum(count) - count
         number = np.arange(int(count.sum()))
-        start = self._start[run] if shift is None else self._start[run] - shift[place]
-        source = number + np.repeat(self._begin[run] - before, count)
-        target = number + np.repeat(place * length + start - before, count)
-        values = self._values[source] * np.repeat(self._factor[run], count)
+        values = self._values[number + np.repeat(first - before, count)] * np.repeat(self._factor[run], count)
+        places = number + np.repeat(target - before, count)
         if self._disjoint:
             dense = np.zeros(len(chosen) * length, dtype=real)
-            dense[target] = values
+            dense[places] = values
         else:
-            dense = np.bincount(target, weights=values, minlength=len(chosen) * length).astype(real, copy=False)
+            dense = np.bincount(places, weights=values, minlength=len(chosen) * length).astype(real, copy=False)
         return dense.reshape(len(chosen), length)
 
     def spectra(self, chosen: Int64Array, fft_samples: int) -> Complex128Array:
