@@ -31,8 +31,8 @@ COARSE = 1e-4
 PLANNED_SAMPLES = 2**16
 """Blocks are planned for so many samples at a time."""
 PART_BYTES = 2**22
-"""Windows and drives of so many bytes are evaluated together: with fewer, the steps from part to part cost more than what
-stays in the cache of one core saves."""
+"""Windows and drives of so many bytes are evaluated together: with fewer, the steps from part to part cost more than
+what stays in the cache of one core saves."""
 AHEAD = 2
 """Parts whose windows, and parts whose blocks, are being transformed while another one is multiplied."""
 
