@@ -10,7 +10,7 @@ row) pairs.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rendering.blocks import Blocks
 from rendering.emission import Emission
 from rendering.omission import ErrorBudget
-from rendering.overlap_add import scale
+from rendering.overlap_add import scale, scale_and_measure
 from rendering.regularisation import BankRows
 from rendering.threads import one_blas_thread, workers
 
@@ -49,6 +49,8 @@ class Accumulated:
         Actuators whose drives would hardly count.
     left_out_windows : int
         (Block, row) pairs that hardly emit anything.
+    energies : float64 array, shape (actuators,), or None
+        Energies of the drives, where there is nothing else in them and they were found on the way.
     """
 
     error: float
@@ -60,6 +62,7 @@ class Accumulated:
     left_out_taps: int = 0
     left_out_actuators: tuple[int, ...] = ()
     left_out_windows: int = 0
+    energies: Float64Array | None = None
 
 
 class SourceDrives:
@@ -136,8 +139,7 @@ class SourceDrives:
             budget = ErrorBudget(shape.fft_samples, shape.overlap)
             pairs, quiet, band_energy, energy = 0, 0, 0.0, 0.0
             for part in blocks.evaluate():
-                for block, samples in enumerate(part.samples, part.first):
-                    overlap_add.add(block, samples)
+                overlap_add.add(part.first, part.samples)
                 budget.add(part.first, part.errors)
                 pairs += part.pairs
                 quiet += part.quiet
@@ -178,6 +180,7 @@ class SourceDrives:
             Whether nothing is in it so far, whatever it holds.
         """
         written = 0
+        energies = np.zeros(len(drive_v))
         for first, samples, exponent in self.pieces():
             begin, end = max(0, first), min(drive_v.shape[1], first + samples.shape[1])
             if end <= begin:
@@ -185,10 +188,11 @@ class SourceDrives:
             place, found = drive_v[:, begin:end], samples[:, begin - first : end - first]
             if silent:
                 drive_v[:, written:begin] = 0
-                scale(found, exponent, place)
+                energies += scale_and_measure(found, exponent, place)
             else:
                 place += scale(found, exponent)
             written = end
-        if silent:
-            drive_v[:, written:] = 0
-        return self.facts
+        if not silent:
+            return self.facts
+        drive_v[:, written:] = 0
+        return replace(self.facts, energies=energies)

@@ -20,7 +20,7 @@ from rendering.device_accumulation import DeviceDrives
 from rendering.green_source import GreenSource
 from rendering.interpolation_errors import interpolation_errors, judge_interpolation
 from rendering.limits import scale_to_limit
-from rendering.omission import relative_bound, row_norms, tolerance_of
+from rendering.omission import LEAST_NORM, relative_bound, row_norms, tolerance_of
 from rendering.regularisation import BankRows
 from rendering.render_report import RenderReport, RenderWarning, report_render
 from rendering.reused_memory import reused
@@ -202,7 +202,7 @@ def _accumulated(
                         on_block=progress.of(source),
                     )
                 accumulated.append(made.add_to(drive_v, silent=not accumulated))
-        norms = row_norms(drive_v)
+        norms = _norms(drive_v, accumulated)
         bound = relative_bound(math.fsum(item.error for item in accumulated), norms)
         if bound <= tolerance:
             break
@@ -211,6 +211,15 @@ def _accumulated(
             np.ldexp(drive_v, rows.drive_exponent, out=drive_v)
         norms = row_norms(drive_v)
     return drive_v, accumulated, norms, bound
+
+
+def _norms(drive_v: Float64Array, accumulated: Sequence[Accumulated]) -> Float64Array:
+    """Norms of all drives, from what was found on the way where that is safe."""
+    energies = accumulated[0].energies if len(accumulated) == 1 else None
+    if energies is None or not ((energies > LEAST_NORM**2) & (energies < np.inf)).all():
+        return row_norms(drive_v)
+    norms: Float64Array = np.sqrt(energies)
+    return norms
 
 
 class _Progress:

@@ -18,8 +18,8 @@ PLAIN_SINGLE, PLAIN_DOUBLE = 60, 900
 class OverlapAdd(Protocol):
     """Adds up blocks in order; samples count from the first block's start."""
 
-    def add(self, block: int, samples: NDArray[Any]) -> None:
-        """Add the samples of one block, (actuators, samples)."""
+    def add(self, first: int, samples: NDArray[Any]) -> None:
+        """Add the samples of consecutive blocks, (blocks, actuators, samples)."""
         ...
 
     def take(self, done: int | None) -> tuple[int, NDArray[Any]]:
@@ -43,10 +43,13 @@ class FullRate:
         self._last = 0
         self._sum: NDArray[Any] = np.zeros((actuators, 0))
 
-    def add(self, block: int, samples: NDArray[Any]) -> None:
-        begin = block * self._hop - self._from
-        self._reach(begin + samples.shape[1], samples.dtype)
-        self._sum[:, begin : begin + samples.shape[1]] += samples
+    def add(self, first: int, samples: NDArray[Any]) -> None:
+        blocks, _, length = samples.shape
+        begins = [block * self._hop - self._from for block in range(first, first + blocks)]
+        if begins:
+            self._reach(begins[-1] + length, samples.dtype)
+        for begin, block in zip(begins, samples, strict=True):
+            self._sum[:, begin : begin + length] += block
 
     def take(self, done: int | None) -> tuple[int, NDArray[Any]]:
         first = self._from
@@ -87,8 +90,8 @@ class LowRate:
         self._rest = np.zeros((actuators, 2 * half), dtype=np.float32)
         self._from = -half
 
-    def add(self, block: int, samples: NDArray[Any]) -> None:
-        self._low.add(block, samples)
+    def add(self, first: int, samples: NDArray[Any]) -> None:
+        self._low.add(first, samples)
 
     def take(self, done: int | None) -> tuple[int, NDArray[Any]]:
         half, factor = self._upsampling.half, self._upsampling.factor
@@ -103,15 +106,29 @@ class LowRate:
 
 
 def scale(samples: NDArray[Any], exponent: int, out: Float64Array | None = None) -> Float64Array:
-    """Samples times two to a power, in double precision."""
-    near = abs(exponent) < (PLAIN_SINGLE if samples.dtype == np.float32 else PLAIN_DOUBLE)
-    with np.errstate(over="ignore", under="ignore"):
-        if near:
-            # Mixed types take numpy twice as long as one after the other; powers of two round nothing.
-            volts = np.empty(samples.shape) if out is None else out
-            volts[...] = samples
-            if exponent:
-                volts *= 2.0**exponent
-        else:
-            volts = np.ldexp(samples.astype(np.float64), exponent, out=out)
+    """Samples (actuators, samples) times two to a power, in double precision."""
+    volts = np.empty(samples.shape) if out is None else out
+    for signal, volt in zip(samples, volts, strict=True):
+        _scale(signal, exponent, volt)
     return volts
+
+
+def scale_and_measure(samples: NDArray[Any], exponent: int, out: Float64Array) -> Float64Array:
+    """Scale as `scale` does, and find the energy of each actuator's samples."""
+    energies = np.empty(len(samples))
+    for place, (signal, volt) in enumerate(zip(samples, out, strict=True)):
+        _scale(signal, exponent, volt)
+        # While they are at hand: to come back to all of them would take as long as to scale them.
+        energies[place] = np.einsum("i,i->", volt, volt)
+    return energies
+
+
+@np.errstate(over="ignore", under="ignore")
+def _scale(signal: NDArray[Any], exponent: int, volt: Float64Array) -> None:
+    if abs(exponent) < (PLAIN_SINGLE if signal.dtype == np.float32 else PLAIN_DOUBLE):
+        # Mixed types take numpy twice as long as one after the other; powers of two round nothing.
+        volt[...] = signal
+        if exponent:
+            volt *= 2.0**exponent
+    else:
+        np.ldexp(signal.astype(np.float64), exponent, out=volt)
