@@ -265,17 +265,10 @@ class BankRows:
             Where the scaled values go, however it lies.
         """
         if not any(refusal(int(self.status[row])) for row in rows):
-            raws = [self._fetch(row) for row in rows]
-            if all(raw.dtype == np.float32 for raw in raws):
-                values: NDArray[Any] = out if out.dtype == np.float32 else reused(out.shape, np.float32)
-                for place, raw in enumerate(raws):
-                    values[place] = raw
-                exponents = scale_together(values)
-                if exponents is not None:
-                    if values is not out:
-                        out[...] = values
-                    self._learn(rows, out, exponents)
-                    return
+            exponents = scale_together([self._fetch(row) for row in rows], out)
+            if exponents is not None:
+                self._learn(rows, out, exponents)
+                return
         for place, row in enumerate(rows):
             out[place] = self.read(row, single=out.dtype == np.float32).values
 

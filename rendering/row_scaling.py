@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,32 +84,38 @@ def scale_row(raw: NDArray[Any], position: int, *, single: bool = False) -> Scal
     return ScaledRow(values, exponent + shift)
 
 
-def scale_together(rows: NDArray[np.float32]) -> Int64Array | None:
-    """Scale rows where they lie, each as `scale_row` does in single precision.
+def scale_together(raws: Sequence[NDArray[Any]], out: RealArray) -> Int64Array | None:
+    """Scale rows side by side, each as `scale_row` does.
 
     Parameters
     ----------
-    rows : float32 array, shape (rows, actuators, taps)
-        Rows as the bank has them, however they lie; changed in place.
+    raws : sequence of arrays, shape (actuators, taps)
+        Rows as the bank has them.
+    out : float32 or float64 array, shape (rows, actuators, taps)
+        Gets the scaled values, however it lies.
 
     Returns
     -------
     int64 array, shape (rows,), or None
-        Exponents of the rows. None where one is all zeros, not finite or holds denormal numbers: then all are as they
-        were, and each needs `scale_row`.
+        Exponents of the rows. None where one is of another type than float32, all zeros, not finite or holds denormal
+        numbers: then each needs `scale_row`.
     """
-    exponents = _plain_exponents(rows, single=True)
-    if exponents is not None:
-        rows *= np.ldexp(np.float32(1.0), -exponents)[:, None, None]
-    return exponents
+    if any(raw.dtype != np.float32 for raw in raws):
+        return None
+    exponents = [_plain_exponent(raw, single=True) for raw in raws]
+    found = [exponent for exponent in exponents if exponent is not None]
+    if len(found) < len(exponents):
+        return None
+    for raw, exponent, values in zip(raws, found, out, strict=True):
+        np.multiply(raw, np.ldexp(np.float32(1.0), -exponent), out=values)
+    return np.array(found, dtype=np.int64)
 
 
 def _scaled_plainly(raw: NDArray[np.float32], *, single: bool) -> ScaledRow | None:
     """Scale as it is what can be scaled without meeting a number that is denormal or not finite."""
-    exponents = _plain_exponents(raw[None], single=single)
-    if exponents is None:
+    exponent = _plain_exponent(raw, single=single)
+    if exponent is None:
         return None
-    exponent = int(exponents[0])
     if single:
         return ScaledRow(raw * np.ldexp(np.float32(1.0), -exponent), exponent)
     values = raw.astype(np.float64)
@@ -115,18 +123,18 @@ def _scaled_plainly(raw: NDArray[np.float32], *, single: bool) -> ScaledRow | No
     return ScaledRow(values, exponent)
 
 
-def _plain_exponents(rows: NDArray[np.float32], *, single: bool) -> Int64Array | None:
-    """Exponents of rows (rows, actuators, taps), none of which has a number that is denormal or not finite."""
-    peaks = np.maximum(rows.max(axis=(1, 2)), -rows.min(axis=(1, 2)))
-    if not ((peaks > 0.0) & (peaks < np.inf)).all():
+def _plain_exponent(raw: NDArray[np.float32], *, single: bool) -> int | None:
+    """Exponent of a row that has no number that is denormal or not finite."""
+    peak = max(float(raw.max()), -float(raw.min()))
+    if not 0.0 < peak < np.inf:
         return None
-    exponents = np.frexp(peaks)[1].astype(np.int64)
+    exponent = math.frexp(peak)[1]
     # Without their sign, and with zero wrapped round to the largest, the smallest integer tells. They come in
     # flocks, where a response has died away, and a few that are missed cost next to nothing.
-    magnitude = rows[:, :, ::LOOKED_AT].view(np.uint32) << np.uint32(1)
+    magnitude = raw[:, ::LOOKED_AT].view(np.uint32) << np.uint32(1)
     magnitude -= np.uint32(1)
-    least = (np.maximum(exponents, 0) + 1 if single else np.ones_like(exponents)) << 24
-    return None if (magnitude.min(axis=(1, 2)) < least - 1).any() else exponents
+    least_exponent = max(exponent, 0) if single else 0
+    return exponent if int(magnitude.min()) >= ((least_exponent + 1) << 24) - 1 else None
 
 
 def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:

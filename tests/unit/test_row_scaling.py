@@ -22,23 +22,31 @@ def make_rows(seed: int = 0) -> np.ndarray:
     return (rows * np.logspace(-30, 30, 6)[:, None, None]).astype(np.float32)
 
 
+@pytest.mark.parametrize("into", [np.float32, np.float64])
 @pytest.mark.parametrize("lie", [lambda rows: rows, lambda rows: rows[:, :, ::-1], lambda rows: rows[::-1, ::-1]])
-def test_given_plain_rows_then_each_is_scaled_as_by_itself(lie):
-    rows = make_rows()
-    expected = [scale_row(row.copy(), number, single=True) for number, row in enumerate(lie(rows))]
-    exponents = scale_together(lie(rows))
+def test_given_plain_rows_then_each_is_scaled_as_by_itself(into, lie):
+    raws = list(make_rows())
+    found = np.empty((6, ACTUATORS, TAPS), dtype=into)
+    exponents = scale_together(raws, lie(found))
+    expected = [scale_row(raw, number, single=into == np.float32) for number, raw in enumerate(raws)]
     assert exponents.tolist() == [row.exponent for row in expected]
-    np.testing.assert_array_equal(lie(rows), [row.values for row in expected])
-    assert ((np.abs(rows).max(axis=(1, 2)) >= 0.5) & (np.abs(rows).max(axis=(1, 2)) < 1.0)).all()
+    np.testing.assert_array_equal(lie(found), [row.values for row in expected])
+    np.testing.assert_array_equal(raws, make_rows())
+    assert ((np.abs(found).max(axis=(1, 2)) >= 0.5) & (np.abs(found).max(axis=(1, 2)) < 1.0)).all()
 
 
 @pytest.mark.parametrize("odd", [0.0, np.nan, np.inf, -np.inf, 1e-40])
-def test_given_a_row_out_of_the_ordinary_then_all_are_left_as_they_were(odd):
+def test_given_a_row_out_of_the_ordinary_then_each_needs_a_look_by_itself(odd):
     rows = make_rows()
     rows[3] = odd
-    before = rows.copy()
-    assert scale_together(rows) is None
-    np.testing.assert_array_equal(rows, before)
+    assert scale_together(list(rows), np.empty(rows.shape)) is None
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float16, np.int16, ">f4"])
+def test_given_a_row_of_another_type_then_each_needs_a_look_by_itself(dtype):
+    rows = list(np.ones((3, ACTUATORS, TAPS), dtype=np.float32))
+    rows[1] = rows[1].astype(dtype)
+    assert scale_together(rows, np.empty((3, ACTUATORS, TAPS))) is None
 
 
 def make_bank(values: np.ndarray, **more) -> GreenArray:
