@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0
 
-from rendering.green_source import GreenSource, fetch_row, usable
+from rendering.green_source import GreenSource, read_rows, usable
 from rendering.interpolation import GridInterpolation
-from rendering.row_scaling import scale_row
 from rendering.snapping import PositionGrid
 
 Float64Array = NDArray[np.float64]
@@ -95,12 +94,9 @@ def _correlation(bank: GreenSource, pairs: Int64Array, frequency_hz: Float64Arra
     """Correlation of the pairs' rows over actuators, and their power, (bands,) each."""
     transform = _transform(bank.taps, tuple((frequency_hz / bank.sample_rate_hz).tolist()))
     product, power = np.zeros(len(frequency_hz)), np.zeros(len(frequency_hz))
-    for pair in pairs.tolist():
-        rows = [scale_row(fetch_row(bank, row), row, single=True) for row in pair]
-        if any(row.silent for row in rows):
-            continue
-        parts = [row.values @ transform for row in rows]
-        first, second = (part[:, : len(frequency_hz)] + 1j * part[:, len(frequency_hz) :] for part in parts)
+    rows = read_rows(bank, pairs.ravel().tolist())
+    for both in (rows @ transform).reshape(len(pairs), 2, bank.actuators, -1):
+        first, second = (part[:, : len(frequency_hz)] + 1j * part[:, len(frequency_hz) :] for part in both)
         norms = [np.square(np.abs(part)).sum(axis=0) for part in (first, second)]
         scale = np.sqrt(norms[0] * norms[1])
         product += np.divide((first.conj() * second).real.sum(axis=0), scale, out=np.zeros_like(scale), where=scale > 0)

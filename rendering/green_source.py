@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -10,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.errors import InputError
-from rendering.row_scaling import ScaledRow, scale_row
+from rendering.reused_memory import reused
+from rendering.row_scaling import ScaledRow, scale_row, scale_together
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -148,6 +150,29 @@ def read_row(bank: GreenSource, position: int) -> ScaledRow:
         The row is not real, has the wrong shape, or holds NaN or infinity.
     """
     return scale_row(fetch_row(bank, position), position)
+
+
+def read_rows(bank: GreenSource, positions: Sequence[int]) -> NDArray[np.float32]:
+    """Read some rows as float32, each scaled by a power of two, (rows, actuators, taps).
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    positions : sequence of int
+        Rows.
+
+    Raises
+    ------
+    InputError
+        As of `read_row`.
+    """
+    raws = [fetch_row(bank, position) for position in positions]
+    rows = reused((len(raws), bank.actuators, bank.taps), np.float32)
+    if scale_together(raws, rows) is None:
+        for place, (raw, position) in enumerate(zip(raws, positions, strict=True)):
+            rows[place] = scale_row(raw, position, single=True).values
+    return rows
 
 
 def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.green_source import GreenSource, fetch_row
-from rendering.row_scaling import scale_row
+from rendering.green_source import GreenSource, read_rows
 
 Float64Array = NDArray[np.float64]
 
@@ -68,10 +67,9 @@ def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None
     if not len(rows) or bank.taps < 10:
         return None
     found: ResponseTail | None = None
-    for index in np.unique(np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(np.int64)).tolist():
-        row = rows[index]
-        green = scale_row(fetch_row(bank, row), row, single=True).values
-        energy = np.einsum("it,it->t", green, green).astype(np.float64)
+    chosen = [rows[index] for index in np.unique(np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(np.int64))]
+    green = read_rows(bank, chosen)
+    for row, energy in zip(chosen, np.einsum("rit,rit->rt", green, green).astype(np.float64), strict=True):
         total = float(energy.sum())
         if total == 0.0:
             continue
