@@ -9,11 +9,10 @@ from typing import Any
 
 KEPT_BYTES = 64 * 2**20
 """So much at the end of a heap is kept when it is freed."""
-APART_BYTES = 32 * 2**20
-"""Arrays of at least so many bytes are still taken from the system one by one, and given back: the most that glibc
-allows (mallopt(3))."""
+APART_BYTES = 12 * 2**20
+"""Arrays of at least so many bytes are still taken from the system one by one, and given back: results, not steps."""
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-"""Parameters of mallopt, as in glibc's malloc.h."""
+"""Parameters of mallopt(3), as in glibc's malloc.h."""
 SETTINGS = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
 """Whoever sets one of these variables has chosen otherwise."""
 
