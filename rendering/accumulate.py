@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.bank_rows import BankRows
 from rendering.blocks import Blocks
 from rendering.emission import Emission
 from rendering.omission import ErrorBudget
 from rendering.overlap_add import scale, scale_and_measure
-from rendering.regularisation import BankRows
 from rendering.threads import one_blas_thread, workers
 
 Float64Array = NDArray[np.float64]

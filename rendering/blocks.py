@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
+from rendering.bank_rows import BankRows
 from rendering.block_task import BlockShape, BlockTask, Part
 from rendering.choice import sample_blocks
 from rendering.economy_choice import choose_economy, quietest, sampled_energy
 from rendering.emission import Emission
 from rendering.omission import Economy
-from rendering.regularisation import BankRows
 from rendering.row_cut import SHARE, RowCut, choose_cut
 from rendering.row_spectra import RowSpectra
 from rendering.upsampling import MULTIPLE, Upsampling, choose_factor

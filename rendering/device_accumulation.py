@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from rendering.accumulate import Accumulated
+from rendering.bank_rows import BankRows
 from rendering.device import Device
 from rendering.emission import Emission
 from rendering.overlap_add import scale
-from rendering.regularisation import BankRows
 from rendering.windows import Windows
 
 Float64Array = NDArray[np.float64]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from calibration.drive_file import Drive
 from calibration.errors import InputError
 from rendering.accumulate import Accumulated, SourceDrives
+from rendering.bank_rows import BankRows
 from rendering.between_positions import scene_interpolation
 from rendering.coil_limits import DriveLimits, limit_drive
 from rendering.device import Device
@@ -21,7 +22,6 @@ from rendering.green_source import GreenSource
 from rendering.interpolation_errors import interpolation_errors, judge_interpolation
 from rendering.limits import scale_to_limit
 from rendering.omission import LEAST_NORM, relative_bound, row_norms, tolerance_of
-from rendering.regularisation import BankRows
 from rendering.render_report import RenderReport, RenderWarning, report_render
 from rendering.reused_memory import reused
 from rendering.sampling import Method, SampledSource, sample_source

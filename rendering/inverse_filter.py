@@ -21,13 +21,13 @@ from scipy import fft as scipy_fft
 
 from calibration.drive_file import Drive
 from calibration.errors import InputError
+from rendering.bank_rows import BankRows
 from rendering.between_positions import scene_interpolation
 from rendering.coil_limits import DriveLimits, Limiting, limit_drive
 from rendering.green_source import GreenSource
 from rendering.interpolation import Nodes
 from rendering.limits import scale_to_limit
 from rendering.metrics import band_weights
-from rendering.regularisation import BankRows
 from rendering.sampling import SampledSource, sample_source
 from rendering.scene import Regularisation, Scene
 

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from calibration.errors import InputError
 from rendering.accumulate import Accumulated, SourceDrives
+from rendering.bank_rows import BankRows
 from rendering.between_positions import scene_interpolation
 from rendering.coil_limits import DriveLimits
 from rendering.drive import chosen_method
 from rendering.green_source import GreenSource
 from rendering.omission import tolerance_of
 from rendering.overlap_add import scale
-from rendering.regularisation import BankRows
 from rendering.running_levels import RunningLevels
 from rendering.sampling import Method, SampledSource, sample_source
 from rendering.scene import Scene

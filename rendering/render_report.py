@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from rendering.accumulate import Accumulated
+from rendering.bank_rows import BankRows
 from rendering.coil_limits import Limiting, dynamic_range_db
 from rendering.emission import ContinuousEmission
 from rendering.green_source import DOUBTFUL_BITS, GreenSource
 from rendering.interpolation_errors import InterpolationErrors
-from rendering.regularisation import BankRows
 from rendering.response_tail import ResponseTail, response_tail
 from rendering.sampling import SampledSource
 from rendering.scene import Scene

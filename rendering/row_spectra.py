@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
+from rendering.bank_rows import BankRows
 from rendering.omission import Economy
 from rendering.product_bounds import SpectrumSizes
-from rendering.regularisation import BankRows
 from rendering.reused_memory import reused
 from rendering.row_cut import RowCut
 from rendering.row_pages import RowPage, RowsView

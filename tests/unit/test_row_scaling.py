@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calibration.errors import InputError
+from rendering.bank_rows import BankRows
 from rendering.green_source import GreenArray
-from rendering.regularisation import BankRows
 from rendering.row_scaling import scale_row, scale_together
 from rendering.scene import Regularisation
 

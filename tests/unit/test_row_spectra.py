@@ -10,9 +10,9 @@ import pytest
 
 from calibration.errors import InputError
 from rendering import row_spectra
+from rendering.bank_rows import BankRows
 from rendering.green_source import GreenArray
 from rendering.omission import SQUARES_SLACK, Economy
-from rendering.regularisation import BankRows
 from rendering.row_cut import RowCut
 from rendering.row_spectra import RowSpectra
 from rendering.scene import Regularisation
