@@ -30,8 +30,8 @@ COARSE = 1e-4
 """Tolerances above this allow to look for what is worth computing in single precision."""
 PLANNED_SAMPLES = 2**16
 """Blocks are planned for so many samples at a time."""
-PART_BYTES = 2**22
-"""Windows and drives of so many bytes are evaluated together: with fewer, the steps from part to part cost more than
+PART_VALUES = 2**20
+"""Windows and drives of so many numbers are evaluated together: with fewer, the steps from part to part cost more than
 what stays in the cache of one core saves."""
 AHEAD = 2
 """Parts whose windows, and parts whose blocks, are being transformed while another one is multiplied."""
@@ -152,9 +152,8 @@ class Blocks:
     def _tasks_of(self, windows: Windows, first: int, blocks: int) -> Iterator[BlockTask]:
         """Cut planned blocks into parts; a block of very many windows is cut too."""
         shape = self.shape
-        item = np.dtype(shape.economy.real).itemsize
-        most_windows = min(max(1, PART_BYTES // (2 * shape.economy.kept * item)), self._spectra.most_rows)
-        most_blocks = max(1, PART_BYTES // (len(shape.actuators) * shape.samples * item))
+        most_windows = min(max(1, PART_VALUES // (2 * shape.economy.kept)), self._spectra.most_rows)
+        most_blocks = max(1, PART_VALUES // (len(shape.actuators) * shape.samples))
         bounds = np.searchsorted(windows.block, np.arange(blocks + 1))
         block = begin = 0
         while block < blocks:
