@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.errors import InputError
 from rendering.green_source import GreenSource, fetch_row, refusal
-from rendering.regularisation import RowWeights, green_energies, row_weights, saturation_threshold, weights_of
+from rendering.regularisation import RowWeights, green_energies, row_weights, saturation_threshold
 from rendering.row_scaling import RealArray, ScaledRow, scale_row, scale_together
 from rendering.scene import Regularisation
 
@@ -117,21 +117,15 @@ class BankRows:
         new = [place for place, row in enumerate(rows) if row not in self._weights]
         if not new:
             return
-        if np.isfinite(self.threshold):
-            for place in new:
-                self._know(rows[place], ScaledRow(values[place], int(exponents[place])))
-            return
-        for place, energies in zip(new, green_energies(values if len(new) == len(rows) else values[new]), strict=True):
-            self._loud |= energies > 0
-            exponent = int(exponents[place])
-            self._exponent[rows[place]] = exponent
-            self._weights[rows[place]] = weights_of(energies, exponent, None, normalise=self._normalise)
+        found = green_energies(values if len(new) == len(rows) else values[new])
+        for place, energies in zip(new, found, strict=True):
+            self._know(rows[place], ScaledRow(values[place], int(exponents[place])), energies)
 
-    def _know(self, row: int, scaled: ScaledRow) -> None:
+    def _know(self, row: int, scaled: ScaledRow, energies: Float64Array | None = None) -> None:
         if not self._loud.all():
             self._loud |= scaled.values.any(axis=1)
         self._exponent[row] = scaled.exponent
-        self._weights[row] = row_weights(scaled, self.threshold, normalise=self._normalise)
+        self._weights[row] = row_weights(scaled, self.threshold, normalise=self._normalise, energies=energies)
 
     def norm_of(self, rows: Int64Array) -> Float64Array:
         """Norms of scaled rows that were read, over all actuators and taps."""

@@ -15,7 +15,6 @@ from rendering.reused_memory import reused
 from rendering.row_scaling import ScaledRow, scale_row, scale_together
 
 Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 USABLE_BITS = 1 | 2 | 4
 """Status bits of a row that holds a measurement: valid, over-range, poor signal."""

@@ -16,7 +16,6 @@ from rendering.row_scaling import RealArray, ScaledRow
 from rendering.scene import Regularisation
 
 Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 
 def rms_map(bank: GreenSource) -> Float64Array:
@@ -102,7 +101,9 @@ class RowWeights:
     norm: float
 
 
-def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeights:
+def row_weights(
+    row: ScaledRow, threshold: float, *, normalise: bool, energies: Float64Array | None = None
+) -> RowWeights:
     """Evaluate eqs. (14) and (15) at one position.
 
     Parameters
@@ -113,6 +114,8 @@ def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeig
         C, > 0, infinity for off.
     normalise : bool
         Whether to form n(x).
+    energies : float64 array, shape (actuators,), optional
+        `green_energies` of the row, where they are known.
     """
     sigma = None
     if np.isfinite(threshold):
@@ -121,28 +124,12 @@ def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeig
         if saturated.any():
             sigma = np.ones(len(rms))
             sigma[saturated] = threshold / rms[saturated]
-    return weights_of(green_energies(row.values), row.exponent, sigma, normalise=normalise)
-
-
-def weights_of(energies: Float64Array, exponent: int, sigma: Float64Array | None, *, normalise: bool) -> RowWeights:
-    """Evaluate eq. (15) from the energies of a scaled row's Green's functions.
-
-    Parameters
-    ----------
-    energies : float64 array, shape (actuators,)
-        Autocorrelations at 0, as of `green_energies`, not all zero.
-    exponent : int
-        Of the scaled row.
-    sigma : float64 array, shape (actuators,), optional
-        Saturation factors; without them all are 1.
-    normalise : bool
-        Whether to form n(x).
-    """
-    energy = float(energies.sum())
+    autocorrelation = green_energies(row.values) if energies is None else energies
+    energy = float(autocorrelation.sum())
     if not normalise:
         return RowWeights(sigma, 1.0, 0, math.sqrt(energy))
-    total = energy if sigma is None else float(sigma @ energies)
-    return RowWeights(sigma, 1.0 / total, -2 * exponent, math.sqrt(energy))
+    total = energy if sigma is None else float(sigma @ autocorrelation)
+    return RowWeights(sigma, 1.0 / total, -2 * row.exponent, math.sqrt(energy))
 
 
 def green_energies(values: RealArray) -> Float64Array:

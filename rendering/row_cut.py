@@ -50,7 +50,7 @@ class RowCut:
 
     def used(self, values: RealArray) -> RealArray:
         """The part of rows (..., actuators, taps) that is used."""
-        return values if self.whole else values[..., self.actuators, : self.taps]
+        return values[..., self.actuators, : self.taps]
 
     @property
     def weak_actuators(self) -> tuple[int, ...]:
@@ -67,8 +67,6 @@ class RowCut:
 
     def left_out(self, values: RealArray) -> Float64Array:
         """Norms of what is left out of rows (..., actuators, taps)."""
-        if self.whole:
-            return np.zeros(values.shape[:-2])
         rest = values.astype(np.float64)
         rest[..., self.actuators, : self.taps] = 0.0
         norms: Float64Array = np.sqrt(np.einsum("...it,...it->...", rest, rest)) * (1.0 + 1e-9)

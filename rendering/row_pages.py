@@ -103,12 +103,12 @@ class RowsView:
 
     def magnitudes(self) -> Float64Array:
         """Norms of the rows over the actuators, bin by bin, (rows, kept bins)."""
-        magnitudes = np.empty((len(self._place), self._pages[0].spectra.shape[1]))
+        spectra = self._pages[0].spectra
+        squares = np.empty((len(self._place), spectra.shape[1]), dtype=spectra.real.dtype)
         for page, rows, place in self._by_page():
             for row, at in zip(rows.tolist(), place.tolist(), strict=True):
-                parts = page.spectra[at].view(page.spectra.real.dtype)
-                magnitudes[row] = np.sqrt(np.einsum("bi,bi->b", parts, parts))
-        return magnitudes
+                add_up_actuators(page.spectra[at : at + 1], squares[row:])
+        return np.sqrt(squares).astype(np.float64)
 
     def sums(self, windows: NDArray[Any], turn: NDArray[Any], groups: Int64Array, out: NDArray[Any]) -> None:
         """Sum over the rows of each group of their spectra times those of windows.
@@ -171,3 +171,9 @@ def _product(windows: NDArray[Any], spectra: NDArray[Any], out: NDArray[Any] | N
     into = None if out is None else out[:, None]
     product: NDArray[Any] = np.matmul(windows[:, None], spectra.transpose(1, 0, 2), out=into)
     return product[:, 0]
+
+
+def add_up_actuators(spectra: NDArray[Any], out: NDArray[Any]) -> None:
+    """Squares of magnitudes (rows, bins, actuators), added up over the actuators into the first rows of (k, bins)."""
+    parts: NDArray[Any] = spectra.view(spectra.real.dtype)
+    np.einsum("rka,rka->rk", parts, parts, out=out[: len(parts)])

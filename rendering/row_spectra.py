@@ -16,7 +16,7 @@ from rendering.omission import Economy
 from rendering.product_bounds import SpectrumSizes
 from rendering.reused_memory import reused
 from rendering.row_cut import RowCut
-from rendering.row_pages import RowPage, RowsView
+from rendering.row_pages import RowPage, RowsView, add_up_actuators
 
 CACHE_BYTES = 384 * 2**20
 """Most memory of spectra that are kept, beside pages that have gone and are still multiplied."""
@@ -222,7 +222,7 @@ class RowSpectra:
         for page, places, some in self._runs(rows):
             np.conjugate(whole[some, economy.low : economy.high], out=page.spectra[places])
         if not economy.exact:
-            _joint_squares(whole, squares)
+            add_up_actuators(whole, squares)
 
     def _runs(self, rows: Sequence[int]) -> Iterator[tuple[RowPage, slice, slice]]:
         """Runs of rows that lie side by side: their page, their places in it, and which of the rows they are."""
@@ -246,7 +246,7 @@ class RowSpectra:
             page.sizes.cut_off[here] = seen.sizes.cut_off[there]
             page.spectra[here] = seen.spectra[there, economy.low : economy.high]
             if not economy.exact:
-                _joint_squares(seen.spectra[there : there + 1], squares[number:])
+                add_up_actuators(seen.spectra[there : there + 1], squares[number:])
         self._measure(rows, squares)
 
     def _measure(self, rows: Sequence[int], squares: NDArray[Any]) -> None:
@@ -256,9 +256,3 @@ class RowSpectra:
         sizes = SpectrumSizes.of(squares, self.economy, self._actuators)
         for page, places, some in self._runs(rows):
             page.sizes.norms[places], page.sizes.peaks[places] = sizes.norms[some], sizes.largest[some, -1]
-
-
-def _joint_squares(spectra: NDArray[Any], out: NDArray[Any]) -> None:
-    """Squares of magnitudes (rows, bins, actuators), added up over the actuators into the first rows of (k, bins)."""
-    parts: NDArray[Any] = spectra.view(spectra.real.dtype)
-    np.einsum("rka,rka->rk", parts, parts, out=out[: len(parts)])
