@@ -37,12 +37,12 @@ class Lines:
         self.process.stdin.write(text + "\n")
         self.process.stdin.flush()
 
-    def hear(self, event: str) -> dict[str, Any]:
-        """The next event of a kind; those before it are passed over."""
+    def hear(self, *events: str) -> dict[str, Any]:
+        """The next event of one of some kinds; those before it are passed over."""
         while (told := self._told.get(timeout=SOON_S)) is not None:
-            if told["event"] == event:
+            if told["event"] in events:
                 return told
-        raise AssertionError(f"it ended without {event}: {self.said}")
+        raise AssertionError(f"it ended without {' or '.join(events)}: {self.said}")
 
     def rest(self) -> list[dict[str, Any]]:
         """All that it tells until its end."""

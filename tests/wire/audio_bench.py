@@ -32,14 +32,19 @@ needs_audio_server = [
 
 
 class AudioBench:
-    """An emulated interface and the players on it."""
+    """An emulated interface and the players on it.
 
-    def __init__(self, stack: ExitStack) -> None:
+    Opening and closing take a period for each channel: a short one is quick. A sound that must go on through what
+    other programs take of the processors needs a long one.
+    """
+
+    def __init__(self, stack: ExitStack, period_frames: int = 1024) -> None:
         self._stack = stack
+        self._period_frames = period_frames
 
     def serve(self, **settings) -> JackServer:
-        """An interface; its period is short, because opening and closing take one for each channel."""
-        return self._stack.enter_context(JackServer(**{"period_frames": 1024, **settings}))
+        """An interface."""
+        return self._stack.enter_context(JackServer(**{"period_frames": self._period_frames, **settings}))
 
     def player(self, interface, **settings) -> StreamPlayer:
         opened = StreamPlayer(

@@ -67,7 +67,7 @@ print("closed", flush=True)
 @pytest.fixture
 def bench():
     with ExitStack() as stack:
-        yield AudioBench(stack)
+        yield AudioBench(stack, period_frames=4096)
 
 
 def start_playing(player):

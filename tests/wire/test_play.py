@@ -52,7 +52,7 @@ limit_v = 3.0
 @pytest.fixture
 def server() -> Iterator[JackServer]:
     with ExitStack() as stack:
-        yield AudioBench(stack).serve()
+        yield AudioBench(stack, period_frames=8192).serve()
 
 
 @pytest.fixture
@@ -70,6 +70,19 @@ def start(lab: Path, server: JackServer, *options: str) -> subprocess.Popen[str]
     command = [sys.executable, "-m", "wavefocus", "play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml")]
     environment = {**os.environ, **server.environment}
     return subprocess.Popen([*command, *options], env=environment, stderr=subprocess.PIPE, text=True)
+
+
+def start_sounding(lab: Path, server: JackServer) -> subprocess.Popen[str]:
+    """A play under way, begun again where the machine was too busy for it."""
+    for _ in range(10):
+        child = start(lab, server)
+        wait_until(lambda child=child: child.poll() is not None or heard_now(server).any(), "the drive sounds")
+        if child.poll() is None:
+            return child
+        told = child.communicate()[1]
+        assert child.returncode == 3, told
+        assert "underflow" in told
+    raise AssertionError(told)
 
 
 def heard_now(server: JackServer, seconds: float = 0.1) -> np.ndarray:
@@ -100,8 +113,7 @@ def test_given_a_signal_then_the_outputs_fall_silent_and_it_ends_in_130(
     lab: Path, server: JackServer, number: signal.Signals
 ) -> None:
     write(lab, np.full((3, 60 * RATE_HZ), 1.0))
-    with start(lab, server) as child:
-        wait_until(lambda: heard_now(server).any(), "the drive sounds")
+    with start_sounding(lab, server) as child:
         child.send_signal(number)
         told = child.communicate(timeout=60)[1]
     assert child.returncode == 130, told
@@ -112,8 +124,7 @@ def test_given_a_signal_then_the_outputs_fall_silent_and_it_ends_in_130(
 
 def test_given_an_interface_that_is_lost_then_it_ends_in_3_and_says_what_to_do(lab: Path, server: JackServer) -> None:
     write(lab, np.full((3, 60 * RATE_HZ), 1.0))
-    with start(lab, server) as child:
-        wait_until(lambda: heard_now(server).any(), "the drive sounds")
+    with start_sounding(lab, server) as child:
         server.kill()
         told = child.communicate(timeout=60)[1]
     assert child.returncode == 3, told
