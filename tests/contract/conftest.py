@@ -31,8 +31,8 @@ from wavefocus.virtual_bench import virtual_settings
 Taken = TypeVar("Taken")
 
 DIALECTS = ("mirrorcle-mti", "generic", "optotune-mre2")
-# Short enough that what is played starts soon after it was asked for.
-PERIOD_FRAMES = 1024
+# Short enough that what is played starts soon after it was asked for, and long enough to go on on a busy machine.
+PERIOD_FRAMES = 4096
 
 
 class OpenedWhenUsed:

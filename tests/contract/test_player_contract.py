@@ -20,17 +20,18 @@ def asked_for(bench, seconds):
 
 
 def recorded_reference(bench, signals_v, *, mute_after_s=None):
-    instruments = bench.instruments
+    # Opened before anything is timed: with real drivers that takes seconds.
+    recorder, player = bench.instruments.recorder, bench.instruments.player
 
     def take():
         duration_s = len(next(iter(signals_v.values()))) / bench.sample_rate_hz + 2 * bench.latency_s
-        instruments.recorder.start(asked_for(bench, duration_s))
-        instruments.player.play(signals_v, bench.sample_rate_hz)
+        recorder.start(asked_for(bench, duration_s))
+        player.play(signals_v, bench.sample_rate_hz)
         if mute_after_s is not None:
-            instruments.clock.sleep(mute_after_s)
-            instruments.player.mute()
-        instruments.player.wait(5.0)
-        return instruments.recorder.read(10.0).volts[0].astype(np.float64)
+            bench.instruments.clock.sleep(mute_after_s)
+            player.mute()
+        player.wait(5.0)
+        return recorder.read(10.0).volts[0].astype(np.float64)
 
     return bench.undisturbed(take)
 
@@ -56,8 +57,9 @@ def test_given_a_signal_then_waiting_takes_its_length(bench):
 
 
 def test_given_nothing_to_play_then_waiting_returns_at_once(bench):
+    player = bench.instruments.player
     before_s = bench.instruments.clock.now_s()
-    bench.instruments.player.wait(1.0)
+    player.wait(1.0)
     assert bench.instruments.clock.now_s() - before_s < 1.0
 
 

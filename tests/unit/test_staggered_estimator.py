@@ -78,7 +78,7 @@ def limit_db(true: np.ndarray, noise_v: float) -> np.ndarray:
     return 10 * np.log10(noise_v**2 * least_noise() / (np.abs(in_band(true)) ** 2).sum(axis=1))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
     ppm=st.floats(-200, 200),
@@ -90,11 +90,14 @@ def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_lim
     green = random_firs(seed)
     reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, ppm, start, SIGNAL.heard_samples)
     draw = np.random.default_rng(seed + 1)
-    noise_v = 0.02
-    response = response / 0.5 + noise_v * draw.standard_normal(response.size)
-    found = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
-    assert np.median(error_db(found.green, green) - limit_db(green, noise_v)) <= 1.5
-    assert found.clock_ratio[0] == pytest.approx(1 + 1e-6 * ppm, abs=2e-6)
+    noise_v, above_db = 0.02, []
+    # The limit is one of means: what a single noise leaves of one FIR scatters about it by some decibels.
+    for _ in range(16):
+        noisy = response / 0.5 + noise_v * draw.standard_normal(response.size)
+        found = ESTIMATOR.estimate(reference.astype(np.float32), noisy.astype(np.float32), range_v=(1e3, 1e3))
+        above_db.append(error_db(found.green, green) - limit_db(green, noise_v))
+        assert found.clock_ratio[0] == pytest.approx(1 + 1e-6 * ppm, abs=2e-6)
+    assert 10 * np.log10(np.mean(10 ** (np.array(above_db) / 10))) <= 1.5
 
 
 def test_given_groups_then_each_record_gives_its_own_actuators_in_order() -> None:
