@@ -126,15 +126,15 @@ def test_given_a_mute_then_the_rest_is_silent_and_the_wait_short(bench):
 
 
 def test_given_a_signal_changed_after_the_call_then_what_was_given_is_played(bench):
-    instruments = bench.instruments
+    recorder, player = bench.instruments.recorder, bench.instruments.player
 
     def take():
         volts = tone(bench)
-        instruments.recorder.start(asked_for(bench, 0.2 + 2 * bench.latency_s))
-        instruments.player.play({bench.loopback_channel: volts}, bench.sample_rate_hz)
+        recorder.start(asked_for(bench, 0.2 + 2 * bench.latency_s))
+        player.play({bench.loopback_channel: volts}, bench.sample_rate_hz)
         volts[:] = 0
-        instruments.player.wait(5.0)
-        return instruments.recorder.read(10.0).volts[0]
+        player.wait(5.0)
+        return recorder.read(10.0).volts[0]
 
     assert np.abs(bench.undisturbed(take)).max() > 0.4
 
