@@ -65,6 +65,14 @@ def _environment(display: str) -> dict[str, str]:
     return {**kept, "DISPLAY": display}
 
 
+def _catches(process_id: int, number: signal.Signals) -> bool:
+    """Whether a process has a handler for a signal: the window has one as soon as it is shown."""
+    (mask,) = [
+        line.split()[1] for line in Path(f"/proc/{process_id}/status").read_text().splitlines() if "SigCgt" in line
+    ]
+    return bool(int(mask, 16) >> (number - 1) & 1)
+
+
 def test_given_a_real_x_server_then_the_window_is_seen_on_its_screen(
     display: str, finished: Path, tmp_path: Path
 ) -> None:
@@ -80,7 +88,11 @@ def test_given_the_command_then_it_lives_until_it_is_ended_and_says_nothing(
     environment = {**_environment(display), "HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
     command = [sys.executable, "-m", "wavefocus", "gui", str(finished)]
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as window:
-        time.sleep(5.0)
+        latest_s = time.monotonic() + 60
+        while window.poll() is None and not _catches(window.pid, signal.SIGTERM):
+            assert time.monotonic() < latest_s, "it is not shown"
+            time.sleep(0.05)
+        time.sleep(3.0)
         assert window.poll() is None
         window.send_signal(signal.SIGTERM)
         _, told = window.communicate(timeout=30)
