@@ -115,7 +115,7 @@ def noise(duration_s: float) -> Noise:
 
 
 def convolve_and_overlap_add(workload: Workload) -> Float64Array:
-    """Render as gpuRIR's simulateTrajectory does: all segments convolved in batches, then overlap-added."""
+    """Render as gpuRIR's simulateTrajectory does, segment by segment: convolved with all rows, then overlap-added."""
     instants, rows, signal = workload.segments()
     drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
     size = scipy.fft.next_fast_len(int(np.diff(instants).max()) + TAPS - 1, real=True)
@@ -125,6 +125,28 @@ def convolve_and_overlap_add(workload: Workload) -> Float64Array:
         spectrum = scipy.fft.rfft(segment, size) * scipy.fft.rfft(green[:, ::-1], size, workers=2)
         length = len(segment) + TAPS - 1
         drive[:, instants[m] : instants[m] + length] += scipy.fft.irfft(spectrum, size, workers=2)[:, :length]
+    return drive
+
+
+def convolve_together(workload: Workload, at_once: int) -> Float64Array:
+    """Render likewise, so many segments at a time."""
+    instants, rows, signal = workload.segments()
+    drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
+    lengths = np.diff(instants)
+    size = scipy.fft.next_fast_len(int(lengths.max()) + TAPS - 1, real=True)
+    for first in range(0, len(rows), at_once):
+        some = rows[first : first + at_once].tolist()
+        segments = np.zeros((len(some), 1, int(lengths[first : first + at_once].max())))
+        greens = np.empty((len(some), ACTUATORS, TAPS))
+        for place, row in enumerate(some):
+            green, gain = normalised_green(workload.bank, row)
+            greens[place] = green[:, ::-1]
+            emitted = signal[instants[first + place] : instants[first + place + 1]]
+            segments[place, 0, : len(emitted)] = gain * emitted
+        spectra = scipy.fft.rfft(segments, size) * scipy.fft.rfft(greens, size, workers=2)
+        for place, made in enumerate(scipy.fft.irfft(spectra, size, workers=2), first):
+            length = int(lengths[place]) + TAPS - 1
+            drive[:, instants[place] : instants[place] + length] += made[:, :length]
     return drive
 
 
