@@ -129,7 +129,7 @@ def convolve_and_overlap_add(workload: Workload) -> Float64Array:
 
 
 def convolve_together(workload: Workload, at_once: int) -> Float64Array:
-    """Render likewise, so many segments at a time."""
+    """Render likewise, so many segments at a time; of one at a time it would make more steps than that one does."""
     instants, rows, signal = workload.segments()
     drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
     lengths = np.diff(instants)

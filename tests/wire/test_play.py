@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import h5py
@@ -66,22 +66,40 @@ def write(lab: Path, drive_v: np.ndarray) -> None:
     write_drive(lab / "drive.h5", Drive(drive_v, RATE_HZ, 0.0, "sampled", 1.0, 0.0, none, none, none))
 
 
-def start(lab: Path, server: JackServer, *options: str) -> subprocess.Popen[str]:
+def playing(lab: Path, *options: str) -> list[str]:
     command = [sys.executable, "-m", "wavefocus", "play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml")]
+    return [*command, *options]
+
+
+def cut_short(code: int, told: str) -> bool:
+    """Whether a machine that is too busy made an underflow, which ends in 3 and says so."""
+    return code == 3 and "underflow" in told
+
+
+def play_whole(server: JackServer, command: list[str]) -> tuple[int, str]:
+    """Play to the end, again where it was cut short; the frame before it began, and what was put out."""
     environment = {**os.environ, **server.environment}
-    return subprocess.Popen([*command, *options], env=environment, stderr=subprocess.PIPE, text=True)
-
-
-def start_sounding(lab: Path, server: JackServer) -> subprocess.Popen[str]:
-    """A play under way, begun again where the machine was too busy for it."""
     for _ in range(10):
-        child = start(lab, server)
-        wait_until(lambda child=child: child.poll() is not None or heard_now(server).any(), "the drive sounds")
-        if child.poll() is None:
-            return child
-        told = child.communicate()[1]
-        assert child.returncode == 3, told
-        assert "underflow" in told
+        begun = int(server.played.frame_at(time.monotonic_ns()))
+        child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+        if not cut_short(child.returncode, child.stderr):
+            break
+    assert child.returncode == 0, child.stderr
+    return begun, child.stdout
+
+
+@contextmanager
+def sounding_play(lab: Path, server: JackServer) -> Iterator[subprocess.Popen[str]]:
+    """A play under way, begun again where it was cut short before it sounded."""
+    environment = {**os.environ, **server.environment}
+    for _ in range(10):
+        with subprocess.Popen(playing(lab), env=environment, stderr=subprocess.PIPE, text=True) as child:
+            wait_until(lambda child=child: child.poll() is not None or heard_now(server).any(), "the drive sounds")
+            if child.poll() is None:
+                yield child
+                return
+            told = child.communicate()[1]
+        assert cut_short(child.returncode, told), told
     raise AssertionError(told)
 
 
@@ -94,15 +112,7 @@ def test_given_a_loop_then_every_sample_leaves_its_output_twice_without_a_gap(la
     drive_v = np.random.default_rng(1).uniform(0.5, 2.0, (3, RATE_HZ // 2))
     write(lab, drive_v)
     meant = np.tile(drive_v[[1, 2, 0]] / 4.0, (1, 2)).astype(np.float32)
-    for _ in range(10):  # a machine that is too busy makes an underflow, which ends in 3 and says so
-        begun = int(server.played.frame_at(time.monotonic_ns()))
-        with start(lab, server, "--loop", "2") as child:
-            told = child.communicate(timeout=60)[1]
-        if child.returncode == 0:
-            break
-        assert child.returncode == 3
-        assert "underflow" in told
-    assert child.returncode == 0, told
+    begun, _ = play_whole(server, playing(lab, "--loop", "2"))
     heard = sounding(server.played.read(begun, int(server.played.frame_at(time.monotonic_ns()))))
     np.testing.assert_array_equal(heard[:3], meant)
     assert not heard[3:].any()
@@ -113,7 +123,7 @@ def test_given_a_signal_then_the_outputs_fall_silent_and_it_ends_in_130(
     lab: Path, server: JackServer, number: signal.Signals
 ) -> None:
     write(lab, np.full((3, 60 * RATE_HZ), 1.0))
-    with start_sounding(lab, server) as child:
+    with sounding_play(lab, server) as child:
         child.send_signal(number)
         told = child.communicate(timeout=60)[1]
     assert child.returncode == 130, told
@@ -124,7 +134,7 @@ def test_given_a_signal_then_the_outputs_fall_silent_and_it_ends_in_130(
 
 def test_given_an_interface_that_is_lost_then_it_ends_in_3_and_says_what_to_do(lab: Path, server: JackServer) -> None:
     write(lab, np.full((3, 60 * RATE_HZ), 1.0))
-    with start_sounding(lab, server) as child:
+    with sounding_play(lab, server) as child:
         server.kill()
         told = child.communicate(timeout=60)[1]
     assert child.returncode == 3, told
@@ -154,16 +164,8 @@ def test_given_a_scene_then_it_is_rendered_while_it_sounds_and_leaves_the_output
     assert run(["render", *files, "--out", str(lab / "drive.h5"), "--wav", str(lab / "drive.wav")]) == 0
     meant = soundfile.read(lab / "drive.wav", dtype="float32")[0].T[[1, 2, 0]]
     command = [sys.executable, "-m", "wavefocus", "play", *files, "--json"]
-    for _ in range(10):  # a machine that is too busy makes an underflow, which ends in 3 and says so
-        begun = int(server.played.frame_at(time.monotonic_ns()))
-        environment = {**os.environ, **server.environment}
-        child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
-        if child.returncode == 0:
-            break
-        assert child.returncode == 3
-        assert "underflow" in child.stderr
-    assert child.returncode == 0, child.stderr
-    assert json.loads(child.stdout)["least_ahead_ms"] > 0
+    begun, told = play_whole(server, command)
+    assert json.loads(told)["least_ahead_ms"] > 0
     heard = sounding(server.played.read(begun, int(server.played.frame_at(time.monotonic_ns()))))[:3]
     loud = np.flatnonzero(np.abs(meant).max(axis=0))
     meant = meant[:, loud[0] : loud[-1] + 1]
