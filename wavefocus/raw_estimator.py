@@ -29,7 +29,7 @@ def own_plan(header: RawHeader, raw: Path) -> Plan | None:
 
 
 def estimator_for(recordings: RawFile, plan: Plan | None) -> PositionEstimator:
-    """The campaign's own estimator, which gives its bank to the bit; else what the reference channels tell."""
+    """The campaign's own estimator, which gives its bank again; else what the reference channels tell."""
     if plan is None:
         return estimator_of(recordings)
     header = recordings.header

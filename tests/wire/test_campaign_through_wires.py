@@ -81,17 +81,23 @@ def wavefocus(*arguments: object, sides: FarSides | None = None) -> str:
 def errors_db(bank: Path, rig_file: Path) -> np.ndarray:
     """In-band relative L2 error of every Green's function against the plate's own, in dB."""
     plate = VirtualRig(virtual_settings(load_rig(rig_file)))
+    green, position_mm = green_of(bank)
+    return in_band_db(green, np.array([plate.truth(x_mm, y_mm, green.shape[2]) for x_mm, y_mm in position_mm]))
+
+
+def green_of(bank: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Green's functions and where they were measured."""
     with h5py.File(bank) as file:
-        green, position_mm = file["green"][:].astype(np.float64), file["position_mm"][:]
+        return file["green"][:].astype(np.float64), file["position_mm"][:]
+
+
+def in_band_db(green: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Relative L2 distance in band of Green's functions from others, in dB."""
     length = 8192
     frequency_hz = np.fft.rfftfreq(length, 1 / RATE_HZ)
     band = (frequency_hz >= 25) & (frequency_hz <= 495)
-    errors = []
-    for measured, (x_mm, y_mm) in zip(green, position_mm, strict=True):
-        truth = np.fft.rfft(plate.truth(x_mm, y_mm, green.shape[2]), length)[:, band]
-        difference = np.fft.rfft(measured, length)[:, band] - truth
-        errors.append(np.linalg.norm(difference, axis=1) / np.linalg.norm(truth, axis=1))
-    return 20 * np.log10(np.array(errors))
+    ours, theirs = (np.fft.rfft(one, length)[..., band] for one in (green, reference))
+    return 20 * np.log10(np.linalg.norm(ours - theirs, axis=-1) / np.linalg.norm(theirs, axis=-1))
 
 
 def test_given_emulated_wires_then_the_bank_is_as_good_as_the_in_process_rigs(lab):
@@ -112,11 +118,13 @@ def test_given_emulated_wires_and_staggered_capture_then_all_actuators_sound_at_
         wavefocus("capture", lab / "run.toml", "--bank", lab / "wires.h5", sides=sides)
     wavefocus("capture", lab / "virtual-run.toml", "--bank", lab / "virtual.h5")
     wavefocus("estimate", lab / "wires.raw.h5", "--bank", lab / "again.h5")
-    names = ("wires.h5", "again.h5", "virtual.h5")
-    through_wires, again, in_process = (errors_db(lab / name, lab / "virtual-rig.toml") for name in names)
+    through_wires, in_process = (errors_db(lab / name, lab / "virtual-rig.toml") for name in ("wires.h5", "virtual.h5"))
     assert np.median(in_process) < -45
     assert np.median(through_wires) <= np.median(in_process) + 1
-    assert np.median(again) <= np.median(through_wires) + 0.1
+    # Recordings are kept in counts of the range, not in the converter's own, which steps a little otherwise: that
+    # rounds them once more, 20 dB below their noise.
+    rounded = in_band_db(green_of(lab / "again.h5")[0], green_of(lab / "wires.h5")[0])
+    assert np.median(rounded) <= np.median(through_wires) - 18
 
 
 def events(capture: subprocess.Popen[str]) -> Iterator[dict[str, object]]:
