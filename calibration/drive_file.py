@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from pathlib import Path
 
 import h5py
@@ -42,6 +42,8 @@ class Drive:
         Bound on the relative L2 error from everything left out, >= 0; 0 when exact.
     focus_sample, focus_position, focus_source : int64 array (K,)
         Each focus: its sample n_m after time zero, its row of the bank, its source.
+    known_finite : bool
+        Whether the volts need not be looked at: whoever made them knows that they are finite.
 
     Raises
     ------
@@ -58,12 +60,13 @@ class Drive:
     focus_sample: Int64Array
     focus_position: Int64Array
     focus_source: Int64Array
+    known_finite: InitVar[bool] = False
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, known_finite: bool) -> None:
         object.__setattr__(self, "drive_v", np.ascontiguousarray(self.drive_v, np.float64))
         if self.drive_v.ndim != 2 or not self.drive_v.size:
             raise InputError(f"/drive has shape {self.drive_v.shape}; (actuator, sample), each 1 or more, is needed")
-        if not _finite(self.drive_v):
+        if not known_finite and not _finite(self.drive_v):
             actuator = int(np.flatnonzero(~np.isfinite(self.drive_v).all(axis=1))[0])
             raise InputError(f"/drive of actuator {actuator} holds NaN or infinities; finite volts are needed")
         if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -69,6 +69,8 @@ class Field:
         Unit of the response, ``"m/s"`` for a vibrometer.
     low_pass : LowPass, optional
         That it is at a fraction of the bank's rate; None where nothing was low-passed.
+    known_finite : bool
+        Whether the responses need not be looked at: whoever made them knows that they are finite.
 
     Raises
     ------
@@ -82,8 +84,9 @@ class Field:
     start_s: float
     response_unit: str
     low_pass: LowPass | None = None
+    known_finite: InitVar[bool] = False
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, known_finite: bool) -> None:
         values: NDArray[Any] = np.asarray(self.field)
         if values.dtype not in (np.float32, np.float64):
             values = values.astype(np.float64)
@@ -91,13 +94,18 @@ class Field:
             raise InputError(f"/field has shape {values.shape}; (position, sample), each 1 or more, is needed")
         object.__setattr__(self, "field", values)
         object.__setattr__(self, "position_index", _indices(self.position_index, len(values)))
-        with np.errstate(over="ignore", invalid="ignore"):
-            # A finite sum of squares has no other terms, and is found in half the time.
-            doubtful = ~np.isfinite(np.einsum("ij,ij->i", values, values))
-        for row, position in zip(values[doubtful], self.position_index[doubtful], strict=True):
-            if not np.isfinite(row).all():
-                raise InputError(f"/field of position {position} holds NaN or infinities; finite values are needed")
+        if not known_finite:
+            _require_finite(values, self.position_index)
         _require_times(self.sample_rate_hz, self.start_s)
+
+
+def _require_finite(values: NDArray[Any], position_index: Int64Array) -> None:
+    with np.errstate(over="ignore", invalid="ignore"):
+        # A finite sum of squares has no other terms, and is found in half the time.
+        doubtful = ~np.isfinite(np.einsum("ij,ij->i", values, values))
+    for row, position in zip(values[doubtful], position_index[doubtful], strict=True):
+        if not np.isfinite(row).all():
+            raise InputError(f"/field of position {position} holds NaN or infinities; finite values are needed")
 
 
 class FieldWriter:

@@ -87,6 +87,8 @@ class SourceDrives:
         Make no more at a time than one block, and look ahead no further.
     expected_rows : int
         About how many bank rows the emission comes from, for as much room to be made.
+    meanwhile : callable, optional
+        Called early, when others compute and there would be nothing to do but to wait for them.
     """
 
     block_samples: int
@@ -103,8 +105,10 @@ class SourceDrives:
         on_block: Callable[[int, int], None] | None = None,
         live: bool = False,
         expected_rows: int = 0,
+        meanwhile: Callable[[], object] | None = None,
     ) -> None:
         self._expected_rows = expected_rows
+        self._meanwhile = meanwhile
         self._live = live
         self.block_samples = transform(rows.bank.taps)
         self._transform = transform
@@ -138,7 +142,7 @@ class SourceDrives:
             overlap_add = shape.overlap_add()
             budget = ErrorBudget(shape.fft_samples, shape.overlap)
             pairs, quiet, band_energy, energy = 0, 0, 0.0, 0.0
-            for part in blocks.evaluate():
+            for part in blocks.evaluate(self._meanwhile):
                 overlap_add.add(part.first, part.samples)
                 budget.add(part.first, part.errors)
                 pairs += part.pairs

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from calibration.errors import InputError
 from rendering.green_source import GreenSource, fetch_row, refusal
-from rendering.regularisation import RowWeights, green_energies, row_weights, saturation_threshold
-from rendering.row_scaling import RealArray, ScaledRow, scale_row, scale_together
+from rendering.inner_loops import InnerLoops
+from rendering.regularisation import RowWeights, green_energies, row_weights, saturation_threshold, weights_of
+from rendering.row_scaling import RawRow, RealArray, ScaledRow, look_at_rows, scale_row, scale_together
 from rendering.scene import Regularisation
 
 Float64Array = NDArray[np.float64]
@@ -107,6 +108,33 @@ class BankRows:
                 return
         for place, row in enumerate(rows):
             out[place] = self.read(row, single=out.dtype == np.float32).values
+
+    def look_together(self, rows: Sequence[int], used_taps: int, loops: InnerLoops) -> list[RawRow] | None:
+        """Read some rows for compiled loops to scale; None where one needs `read`.
+
+        Parameters
+        ----------
+        rows : sequence of int
+            Bank rows, none twice.
+        used_taps : int
+            How many taps, from the first, are used.
+        loops : InnerLoops
+            The loops.
+        """
+        if any(refusal(int(self.status[row])) for row in rows):
+            return None
+        found = look_at_rows([self._fetch(row) for row in rows], used_taps, loops)
+        if found is None:
+            return None
+        new = [(row, raw) for row, raw in zip(rows, found, strict=True) if row not in self._weights]
+        if new:
+            energies = np.array([raw.energies for _, raw in new]).sum(axis=1)
+            self._loud |= (energies > 0).any(axis=0)
+            exponents = [raw.exponent for _, raw in new]
+            weights = weights_of(energies, self.bank.taps, exponents, self.threshold, normalise=self._normalise)
+            for (row, raw), weight in zip(new, weights, strict=True):
+                self._exponent[row], self._weights[row] = raw.exponent, weight
+        return found
 
     def _fetch(self, row: int) -> NDArray[Any]:
         with self._reading:

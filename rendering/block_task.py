@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
+from rendering.inner_loops import TransformBack, inner_loops, transformable
 from rendering.omission import TRANSFORM, Economy
 from rendering.overlap_add import FullRate, LowRate, OverlapAdd
+from rendering.reused_memory import reused
 from rendering.row_pages import RowsView
+from rendering.shared_work import shares
 from rendering.threads import AtOnce
-from rendering.upsampling import Upsampling, energies
+from rendering.upsampling import Upsampling, block_energies
 from rendering.window_spectra import WindowSpectra, window_spectra
 from rendering.windows import Windows
 
@@ -108,11 +111,14 @@ class BlockShape:
             return LowRate(len(self.actuators), self.fft_samples, self.hop, self.upsampling)
         return FullRate(len(self.actuators), self.fft_samples, self.hop)
 
-    def errors_in_time(self, samples: NDArray[Any]) -> Float64Array:
-        """Bounds on what transforming back makes of blocks (blocks, actuators, samples), over sqrt(2 / fft_samples)."""
+    def errors_in_time(self, samples: NDArray[Any], energies: Float64Array) -> Float64Array:
+        """Bounds on what transforming back makes of blocks (blocks, actuators, samples), over sqrt(2 / fft_samples).
+
+        Energies are those of the blocks, no smaller than rounding.
+        """
         if not self.bounded:
             return np.zeros(len(samples))
-        norms = np.sqrt(energies(samples) * self.samples / self.fft_samples)
+        norms = np.sqrt(energies * self.samples / self.fft_samples)
         errors: Float64Array = TRANSFORM * np.log2(self.fft_samples) * self.economy.roundoff * norms
         if self.upsampling:
             errors += self.upsampling.errors(samples, norms)
@@ -172,7 +178,7 @@ class BlockTask:
             self._quiet -= int(windows.quiet[part.start])
         self._energies = (0.0, 0.0)
         self._spectra: Callable[[], WindowSpectra] | None = None
-        self._samples: Future[NDArray[Any]] | None = None
+        self._samples: Callable[[], tuple[NDArray[Any], Float64Array]] | None = None
         if len(chosen) and shape.economy.single:
             self._spectra = self._begin(workers)
 
@@ -182,12 +188,11 @@ class BlockTask:
             return
         if self._spectra is None:
             # In double precision all steps are long, so that threads do not wait for each other.
-            self._samples = self._workers.submit(self._make)
+            self._samples = self._workers.submit(self._make).result
             return
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             found, bounds = self._spectra(), self._bounds()
-            spectra = self._sums(found.kept, bounds)
-            self._samples = self._workers.submit(scipy_fft.irfft, spectra, self._shape.samples, axis=2)
+            self._samples = self._begin_back(found.kept, bounds)
             self._judge(found, bounds)
 
     def finish(self) -> Part:
@@ -195,9 +200,9 @@ class BlockTask:
         if self._samples is None:
             nothing = np.empty((0, len(self._shape.actuators), 0))
             return Part(self._first, self._done, nothing, self._errors, 0, self._quiet, 0.0, 0.0)
-        samples = self._samples.result()
+        samples, energies = self._samples()
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            self._errors += self._shape.errors_in_time(samples)
+            self._errors += self._shape.errors_in_time(samples, energies)
         return Part(self._first, self._done, samples, self._errors, len(self._chosen), self._quiet, *self._energies)
 
     def _begin(self, workers: Executor) -> Callable[[], WindowSpectra]:
@@ -211,17 +216,48 @@ class BlockTask:
         block = self._windows.block[self._chosen.start : self._chosen.stop]
         return np.searchsorted(block, np.arange(self._part.start, self._part.stop + 1))
 
-    def _make(self) -> NDArray[Any]:
+    def _make(self) -> tuple[NDArray[Any], Float64Array]:
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             found, bounds = self._begin(AtOnce())(), self._bounds()
             samples: NDArray[Any] = scipy_fft.irfft(self._sums(found.kept, bounds), self._shape.samples, axis=2)
             self._judge(found, bounds)
-            return samples
+            return samples, block_energies(samples) if self._shape.bounded else np.zeros(len(samples))
+
+    def _begin_back(self, windows: NDArray[Any], bounds: Int64Array) -> Callable[[], tuple[NDArray[Any], Float64Array]]:
+        """Begin to make blocks of windows and to transform them back; what is returned waits for them and energies."""
+        shape, economy, blocks = self._shape, self._shape.economy, len(self._part)
+        loops = inner_loops() if self._plain and transformable(shape.samples) else None
+        samples = reused((blocks, len(shape.actuators), shape.samples), economy.real)
+        if loops is not None:
+            back = TransformBack(len(shape.actuators), shape.samples, economy.low, economy.high, shape.turn)
+            make = self._rows.begin_blocks(loops, back, windows, self._blocks(bounds))
+        else:
+            spectra = self._sums(windows, bounds)
+
+            def make(some: slice, out: NDArray[Any]) -> Float64Array:
+                out[some] = scipy_fft.irfft(spectra[some], shape.samples, axis=2)
+                return block_energies(out[some])
+
+        under_way = [self._workers.submit(make, some, samples) for some in shares(blocks)]
+
+        def end() -> tuple[NDArray[Any], Float64Array]:
+            return samples, np.concatenate([future.result() for future in under_way])
+
+        return end
 
     def _judge(self, found: WindowSpectra, bounds: Int64Array) -> None:
         self._energies = found.band_energy, found.energy
         if self._shape.bounded:
             self._errors += self._left_out(found, bounds)
+
+    def _blocks(self, bounds: Int64Array) -> Int64Array:
+        """Block of each window."""
+        return np.repeat(np.arange(len(self._part)), np.diff(bounds))
+
+    @property
+    def _plain(self) -> bool:
+        """Whether no window's actuators are saturated."""
+        return bool((self._windows.regularised_by[self._chosen.start : self._chosen.stop] < 0).all())
 
     def _sums(self, windows: NDArray[Any], bounds: Int64Array) -> NDArray[Any]:
         """Windows times their time-reversed rows added up to each block's spectra, (blocks, actuators, bins)."""
@@ -232,13 +268,13 @@ class BlockTask:
         whole[:, economy.high :] = 0
         spectra = whole[:, economy.low : economy.high]
         count = np.diff(bounds)
-        block = np.repeat(np.arange(blocks), count)
-        by = self._windows.regularised_by[self._chosen.start : self._chosen.stop]
-        if (by < 0).all():
+        block = self._blocks(bounds)
+        if self._plain:
             spectra[count == 0] = 0
             self._rows.sums(windows, shape.turn, block, spectra)
         else:
             spectra[...] = 0
+            by = self._windows.regularised_by[self._chosen.start : self._chosen.stop]
             span = int(by.max()) + 2
             pairs, group = np.unique(block * span + by + 1, return_inverse=True)
             found = np.empty((len(pairs), *spectra.shape[1:]), dtype=economy.complex)

@@ -122,18 +122,29 @@ class Blocks:
         """Where the first block's samples begin, in an array of drives whose lead-in is the bank's."""
         return self.starts[0] + self._rows.bank.taps - self.cut.taps
 
-    def evaluate(self) -> Iterator[Part]:
-        """Drives of all blocks, in order."""
+    def evaluate(self, meanwhile: Callable[[], object] | None = None) -> Iterator[Part]:
+        """Drives of all blocks, in order.
+
+        Parameters
+        ----------
+        meanwhile : callable, optional
+            Called once, when the first of them are being transformed.
+        """
         # Of three tasks, the windows of one and the blocks of another are being transformed.
         begun: deque[BlockTask] = deque()
         multiplied: deque[BlockTask] = deque()
         for task in self._tasks():
             begun.append(task)
             if len(begun) > self._ahead:
+                if meanwhile is not None:
+                    meanwhile()
+                    meanwhile = None
                 begun[0].multiply()
                 multiplied.append(begun.popleft())
             if len(multiplied) > self._ahead:
                 yield multiplied.popleft().finish()
+        if meanwhile is not None:
+            meanwhile()
         for task in begun:
             task.multiply()
         for task in (*multiplied, *begun):

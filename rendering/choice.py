@@ -91,18 +91,21 @@ def sample_blocks(
     starts : range
         First samples of the blocks.
     """
-    samples, looked_at = [], []
+    begun = []
     for block in np.unique(np.linspace(0, len(starts) - 1, SAMPLED_BLOCKS).astype(int)).tolist():
         windows = emission.windows(starts[block], starts.step, 1, weigh)
         every = max(1, -(-len(windows) // SAMPLED_WINDOWS))
         chosen = np.arange(0, len(windows), every)
         rows = windows.rows[chosen].tolist()
-        spectra.prepare(rows)
-        if not rows:
-            continue
-        greens = spectra.view(rows).magnitudes()
+        if rows:
+            spectra.prepare(rows)
+            begun.append((windows, chosen, every, rows, spectra.view(rows)))
+    samples = []
+    # When the rows of all of them are being transformed, the windows are looked at, which takes no rows.
+    for windows, chosen, every, _, view in begun:
+        found = magnitudes(windows, chosen, fft_samples, spectra.economy)
         errors, blurs = rounding_of(windows, chosen, fft_samples)
+        greens = view.magnitudes()
         blurred = np.minimum(np.linalg.norm(greens, axis=1) * errors, greens.max(axis=1) * blurs)
-        samples.append(Sample(magnitudes(windows, chosen, fft_samples, spectra.economy), greens, float(every), blurred))
-        looked_at.append(rows)
-    return samples, looked_at
+        samples.append(Sample(found, greens, float(every), blurred))
+    return samples, [rows for _, _, _, rows, _ in begun]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from rendering.coil_limits import DriveLimits, limit_drive
 from rendering.device import Device
 from rendering.device_accumulation import DeviceDrives
 from rendering.green_source import GreenSource
-from rendering.interpolation_errors import interpolation_errors, judge_interpolation
+from rendering.interpolation_errors import InterpolationErrors, interpolation_errors, judge_interpolation
 from rendering.limits import scale_to_limit
 from rendering.omission import LEAST_NORM, relative_bound, row_norms, tolerance_of
 from rendering.render_report import RenderReport, RenderWarning, report_render
@@ -114,18 +114,26 @@ def render_with_report(
         for index, source in enumerate(scene.sources)
     ]
     signals = [source.signal for source in sources]
-    errors = interpolation_errors(scene, bank, kind, signals, thorough=interpolation_tolerance is not None)
-    remarks = judge_interpolation(errors, interpolation_tolerance)
+
+    @cache
+    def judged() -> tuple[InterpolationErrors | None, list[str]]:
+        found = interpolation_errors(scene, bank, kind, signals, thorough=interpolation_tolerance is not None)
+        return found, judge_interpolation(found, interpolation_tolerance)
+
     rows = BankRows(kind.rows_of(bank), scene.regularisation)
     samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
     try:
-        drive_v, accumulated, norms, bound = _accumulated(sources, rows, samples, tolerance, on_progress, device)
+        drive_v, accumulated, norms, bound = _accumulated(
+            sources, rows, samples, tolerance, on_progress, device, meanwhile=judged
+        )
     except MemoryError as error:
         size = samples * bank.actuators * 8 / 2**30
         raise InputError(f"the drive takes {size:.3g} GiB, which do not fit into memory; shorten the scene") from error
-    scale_to_limit(drive_v, None, finite=bool(np.isfinite(norms).all()))
+    finite = bool(np.isfinite(norms).all())
+    scale_to_limit(drive_v, None, finite=finite)
     limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
     limiting = limit_drive(drive_v, float(bank.sample_rate_hz), limits)
+    errors, remarks = judged()
     drive = Drive(
         drive_v=drive_v,
         sample_rate_hz=float(bank.sample_rate_hz),
@@ -138,6 +146,7 @@ def render_with_report(
         focus_source=np.concatenate(
             [np.full(len(source.focus_sample), source.index, dtype=np.int64) for source in sources]
         ),
+        known_finite=finite,
     )
     report = report_render(
         scene, rows, sources, accumulated, norms, limiting=limiting, omitted_bound=bound, errors=errors, remarks=remarks
@@ -168,6 +177,7 @@ def _accumulated(
     tolerance: float,
     on_progress: OnProgress | None,
     device: Device | None,
+    meanwhile: Callable[[], object],
 ) -> tuple[Float64Array, list[Accumulated], Float64Array, float]:
     for share in STRICTER if tolerance > 0 and device is None else (0.0,):
         drive_v = reused((rows.bank.actuators, samples), np.float64)
@@ -191,8 +201,10 @@ def _accumulated(
                         band_hz=rows.bank.band_hz,
                         on_block=progress.of(source),
                         expected_rows=source.expected_rows,
+                        meanwhile=meanwhile,
                     )
                 else:
+                    meanwhile()
                     made = DeviceDrives(
                         source.emission,
                         rows,

@@ -13,12 +13,13 @@ from scipy import fft as scipy_fft
 
 from rendering.drive_cut import CutDrive
 from rendering.green_source import RowReader
+from rendering.inner_loops import InnerLoops, RowTransform, inner_loops, transformable
 from rendering.omission import TRANSFORM, Economy
 from rendering.product_bounds import SpectrumSizes, drive_units, joint_squares, product_errors
 from rendering.row_transforms import GROUP_BYTES, RowTransforms, transform_rows
 from rendering.shared_work import share_out
 from rendering.threads import WORKERS
-from rendering.upsampling import FRAME, Upsampling, energies, row_energies
+from rendering.upsampling import FRAME, Upsampling, block_energies, row_energies
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -229,7 +230,7 @@ class DriveBlocks:
         """Bounds on the errors of transforming back and interpolating, (rows, blocks)."""
         rows, blocks, lower = parts.shape
         flat = parts.reshape(rows * blocks, 1, lower)
-        norms = np.sqrt(energies(flat) / self._factor)
+        norms = np.sqrt(block_energies(flat) / self._factor)
         errors = TRANSFORM * np.log2(self._fft_samples) * self.economy.roundoff * norms
         if self._upsampling:
             errors += self._upsampling.errors(flat, norms)
@@ -240,30 +241,45 @@ class DriveBlocks:
         if self._known is not None:
             return self._known.blocks(first, last)
         economy, actuators, blocks = self.economy, self._drive.actuators, last - first
-        kept = np.empty((blocks, actuators, economy.kept), dtype=economy.complex)
+        kept = np.empty((blocks, economy.kept, actuators), dtype=economy.complex)
         squared = np.zeros((blocks, 2, economy.bins if self._bounded else 0), dtype=economy.real)
+        loops = inner_loops() if self._cut_type == np.float32 and transformable(self._fft_samples) else None
 
         def transform(item: tuple[int, slice]) -> None:
             block, some = item
-            samples = np.empty((some.stop - some.start, self._fft_samples), dtype=self._cut_type)
             # What is too large shows in the sizes.
             with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-                self._drive.cut(block, self._hop, self._fade, samples, some)
-                whole = scipy_fft.rfft(samples, axis=1).astype(economy.complex, copy=False)
-                kept[block - first, some] = whole[:, economy.low : economy.high]
+                found, squares = self._transformed(block, some, loops)
+                kept[block - first, :, some] = found
                 if self._bounded:
-                    squared[block - first, min(some.start, 1)] = joint_squares(whole)
+                    squared[block - first, min(some.start, 1)] = squares
 
         share_out(self._work(first, last), transform)
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             # Together: written block by block, every cache line would be fetched as often.
             pairs = np.empty((economy.kept, actuators, 2, blocks), dtype=economy.complex)
-            pairs[:, :, 0] = kept.transpose(2, 1, 0)
+            pairs[:, :, 0] = kept.transpose(1, 2, 0)
             np.multiply(pairs[:, :, 0], 1j, out=pairs[:, :, 1])
             sizes = SpectrumSizes.zeros(blocks, economy)
             if self._bounded:
                 sizes = SpectrumSizes.of(squared.sum(axis=1), economy, actuators)
         return _Spectra(pairs.view(economy.real).reshape(economy.kept, 2 * actuators, 2 * blocks), sizes)
+
+    def _transformed(self, block: int, some: slice, loops: InnerLoops | None) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Spectra of a block of some actuators, (kept bins, actuators), and their joint squares, (bins,)."""
+        economy, count = self.economy, some.stop - some.start
+        if loops is None:
+            samples = np.empty((count, self._fft_samples), dtype=self._cut_type)
+            self._drive.cut(block, self._hop, self._fade, samples, some)
+            whole = scipy_fft.rfft(samples, axis=1).astype(economy.complex, copy=False)
+            return whole[:, economy.low : economy.high].T, joint_squares(whole)
+        samples = np.empty((count, self._hop + self._fade), dtype=np.float32)
+        self._drive.cut(block, self._hop, self._fade, samples, some)
+        taps, found = samples.shape[1], np.empty((economy.kept, count), dtype=np.complex64)
+        low, high = economy.low, economy.high
+        transform = RowTransform(taps, taps, np.arange(count), self._fft_samples, low, high, conjugate=False)
+        where = np.array([found.ctypes.data], dtype=np.uintp)
+        return found, loops.transform(transform, [samples], np.ones(1, dtype=np.float32), where)[0]
 
     def _work(self, first: int, last: int) -> list[tuple[int, slice]]:
         """Blocks and actuators that are transformed together: all of them, but where that leaves a worker idle."""

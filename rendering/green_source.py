@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.errors import InputError
+from rendering.inner_loops import InnerLoops
 from rendering.reused_memory import reused
-from rendering.row_scaling import ScaledRow, scale_row, scale_together
+from rendering.row_scaling import RawRow, ScaledRow, look_at_rows, scale_row, scale_together
 
 Float64Array = NDArray[np.float64]
 
@@ -218,6 +219,12 @@ class RowReader:
         with self._asking:
             raw = fetch_row(self._bank, position)
         return scale_row(raw, position, single=single)
+
+    def look_together(self, positions: Sequence[int], loops: InnerLoops) -> list[RawRow] | None:
+        """Read some rows for compiled loops to scale; None where one needs `read`."""
+        with self._asking:
+            raws = [fetch_row(self._bank, position) for position in positions]
+        return look_at_rows(raws, self._bank.taps, loops)
 
 
 def usable(bank: GreenSource) -> NDArray[np.bool_]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rendering.decimation import Decimation
 from rendering.green_source import GreenSource, RowReader
-from rendering.row_scaling import ScaledRow
+from rendering.inner_loops import InnerLoops
+from rendering.row_scaling import RawRow, ScaledRow
 
 
 class LowRateRows(RowReader):
@@ -36,3 +39,7 @@ class LowRateRows(RowReader):
     def read(self, position: int, *, single: bool) -> ScaledRow:
         row = super().read(position, single=single)
         return ScaledRow(self.decimation.lower(row.values), row.exponent)
+
+    def look_together(self, positions: Sequence[int], loops: InnerLoops) -> list[RawRow] | None:
+        # Each has to be brought to the lower rate first.
+        return None

@@ -121,7 +121,11 @@ class Economy:
         squared : float array, shape (..., bins)
             Squares of magnitudes.
         """
-        largest = np.sqrt(np.maximum.reduceat(squared, self.starts, axis=-1)).astype(np.float64)
+        return self.largest_of(np.maximum.reduceat(squared, self.starts, axis=-1))
+
+    def largest_of(self, squared: NDArray[Any]) -> Float64Array:
+        """The same, of the largest squares in each segment, (..., segments)."""
+        largest = np.sqrt(squared).astype(np.float64)
         if self.single:
             largest = largest * SQUARES_SLACK + SQUARES_LOST
         return np.concatenate([largest, largest.max(axis=-1, keepdims=True)], axis=-1)

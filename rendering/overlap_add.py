@@ -7,6 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.inner_loops import inner_loops
+from rendering.shared_work import share_out, shares
 from rendering.upsampling import FRAME, Upsampling
 
 Float64Array = NDArray[np.float64]
@@ -102,7 +104,13 @@ class LowRate:
         count = max(rest.shape[1] - 2 * half, 0) // FRAME * FRAME
         self._rest = rest[:, count:].copy()
         first, self._from = self._from, self._from + count
-        return first * factor, self._upsampling.interpolate(rest[:, : count + 2 * half])
+        made = np.empty((len(rest), count * factor), dtype=np.float32)
+
+        def interpolate(some: slice) -> None:
+            self._upsampling.interpolate(rest[some, : count + 2 * half], made[some])
+
+        share_out(shares(len(rest)), interpolate)
+        return first * factor, made
 
 
 def scale(samples: NDArray[Any], exponent: int, out: Float64Array | None = None) -> Float64Array:
@@ -116,6 +124,16 @@ def scale(samples: NDArray[Any], exponent: int, out: Float64Array | None = None)
 def scale_and_measure(samples: NDArray[Any], exponent: int, out: Float64Array) -> Float64Array:
     """Scale as `scale` does, and find the energy of each actuator's samples."""
     energies = np.empty(len(samples))
+    loops = inner_loops()
+    contiguous = samples.strides[1] == samples.itemsize and out.strides[1] == out.itemsize
+    if loops is not None and contiguous and _plainly(samples, exponent):
+        compiled = loops
+
+        def scale_some(some: slice) -> None:
+            energies[some] = compiled.scale(samples[some], 2.0**exponent, out[some])
+
+        share_out(shares(len(samples)), scale_some)
+        return energies
     for place, (signal, volt) in enumerate(zip(samples, out, strict=True)):
         _scale(signal, exponent, volt)
         # While they are at hand: to come back to all of them would take as long as to scale them.
@@ -125,10 +143,15 @@ def scale_and_measure(samples: NDArray[Any], exponent: int, out: Float64Array) -
 
 @np.errstate(over="ignore", under="ignore")
 def _scale(signal: NDArray[Any], exponent: int, volt: Float64Array) -> None:
-    if abs(exponent) < (PLAIN_SINGLE if signal.dtype == np.float32 else PLAIN_DOUBLE):
+    if _plainly(signal, exponent):
         # Mixed types take numpy twice as long as one after the other; powers of two round nothing.
         volt[...] = signal
         if exponent:
             volt *= 2.0**exponent
     else:
         np.ldexp(signal.astype(np.float64), exponent, out=volt)
+
+
+def _plainly(samples: NDArray[Any], exponent: int) -> bool:
+    """Whether samples about 1 can be multiplied by two to a power."""
+    return abs(exponent) < (PLAIN_SINGLE if samples.dtype == np.float32 else PLAIN_DOUBLE)

@@ -195,6 +195,8 @@ class Prediction:
             start_s=self.start_s,
             response_unit=self._bank.response_unit.removesuffix("/V"),
             low_pass=self.low_pass,
+            # Energies are told where errors are bounded, and those of what is not finite are not finite either.
+            known_finite=self._tolerance > 0 and bool(np.isfinite(energies).all()),
         )
 
     def parts(self) -> list[range]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -239,9 +240,9 @@ def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> li
     signal = (source.signal / (peak if peak > 0 else 1.0)).astype(np.float32)
     spectrum = scipy_fft.rfft(signal, samples)
     power = np.square(spectrum.real) + np.square(spectrum.imag)
-    frequency = scipy_fft.rfftfreq(samples, 1.0 / bank.sample_rate_hz)
-    outside = (frequency < bank.band_hz[0]) | (frequency > bank.band_hz[1])
-    own = float(power[outside].sum() / power.sum()) if power.any() else 0.0
+    low, high = (edge_hz * samples / bank.sample_rate_hz for edge_hz in bank.band_hz)
+    whole, inside = float(power.sum()), float(power[math.ceil(low) : math.floor(high) + 1].sum())
+    own = 1.0 - inside / whole if whole > 0 else 0.0
     if share - own <= SPREAD_SHARE:
         return []
     return [

@@ -72,6 +72,12 @@ class RowCut:
         norms: Float64Array = np.sqrt(np.einsum("...it,...it->...", rest, rest)) * (1.0 + 1e-9)
         return norms
 
+    def left_out_of(self, energies: Float64Array) -> float:
+        """The same of a row whose energies, (2, actuators), are those of the taps used and of the others."""
+        rest = energies[1] + energies[0]
+        rest[self.actuators] = energies[1][self.actuators]
+        return float(np.sqrt(rest.sum())) * (1.0 + 1e-9)
+
 
 def choose_cut(
     samples: Sequence[Sample],

@@ -6,14 +6,16 @@ next it is as far everywhere, so that one call multiplies a run of rows.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.inner_loops import InnerLoops, TransformBack, inner_loops
 from rendering.omission import Economy
 from rendering.reused_memory import reused
 
@@ -66,11 +68,16 @@ class RowPage:
         """Of each place."""
         self.taken = 0
         """Places that rows have."""
+        self._address = int(self.spectra.ctypes.data)
 
     @property
     def free(self) -> int:
         """Places that no row has."""
         return len(self.spectra) - self.taken
+
+    def addresses(self, places: Int64Array) -> NDArray[np.uintp]:
+        """Where the rows at some places lie in memory."""
+        return (self._address + self.spectra.strides[0] * places).astype(np.uintp)
 
 
 class RowsView:
@@ -84,15 +91,21 @@ class RowsView:
         In which of these pages each of them lies.
     place : int64 array, shape (rows,)
         Where in that page.
+    settle : callable, optional
+        Waits until they are there; without it they are.
     """
 
-    def __init__(self, pages: Sequence[RowPage], page: Int64Array, place: Int64Array) -> None:
+    def __init__(
+        self, pages: Sequence[RowPage], page: Int64Array, place: Int64Array, settle: Callable[[], None] | None = None
+    ) -> None:
         self._pages = pages
         self._page = page
         self._place = place
+        self._settle = settle or (lambda: None)
 
     def sizes(self) -> RowSizes:
         """How large the rows are, copies."""
+        self._settle()
         segments = self._pages[0].sizes.norms.shape[1]
         found = RowSizes(np.empty((len(self._place), segments)), np.empty(len(self._place)), np.empty(len(self._place)))
         for page, rows, place in self._by_page():
@@ -103,6 +116,7 @@ class RowsView:
 
     def magnitudes(self) -> Float64Array:
         """Norms of the rows over the actuators, bin by bin, (rows, kept bins)."""
+        self._settle()
         spectra = self._pages[0].spectra
         squares = np.empty((len(self._place), spectra.shape[1]), dtype=spectra.real.dtype)
         for page, rows, place in self._by_page():
@@ -122,8 +136,16 @@ class RowsView:
         groups : int64 array, shape (rows,)
             Which group each of them belongs to; none holds a row twice.
         out : complex array, shape (groups, kept bins, actuators)
-            Where the sums go; groups without a row stay as they are.
+            Where the sums go, each contiguous; groups without a row stay as they are.
         """
+        self._settle()
+        loops = inner_loops()
+        if loops is not None and out.dtype == np.complex128:
+            order = np.argsort(groups, kind="stable")
+            bounds = np.searchsorted(groups[order], np.arange(len(out) + 1))
+            turned = np.ascontiguousarray(turn, dtype=np.complex128)
+            loops.sum(self._addresses()[order], windows[order].astype(np.complex128, copy=False), bounds, turned, out)
+            return
         order = np.lexsort((self._place, self._page, groups))
         group, page, place = groups[order], self._page[order], self._place[order]
         elsewhere = (np.diff(group, prepend=-1, append=-1) != 0) | (np.diff(page, prepend=-1, append=-1) != 0)
@@ -148,6 +170,57 @@ class RowsView:
                 else:
                     _product(*product, out=out[one])
                 last = one
+
+    def begin_blocks(
+        self, loops: InnerLoops, back: TransformBack, windows: NDArray[np.complex64], block: Int64Array
+    ) -> Callable[[slice, NDArray[np.float32]], Float64Array]:
+        """Prepare to do by compiled loops what `sums` and a transform back to time do.
+
+        Parameters
+        ----------
+        loops : InnerLoops
+            The loops.
+        back : TransformBack
+            What is made of the sums.
+        windows : complex64 array, shape (rows, kept bins)
+            One window for each row.
+        block : int64 array, shape (rows,)
+            Which block each of them belongs to, ascending.
+
+        Returns
+        -------
+        callable
+            Makes a range of blocks of an array (blocks, actuators, samples), without Python's lock, and tells their
+            energies, no smaller than rounding.
+        """
+        self._settle()
+        # Of this view, which holds on to the pages.
+        return partial(
+            self._make_blocks, loops, back, self._addresses(), np.ascontiguousarray(windows, dtype=np.complex64), block
+        )
+
+    def _make_blocks(
+        self,
+        loops: InnerLoops,
+        back: TransformBack,
+        where: NDArray[np.uintp],
+        windows: NDArray[np.complex64],
+        block: Int64Array,
+        some: slice,
+        out: NDArray[np.float32],
+    ) -> Float64Array:
+        bounds = np.searchsorted(block, np.arange(some.start, some.stop + 1))
+        first, last = int(bounds[0]), int(bounds[-1])
+        energies = loops.blocks(back, where[first:last], windows[first:last], bounds - first, out[some])
+        energies *= 1.0 + out.shape[2] * np.finfo(np.float32).eps
+        return energies
+
+    def _addresses(self) -> NDArray[np.uintp]:
+        """Where each of the rows lies in memory, as long as this view is held on to."""
+        where = np.empty(len(self._place), dtype=np.uintp)
+        for page, rows, place in self._by_page():
+            where[rows] = page.addresses(place)
+        return where
 
     def _by_page(self) -> Iterator[tuple[RowPage, Int64Array, Int64Array]]:
         """Each page, which of the rows lie in it, and where."""

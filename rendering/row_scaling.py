@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import InputError
+from rendering.inner_loops import InnerLoops
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 RealArray = NDArray[np.float32] | NDArray[np.float64]
 
+SMALLEST = float(np.finfo(np.float32).tiny)
+"""Smallest number of single precision that is not denormal."""
 LOOKED_AT = 8
 """Every so many samples are looked at for denormal numbers."""
 FLUSH = np.float32(2.0**-70)
@@ -42,6 +45,56 @@ class ScaledRow:
         """The row in float32, without a denormal number."""
         single = self.values.astype(np.float32) + FLUSH
         return ScaledRow(np.subtract(single, FLUSH, out=single), self.exponent)
+
+
+@dataclass(frozen=True, slots=True)
+class RawRow:
+    """One row of a bank as it is, to be multiplied with 2**-exponent.
+
+    Parameters
+    ----------
+    values : float32 array, shape (actuators, taps)
+        Contiguous; largest value times 2**-exponent in [0.5, 1), none denormal.
+    exponent : int
+    energies : float64 array, shape (2, actuators)
+        Of the scaled row: in the taps that are used, and in the others.
+    """
+
+    values: NDArray[np.float32]
+    exponent: int
+    energies: Float64Array
+
+
+def look_at_rows(raws: Sequence[NDArray[Any]], used_taps: int, loops: InnerLoops) -> list[RawRow] | None:
+    """Look at rows that compiled loops are to scale.
+
+    Parameters
+    ----------
+    raws : sequence of arrays, shape (actuators, taps)
+        Rows as the bank has them.
+    used_taps : int
+        How many taps, from the first, are used.
+    loops : InnerLoops
+        The loops.
+
+    Returns
+    -------
+    list of RawRow, or None
+        None where a row is of another type than float32, all zeros, not finite or holds denormal numbers.
+    """
+    if any(raw.dtype != np.float32 for raw in raws):
+        return None
+    # Elsewhere than a number of their size may lie they are copied, too.
+    rows = [np.require(raw, requirements=["C", "A"]) for raw in raws]
+    largest, smallest, energies = loops.look(rows, used_taps)
+    if not ((largest > 0) & (largest < np.inf)).all():
+        return None
+    exponents = np.frexp(largest)[1].astype(np.int64)
+    # What is denormal when it is scaled is, too.
+    if (smallest < np.ldexp(SMALLEST, np.maximum(exponents, 0))).any():
+        return None
+    energies = np.ldexp(energies, -2 * exponents[:, None, None])
+    return [RawRow(*row) for row in zip(rows, exponents.tolist(), energies, strict=True)]
 
 
 def scale_row(raw: NDArray[Any], position: int, *, single: bool = False) -> ScaledRow:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,14 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from rendering.bank_rows import BankRows
+from rendering.inner_loops import InnerLoops, RowTransform, inner_loops, transformable
 from rendering.omission import Economy
 from rendering.product_bounds import SpectrumSizes
 from rendering.reused_memory import reused
 from rendering.row_cut import RowCut
 from rendering.row_pages import RowPage, RowsView, add_up_actuators
+from rendering.shared_work import shares
+from rendering.threads import WORKERS, AtOnce
 
 CACHE_BYTES = 384 * 2**20
 """Most memory of spectra that are kept, beside pages that have gone and are still multiplied."""
@@ -28,6 +33,21 @@ GROUP_BYTES = 5 * 2**18
 """Rows of so many bytes are transformed together, within the cache of one core."""
 AHEAD = 4
 """Groups that are being transformed while another one is read."""
+CHUNK = 16
+"""Most rows that compiled loops transform at a time: Python's lock, which others may hold, is waited for in between."""
+CHUNKS_AHEAD = 8
+"""Most of these that are under way."""
+FEW = 4
+"""So many rows take less time than it takes a thread to wake up."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """Rows that are being transformed: how many chunks came before, where they go, and what tells their sizes."""
+
+    number: int
+    places: Sequence[tuple[RowPage, int]]
+    squares: Future[NDArray[np.float32]]
 
 
 class RowSpectra:
@@ -80,6 +100,10 @@ class RowSpectra:
         self._workspace: list[NDArray[Any]] = []
         self._place: dict[int, tuple[RowPage, int]] = {}
         self._pages: list[RowPage] = []
+        self._loops = inner_loops() if economy.single and transformable(fft_samples) else None
+        self._begun = 0
+        self._under_way: deque[_Begun] = deque()
+        self._squares: dict[tuple[RowPage, int], NDArray[np.float32]] = {}
 
     def prepare(self, rows: Sequence[int]) -> None:
         """Transform those of some rows that are not there yet. Raises InputError where one may not be used.
@@ -97,7 +121,7 @@ class RowSpectra:
         try:
             seen = {} if self._looked_at is None else self._looked_at._place
             fresh = [row for row in missing if row not in seen]
-            self._transform(fresh)
+            self._transform(fresh if self._loops is None else self._begin(fresh, self._loops))
             self._copy([row for row in missing if row in seen])
         except BaseException:
             # Nothing may be taken for there that is not.
@@ -118,6 +142,7 @@ class RowSpectra:
             pages,
             np.array([number[page] for page, _ in found], dtype=np.int64),
             np.array([place for _, place in found], dtype=np.int64),
+            partial(self._settle, self._begun),
         )
 
     def _make_room(self, wanted: int, rows: Sequence[int]) -> bool:
@@ -139,11 +164,12 @@ class RowSpectra:
             return False
         if gone:
             self._place = {row: at for row, at in self._place.items() if at[0] not in gone}
+            self._squares = {at: squares for at, squares in self._squares.items() if at[0] not in gone}
         return True
 
     def _forget(self) -> None:
         # Views of the pages may still be in use.
-        self._place, self._pages = {}, []
+        self._place, self._pages, self._squares = {}, [], {}
 
     def _placed(self, rows: Sequence[int]) -> list[tuple[RowPage, Sequence[int]]]:
         """Take places in pages for rows, one after the other."""
@@ -164,6 +190,50 @@ class RowSpectra:
             placed.append((page, some))
             first += len(some)
         return placed
+
+    def _begin(self, rows: Sequence[int], loops: InnerLoops) -> list[int]:
+        """Begin to transform rows by compiled loops; what they cannot do is returned."""
+        economy, cut = self.economy, self._cut
+        whole = RowTransform(
+            self._rows.bank.taps, cut.taps, cut.actuators, self._fft_samples, economy.low, economy.high, conjugate=True
+        )
+        others: list[int] = []
+        for begin in range(0, len(rows), WORKERS * CHUNK):
+            some = rows[begin : begin + WORKERS * CHUNK]
+            raws = self._rows.look_together(some, cut.taps, loops)
+            if raws is None:
+                others.extend(some)
+                continue
+            places = [self._place[row] for row in some]
+            if not cut.whole:
+                for (page, place), raw in zip(places, raws, strict=True):
+                    page.sizes.cut_off[place] = cut.left_out_of(raw.energies)
+            scales = np.ldexp(np.float32(1.0), [-raw.exponent for raw in raws]).astype(np.float32)
+            few = len(raws) <= FEW
+            workers: Executor = AtOnce() if few else self._workers
+            values = [raw.values for raw in raws]
+            for part in [slice(0, len(raws))] if few else shares(len(raws)):
+                squares = workers.submit(_transform_to, places[part], loops, whole, values[part], scales[part])
+                self._begun += 1
+                self._under_way.append(_Begun(self._begun, places[part], squares))
+            self._settle(self._begun - CHUNKS_AHEAD)
+        return others
+
+    def _settle(self, until: int) -> None:
+        """Wait for what was begun first, so many chunks in all, and tell its sizes."""
+        done = []
+        while self._under_way and self._under_way[0].number <= until:
+            done.append(self._under_way.popleft())
+        if not done:
+            return
+        squares = np.concatenate([chunk.squares.result() for chunk in done])
+        sizes = SpectrumSizes.of(squares, self.economy, self._actuators)
+        places = [at for chunk in done for at in chunk.places]
+        for number, (page, place) in enumerate(places):
+            page.sizes.norms[place], page.sizes.peaks[place] = sizes.norms[number], sizes.largest[number, -1]
+            if self.economy.kept == self.economy.bins:
+                # Rows in all bins are looked at and then copied.
+                self._squares[page, place] = squares[number]
 
     def _transform(self, rows: Sequence[int]) -> None:
         """Transform rows by the workers, some together.
@@ -238,6 +308,7 @@ class RowSpectra:
         looked_at = self._looked_at
         if looked_at is None or not rows:
             return
+        looked_at._settle(looked_at._begun)
         economy = self.economy
         squares = np.empty((len(rows), economy.bins), dtype=economy.real)
         for number, row in enumerate(rows):
@@ -245,7 +316,10 @@ class RowSpectra:
             page, here = self._place[row]
             page.sizes.cut_off[here] = seen.sizes.cut_off[there]
             page.spectra[here] = seen.spectra[there, economy.low : economy.high]
-            if not economy.exact:
+            known = looked_at._squares.get((seen, there))
+            if known is not None:
+                squares[number] = known
+            elif not economy.exact:
                 add_up_actuators(seen.spectra[there : there + 1], squares[number:])
         self._measure(rows, squares)
 
@@ -256,3 +330,15 @@ class RowSpectra:
         sizes = SpectrumSizes.of(squares, self.economy, self._actuators)
         for page, places, some in self._runs(rows):
             page.sizes.norms[places], page.sizes.peaks[places] = sizes.norms[some], sizes.largest[some, -1]
+
+
+def _transform_to(
+    places: Sequence[tuple[RowPage, int]],
+    loops: InnerLoops,
+    transform: RowTransform,
+    rows: Sequence[NDArray[np.float32]],
+    scales: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Transform rows to their places, which are held on to: the loops know nothing but addresses."""
+    where = np.concatenate([page.addresses(np.array([place])) for page, place in places])
+    return loops.transform(transform, rows, scales, where)

@@ -14,6 +14,7 @@ from calibration.errors import InputError
 from rendering.decimation import Decimation
 from rendering.economy_choice import Sample, choose_economy
 from rendering.green_source import GreenSource, RowReader
+from rendering.inner_loops import InnerLoops, RowTransform, inner_loops, transformable
 from rendering.low_rate import LowRateRows
 from rendering.omission import Economy, tolerance_of
 from rendering.product_bounds import SpectrumSizes, joint_squares
@@ -31,6 +32,8 @@ BLOCK_SHARE = 4.1
 CHOICE_SHARE = 0.25
 """Share of the tolerance that the bins left out may take for typical drives; the rest allows for others."""
 LOOKED_AT_ROWS = 16
+ROWS_AT_ONCE = 8
+"""Rows that compiled loops look at and then transform."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +114,55 @@ def _fill(
     bounded: bool,
 ) -> None:
     """Read and transform rows into their place."""
+    loops = inner_loops() if economy.single and transformable(fft_samples) else None
+    if loops is not None:
+        whole = RowTransform(
+            reader.taps, reader.taps, actuators, fft_samples, economy.low, economy.high, conjugate=False
+        )
+        for begin in range(0, len(positions), ROWS_AT_ONCE):
+            where = slice(begin, begin + ROWS_AT_ONCE)
+            if not _fill_by_loops(made.rows(where), reader, positions[where], loops, whole, economy, bounded=bounded):
+                _fill_by_numpy(
+                    made.rows(where), reader, positions[where], fft_samples, economy, actuators, bounded=bounded
+                )
+        return
+    _fill_by_numpy(made, reader, positions, fft_samples, economy, actuators, bounded=bounded)
+
+
+def _fill_by_loops(
+    made: RowTransforms,
+    reader: RowReader,
+    positions: Sequence[int],
+    loops: InnerLoops,
+    transform: RowTransform,
+    economy: Economy,
+    *,
+    bounded: bool,
+) -> bool:
+    """The same by compiled loops; tells whether they can."""
+    raws = reader.look_together([int(position) for position in positions], loops)
+    if raws is None:
+        return False
+    made.exponents[:] = [raw.exponent for raw in raws]
+    scales = np.ldexp(np.float32(1.0), -made.exponents).astype(np.float32)
+    where = (made.kept.ctypes.data + made.kept.strides[0] * np.arange(len(raws))).astype(np.uintp)
+    squares = loops.transform(transform, [raw.values for raw in raws], scales, where)
+    if bounded:
+        sizes = SpectrumSizes.of(squares, economy, made.kept.shape[2])
+        made.sizes.norms[:], made.sizes.largest[:] = sizes.norms, sizes.largest
+    return True
+
+
+def _fill_by_numpy(
+    made: RowTransforms,
+    reader: RowReader,
+    positions: Sequence[int],
+    fft_samples: int,
+    economy: Economy,
+    actuators: Int64Array,
+    *,
+    bounded: bool,
+) -> None:
     heard, count = len(actuators), len(positions)
     some_only = heard < reader.actuators
     at_once = max(1, GROUP_BYTES // (heard * fft_samples * np.dtype(economy.real).itemsize))

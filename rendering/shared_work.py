@@ -39,3 +39,9 @@ def share_out(items: Sequence[Item], task: Callable[[Item], None]) -> None:
         work()
     if errors:
         raise errors[0]
+
+
+def shares(count: int) -> list[slice]:
+    """Slices of 0 to count - 1, one for each thread; fewer where there are fewer numbers."""
+    each = max(1, -(-count // WORKERS))
+    return [slice(first, min(first + each, count)) for first in range(0, count, each)]

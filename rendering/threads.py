@@ -8,7 +8,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from typing import Any
-from weakref import WeakSet
+from weakref import WeakKeyDictionary
 
 from threadpoolctl import ThreadpoolController
 
@@ -24,11 +24,18 @@ def workers() -> Iterator[Executor]:
 
     They are kept: to start threads takes as long as to render a second of a scene.
     """
-    given: WeakSet[Future[Any]] = WeakSet()
+    given: WeakKeyDictionary[Future[Any], _Call] = WeakKeyDictionary()
     try:
         yield _Lent(_threads(os.getpid()), given)
     finally:
-        wait([future for future in tuple(given) if not future.cancel()])
+        begun = []
+        for future, call in tuple(given.items()):
+            if future.cancel():
+                # A thread will come by it some time.
+                call.let_go()
+            else:
+                begun.append(future)
+        wait(begun)
 
 
 @cache
@@ -41,15 +48,35 @@ def _threads(process: int) -> ThreadPoolExecutor:
 class _Lent(Executor):
     """Hands on what it is given, and keeps an eye on it."""
 
-    def __init__(self, threads: Executor, given: WeakSet[Future[Any]]) -> None:
+    def __init__(self, threads: Executor, given: WeakKeyDictionary[Future[Any], _Call]) -> None:
         self._threads = threads
         self._given = given
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """What will come of it."""
-        future = self._threads.submit(fn, *args, **kwargs)
-        self._given.add(future)
+        call = _Call(fn, args, kwargs)
+        future = self._threads.submit(call)
+        self._given[future] = call
         return future
+
+
+class _Call:
+    """A call that lets go of all that it was given before it is told to have ended.
+
+    A thread would hold on to it a little longer, and so keep memory from being used again.
+    """
+
+    def __init__(self, fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+        self._given: list[Any] = [fn, args, kwargs]
+
+    def __call__(self) -> Any:
+        fn, args, kwargs = self._given
+        self.let_go()
+        return fn(*args, **kwargs)
+
+    def let_go(self) -> None:
+        """Hold on to nothing."""
+        self._given.clear()
 
 
 class AtOnce(Executor):

@@ -91,7 +91,7 @@ class Upsampling:
         for ends, matrix in ((samples[:, :, : self.half], self._before), (samples[:, :, -self.half :], self._after)):
             # All in one product: there may be very many of them, and each is small.
             spilled = np.ascontiguousarray(ends).reshape(-1, self.half) @ matrix
-            spill += energies(spilled.reshape(*samples.shape[:2], -1))
+            spill += block_energies(spilled.reshape(*samples.shape[:2], -1))
         errors: Float64Array = self._relative * norms + np.sqrt(2.0 * spill)
         return errors
 
@@ -126,7 +126,7 @@ class Upsampling:
         )
 
 
-def energies(samples: NDArray[Any]) -> Float64Array:
+def block_energies(samples: NDArray[Any]) -> Float64Array:
     """Energy of each block (blocks, actuators, samples), no smaller than rounding."""
     energy: Float64Array = row_energies(samples).sum(axis=1) * (1.0 + samples.shape[2] * np.finfo(samples.dtype).eps)
     return energy

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
+from rendering.inner_loops import InnerLoops, Runs, WindowTransform, inner_loops, transformable
 from rendering.omission import SQUARES_LOST, SQUARES_SLACK, TRANSFORM, Economy
+from rendering.shared_work import shares
 from rendering.windows import Windows
 
 Float64Array = NDArray[np.float64]
@@ -107,6 +109,10 @@ def rounding_of(windows: Windows, chosen: Int64Array, fft_samples: int) -> tuple
 def _long(
     windows: Windows, chosen: Int64Array, fft_samples: int, economy: Economy, band: slice, workers: Executor
 ) -> Callable[[], WindowSpectra]:
+    loops = inner_loops() if economy.single and transformable(fft_samples) else None
+    runs = None if loops is None else windows.runs(chosen)
+    if loops is not None and runs is not None:
+        return _by_loops(loops, *runs, fft_samples, economy, band, workers)
     blurs = np.zeros(len(chosen))
     if windows.of_signals:
         whole = workers.submit(windows.spectra, chosen, fft_samples)
@@ -128,6 +134,35 @@ def _long(
             float(squared[:, band].sum(axis=1).sum(dtype=np.float64)),
             float(squared.sum(axis=1).sum(dtype=np.float64)),
         )
+
+    return end
+
+
+def _by_loops(
+    loops: InnerLoops,
+    runs: Runs,
+    bounds: Int64Array,
+    fft_samples: int,
+    economy: Economy,
+    band: slice,
+    workers: Executor,
+) -> Callable[[], WindowSpectra]:
+    count = len(bounds)
+    kept = np.empty((count, economy.kept), dtype=np.complex64)
+    largest, energies = np.empty((count, economy.segments), dtype=np.float32), np.empty((count, 3))
+    transform = WindowTransform(runs, fft_samples, economy.low, economy.high, economy.starts, band)
+    under_way = [
+        workers.submit(loops.windows, transform, bounds[some], kept[some], largest[some], energies[some])
+        for some in shares(count)
+    ]
+
+    def end() -> WindowSpectra:
+        for future in under_way:
+            future.result()
+        norms = np.sqrt(energies[:, 0]) * SQUARES_SLACK + SQUARES_LOST * np.sqrt(fft_samples)
+        blurs = _rounding_of_transforms(norms, fft_samples)
+        _, band_energy, energy = energies.sum(axis=0).tolist()
+        return WindowSpectra(kept, economy.largest_of(largest), blurs, blurs, band_energy, energy)
 
     return end
 

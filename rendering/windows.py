@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
+
+from rendering.inner_loops import Runs
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -20,6 +22,8 @@ Complex128Array = NDArray[np.complex128]
 
 LONG_RUN = 48
 """Runs of so many samples, on average, are copied one by one; shorter ones sample by sample, all at once."""
+
+SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
 
 Weigh = Callable[[Int64Array, Int64Array], tuple[Float64Array, NDArray[np.bool_]]]
 """For pairs of a row and its regularising row, in the order in which they are first needed: the factor, and
@@ -120,7 +124,9 @@ class Windows:
         pairs, to_pair = np.unique(rows * (span + 1) + np.where(saturated, by + 1, 0), return_inverse=True)
         in_block = block[first] * max(len(pairs), 1) + to_pair[of_run]
         fine, window = np.unique(in_block * pieces + key[begins] % pieces, return_inverse=True)
-        merged, self._parts = np.unique(fine // pieces, return_index=True)
+        merged, self._parts = (
+            (fine, np.arange(len(fine))) if pieces == 1 else np.unique(fine // pieces, return_index=True)
+        )
         self._piece = fine % pieces
         self.block = merged // max(len(pairs), 1)
         pair = pairs[merged % max(len(pairs), 1)] if len(pairs) else pairs
@@ -228,6 +234,16 @@ class Windows:
         else:
             dense = np.bincount(places, weights=values, minlength=len(chosen) * length).astype(real, copy=False)
         return dense.reshape(len(chosen), length)
+
+    def runs(self, chosen: Int64Array) -> tuple[Runs, Int64Array] | None:
+        """What some windows in ascending order are made of, and their runs, the first and one past the last.
+
+        None where runs of a window meet, or are beginnings of signals.
+        """
+        if self.of_signals or not self._disjoint:
+            return None
+        bounds = np.stack([np.searchsorted(self._window, chosen, side) for side in SIDES], axis=1)
+        return Runs(self._values, self._begin, self._start, self._length, self._factor), bounds.astype(np.int64)
 
     def spectra(self, chosen: Int64Array, fft_samples: int) -> Complex128Array:
         """Spectra of some windows in ascending order, (len(chosen), bins), time 0 being their block's start."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import weakref
 
 import pytest
 
@@ -50,6 +51,21 @@ def test_given_an_error_then_what_was_begun_has_ended_and_the_rest_is_not_done()
         fail_amid_work()
     assert sorted(done) == list(range(WORKERS))
     assert all(future.cancelled() for future in waiting)
+
+
+def test_given_a_call_that_was_not_begun_then_it_holds_on_to_nothing():
+    go_on = threading.Event()
+    with workers() as busy:
+        for _ in range(WORKERS):
+            busy.submit(go_on.wait, 60)
+        with workers() as threads:
+            given = threading.Event()
+            gone = weakref.ref(given)
+            threads.submit(given.wait)
+            del given
+        # Its place in the queue is still there, as all threads wait.
+        assert gone() is None
+        go_on.set()
 
 
 def test_given_two_uses_at_once_then_both_come_to_an_end():

@@ -8,7 +8,8 @@ import pytest
 from calibration.errors import InputError
 from rendering.bank_rows import BankRows
 from rendering.green_source import GreenArray
-from rendering.row_scaling import scale_row, scale_together
+from rendering.inner_loops import inner_loops
+from rendering.row_scaling import look_at_rows, scale_row, scale_together
 from rendering.scene import Regularisation
 
 ACTUATORS, TAPS = 3, 40
@@ -96,3 +97,63 @@ def test_given_a_row_that_may_not_be_used_among_others_then_it_is_named(spoil, t
     rows = BankRows(make_bank(values, status=status), Regularisation())
     with pytest.raises(InputError, match=told):
         rows.read_together([1, 3, 5], np.empty((3, ACTUATORS, TAPS), dtype=np.float32))
+
+
+def test_given_plain_rows_then_a_look_tells_what_scaling_each_by_itself_tells():
+    raws = list(make_rows())
+    for raw, row in zip(raws, look_at_rows(raws, 25, inner_loops()), strict=True):
+        scaled = scale_row(raw, 0)
+        assert row.exponent == scaled.exponent
+        np.testing.assert_array_equal(row.values, raw)
+        squares = np.square(scaled.values)
+        np.testing.assert_allclose(row.energies[0], squares[:, :25].sum(axis=1), rtol=1e-13)
+        np.testing.assert_allclose(row.energies[1], squares[:, 25:].sum(axis=1), rtol=1e-13)
+
+
+@pytest.mark.parametrize("odd", [0.0, np.nan, np.inf, -np.inf, 1e-40])
+def test_given_a_row_out_of_the_ordinary_then_a_look_does_not_do(odd):
+    rows = make_rows()
+    rows[3] = odd
+    assert look_at_rows(list(rows), TAPS, inner_loops()) is None
+
+
+def test_given_values_that_scaling_makes_denormal_then_a_look_does_not_do():
+    row = np.full((ACTUATORS, TAPS), 1e30, dtype=np.float32)
+    row[1, 7] = 1e-20
+    assert look_at_rows([row], TAPS, inner_loops()) is None
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float16, np.int16, ">f4"])
+def test_given_a_row_of_another_type_then_a_look_does_not_do(dtype):
+    assert look_at_rows([np.ones((ACTUATORS, TAPS), dtype=dtype)], TAPS, inner_loops()) is None
+
+
+def test_given_a_row_that_lies_backwards_or_askew_then_a_look_sees_it_as_it_is():
+    row = make_rows()[2]
+    askew = np.frombuffer(b"x" + row.tobytes(), dtype=np.float32, offset=1).reshape(row.shape)
+    for raw in (row[::-1, ::-1], askew, np.asfortranarray(row)):
+        np.testing.assert_array_equal(look_at_rows([raw], TAPS, inner_loops())[0].values, raw)
+
+
+@pytest.mark.parametrize(
+    "regularisation", [Regularisation(), Regularisation(normalise=False), Regularisation(saturation_absolute=0.5)]
+)
+def test_given_rows_looked_at_then_their_weights_are_those_of_rows_that_are_read(regularisation):
+    bank = make_bank(np.random.default_rng(2).uniform(-1.0, 1.0, (6, ACTUATORS, TAPS)).astype(np.float32))
+    looked_at, read = BankRows(bank, regularisation), BankRows(bank, regularisation)
+    rows = np.array([4, 0, 2])
+    assert looked_at.look_together(rows.tolist(), TAPS, inner_loops()) is not None
+    for row in rows.tolist():
+        read.read(row)
+        assert (looked_at.sigma(row) is None) == (read.sigma(row) is None)
+        if read.sigma(row) is not None:
+            np.testing.assert_allclose(looked_at.sigma(row), read.sigma(row), rtol=1e-12)
+    for found, expected in zip(looked_at.weigh(rows, rows), read.weigh(rows, rows), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(looked_at.norm_of(rows), read.norm_of(rows), rtol=1e-12)
+    assert looked_at.silent_actuators == read.silent_actuators
+
+
+def test_given_a_row_that_may_not_be_used_then_none_of_them_is_looked_at():
+    bank = make_bank(make_rows(), status=np.array([1, 1, 0, 1, 1, 1]))
+    assert BankRows(bank, Regularisation()).look_together([1, 2], TAPS, inner_loops()) is None

@@ -29,10 +29,10 @@ def workers() -> Iterator[Executor]:
         yield pool
 
 
-def make_bank(status: np.ndarray | None = None) -> GreenArray:
+def make_bank(status: np.ndarray | None = None, dtype: type[np.floating] = np.float64) -> GreenArray:
     values = np.random.default_rng(5).uniform(-1.0, 1.0, (POSITIONS, ACTUATORS, TAPS))
     values[:, 0, 0] = 0.9
-    return GreenArray(values, POSITION_MM, 1000.0, status=status)
+    return GreenArray(values.astype(dtype), POSITION_MM, 1000.0, status=status)
 
 
 def make_spectra(workers: Executor, bank: GreenArray, economy: Economy, **more) -> RowSpectra:
@@ -113,3 +113,58 @@ def test_a_row_that_may_not_be_used_leaves_nothing_half_done(workers):
     with pytest.raises(InputError, match="position 6"):
         spectra.prepare([5, 6, 7])
     assert_prepared(spectra, bank, [5, 7])
+
+
+SINGLE = Economy.of(BINS, 3, 25, single=True)
+
+
+def test_given_rows_in_single_precision_then_they_come_back_whatever_was_asked_for_before(workers, monkeypatch):
+    monkeypatch.setattr(row_spectra, "CACHE_BYTES", 24 * ACTUATORS * SINGLE.kept * 8)
+    bank = make_bank(dtype=np.float32)
+    spectra = make_spectra(workers, bank, SINGLE)
+    for rows in ([3, 1, 2], [2, 40, 3], list(range(20)), list(range(40, 60)), [59, 0, 41, 1], list(range(24))):
+        assert_prepared(spectra, bank, rows, rtol=2e-6)
+
+
+def test_given_more_rows_than_are_transformed_at_a_time_then_all_of_them_are_there(workers, monkeypatch):
+    monkeypatch.setattr(row_spectra, "CHUNK", 3)
+    monkeypatch.setattr(row_spectra, "CHUNKS_AHEAD", 2)
+    bank = make_bank(dtype=np.float32)
+    assert_prepared(make_spectra(workers, bank, SINGLE), bank, list(range(POSITIONS)), rtol=2e-6)
+
+
+def test_given_rows_that_the_compiled_loops_cannot_read_then_they_come_back_among_the_others(workers):
+    bank = make_bank(dtype=np.float32)
+    bank.values[7, 1, 20] = 1e-41
+    assert_prepared(make_spectra(workers, bank, SINGLE), bank, list(range(12)), rtol=2e-6)
+
+
+def test_given_rows_looked_at_in_all_bins_then_those_kept_are_theirs(workers):
+    bank = make_bank(dtype=np.float32)
+    looked_at = make_spectra(workers, bank, Economy.of(BINS, single=True))
+    assert_prepared(looked_at, bank, [4, 9], rtol=2e-6)
+    looked_at.prepare([5, 6])
+    assert_prepared(make_spectra(workers, bank, SINGLE, looked_at=looked_at), bank, [3, 4, 5, 6, 7, 9], rtol=2e-6)
+
+
+def test_given_a_cut_then_taps_and_actuators_that_are_not_used_are_told(workers):
+    bank = make_bank(dtype=np.float32)
+    cut = RowCut(30, np.array([0, 2]), ACTUATORS, whole=False)
+    spectra = RowSpectra(BankRows(bank, Regularisation()), cut, FFT, SINGLE, workers)
+    spectra.prepare([11, 12])
+    sizes = spectra.view([11, 12]).sizes()
+    for row, cut_off in zip([11, 12], sizes.cut_off, strict=True):
+        rest = bank.values[row].astype(np.float64)
+        rest[[0, 2], :30] = 0.0
+        # Rows are scaled by powers of two, here by none: their largest value is 0.9 or more.
+        np.testing.assert_allclose(cut_off, np.linalg.norm(rest), rtol=1e-6)
+    joint = np.linalg.norm(np.fft.rfft(bank.values[11][[0, 2], :30].astype(np.float64), FFT, axis=1), axis=0)
+    np.testing.assert_allclose(sizes.peaks[0], joint.max(), rtol=1.01 * (SQUARES_SLACK - 1.0))
+
+
+def test_given_that_spectra_are_let_go_while_they_are_made_then_nothing_else_is_written_to(workers):
+    bank = make_bank(dtype=np.float32)
+    for _ in range(50):
+        # Gone at once, with all its pages, whose memory the next one may get.
+        make_spectra(workers, bank, Economy.of(BINS, single=True)).prepare(list(range(POSITIONS)))
+        assert_prepared(make_spectra(workers, bank, SINGLE), bank, list(range(10)), rtol=2e-6)
