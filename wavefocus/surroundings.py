@@ -23,7 +23,7 @@ USB_S = 60.0
 def versions() -> dict[str, str]:
     """Versions of Python, of the system and of the packages that matter; "missing" where there is none.
 
-    Beside them whether the inner loops of rendering are compiled; where not, numpy takes a third longer.
+    Beside them whether the inner loops of rendering are compiled; where not, numpy takes a third longer or more.
     """
     told = {"python": platform.python_version(), "system": platform.platform()}
     for package in PACKAGES:
