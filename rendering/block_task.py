@@ -234,6 +234,7 @@ class BlockTask:
         else:
             spectra = self._sums(windows, bounds)
 
+            @np.errstate(over="ignore", under="ignore", invalid="ignore")
             def make(some: slice, out: NDArray[Any]) -> Float64Array:
                 out[some] = scipy_fft.irfft(spectra[some], shape.samples, axis=2)
                 return block_energies(out[some])
