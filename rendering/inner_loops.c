@@ -51,7 +51,7 @@ enum { LANES = 16 }; /* sums that run side by side, so that a processor can add 
 EXPORTED void *PyInit__inner_loops(void) { return NULL; }
 
 /* To be raised whenever a function's arguments or meaning change. */
-EXPORTED int wavefocus_version(void) { return 1; }
+EXPORTED int wavefocus_version(void) { return 2; }
 
 /* What is seen of some samples: magnitudes as the integers that their bits are, and energies, in lanes. */
 struct seen {
@@ -250,13 +250,21 @@ INLINE void pass_5(const int lanes, ptrdiff_t rest, ptrdiff_t stride, const floa
     }
 }
 
-/* Transforms `count` complex numbers in each lane by a pass for each of their factors; returns in which buffer
-   they are. */
-INLINE float *transform_all(const int lanes, ptrdiff_t count, const int64_t *factors, const float *turns, float *in,
-                            float *out)
+/* A transform of real signals. */
+struct transform {
+    ptrdiff_t length;
+    const int64_t *factors;           /* of half of it: 2, 3, 4 or 5, ended by 1 */
+    const float *turns, *half_turns;  /* exp(-2 pi i n / (length / 2)) and exp(-2 pi i n / length), n < length / 2 */
+};
+
+/* Transforms half as many complex numbers as a signal has samples, in each lane, by a pass for each of their factors;
+   returns in which buffer they are. */
+INLINE float *transform_all(const int lanes, const struct transform *transform, float *in, float *out)
 {
+    const ptrdiff_t count = transform->length / 2;
+    const float *turns = transform->turns;
     ptrdiff_t stride = 1;
-    for (const int64_t *by = factors; *by > 1; by++) {
+    for (const int64_t *by = transform->factors; *by > 1; by++) {
         const ptrdiff_t rest = count / stride / (ptrdiff_t)*by;
         switch (*by) {
         case 2: pass_2(lanes, rest, stride, turns, in, out); break;
@@ -283,11 +291,10 @@ INLINE float *transform_all(const int lanes, ptrdiff_t count, const int64_t *fac
 
 /* What all rows of a call have in common. */
 struct shape {
+    struct transform transform;
     ptrdiff_t taps, used;             /* of a row, and how many of them are transformed */
     const int64_t *actuators;         /* which actuators */
-    ptrdiff_t heard, length;          /* how many, and the transform's length */
-    const int64_t *factors;           /* of half of it: 2, 3, 4 or 5, ended by 1 */
-    const float *turns, *half_turns;  /* exp(-2 pi i n / (length / 2)) and exp(-2 pi i n / length), n < length / 2 */
+    ptrdiff_t heard;                  /* how many */
     ptrdiff_t low, high;              /* bins low to high - 1 are kept */
     ptrdiff_t conjugate;              /* whether their conjugates are */
 };
@@ -296,7 +303,7 @@ struct shape {
 INLINE void transform_some(const int lanes, const struct shape *shape, const float *RESTRICT row, float factor,
                            ptrdiff_t first, float *RESTRICT room, float *RESTRICT kept, float *RESTRICT squares)
 {
-    const ptrdiff_t size = 2 * lanes, half = shape->length / 2, pairs = shape->used / 2;
+    const ptrdiff_t size = 2 * lanes, half = shape->transform.length / 2, pairs = shape->used / 2;
     float *in = room, *out = room + half * size;
     const float *from[8];
     EACH_LANE from[lane] = row + shape->actuators[first + lane < shape->heard ? first + lane : first] * shape->taps;
@@ -311,14 +318,15 @@ INLINE void transform_some(const int lanes, const struct shape *shape, const flo
     for (ptrdiff_t n = 0; n <= pairs && n < half; n++)
         for (int lane = (int)(shape->heard - first); lane < lanes; lane++)
             in[n * size + lane] = in[n * size + lanes + lane] = 0.0f;
-    in = transform_all(lanes, half, shape->factors, shape->turns, in, out);
+    in = transform_all(lanes, &shape->transform, in, out);
     const ptrdiff_t left = shape->heard - first;
     const float sign = shape->conjugate ? -1.0f : 1.0f;
     float aside[3][16];
     for (ptrdiff_t bin = 0; 2 * bin <= half; bin++) {
         const ptrdiff_t mirrored = half - bin;
         const float *RESTRICT a = in + bin * size, *RESTRICT b = in + (bin ? mirrored : 0) * size;
-        const float turn_re = 0.5f * shape->half_turns[2 * bin], turn_im = 0.5f * shape->half_turns[2 * bin + 1];
+        const float *RESTRICT turn = shape->transform.half_turns + 2 * bin;
+        const float turn_re = 0.5f * turn[0], turn_im = 0.5f * turn[1];
         const int wanted = bin >= shape->low && bin < shape->high && left >= lanes;
         const int wanted_too = mirrored >= shape->low && mirrored < shape->high && left >= lanes;
         float *RESTRICT to = wanted ? kept + 2 * ((bin - shape->low) * shape->heard + first) : aside[0];
@@ -351,8 +359,8 @@ WIDE EXPORTED void wavefocus_transform(const uintptr_t *RESTRICT rows, const flo
                                        const struct shape *RESTRICT shape, float *RESTRICT room,
                                        const uintptr_t *RESTRICT kept, float *RESTRICT squares)
 {
-    const ptrdiff_t bins = shape->length / 2 + 1;
-    float *RESTRICT eights = room + 16 * shape->length;
+    const ptrdiff_t bins = shape->transform.length / 2 + 1;
+    float *RESTRICT eights = room + 16 * shape->transform.length;
     for (ptrdiff_t row = 0; row < count; row++) {
         const float *in = (const float *)rows[row];
         float *to = (float *)kept[row];
@@ -373,9 +381,7 @@ WIDE EXPORTED void wavefocus_transform(const uintptr_t *RESTRICT rows, const flo
 
 /* What all windows of a call have in common. */
 struct windows {
-    ptrdiff_t length;                 /* of the transform */
-    const int64_t *factors;           /* as of struct shape */
-    const float *turns, *half_turns;
+    struct transform transform;
     ptrdiff_t low, high;              /* bins low to high - 1 are kept */
     const int32_t *segment;           /* of each bin */
     ptrdiff_t segments;
@@ -397,8 +403,8 @@ WIDE EXPORTED void wavefocus_windows(const struct windows *RESTRICT shape, const
                                      float *RESTRICT largest, double *RESTRICT energies)
 {
     const int lanes = WINDOWS;
-    const ptrdiff_t size = 2 * lanes, half = shape->length / 2, bins = shape->high - shape->low;
-    float *RESTRICT peaks = room + 16 * shape->length;
+    const ptrdiff_t size = 2 * lanes, half = shape->transform.length / 2, bins = shape->high - shape->low;
+    float *RESTRICT peaks = room + 16 * shape->transform.length;
     for (ptrdiff_t first = 0; first < windows; first += lanes) {
         const ptrdiff_t some = windows - first < lanes ? windows - first : lanes;
         double band[WINDOWS] = {0.0}, all[WINDOWS] = {0.0};
@@ -418,11 +424,12 @@ WIDE EXPORTED void wavefocus_windows(const struct windows *RESTRICT shape, const
             }
             energies[3 * (first + window)] = energy;
         }
-        in = transform_all(lanes, half, shape->factors, shape->turns, in, in + half * size);
+        in = transform_all(lanes, &shape->transform, in, in + half * size);
         for (ptrdiff_t bin = 0; 2 * bin <= half; bin++) {
             const ptrdiff_t mirrored = half - bin;
             const float *RESTRICT a = in + bin * size, *RESTRICT b = in + (bin ? mirrored : 0) * size;
-            const float turn_re = 0.5f * shape->half_turns[2 * bin], turn_im = 0.5f * shape->half_turns[2 * bin + 1];
+            const float *RESTRICT turn = shape->transform.half_turns + 2 * bin;
+            const float turn_re = 0.5f * turn[0], turn_im = 0.5f * turn[1];
             /* These two may be the same. */
             float *peak = peaks + shape->segment[bin] * lanes, *peak_too = peaks + shape->segment[mirrored] * lanes;
             float real[WINDOWS], imaginary[WINDOWS], squares[WINDOWS];
@@ -471,11 +478,10 @@ WIDE EXPORTED void wavefocus_windows(const struct windows *RESTRICT shape, const
 
 /* What all blocks of a call have in common. */
 struct back {
-    ptrdiff_t actuators, length;      /* of a block */
+    struct transform transform;       /* its length is that of a block */
+    ptrdiff_t actuators;
     ptrdiff_t low, high;              /* bins low to high - 1 are computed, the others are zero */
     const float *turn;                /* what these are multiplied with */
-    const int64_t *factors;           /* as of struct shape, of this length */
-    const float *turns, *half_turns;
 };
 
 /* The sum over some rows of their spectra (bins, actuators), each at an address of its own, times one window
@@ -523,7 +529,7 @@ INLINE void sum_rows(const struct back *back, const uintptr_t *RESTRICT rows, co
 INLINE double transform_back(const int lanes, const struct back *back, const float *RESTRICT spectra, ptrdiff_t first,
                            float *RESTRICT room, float *RESTRICT out)
 {
-    const ptrdiff_t size = 2 * lanes, half = back->length / 2;
+    const ptrdiff_t size = 2 * lanes, half = back->transform.length / 2;
     const ptrdiff_t left = back->actuators - first < lanes ? back->actuators - first : lanes;
     const float scale = 1.0f / (float)half;
     float *in = room, silence[16] = {0.0f}, one[16] = {0.0f}, other[16] = {0.0f};
@@ -543,7 +549,7 @@ INLINE double transform_back(const int lanes, const struct back *back, const flo
             if (!bin) /* The first bin and the last of a real signal are real. */
                 EACH_LANE one[2 * lane + 1] = other[2 * lane + 1] = 0.0f;
         }
-        const float turn_re = back->half_turns[2 * bin], turn_im = -back->half_turns[2 * bin + 1];
+        const float turn_re = back->transform.half_turns[2 * bin], turn_im = -back->transform.half_turns[2 * bin + 1];
         float *RESTRICT to = in + bin * size;
         EACH_LANE {
             const float even_re = a[2 * lane] + b[2 * lane], even_im = a[2 * lane + 1] - b[2 * lane + 1];
@@ -554,14 +560,14 @@ INLINE double transform_back(const int lanes, const struct back *back, const flo
             to[lanes + lane] = -0.5f * scale * (even_im + odd_re);
         }
     }
-    in = transform_all(lanes, half, back->factors, back->turns, in, in + half * size);
+    in = transform_all(lanes, &back->transform, in, in + half * size);
     float sums[8] = {0.0f};
     double energy = 0.0;
     for (ptrdiff_t n = 0; n < half; n++)
         EACH_LANE sums[lane] += in[n * size + lane] * in[n * size + lane]
             + in[n * size + lanes + lane] * in[n * size + lanes + lane];
     for (ptrdiff_t lane = 0; lane < left; lane++) {
-        float *RESTRICT to = out + (first + lane) * back->length;
+        float *RESTRICT to = out + (first + lane) * back->transform.length;
         energy += (double)sums[lane];
         for (ptrdiff_t n = 0; n < half; n++) {
             to[2 * n] = in[n * size + lane];
@@ -580,12 +586,12 @@ WIDE EXPORTED void wavefocus_blocks(const uintptr_t *RESTRICT rows, const float 
                                     double *RESTRICT energies)
 {
     const ptrdiff_t window = 2 * (back->high - back->low);
-    float *RESTRICT sums = room + 16 * back->length, *RESTRICT spectra = sums + 4 * back->actuators;
-    for (ptrdiff_t block = 0; block < blocks; block++, out += back->actuators * back->length) {
+    float *RESTRICT sums = room + 16 * back->transform.length, *RESTRICT spectra = sums + 4 * back->actuators;
+    for (ptrdiff_t block = 0; block < blocks; block++, out += back->actuators * back->transform.length) {
         const ptrdiff_t begin = (ptrdiff_t)bounds[block], count = (ptrdiff_t)bounds[block + 1] - begin;
         energies[block] = 0.0;
         if (!count) {
-            memset(out, 0, (size_t)(back->actuators * back->length) * sizeof *out);
+            memset(out, 0, (size_t)(back->actuators * back->transform.length) * sizeof *out);
             continue;
         }
         sum_rows(back, rows + begin, windows + begin * window, count, sums, spectra);

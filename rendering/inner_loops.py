@@ -25,7 +25,7 @@ Complex128Array = NDArray[np.complex128]
 
 VARIABLE = "WAVEFOCUS_INNER_LOOPS"
 """In the environment it says `numpy` to leave the compiled loops alone, as for a comparison."""
-VERSION = 1
+VERSION = 2
 """As `inner_loops.c` has it: a library that was built from another source is not used."""
 RADICES = (4, 2, 3, 5)
 """Factors of half a transform's length."""
@@ -302,22 +302,10 @@ class RowTransform:
         self, taps: int, used: int, actuators: Int64Array, length: int, low: int, high: int, *, conjugate: bool
     ) -> None:
         self.length = length
-        factors, turns, half_turns = _tables(length)
+        transform = _transform(length)
         actuators = np.ascontiguousarray(actuators, dtype=np.int64)
-        self._held = (factors, turns, half_turns, actuators)
-        self.shape = _Shape(
-            taps,
-            used,
-            actuators.ctypes.data,
-            len(actuators),
-            length,
-            factors.ctypes.data,
-            turns.ctypes.data,
-            half_turns.ctypes.data,
-            low,
-            high,
-            conjugate,
-        )
+        self._held = (transform, actuators)
+        self.shape = _Shape(transform, taps, used, actuators.ctypes.data, len(actuators), low, high, conjugate)
         """As the compiled loops have it."""
 
 
@@ -335,21 +323,12 @@ class TransformBack:
     """
 
     def __init__(self, actuators: int, length: int, low: int, high: int, turn: Complex64Array) -> None:
-        factors, turns, half_turns = _tables(length)
+        transform = _transform(length)
         turn = np.ascontiguousarray(turn, dtype=np.complex64)
-        self._held = (factors, turns, half_turns, turn)
+        self._held = (transform, turn)
         self.room = 16 * length + 2 * actuators * (high - low + 2)
         """Numbers that the compiled loops need to work in."""
-        self.shape = _Back(
-            actuators,
-            length,
-            low,
-            high,
-            turn.ctypes.data,
-            factors.ctypes.data,
-            turns.ctypes.data,
-            half_turns.ctypes.data,
-        )
+        self.shape = _Back(transform, actuators, low, high, turn.ctypes.data)
         """As they have it."""
 
 
@@ -392,20 +371,17 @@ class WindowTransform:
     """
 
     def __init__(self, runs: Runs, length: int, low: int, high: int, starts: Int64Array, band: slice) -> None:
-        factors, turns, half_turns = _tables(length)
+        transform = _transform(length)
         bins = length // 2 + 1
         segment = np.repeat(np.arange(len(starts), dtype=np.int32), np.diff(starts, append=bins))
         arrays = [
             np.ascontiguousarray(array) for array in (runs.values, runs.begin, runs.start, runs.count, runs.factor)
         ]
-        self._held = (factors, turns, half_turns, segment, arrays)
+        self._held = (transform, segment, arrays)
         self.room = 16 * length + 8 * len(starts)
         """Numbers that the compiled loops need to work in."""
         self.shape = _Windows(
-            length,
-            factors.ctypes.data,
-            turns.ctypes.data,
-            half_turns.ctypes.data,
+            transform,
             low,
             high,
             segment.ctypes.data,
@@ -422,18 +398,28 @@ def transformable(length: int) -> bool:
     return length % 2 == 0 and _factors(length // 2)[1] == 1
 
 
-class _Shape(ctypes.Structure):
-    """`struct shape` of `inner_loops.c`."""
+class _Transform(ctypes.Structure):
+    """`struct transform` of `inner_loops.c`."""
 
     _fields_ = (
-        ("taps", ctypes.c_ssize_t),
-        ("used", ctypes.c_ssize_t),
-        ("actuators", ctypes.c_void_p),
-        ("heard", ctypes.c_ssize_t),
         ("length", ctypes.c_ssize_t),
         ("factors", ctypes.c_void_p),
         ("turns", ctypes.c_void_p),
         ("half_turns", ctypes.c_void_p),
+    )
+    held: tuple[NDArray[Any], ...]
+    """What it points to: as long as it lives, not its copies."""
+
+
+class _Shape(ctypes.Structure):
+    """`struct shape` of `inner_loops.c`."""
+
+    _fields_ = (
+        ("transform", _Transform),
+        ("taps", ctypes.c_ssize_t),
+        ("used", ctypes.c_ssize_t),
+        ("actuators", ctypes.c_void_p),
+        ("heard", ctypes.c_ssize_t),
         ("low", ctypes.c_ssize_t),
         ("high", ctypes.c_ssize_t),
         ("conjugate", ctypes.c_ssize_t),
@@ -444,14 +430,11 @@ class _Back(ctypes.Structure):
     """`struct back` of `inner_loops.c`."""
 
     _fields_ = (
+        ("transform", _Transform),
         ("actuators", ctypes.c_ssize_t),
-        ("length", ctypes.c_ssize_t),
         ("low", ctypes.c_ssize_t),
         ("high", ctypes.c_ssize_t),
         ("turn", ctypes.c_void_p),
-        ("factors", ctypes.c_void_p),
-        ("turns", ctypes.c_void_p),
-        ("half_turns", ctypes.c_void_p),
     )
 
 
@@ -459,10 +442,7 @@ class _Windows(ctypes.Structure):
     """`struct windows` of `inner_loops.c`."""
 
     _fields_ = (
-        ("length", ctypes.c_ssize_t),
-        ("factors", ctypes.c_void_p),
-        ("turns", ctypes.c_void_p),
-        ("half_turns", ctypes.c_void_p),
+        ("transform", _Transform),
         ("low", ctypes.c_ssize_t),
         ("high", ctypes.c_ssize_t),
         ("segment", ctypes.c_void_p),
@@ -488,12 +468,15 @@ def _factors(length: int) -> tuple[list[int], int]:
 
 
 @lru_cache(maxsize=8)
-def _tables(length: int) -> tuple[Int64Array, Complex64Array, Complex64Array]:
-    """Factors of half the length, ended by 1, and the turns of transforms of half the length and of the whole."""
+def _transform(length: int) -> _Transform:
+    """A transform of this length; whoever copies it holds on to it, too."""
     half = length // 2
     cycles = np.arange(half) / half
+    factors = np.array([*_factors(half)[0], 1], dtype=np.int64)
     turns, half_turns = (np.exp(-1j * angle * cycles).astype(np.complex64) for angle in (2.0 * np.pi, np.pi))
-    return np.array([*_factors(half)[0], 1], dtype=np.int64), turns, half_turns
+    found = _Transform(length, *(array.ctypes.data for array in (factors, turns, half_turns)))
+    found.held = (factors, turns, half_turns)
+    return found
 
 
 def _addresses(arrays: Sequence[NDArray[Any]]) -> NDArray[np.uintp]:
