@@ -27,7 +27,7 @@ help: ## Say what there is
 
 demo: ## Measure, interrupt, resume, render, verify on the virtual rig; writes demo-out/
 	@tools/set-up.sh
-	$(PY) -m wavefocus demo --out demo-out $(ARGS)
+	$(PY) -m wavefocus demo --out demo-out --force $(ARGS)
 
 test: ## Run the tests; some minutes
 	@tools/system-packages.sh $(TEST_PACKAGES)
@@ -57,8 +57,8 @@ bench: ## Measure error against run time, the paper's figures, stiff cases; writ
 	@tools/system-packages.sh $(COMPILER)
 	@tools/set-up.sh bench
 	@tools/set-up.sh test
-	OMP_NUM_THREADS=1 $(PY) -m wavefocus bench all --out bench-out $(ARGS)
-	OMP_NUM_THREADS=1 $(PY) -m wavefocus bench paper --out bench-out $(ARGS)
+	OMP_NUM_THREADS=1 $(PY) -m wavefocus bench all --out bench-out --force $(ARGS)
+	OMP_NUM_THREADS=1 $(PY) -m wavefocus bench paper --out bench-out --force $(ARGS)
 	@# Figures of a quick run are no figures: they stand nowhere.
 	$(if $(findstring quick,$(ARGS)),@echo "a quick run: no page is written",$(PY) tools/benchmark_pages.py bench-out)
 	$(if $(findstring quick,$(ARGS)),,$(PY) tools/stiff_cases.py)

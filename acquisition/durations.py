@@ -5,6 +5,11 @@ from __future__ import annotations
 import math
 
 
+def a_while(seconds: float) -> str:
+    """A duration that is not over, for people: as `hours`, but never 0 s."""
+    return "1 s" if 0 < seconds < 1 else hours(seconds)
+
+
 def hours(seconds: float) -> str:
     """A duration for people: ``2 h 05 min``, ``4 min 10 s``, ``12 s``."""
     if not math.isfinite(seconds):

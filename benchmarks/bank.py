@@ -17,11 +17,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import open_bank
-from calibration.bank_creation import create_bank
-from calibration.bank_header import BankHeader
-from calibration.bank_ledger import PointRecord
-from calibration.bank_writer import BankWriter
+from storage.bank.creation import create_bank
+from storage.bank.header import BankHeader
+from storage.bank.ledger import PointRecord
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter
 
 MARK_COMMIT_MS = 10.0
 ACTUATORS, TAPS = 20, 2000

@@ -20,6 +20,7 @@ from typing import Any
 
 from benchmarks.cluster_arithmetic import Work, cores_that_one_disk_feeds, size, table
 from benchmarks.cluster_files import write_bank, write_noise, write_recordings
+from storage.output_files import write_whole
 
 POSITIONS, ACTUATORS, TAPS, SAMPLES = 10_000, 20, 2000, 5000
 RECORDED = 60
@@ -94,7 +95,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
     lines = page(figures)
     print("\n".join(lines))
     if out is not None:
-        (out / "cluster.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_whole(out / "cluster.md", "\n".join(lines) + "\n")
     return figures
 
 

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from benchmarks.raw_night import record_sample
-from calibration.drive_file import Drive, write_drive
+from storage.drive_file import Drive, write_drive
 
 RATE_HZ = 10_000.0
 DECAY_S = 0.02

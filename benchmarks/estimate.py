@@ -22,9 +22,9 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from benchmarks import raw_night, staggered_campaign
-from calibration.estimator import Estimator
-from calibration.sweeps import Excitation
+from benchmarks import audio_rate, raw_night, staggered_campaign
+from calibration.estimator.sequential import Estimator
+from calibration.excitation.sweeps import Excitation
 
 TAPS = 2000
 OFFSET = 200
@@ -84,8 +84,8 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
     -------
     dict
         Per method: seconds per record, speed relative to pyfar's deconvolution, median and worst error in dB;
-        `limit_db`, the noise's own limit; what `benchmarks.staggered_campaign` and
-        `benchmarks.raw_night` find; `marks`, what was asked for and whether it was reached.
+        `limit_db`, the noise's own limit; what `benchmarks.staggered_campaign`,
+        `benchmarks.raw_night` and `benchmarks.audio_rate` find; `marks`, what was asked for and whether it was reached.
     """
     work = make_workload(records=8 if quick else 20)
     estimator = Estimator(work.excitation, TAPS)
@@ -132,7 +132,8 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
         f"median error at most {MARK_ERROR_DB:g} dB": error is not None and error <= MARK_ERROR_DB,
     }
     night, streams = staggered_campaign.run(quick=quick), raw_night.run(quick=quick)
-    marks |= night.pop("marks") | streams.pop("marks")
+    audio = audio_rate.run(quick=quick)
+    marks |= night.pop("marks") | streams.pop("marks") | audio.pop("marks")
     result: dict[str, Any] = {
         "methods": table,
         "limit_db": float(limit),
@@ -140,6 +141,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
         "note": note,
         **night,
         **streams,
+        **audio,
     }
     _print(result)
     if out is not None:

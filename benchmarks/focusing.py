@@ -26,16 +26,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rig_bank import QUICK_ERROR_DB, default_grid, true_bank
-from calibration.drive_file import Drive
 from mocks.virtual_rig import VirtualRig
-from rendering import metrics
-from rendering.drive import render_with_report
-from rendering.field import predict_rows
-from rendering.green_source import GreenArray
-from rendering.inverse_filter import inverse_filter
-from rendering.paths import Line, Point
-from rendering.scene import Regularisation, Scene, Source
-from rendering.signals import Impulse
+from rendering.drive.inverse_filter import inverse_filter
+from rendering.drive.rendering import render_with_report
+from rendering.field import metrics
+from rendering.field.model import predict_rows
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Regularisation, Scene, Source
+from rendering.scene.paths import Line, Point
+from rendering.scene.signals import Impulse
+from storage.drive_file import Drive
 
 Float64Array = NDArray[np.float64]
 

@@ -19,19 +19,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.grid import inside_stadium
+from acquisition.schedule.grid import inside_stadium
 from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from mocks.virtual_rig import VirtualRig
-from rendering.drive import render_with_report
-from rendering.green_source import GreenArray, GreenSource
-from rendering.grid_spacing import needed_grid
-from rendering.interpolation import GRID_KINDS, KINDS, Interpolation, interpolation
+from rendering.drive.rendering import render_with_report
+from rendering.greens.grid_spacing import needed_grid
+from rendering.greens.interpolation import GRID_KINDS, KINDS, Interpolation, interpolation
+from rendering.greens.snapping import PositionGrid
+from rendering.greens.source import GreenArray, GreenSource
 from rendering.kernel.interpolation import KernelInterpolation
 from rendering.kernel.left_out_errors import left_out_errors
-from rendering.paths import Circle
-from rendering.scene import Output, Scene, Source
-from rendering.signals import Noise
-from rendering.snapping import PositionGrid
+from rendering.scene.model import Output, Scene, Source
+from rendering.scene.paths import Circle
+from rendering.scene.signals import Noise
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
@@ -134,10 +134,10 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
         found = np.einsum("pn,pnfa->pfa", nodes.weights, values)
         right = truth[chosen]
         error = np.linalg.norm(found - right, axis=2) / np.linalg.norm(right, axis=2)
-        frequency_hz, estimate, _, _ = left_out_errors(kernel, usable_mm, None if name == "kernel" else nodes)
+        found_errors = left_out_errors(kernel, usable_mm, None if name == "kernel" else nodes)
         for index, frequency in enumerate(FREQUENCIES_HZ):
             mark = MARKS.get((error_db, frequency)) if name == "kernel" else None
-            estimated = float(np.interp(frequency, frequency_hz, estimate))
+            estimated = float(np.interp(frequency, found_errors.frequency_hz, found_errors.median))
             median, worst = float(np.median(error[:, index])), float(error[:, index].max())
             lines.append(Line(name, error_db, frequency, median, worst, estimated, mark))
     return lines
@@ -180,7 +180,7 @@ def grids_needed(bank: GreenArray, points_mm: Float64Array, errors: tuple[float,
 
 
 def _in_a_cell(kind: Interpolation, point_mm: Float64Array) -> bool:
-    from rendering.interpolation import OffGridError
+    from rendering.greens.interpolation import OffGridError
 
     try:
         kind.nodes(point_mm[None])

@@ -17,7 +17,8 @@ from typing import Any
 from benchmarks import paper_foci, paper_motion
 from benchmarks.paper_table import Row, table_of
 from benchmarks.rig_bank import paper_bank
-from rendering.report_canvas import Picture
+from rendering.report.canvas import Picture
+from storage.output_files import write_whole
 
 FOCI, QUICK_FOCI = 120, 24
 SEEDS, QUICK_SEEDS = 8, 2
@@ -54,7 +55,7 @@ def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
     rows += watch.draw_and_tell(lambda: paper_motion.figure_4c(source, surface, QUICK_SEEDS if quick else SEEDS))
     rows += watch.draw_and_tell(lambda: paper_motion.figure_4d(source))
     table = table_of(rows, source.how)
-    (out / "paper.md").write_text(table, encoding="utf-8")
+    write_whole(out / "paper.md", table)
     print(table)
     return {"quick": quick, "bank": source.how, "rows": [asdict(row) for row in rows], "seconds": watch.seconds}
 
@@ -78,7 +79,7 @@ class _Stopwatch:
     def draw_and_tell(self, work: Callable[[], tuple[Picture, list[Row]]]) -> list[Row]:
         began = time.perf_counter()
         picture, rows = work()
-        (self._out / f"{picture.name}.png").write_bytes(picture.png)
+        write_whole(self._out / f"{picture.name}.png", picture.png)
         self.seconds[picture.name] = round(time.perf_counter() - began, 3)
         return rows
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.paper_measures import SPEEDS_CM_S, LineScene
-from rendering.crosstalk import CrosstalkTable
-from rendering.green_correlation import DistanceCorrelation
-from rendering.path_spectrum import PathSpectrum
-from rendering.report_canvas import FAINT, INK, Canvas, Picture, drawn_in_style
-from rendering.report_surface import Surface, draw_cells, draw_surface
+from rendering.field.crosstalk import CrosstalkTable
+from rendering.field.green_correlation import DistanceCorrelation
+from rendering.field.path_spectrum import PathSpectrum
+from rendering.report.canvas import FAINT, INK, Canvas, Picture, drawn_in_style
+from rendering.report.surface import Surface, draw_cells, draw_surface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

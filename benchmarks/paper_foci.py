@@ -12,12 +12,12 @@ from benchmarks.paper_measures import CLEAR_MM, SATURATION
 from benchmarks.paper_table import Row
 from benchmarks.rig_bank import BAND_HZ, PaperBank
 from mocks.geometry import stadium_rim
-from rendering import metrics
-from rendering.field import predict
-from rendering.impulse_travel import impulse_travel
-from rendering.regularisation import focus_gain_map
-from rendering.report_canvas import Picture
-from rendering.report_surface import Surface
+from rendering.field import metrics
+from rendering.field.impulse_travel import impulse_travel
+from rendering.field.model import predict
+from rendering.greens.regularisation import focus_gain_map
+from rendering.report.canvas import Picture
+from rendering.report.surface import Surface
 
 Float64Array = NDArray[np.float64]
 

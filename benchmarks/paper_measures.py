@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rig_bank import PaperBank, rig_setup
-from calibration.drive_file import Drive
-from rendering import metrics
-from rendering.crosstalk import CrosstalkTable, crosstalk_table
-from rendering.drive import render_with_report
-from rendering.field import predict, predict_rows
-from rendering.green_source import GreenArray, read_row, usable
-from rendering.path_spectrum import PathSpectrum, path_spectrum
-from rendering.paths import Circle, Line, Path, Point, Strokes
-from rendering.regularisation import row_weights, saturation_threshold
-from rendering.scan import Scan, ScanPlan, scan
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse, Noise
-from rendering.text_path import TextPath
+from rendering.drive.rendering import render_with_report
+from rendering.field import metrics
+from rendering.field.crosstalk import CrosstalkTable, crosstalk_table
+from rendering.field.model import predict, predict_rows
+from rendering.field.path_spectrum import PathSpectrum, path_spectrum
+from rendering.greens.regularisation import row_weights, saturation_threshold
+from rendering.greens.source import GreenArray, read_row, usable
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Circle, Line, Path, Point, Strokes
+from rendering.scene.signals import Impulse, Noise
+from rendering.scene.text_path import TextPath
+from rendering.verify.scan import Scan, ScanPlan, scan
+from storage.drive_file import Drive
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]

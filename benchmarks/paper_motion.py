@@ -9,12 +9,12 @@ from benchmarks.paper_foci import surface_of
 from benchmarks.paper_measures import SATURATION
 from benchmarks.paper_table import Row
 from benchmarks.rig_bank import PaperBank
-from rendering import metrics
-from rendering.crosstalk import CrosstalkTable
-from rendering.green_correlation import correlation_over_distance
-from rendering.report_canvas import Picture
-from rendering.report_surface import Surface
-from rendering.signals import Impulse
+from rendering.field import metrics
+from rendering.field.crosstalk import CrosstalkTable
+from rendering.field.green_correlation import correlation_over_distance
+from rendering.report.canvas import Picture
+from rendering.report.surface import Surface
+from rendering.scene.signals import Impulse
 
 NEGLIGIBLE = 0.01
 """Crosstalk (energy ratio) that we call negligible; the paper does not say."""

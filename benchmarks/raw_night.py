@@ -18,17 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.measuring import measuring_of
-from acquisition.plan import Plan
-from acquisition.pointing import point_at
-from acquisition.raw_keeping import keep_recordings, raw_header
-from acquisition.record import take_record
+from acquisition.engine.measuring import measuring_of
+from acquisition.engine.pointing import point_at
+from acquisition.engine.raw_keeping import keep_recordings, raw_header
+from acquisition.engine.record import take_record
+from acquisition.schedule.plan import Plan
 from benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, rig_setup
-from calibration.raw_writer import RawWriter, create_raw
-from calibration.staggered_signal import StaggeredSignal
-from calibration.sweeps import Excitation
+from calibration.excitation.staggered_signal import StaggeredSignal
+from calibration.excitation.sweeps import Excitation
 from drivers.protocols import Recording, Take
 from mocks.virtual_rig import VirtualRig
+from storage.raw.writer import RawWriter, create_raw
 
 NIGHT = 1500
 STAGGER_S = 0.24
@@ -40,7 +40,7 @@ DIFFERENT = 4
 CHILD = """
 import sys, time
 import scipy.optimize, scipy.signal  # a night is longer than the loading of modules, the sample is not
-import wavefocus.commands.estimate, wavefocus.raw_estimator
+import wavefocus.commands.estimate, wavefocus.campaign.raw_estimator
 from benchmarks.peak_memory import peak_bytes
 from wavefocus.__main__ import run
 began = time.process_time()

@@ -34,10 +34,10 @@ from benchmarks.render_workloads import (
     sum_directly,
     workloads,
 )
-from rendering.drive import render_with_report
-from rendering.field import predict
-from rendering.green_source import GreenArray
-from rendering.scene import Output, Regularisation, Scene
+from rendering.drive.rendering import render_with_report
+from rendering.field.model import predict
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Regularisation, Scene
 
 TOLERANCE_DB = -60.0
 PLAIN_SEGMENTS = 250

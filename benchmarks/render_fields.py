@@ -12,13 +12,13 @@ from numpy.typing import DTypeLike, NDArray
 
 from benchmarks.render_timing import Mark, Result, best_of, relative_error
 from benchmarks.render_workloads import convolve_positions, modal_bank, noise
-from calibration.drive_file import Drive
-from rendering.drive import render_with_report
-from rendering.green_source import GreenArray
-from rendering.paths import Circle
-from rendering.prediction import Prediction
-from rendering.row_transforms import BankSpectra
-from rendering.scene import Scene, Source
+from rendering.drive.rendering import render_with_report
+from rendering.drive.row_transforms import BankSpectra
+from rendering.field.prediction import Prediction
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Scene, Source
+from rendering.scene.paths import Circle
+from storage.drive_file import Drive
 
 TOLERANCE_DB = -60.0
 LOWER_HZ = 1250.0

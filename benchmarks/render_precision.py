@@ -20,10 +20,11 @@ from benchmarks.render_workloads import (
     noise,
     sum_directly,
 )
-from rendering.drive import render_with_report
-from rendering.green_source import GreenArray
-from rendering.paths import Circle
-from rendering.scene import Output, Scene, Source
+from rendering.drive.rendering import render_with_report
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Scene, Source
+from rendering.scene.paths import Circle
+from storage.output_files import replacement
 
 SPEED_MM_S = 100.0
 STEPS_MM = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -166,4 +167,5 @@ def draw(path: Path, points: list[dict[str, Any]], title: str) -> None:
     figure.legend(
         *over_time.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9, frameon=False
     )
-    figure.savefig(path, dpi=130)
+    with replacement(path) as temporary:
+        figure.savefig(temporary, dpi=130)

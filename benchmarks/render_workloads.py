@@ -9,12 +9,12 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from rendering.green_source import GreenArray, read_row
-from rendering.interpolation import interpolation
-from rendering.paths import Circle, Polyline
-from rendering.scene import Scene, Source
-from rendering.signals import Noise
-from rendering.snapping import PositionGrid
+from rendering.greens.interpolation import interpolation
+from rendering.greens.snapping import PositionGrid
+from rendering.greens.source import GreenArray, read_row
+from rendering.scene.model import Scene, Source
+from rendering.scene.paths import Circle, Polyline
+from rendering.scene.signals import Noise
 
 Float64Array = NDArray[np.float64]
 

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from acquisition.engine import Campaign
-from acquisition.grid import stadium_grid
-from acquisition.plan import Plan
-from acquisition.setup import Setup
-from acquisition.stopping import StopRequest
-from calibration.bank import open_bank
-from calibration.bank_creation import create_bank
-from calibration.bank_header import BankHeader
-from calibration.bank_writer import BankWriter
-from calibration.mirror_map import MirrorMap
-from calibration.sweeps import Excitation
+from acquisition.engine.campaign import Campaign
+from acquisition.engine.setup import Setup
+from acquisition.engine.stopping import StopRequest
+from acquisition.schedule.grid import stadium_grid
+from acquisition.schedule.plan import Plan
+from calibration.excitation.sweeps import Excitation
+from calibration.rig.mirror_map import MirrorMap
 from mocks.virtual_rig import VirtualRig
-from rendering.green_source import GreenArray
-from rendering.metrics import band_weights
+from rendering.field.metrics import band_weights
+from rendering.greens.source import GreenArray
+from storage.bank.creation import create_bank
+from storage.bank.header import BankHeader
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter
 
 Float64Array = NDArray[np.float64]
 

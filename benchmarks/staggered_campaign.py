@@ -18,18 +18,18 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from acquisition.engine import Campaign
-from acquisition.plan import Plan
-from acquisition.stopping import StopRequest
-from acquisition.trial import check_position, run_trial
+from acquisition.engine.campaign import Campaign
+from acquisition.engine.stopping import StopRequest
+from acquisition.schedule.plan import Plan
+from acquisition.schedule.trial import check_position, run_trial
 from benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, rig_setup
-from calibration.bank import open_bank
-from calibration.bank_creation import create_bank
-from calibration.bank_header import BankHeader
-from calibration.bank_writer import BankWriter
-from calibration.staggered_signal import StaggeredSignal
-from calibration.sweeps import Excitation
+from calibration.excitation.staggered_signal import StaggeredSignal
+from calibration.excitation.sweeps import Excitation
 from mocks.virtual_rig import VirtualRig, VirtualSettings
+from storage.bank.creation import create_bank
+from storage.bank.header import BankHeader
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter
 
 Float64Array = NDArray[np.float64]
 

@@ -20,18 +20,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine import Campaign
-from acquisition.events import Event, Fault, PositionCommitted, PositionStarted
-from acquisition.plan import Plan
-from acquisition.record import record_samples, take_record
-from acquisition.setup import Setup
-from acquisition.stopping import StopRequest
-from calibration.bank_creation import create_bank
-from calibration.bank_header import BankHeader
-from calibration.bank_writer import BankWriter
-from calibration.mirror_map import MirrorMap
-from calibration.sweeps import Excitation
-from calibration.timing import ClockFitter
+from acquisition.engine.campaign import Campaign
+from acquisition.engine.events import Event, Fault, PositionCommitted, PositionStarted
+from acquisition.engine.record import record_samples, take_record
+from acquisition.engine.setup import Setup
+from acquisition.engine.stopping import StopRequest
+from acquisition.schedule.plan import Plan
+from calibration.clock.timing import ClockFitter
+from calibration.excitation.sweeps import Excitation
+from calibration.rig.mirror_map import MirrorMap
 from drivers.audio.band_limited import converted, lead_samples, rate_ratio
 from drivers.audio.signal_shelf import HALF_STEP
 from drivers.audio.stream_player import StreamPlayer
@@ -41,6 +38,9 @@ from drivers.errors import TransientInstrumentError
 from drivers.mirror.serial_mirror import SerialMirror
 from drivers.protocols import Float64Array, Instruments, Take
 from mocks.settings import VirtualSettings
+from storage.bank.creation import create_bank
+from storage.bank.header import BankHeader
+from storage.bank.writer import BankWriter
 
 MARK_OVERHEAD_S = 0.150
 MARK_WALL_OVER_SOUNDING = 1.03
@@ -90,6 +90,7 @@ def serve_far_sides(period_frames: int) -> None:
     wiring = Wiring(
         mirror_dialect="asi-tiger",
         mirror_port="socket://127.0.0.1:0",
+        mirror_full_scale_mrad=virtual.limit_mrad,
         ni_product="USB-6211",
         ni_device="Dev1",
         ni_address="localhost:0",

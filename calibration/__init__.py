@@ -1,1 +1,1 @@
-"""From recordings to Green's functions, and the files that keep them."""
+"""From recordings to Green's functions."""

@@ -9,6 +9,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.identity import DeviceIdentity
+
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 
@@ -100,8 +102,13 @@ class Clock(Protocol):
 class Instrument(Protocol):
     """What every role can do."""
 
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Who the device is, as it said when it was opened; the device is not asked again."""
+        ...
+
     def identify(self) -> str:
-        """Name, model and serial number of the device. Raises InstrumentError."""
+        """The device and its settings in a sentence for people, asked of the device. Raises InstrumentError."""
         ...
 
     def reconnect(self) -> None:

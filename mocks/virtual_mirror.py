@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.identity import DeviceIdentity
 from mocks.clocks import NANOSECONDS, VirtualClock
 from mocks.faults import FaultPlan
 from mocks.geometry import inside_stadium
@@ -42,6 +43,11 @@ class VirtualMirror:
         self._moves = deque([self._move(0, 0, settings.park_mrad)], maxlen=64)
         self._closed = False
         self._lock = threading.Lock()
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Who it is: the same in every run."""
+        return DeviceIdentity("wavefocus", NAME)
 
     def identify(self) -> str:
         """Name of the device."""

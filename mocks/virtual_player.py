@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.identity import DeviceIdentity
 from drivers.protocols import Take
 from mocks.chance import take_share
 from mocks.clocks import NANOSECONDS, VirtualClock
@@ -64,6 +65,11 @@ class VirtualPlayer:
     def full_scale_v(self) -> float:
         """Largest output magnitude in volts."""
         return self._settings.full_scale_v
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Who it is: the same in every run."""
+        return DeviceIdentity("wavefocus", NAME)
 
     def identify(self) -> str:
         """Name of the device."""

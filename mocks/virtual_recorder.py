@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.identity import DeviceIdentity
 from drivers.protocols import Recording, RecordRequest, Take
 from mocks.bounded_cache import BoundedCache
 from mocks.chance import DROPOUT, GROWING, NOISE, normal, take_generator
@@ -73,6 +74,11 @@ class VirtualRecorder:
         self._under_way: tuple[RecordRequest, int] | None = None
         self._closed = False
         self._lock = threading.Lock()
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Who it is: the same in every run."""
+        return DeviceIdentity("wavefocus", NAME)
 
     def identify(self) -> str:
         """Name of the device."""

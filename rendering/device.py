@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.errors import InputError
+from storage.errors import InputError
 
 REMEDY = "install CuPy for this machine's CUDA (pip install cupy-cuda12x or -cuda13x), or leave out --device"
 

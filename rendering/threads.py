@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 
 from threadpoolctl import ThreadpoolController
 
+from calibration.blas import SharedLimits
 from rendering.freed_memory import keep_freed_memory
 
 WORKERS = 2
@@ -94,11 +95,13 @@ def one_blas_thread() -> AbstractContextManager[object]:
 
     Idle BLAS threads wait by spinning, and would take the cores away from ours.
     """
-    limits: AbstractContextManager[object] = _controller().limit(limits=1, user_api="blas")
-    return limits
+    return _one_thread.held()
 
 
 @cache
 def _controller() -> ThreadpoolController:
     # Looking for the libraries takes as long as rendering half a second of a scene's blocks.
     return ThreadpoolController()
+
+
+_one_thread = SharedLimits(lambda: _controller().limit(limits=1, user_api="blas"))

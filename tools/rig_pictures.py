@@ -55,10 +55,10 @@ def take(out: Path, rig: Path) -> None:
     """Examine, operate and calibrate, and keep a picture of each."""
     from PyQt5.QtCore import QSettings
 
-    from gui.application import make_application
-    from gui.memory import Memory
     from gui.rig.tab import RigTab
-    from gui.window import Window
+    from gui.shell.application import make_application
+    from gui.shell.memory import Memory
+    from gui.shell.window import Window
     from wavefocus.commands.gui import front_door
 
     application = make_application()
@@ -115,7 +115,7 @@ def _meet_marks(tab: RigTab, until: Callable[[Callable[[], object]], None]) -> N
     """Bring the beam onto every mark, as a person does who sees nearly where it is."""
     import numpy as np
 
-    from calibration.mirror_map import MirrorMap
+    from calibration.rig.mirror_map import MirrorMap
 
     true, rng, calibration = MirrorMap(MAP), np.random.default_rng(1), tab.calibration
     until(tab.calibration_page.start.start.isEnabled)

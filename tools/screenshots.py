@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gui.window import Window
+    from gui.shell.window import Window
 
 RUN = """
 rig = "rig.toml"
@@ -99,10 +99,10 @@ def take(out: Path, run_file: Path, what: str) -> None:
     """Take the pictures of one scaling."""
     from PyQt5.QtCore import QSettings
 
-    from gui.application import make_application
     from gui.campaign.tab import CampaignTab
-    from gui.memory import Memory
-    from gui.window import Window
+    from gui.shell.application import make_application
+    from gui.shell.memory import Memory
+    from gui.shell.window import Window
     from wavefocus.commands.gui import front_door
 
     application = make_application()

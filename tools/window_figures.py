@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from gui.window import Window
+    from gui.shell.window import Window
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
@@ -38,9 +38,9 @@ _PATIENCE_S = 300.0
 UP_CODE = """
 import sys, time
 from wavefocus.commands.gui import front_door
-from gui.application import make_application
-from gui.memory import Memory
-from gui.window import Window
+from gui.shell.application import make_application
+from gui.shell.memory import Memory
+from gui.shell.window import Window
 from PyQt5.QtCore import QSettings
 from pathlib import Path
 application = make_application()
@@ -86,10 +86,10 @@ def main() -> None:
 
 def make_bank(path: Path) -> Path:
     """A bank of 1500 positions, all measured."""
-    from calibration.bank_creation import create_bank
-    from calibration.bank_layout import BankHeader
-    from calibration.bank_ledger import PointRecord
-    from calibration.bank_writer import BankWriter
+    from storage.bank.creation import create_bank
+    from storage.bank.layout import BankHeader
+    from storage.bank.ledger import PointRecord
+    from storage.bank.writer import BankWriter
 
     x_mm, y_mm = np.meshgrid(4.0 * np.arange(50), 4.0 * np.arange(POSITIONS // 50))
     angle = 2 * np.pi * np.arange(ACTUATORS) / ACTUATORS
@@ -135,9 +135,9 @@ def drawing(bank: Path, seconds: float) -> list[tuple[str, str, str]]:
     """Main thread's share of a core in each tab, 20 commits a second; what eight hours of events leave in memory."""
     from PyQt5.QtCore import QSettings, QTimer
 
-    from gui.application import make_application
-    from gui.memory import Memory
-    from gui.window import Window
+    from gui.shell.application import make_application
+    from gui.shell.memory import Memory
+    from gui.shell.window import Window
     from wavefocus.commands.gui import front_door
 
     application = make_application()

@@ -1,4 +1,7 @@
-"""Entry point: runs a command and turns every error into one line and its exit code."""
+"""Entry point: runs a command and turns every error into one line and its exit code.
+
+Nothing slow is imported before `main` has taken over Ctrl-C and the standard streams.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,16 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-import typer.main
-from typer.exceptions import TyperException
+from wavefocus.process_start import (
+    end_at_interrupt,
+    interrupts,
+    open_closed_streams,
+    raise_at_interrupt,
+    show_warning,
+)
 
-from wavefocus.cli import app
-from wavefocus.exits import Exit, exit_code, sentence
+# Asks for Python's own account of an error in place of the one line, for reports of defects.
+TRACEBACK, TRACEBACK_VARIABLE = "--traceback", "WAVEFOCUS_TRACEBACK"
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -22,29 +30,58 @@ def run(arguments: Sequence[str]) -> int:
     arguments : sequence of str
         Without the program's name; none shows the help.
     """
-    command = typer.main.get_command(app)
+    from typer.exceptions import TyperException
+
+    from wavefocus.exits import Exit, exit_code
+    from wavefocus.plain_text import one_line
+
+    rest = [one for one in arguments if one != TRACEBACK]
+    as_traceback = len(rest) < len(arguments) or bool(os.environ.get(TRACEBACK_VARIABLE))
     try:
-        result = command.main(list(arguments) or ["--help"], prog_name="wavefocus", standalone_mode=False)
+        import typer.main
+
+        from wavefocus.cli import app
+
+        command = typer.main.get_command(app)
+        result = command.main(rest or ["--help"], prog_name="wavefocus", standalone_mode=False)
     except TyperException as wrong:
-        message = " ".join(wrong.format_message().split())
+        message = one_line(wrong.format_message())
         print(f"wavefocus: {message} (wavefocus --help shows what there is)", file=sys.stderr)
         return Exit.WRONG_INPUT
     except BrokenPipeError:
         return Exit.NOT_GOOD_ENOUGH
     except BaseException as failure:
-        code = exit_code(failure)
+        # An import that Ctrl-C breaks off may fail in other words than KeyboardInterrupt.
+        code = Exit.STOPPED if interrupts else exit_code(failure)
         if code is None:
             raise
         # A terminal that is gone, or a pipe nobody reads any more, must not change the exit code.
         with suppress(OSError, ValueError):
-            print(f"wavefocus: {sentence(failure)}", file=sys.stderr, flush=True)
+            if as_traceback and code is not Exit.STOPPED:
+                import traceback
+
+                traceback.print_exception(failure)
+            print(f"wavefocus: {_account(failure, code, rest)}", file=sys.stderr, flush=True)
         return code
     return int(result or 0)
 
 
 def main() -> None:
     """Run the command line of this process and exit."""
-    code = run(sys.argv[1:])
+    end_at_interrupt()
+    open_closed_streams()
+    import warnings
+
+    import wavefocus.cli  # noqa: F401  (all that is slow to load before a command is chosen)
+    from wavefocus.exits import Exit
+
+    warnings.showwarning = show_warning
+    try:
+        raise_at_interrupt()
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:
+        code = Exit.STOPPED
+    end_at_interrupt(code)
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -53,6 +90,24 @@ def main() -> None:
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(code)
+
+
+def _account(failure: BaseException, code: int, arguments: Sequence[str]) -> str:
+    """The one line about an error; where its own text names no file, with the files of the command line."""
+    from pathlib import Path
+
+    from wavefocus.exits import Exit, is_foreseen, sentence
+    from wavefocus.plain_text import one_line
+
+    if code is Exit.STOPPED:
+        return sentence(KeyboardInterrupt())
+    if is_foreseen(failure):
+        return sentence(failure)
+    named = [one.partition("=")[2] if one.startswith("--") else one for one in arguments]
+    files = "".join(f"{one}: " for one in named if Path(one).is_file())
+    kind = "not enough memory" if isinstance(failure, MemoryError) else type(failure).__name__
+    said = "" if sentence(failure) == type(failure).__name__ else f": {sentence(failure)}"
+    return one_line(f"{files}cannot be computed: {kind}{said} ({TRACEBACK} shows where)")
 
 
 if __name__ == "__main__":

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import os
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -17,6 +19,18 @@ app = typer.Typer(
         "and check the focusing against new scans. Start with: wavefocus init lab"
     ),
 )
+
+
+def _finite(value: float | None) -> float | None:
+    """Refuse NaN and infinity, which pass every comparison with a bound or none."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value} is not a finite number")
+    return value
+
+
+def _number(*names: str, **settings: Any) -> Any:
+    """Declare an option that takes a finite number."""
+    return typer.Option(*names, callback=_finite, **settings)
 
 
 class RigKind(StrEnum):
@@ -104,7 +118,16 @@ DriftOption = Annotated[bool, typer.Option("--accept-drift", help="Go on althoug
 CalibrationOption = Annotated[
     bool, typer.Option("--accept-calibration", help="Go on with another calibration, or on other devices than its own.")
 ]
-WaitOption = Annotated[float, typer.Option("--wait-s", min=0, max=86_400, help="Longest wait for it to be done.")]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Replace older outputs; never an input, a bank or raw recordings.")
+]
+RigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--rig", metavar="RIG.toml", help="A corrected rig file: other ports, device names, limits or time-outs."
+    ),
+]
+WaitOption = Annotated[float, _number("--wait-s", min=0, max=86_400, help="Longest wait for it to be done.")]
 ScenesOption = Annotated[
     list[Path] | None,
     typer.Option("--scene", metavar="SCENE.toml", help="Only the positions that this scene needs; may be repeated."),
@@ -114,6 +137,9 @@ ClusterOption = Annotated[
     typer.Option(
         "--cluster", metavar="ADDRESS", help="A dask scheduler, tcp://HOST:8786, or local, local:N: processes here."
     ),
+]
+AllowLargeOption = Annotated[
+    bool, typer.Option("--allow-large", help="Allow scenes of over an hour, 8 GiB of drives or a million path points.")
 ]
 NoChecksOption = Annotated[
     bool, typer.Option("--no-checks", help="With --scene: leave out the positions that only `verify` looks at.")
@@ -133,8 +159,17 @@ def wavefocus(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
+    traceback: Annotated[  # taken by `wavefocus.__main__.run`, wherever it stands; here for --help alone
+        bool, typer.Option("--traceback", help="Show where in the program an error arose; or WAVEFOCUS_TRACEBACK=1.")
+    ] = False,
+    most_gib: Annotated[
+        float | None,
+        _number("--most-gib", help="Largest part of a file that is read at once, in GiB; 8 unless told otherwise."),
+    ] = None,
 ) -> None:
     """Say what all commands share."""
+    if most_gib is not None:
+        os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too
 
 
 @app.command()
@@ -187,21 +222,27 @@ def calibrate(
         Path | None,
         typer.Option("--fiducials", metavar="FILE.csv", help="Marks: x_mm,y_mm to jog to, with x_mrad,y_mrad not."),
     ] = None,
-    limit_mm: Annotated[float, typer.Option("--limit-mm", min=1e-6, help="Largest residual of the mirror map.")] = 1.0,
+    limit_mm: Annotated[
+        float,
+        _number("--limit-mm", min=1e-6, max=1e6, help="Largest residual of the mirror map."),
+    ] = 1.0,
     summing_box: Annotated[
         bool, typer.Option("--summing-box", help="All outputs for actuators are in one box, none is plugged singly.")
     ] = False,
     box_gain: Annotated[
-        float | None, typer.Option("--box-gain", min=1e-6, help="The box's gain; without it no full scale is measured.")
+        float | None,
+        _number("--box-gain", min=1e-6, max=1e6, help="The box's gain; without it no full scale is measured."),
     ] = None,
     amplitude_v: Annotated[
-        float | None, typer.Option("--amplitude-v", help="Peak of what is played; by default well below the limit.")
+        float | None,
+        _number("--amplitude-v", help="Peak of what is played; by default well below the limit."),
     ] = None,
     distance_mm: Annotated[
-        float | None, typer.Option("--distance-mm", min=1e-6, help="From each actuator to where it is listened to.")
+        float | None,
+        _number("--distance-mm", min=1e-6, max=1e6, help="From each actuator to where it is listened to."),
     ] = None,
     sample_rate_hz: Annotated[
-        float, typer.Option("--sample-rate-hz", min=2_000, max=1e6, help="Rate of the records.")
+        float, _number("--sample-rate-hz", min=2_000, max=1e6, help="Rate of the records.")
     ] = 10_000.0,
     operator: Annotated[
         Person, typer.Option("--operator", help="lines: asks by JSON lines on standard output, for a window or script.")
@@ -210,8 +251,8 @@ def calibrate(
     json: JsonOption = False,
 ) -> None:
     """Measure mirror map, latencies, delays, levels and polarities, into a calibration file."""
-    from wavefocus.calibration_request import Request
     from wavefocus.commands import calibrate as command
+    from wavefocus.rig.calibration_request import Request
 
     request = Request(
         parts=command.parts_named(only),
@@ -261,23 +302,27 @@ def plan(
     run: RunArgument,
     scene: ScenesOption = None,
     no_checks: NoChecksOption = False,
+    allow_large: AllowLargeOption = False,
     interpolation_error: Annotated[
-        float, typer.Option("--interpolation-error", min=1e-4, max=0.99, help="Allowed between the grid's positions.")
+        float,
+        _number("--interpolation-error", min=1e-4, max=0.99, help="Allowed between the grid's positions."),
     ] = 0.05,
     wave_speed: Annotated[
-        float, typer.Option("--wave-speed", metavar="M_S", min=1e-3, help="Of the plate, in m/s; a gel's by default.")
+        float,
+        _number("--wave-speed", metavar="M_S", min=1e-3, help="Of the plate, in m/s; a gel's by default."),
     ] = 4.8,
     attenuation: Annotated[
-        float, typer.Option("--attenuation", metavar="DB_CM", min=0.0, help="Of the plate's waves, in dB/cm.")
+        float,
+        _number("--attenuation", metavar="DB_CM", min=0.0, max=1e6, help="Of the plate's waves, in dB/cm."),
     ] = 3.8,
     json: JsonOption = False,
 ) -> None:
     """Dry run: positions, hours, bytes, limits and finish time; nothing is played."""
+    from wavefocus.campaign.grid_advice import Waves
     from wavefocus.commands import plan as command
-    from wavefocus.grid_advice import Waves
 
     waves = Waves(interpolation_error, wave_speed, attenuation)
-    command.plan(run, scene or (), waves, checks=not no_checks, as_json=json)
+    command.plan(run, scene or (), waves, checks=not no_checks, allow_large=allow_large, as_json=json)
 
 
 @app.command()
@@ -286,6 +331,7 @@ def capture(
     bank: BankOption,
     scene: ScenesOption = None,
     no_checks: NoChecksOption = False,
+    allow_large: AllowLargeOption = False,
     json: JsonLines = False,
     accept_drift: DriftOption = False,
     accept_calibration: CalibrationOption = False,
@@ -299,6 +345,7 @@ def capture(
             bank,
             scene or (),
             checks=not no_checks,
+            allow_large=allow_large,
             as_json=json,
             accept_drift=accept_drift,
             accept_calibration=accept_calibration,
@@ -309,15 +356,16 @@ def capture(
 @app.command()
 def resume(
     bank: BankArgument,
+    rig: RigOption = None,
     json: JsonLines = False,
     accept_drift: DriftOption = False,
     accept_calibration: CalibrationOption = False,
 ) -> None:
-    """Go on with a campaign from its bank alone."""
+    """Go on with a campaign from its bank alone, or with a corrected rig file."""
     from wavefocus.commands import capture as command
 
     raise typer.Exit(
-        command.resume(bank, as_json=json, accept_drift=accept_drift, accept_calibration=accept_calibration)
+        command.resume(bank, rig, as_json=json, accept_drift=accept_drift, accept_calibration=accept_calibration)
     )
 
 
@@ -330,11 +378,15 @@ def remeasure(
     positions: Annotated[
         str, typer.Option("--positions", metavar="I,J,...", help="Bank rows; 5-9 names a range.")
     ] = "",
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Also valid rows by others, where two attempts agree on them.")
+    ] = False,
+    rig: RigOption = None,
     json: JsonLines = False,
     accept_drift: DriftOption = False,
     accept_calibration: CalibrationOption = False,
 ) -> None:
-    """Measure positions again; what the bank holds stays until something better is in."""
+    """Measure positions again; what the bank holds stays until something better is in, a valid row until one agrees."""
     from wavefocus.commands import capture as command
 
     raise typer.Exit(
@@ -342,6 +394,8 @@ def remeasure(
             bank,
             status,
             positions,
+            rig,
+            replace=replace,
             as_json=json,
             accept_drift=accept_drift,
             accept_calibration=accept_calibration,
@@ -352,6 +406,7 @@ def remeasure(
 @app.command()
 def status(
     bank: BankArgument,
+    force: ForceOption = False,
     json: JsonOption = False,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw the sentinel position's drift over time.")
@@ -360,7 +415,7 @@ def status(
     """Counts per status, state, last sign of life, rate and finish time; safe while a run is on."""
     from wavefocus.commands import status as command
 
-    command.status(bank, as_json=json, plot=plot)
+    command.status(bank, as_json=json, plot=plot, force=force)
 
 
 @app.command()
@@ -388,11 +443,14 @@ def stop(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False
 
 
 @app.command()
-def check(bank: BankArgument, json: JsonOption = False) -> None:
-    """Checksums and physical sanity of every row."""
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE.h5", help="A bank, raw recordings, a drive or a field.")],
+    json: JsonOption = False,
+) -> None:
+    """Verify a bank, raw recordings, a drive or a field: checksums; of banks the physical sanity of every row."""
     from wavefocus.commands import check as command
 
-    raise typer.Exit(command.check(bank, as_json=json))
+    raise typer.Exit(command.check(file, as_json=json))
 
 
 @app.command()
@@ -430,11 +488,11 @@ def render(
     ] = None,
     tolerance_db: Annotated[
         float | None,
-        typer.Option("--tolerance-db", help="Leave out what a proved bound allows, e.g. -60."),
+        _number("--tolerance-db", help="Leave out what a proved bound allows, e.g. -60."),
     ] = None,
     interpolation_tolerance: Annotated[
         float | None,
-        typer.Option(
+        _number(
             "--interpolation-tolerance", min=1e-9, help="Refuse a larger error between the bank's positions, e.g. 0.05."
         ),
     ] = None,
@@ -442,7 +500,8 @@ def render(
         Focusing, typer.Option("--focusing", help="Time reversal, or a regularised inverse of the path points.")
     ] = Focusing.TIME_REVERSAL,
     regularisation_db: Annotated[
-        float | None, typer.Option("--regularisation-db", help="Of the inverse, below 0; by default -20.")
+        float | None,
+        _number("--regularisation-db", help="Of the inverse, below 0; by default -20."),
     ] = None,
     rig: Annotated[
         Path | None, typer.Option("--rig", metavar="RIG.toml", help="Keep to this rig's limits too: volts, coil power.")
@@ -457,6 +516,8 @@ def render(
         bool,
         typer.Option("--stream", help="In constant memory, in two passes; drives above 2 GiB are streamed anyway."),
     ] = False,
+    allow_large: AllowLargeOption = False,
+    force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
     """Turn a scene into drive signals."""
@@ -472,7 +533,17 @@ def render(
         device="cpu" if device is ComputingDevice.CPU else "cuda",
     )
     command.render(
-        scene, bank, out, wav=wav, picture=picture, rig_file=rig, options=options, stream=stream, as_json=json
+        scene,
+        bank,
+        out,
+        wav=wav,
+        picture=picture,
+        rig_file=rig,
+        options=options,
+        stream=stream,
+        allow_large=allow_large,
+        force=force,
+        as_json=json,
     )
 
 
@@ -485,10 +556,12 @@ def predict(
         str, typer.Option("--positions", metavar="I,J,...", help="Bank rows; by default all measured.")
     ] = "",
     rate_hz: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", help="Of the field: the bank's over a whole number.")
+        float | None,
+        _number("--rate", metavar="HZ", min=1e-3, max=1e9, help="Of the field: the bank's over a whole number."),
     ] = None,
     tolerance_db: Annotated[
-        float | None, typer.Option("--tolerance-db", help="Leave out what a proved bound allows to, e.g. -60.")
+        float | None,
+        _number("--tolerance-db", help="Leave out what a proved bound allows to, e.g. -60."),
     ] = None,
     spectra: Annotated[
         bool, typer.Option("--spectra", help="Energy spectra alone, into an .npz file: far faster than the field.")
@@ -497,17 +570,20 @@ def predict(
     device: Annotated[ComputingDevice, typer.Option("--device", help="cuda: on a GPU, through CuPy.")] = (
         ComputingDevice.CPU
     ),
+    force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
     """Predict the field that a drive makes, from the bank."""
     from wavefocus.commands import predict as command
 
     if spectra:
-        command.predict_energy(drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, as_json=json)
+        command.predict_energy(
+            drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, force=force, as_json=json
+        )
         return
     command.predict(
         drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, cluster=cluster, device=device.value,
-        as_json=json,
+        force=force, as_json=json,
     )  # fmt: skip
 
 
@@ -522,25 +598,28 @@ def movie(
     drive: Annotated[
         Path | None, typer.Option("--drive", metavar="DRIVE.h5", help="Whose foci and paths are shown.")
     ] = None,
-    from_s: Annotated[float | None, typer.Option("--from-s", help="Start in scene time.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to-s", help="End in scene time.")] = None,
+    from_s: Annotated[float | None, _number("--from-s", min=-1e9, max=1e9, help="Start in scene time.")] = None,
+    to_s: Annotated[float | None, _number("--to-s", min=-1e9, max=1e9, help="End in scene time.")] = None,
     slow: Annotated[
-        float | None, typer.Option("--slow", min=1e-3, max=1e6, help="Times slower than life; by default 240 frames.")
+        float | None,
+        _number("--slow", min=1e-3, max=1e6, help="Times slower than life; by default 240 frames."),
     ] = None,
     frame_rate_hz: Annotated[
-        float, typer.Option("--frame-rate-hz", min=1, max=50, help="Frames a second of the movie.")
+        float, _number("--frame-rate-hz", min=1, max=50, help="Frames a second of the movie.")
     ] = 25.0,
     width_px: Annotated[int, typer.Option("--width-px", min=240, max=3840, help="Width of the movie.")] = 720,
     limit: Annotated[
-        float | None, typer.Option("--limit", min=1e-300, help="End of the colour scale, in the field's unit.")
+        float | None,
+        _number("--limit", min=1e-30, max=1e30, help="End of the colour scale, in the field's unit."),
     ] = None,
+    force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
     """Draw a field on the surface: a movie, snapshots at focus instants."""
     from wavefocus.commands import movie as command
 
     options = command.MovieOptions(from_s, to_s, slow, frame_rate_hz, width_px, limit)
-    command.movie(field, bank, out, snapshots, drive, options, as_json=json)
+    command.movie(field, bank, out, snapshots, drive, options, force=force, as_json=json)
 
 
 @app.command()
@@ -552,7 +631,7 @@ def play(
     loop: Annotated[int, typer.Option("--loop", min=1, help="How many times, without a gap; of a drive.")] = 1,
     gain_db: Annotated[
         float,
-        typer.Option("--gain-db", min=-200, max=200, help="Softer (negative) or louder; limits hold all the same."),
+        _number("--gain-db", min=-200, max=200, help="Softer (negative) or louder; limits hold all the same."),
     ] = 0.0,
     bank: Annotated[
         Path | None,
@@ -560,15 +639,18 @@ def play(
     ] = None,
     method: Annotated[Method | None, typer.Option("--method", help="Of a scene, as for render.")] = None,
     tolerance_db: Annotated[
-        float | None, typer.Option("--tolerance-db", help="Of a scene, as for render: faster, e.g. -60.")
+        float | None,
+        _number("--tolerance-db", help="Of a scene, as for render: faster, e.g. -60."),
     ] = None,
     ahead_s: Annotated[
         float | None,
-        typer.Option("--ahead-s", min=0.05, max=60, help="How much of a scene is rendered ahead; by default 2 s."),
+        _number("--ahead-s", min=0.05, max=60, help="How much of a scene is rendered ahead; by default 2 s."),
     ] = None,
     watched: Annotated[
-        bool, typer.Option("--watched", help="End, muted, when standard input closes: for programs that start it.")
+        bool,
+        typer.Option("--watched", help="End, muted, when standard input closes; print a JSON line when it plays."),
     ] = False,
+    allow_large: AllowLargeOption = False,
     json: JsonOption = False,
 ) -> None:
     """Play drives, or a scene of any length, on the rig's actuators. Ctrl-C mutes at once."""
@@ -586,7 +668,15 @@ def play(
     ahead = play_scene.AHEAD_S if ahead_s is None else ahead_s
     raise typer.Exit(
         play_scene.play_scene(
-            what, bank, rig, options=options, gain_db=gain_db, ahead_s=ahead, as_json=json, watched=watched
+            what,
+            bank,
+            rig,
+            options=options,
+            gain_db=gain_db,
+            ahead_s=ahead,
+            as_json=json,
+            watched=watched,
+            allow_large=allow_large,
         )
     )
 
@@ -605,12 +695,16 @@ def verify(
             help="Bank rows to scan, or every:N for one of N, or path for those that the scene needs; by default all.",
         ),
     ] = "",
+    allow_large: AllowLargeOption = False,
+    force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
     """Play a scene on the rig, scan it, compare with the prediction, write a report."""
     from wavefocus.commands import verify as command
 
-    raise typer.Exit(command.verify(scene, bank, rig, out, positions, as_json=json))
+    raise typer.Exit(
+        command.verify(scene, bank, rig, out, positions, force=force, allow_large=allow_large, as_json=json)
+    )
 
 
 @app.command()
@@ -625,6 +719,7 @@ def export(
         Missing, typer.Option("--missing", help="Positions that are not measured, failed or disabled.")
     ] = Missing.LEAVE_OUT,
     per: Annotated[Per, typer.Option("--per", help="For wav: what one file holds.")] = Per.POSITION,
+    force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
     """Write a bank in the format of another field."""
@@ -637,6 +732,7 @@ def export(
         positions=positions,
         missing_as_nan=missing is Missing.NAN,
         per=per.value,
+        force=force,
         as_json=json,
     )
 
@@ -646,11 +742,12 @@ def bench(
     what: Annotated[Benchmark, typer.Argument(help="Which benchmark.")] = Benchmark.ALL,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for tables.")] = Path("bench-out"),
     quick: Annotated[bool, typer.Option("--quick", help="Small sizes, to see that it works.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Error against run time, ours beside peers, in one run."""
     from wavefocus.commands import bench as command
 
-    command.bench(what.value, out, quick=quick)
+    command.bench(what.value, out, quick=quick, force=force)
 
 
 @app.command()
@@ -668,8 +765,9 @@ def demo(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for the demo's files; its own alone.")
     ] = Path("demo-out"),
+    force: ForceOption = False,
 ) -> None:
     """All of it on the virtual rig: capture, power cut, resume, render, verify, report."""
     from wavefocus.commands import demo as command
 
-    raise typer.Exit(command.demo(out))
+    raise typer.Exit(command.demo(out, force=force))

@@ -11,8 +11,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
-from calibration.errors import InputError, WavefocusError
-from calibration.raw_estimation import PositionResult
+from calibration.estimator.raw_estimation import PositionResult
+from storage.errors import InputError, WavefocusError
 from wavefocus.console import say
 
 Part = TypeVar("Part")
@@ -56,7 +56,7 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
     try:
         distributed: Any = import_module("distributed")  # types come with it, or not: it need not be there
     except ImportError as error:
-        raise InputError(f"--cluster needs dask ({error}): pip install 'wavefocus[cluster]'") from None
+        raise InputError(f"--cluster needs dask ({error}): pip install 'dask[distributed]'") from None
     with ExitStack() as opened:
         try:
             if local:

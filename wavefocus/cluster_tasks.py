@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import open_bank
 from calibration.blas import one_blas_thread
-from calibration.drive_file import read_drive
-from calibration.errors import InputError
-from calibration.position_estimator import PositionEstimator
-from calibration.raw_estimation import PositionResult, estimate_positions
-from calibration.raw_file import RawFile, open_raw
-from rendering.prediction import Prediction
-from wavefocus.raw_estimator import estimator_for, own_plan
+from calibration.estimator.position import PositionEstimator
+from calibration.estimator.raw_estimation import PositionResult, estimate_positions
+from rendering.field.prediction import Prediction
+from storage.bank.reading import open_bank
+from storage.drive_file import read_drive
+from storage.errors import InputError
+from storage.raw.reading import RawFile, open_raw
+from wavefocus.campaign.raw_estimator import estimator_for, own_plan
 
 Identity = tuple[str, int, int]
 """A file as all machines must see it: path, bytes, when it was changed last in ns."""

@@ -23,6 +23,7 @@ from rich.progress import (
 from rich.text import Text
 
 from acquisition.durations import hours
+from wavefocus.plain_text import escaped
 
 # Without a terminal (a log file, a service) a line this often tells that the work goes on.
 LINE_EVERY_S = 30.0
@@ -63,11 +64,24 @@ class _StandardError(io.TextIOBase):
 
 
 people = Console(file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True)
+answers = Console(highlight=False, soft_wrap=True)
+"""Tables of what a command was asked for, on standard output."""
 
 
 def say(line: str) -> None:
     """Tell people one line, on standard error; square brackets are text, not markup."""
-    people.print(line, markup=False)
+    people.print(escaped(line), markup=False)
+
+
+def answer(line: str) -> None:
+    """Write one line of what a command was asked for, on standard output.
+
+    Raises
+    ------
+    OSError
+        Standard output cannot be written.
+    """
+    print(escaped(line), flush=True)
 
 
 def finish_clock(remaining_s: float) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from acquisition.ending_signals import EndingSignals
+from acquisition.engine.ending_signals import EndingSignals
 from drivers.errors import InstrumentError
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from calibration.errors import BankBusyError, InputError, WavefocusError
 from drivers.errors import InstrumentError
+from storage.errors import BankBusyError, InputError, WavefocusError
+from wavefocus.plain_text import one_line
 
 
 class Exit(IntEnum):
@@ -30,6 +31,9 @@ def exit_code(failure: BaseException) -> Exit | None:
             return Exit.WRONG_INPUT
         case InstrumentError() | WavefocusError():
             return Exit.INSTRUMENT_FAILED
+        # What a file asks for can be beyond memory or arithmetic; NumPy's LinAlgError is a ValueError.
+        case MemoryError() | ArithmeticError() | ValueError() | RuntimeError():
+            return Exit.WRONG_INPUT
     return None
 
 
@@ -38,5 +42,10 @@ def sentence(failure: BaseException) -> str:
     if isinstance(failure, KeyboardInterrupt):
         return "stopped by the user"
     if isinstance(failure, OSError) and failure.filename is not None:
-        return f"{failure.filename}: {failure.strerror}"
-    return " ".join(str(failure).split())
+        return one_line(f"{failure.filename}: {failure.strerror}")
+    return one_line(str(failure)) or type(failure).__name__
+
+
+def is_foreseen(failure: BaseException) -> bool:
+    """Whether the error's own text says what is wrong and what to do, so that it stands alone."""
+    return isinstance(failure, KeyboardInterrupt | InputError | OSError | InstrumentError | WavefocusError)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import codecs
 import json
+import math
 import os
 import queue
 import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from typing import NoReturn
 
-from calibration.errors import InputError
+from storage.errors import InputError, WavefocusError
 
 # No order is longer; a line without an end must not fill the memory.
 _MOST_BYTES = 1 << 16
@@ -36,20 +39,44 @@ class LinesOut:
                 self.gone = True
 
 
+class ReadingFailedError(WavefocusError):
+    """Standard input is not read any more, though it has not come to its end."""
+
+
 class LinesIn:
-    """Reads JSON objects from standard input in a thread of its own.
+    """Reads JSON objects from standard input in a thread of its own, from `start` on."""
 
-    Parameters
-    ----------
-    overtakes : callable, optional
-        Called in that thread with each object as soon as it is there, before those that wait.
-    """
-
-    def __init__(self, overtakes: Callable[[Mapping[str, object]], object] = lambda _line: None) -> None:
-        self._overtakes = overtakes
+    def __init__(self) -> None:
         self._lines: queue.SimpleQueue[Mapping[str, object] | InputError | None] = queue.SimpleQueue()
         self._over = False
-        threading.Thread(target=self._read, name="orders", daemon=True).start()
+        self._failure: BaseException | None = None
+
+    def start(
+        self,
+        overtakes: Callable[[Mapping[str, object]], object] = lambda _line: None,
+        fails: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Begin to read.
+
+        Parameters
+        ----------
+        overtakes : callable, optional
+            Called in the reading thread with each object as soon as it is there, before those that wait.
+        fails : callable, optional
+            Called in the reading thread when it ends by an error; `next` raises it, and nothing more is read.
+        """
+
+        def read() -> None:
+            try:
+                self._read(overtakes)
+            except BaseException as failure:  # raised again by `next`
+                self._failure = failure
+                try:
+                    fails()
+                finally:
+                    self._lines.put(None)
+
+        threading.Thread(target=read, name="orders", daemon=True).start()
 
     def next(self, timeout_s: float | None = None) -> Mapping[str, object] | None:
         """The next object; None at the end of the input, again and again.
@@ -65,6 +92,8 @@ class LinesIn:
             None came in time.
         InputError
             A line that is no JSON object; the next call goes on after it.
+        ReadingFailedError
+            The reading thread has ended by an error; lines that wait are not worth anything any more.
         """
         if self._over:
             return None
@@ -72,6 +101,10 @@ class LinesIn:
             line = self._lines.get(timeout=timeout_s)
         except queue.Empty:
             raise TimeoutError from None
+        if self._failure is not None:
+            failure = self._failure
+            said = f"{type(failure).__name__}: {failure}"
+            raise ReadingFailedError(f"standard input cannot be read any more ({said})") from failure
         if isinstance(line, InputError):
             raise line
         self._over = line is None
@@ -88,7 +121,7 @@ class LinesIn:
         for line in kept:
             self._lines.put(line)
 
-    def _read(self) -> None:
+    def _read(self, overtakes: Callable[[Mapping[str, object]], object]) -> None:
         # Not through sys.stdin: its lock, held by a thread that waits, would hold up the end of the process.
         descriptor, rest = sys.stdin.fileno(), b""
         while True:
@@ -103,19 +136,35 @@ class LinesIn:
                 lines, rest = [*lines, rest], b""
             for line in lines:
                 if line.strip():
-                    self._take(line)
+                    self._take(line, overtakes)
             if not block:
                 self._lines.put(None)
                 return
 
-    def _take(self, line: bytes) -> None:
+    def _take(self, line: bytes, overtakes: Callable[[Mapping[str, object]], object]) -> None:
+        # Some programs (PowerShell) begin what they write with a byte-order mark.
+        text = line.removeprefix(codecs.BOM_UTF8)
+        if not text.strip():
+            return
         try:
-            content = json.loads(line)
+            content = json.loads(text.decode(), parse_float=_finite, parse_constant=_refused)
         except (ValueError, RecursionError):
             content = None
         if not isinstance(content, dict):
             shown = line[:60].decode("utf-8", "replace").strip()
-            self._lines.put(InputError(f"{shown!r} is no JSON object on one line"))
+            self._lines.put(
+                InputError(f"{shown!r} is no JSON object on one line, or holds a number that is not finite")
+            )
             return
-        self._overtakes(content)
+        overtakes(content)
         self._lines.put(content)
+
+
+def _finite(digits: str) -> float:
+    """A number as written; JSON has none that is not finite, so that an answer could not repeat it."""
+    number = float(digits)
+    return number if math.isfinite(number) else _refused(digits)
+
+
+def _refused(digits: str) -> NoReturn:
+    raise ValueError(digits)

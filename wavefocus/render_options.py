@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from calibration.errors import InputError
+from storage.errors import InputError
 
 Focusing = Literal["time-reversal", "inverse"]
 

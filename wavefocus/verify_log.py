@@ -12,9 +12,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
-from acquisition.events import Event
-from rendering.verification_names import LOG_NAME
-from wavefocus.event_log import EventLines
+from acquisition.engine.events import Event
+from rendering.verify.names import LOG_NAME
+from storage.sidecar_files import create
+from wavefocus.campaign.event_log import EventLines
 from wavefocus.exits import exit_code, sentence
 
 # Followers look twenty times a second; more lines would only fill the disk.
@@ -37,7 +38,7 @@ class VerifyLog:
     def __init__(self, out: Path) -> None:
         # A file of its own, so that followers see that it is another one.
         (out / LOG_NAME).unlink(missing_ok=True)
-        self._file = (out / LOG_NAME).open("wb", buffering=0)
+        self._file = create(out / LOG_NAME)
         self._lines = EventLines(lambda line: self._file.write(line.encode()), str(out / LOG_NAME), "verification")
         self._tell("started", pid=os.getpid(), host=socket.gethostname())
 

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Mapping
 
 from drivers.errors import InstrumentError
+from drivers.identity import DeviceIdentity
 from drivers.protocols import Float64Array, Player
 
 
@@ -55,6 +56,11 @@ class GatedPlayer:
     def full_scale_v(self) -> float:
         """Largest output magnitude in volts."""
         return self._player.full_scale_v
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Who the device is."""
+        return self._player.identity
 
     def identify(self) -> str:
         """Name, model and serial number of the device."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.record import ANSWER_MARGIN_S, take_record
-from acquisition.roles import asking
-from acquisition.setup import Setup
-from calibration.sweeps import Excitation
+from acquisition.engine.record import ANSWER_MARGIN_S, take_record
+from acquisition.engine.roles import asking
+from acquisition.engine.setup import Setup
+from calibration.excitation.sweeps import Excitation
 from drivers.protocols import Float64Array, Recording, RecordRequest, Take
 
 LISTENS_S = 0.1

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.by_hand.level import Level, level_of, listen
-from acquisition.measuring import channels_of
-from acquisition.quality import judge
-from acquisition.quality_limits import QualityLimits
-from acquisition.record import record_samples, take_record
-from acquisition.setup import Setup
+from acquisition.engine.measuring import channels_of
+from acquisition.engine.record import record_samples, take_record
+from acquisition.engine.setup import Setup
+from acquisition.quality.judgement import judge
+from acquisition.quality.limits import QualityLimits
 from calibration.blas import one_blas_thread
-from calibration.errors import InputError
-from calibration.estimator import Estimator
-from calibration.sweeps import Excitation
-from calibration.timing import ReferenceMissingError
+from calibration.clock.timing import ReferenceMissingError
+from calibration.estimator.sequential import Estimator
+from calibration.excitation.sweeps import Excitation
 from drivers.protocols import Float32Array, Float64Array, Recording, Take
+from storage.errors import InputError
 
 DECAY_S, TAPS_S = 0.2, 0.1
 # Beyond the sweep's band the harmonics are looked at, up to so many times its end.
@@ -57,7 +57,7 @@ class Figures:
     Parameters
     ----------
     snr_db, residual_db, noise_v : float
-        As of `calibration.estimator.Estimate`.
+        As of `calibration.estimator.sequential.Estimate`.
     latency_s : float
         From the order to play until the sweep is at the reference input.
     clock_ppm : float

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.calibration_procedures.probe import TRIES, NotMeasuredError
-from acquisition.pointing import point_at
-from acquisition.record import take_record
-from acquisition.setup import Setup
-from calibration.actuator_comparison import DEAD_SNR_DB, ActuatorComparison, Verdict, compare_actuators
-from calibration.estimator import Estimate, Estimator
-from calibration.sweeps import Excitation
-from calibration.timing import ReferenceMissingError
+from acquisition.engine.pointing import point_at
+from acquisition.engine.record import take_record
+from acquisition.engine.setup import Setup
+from calibration.clock.timing import ReferenceMissingError
+from calibration.estimator.sequential import Estimate, Estimator
+from calibration.excitation.sweeps import Excitation
+from calibration.rig.actuator_comparison import DEAD_SNR_DB, ActuatorComparison, Verdict, compare_actuators
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Take
 
@@ -30,7 +30,7 @@ BAND_HZ = (40.0, 400.0)
 DURATION_S, DECAY_S = 0.5, 0.2
 RESPONSE_S = 0.08  # the first waves; what comes back from the edge differs from place to place
 # A record that fits worse was spoilt on the way, by speckle for instance.
-POOR_RESIDUAL_DB = -20.0
+POOR_RESIDUAL_DB = -30.0
 
 
 @dataclass(frozen=True, slots=True)

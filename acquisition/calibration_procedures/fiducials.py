@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from acquisition.text_file import read_text
-from calibration.errors import InputError
+from storage.errors import InputError
 
 PLACES = ["x_mm", "y_mm"]
 PLACES_AND_ANGLES = [*PLACES, "x_mrad", "y_mrad"]

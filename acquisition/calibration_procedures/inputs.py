@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from acquisition.calibration_procedures.operator import BOTH, Operator
 from acquisition.calibration_procedures.probe import Figures, NotMeasuredError, Probe, check_loopback
-from calibration.channel_comparison import ResponseMissingError
-from calibration.timing import ReferenceMissingError
+from calibration.clock.timing import ReferenceMissingError
+from calibration.rig.channel_comparison import ResponseMissingError
 
 # One cable into two inputs: what differs by more is another signal, or a broken input.
 MOST_GAIN_ERROR = 0.05

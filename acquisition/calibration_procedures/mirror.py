@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from acquisition.calibration_procedures.marks import Place
 from acquisition.calibration_procedures.operator import By, Drop, Here, JogView, Keep, MapView, Operator, Redo, To
 from acquisition.calibration_procedures.probe import NotMeasuredError
-from acquisition.roles import asking
-from acquisition.setup import Setup
-from calibration.errors import InputError
-from calibration.mirror_fit import LEAST_MARKS, MirrorFit, fit_mirror_map
-from calibration.mirror_map import MirrorMap
+from acquisition.engine.roles import asking
+from acquisition.engine.setup import Setup
+from calibration.rig.mirror_fit import LEAST_MARKS, MirrorFit, fit_mirror_map
+from calibration.rig.mirror_map import MirrorMap
+from storage.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,24 +81,37 @@ def measure_mirror(
     InputError
         Marks that no map can be fitted through.
     NotMeasuredError
-        The operator leaves the map.
+        The operator leaves the map, or has moved the beam at too few marks.
     InstrumentError
         Of the mirror.
     """
     found: list[Place] = []
-    for index, place_mm in enumerate(marks_mm):
-        start = _approach(setup.mirror_map, marks_mm[:index], found, place_mm)
-        found.append(_met(setup, JogView(index + 1, len(marks_mm), place_mm, start), limit_mrad, operator))
+    moved: set[int] = set()
+
+    def meet(mark: int, start: Place) -> Place:
+        met = _met(setup, JogView(mark + 1, len(marks_mm), marks_mm[mark], start), limit_mrad, operator)
+        if met.moved:
+            moved.add(mark)
+        return met.at_mrad
+
+    for mark, place_mm in enumerate(marks_mm):
+        found.append(meet(mark, _approach(setup.mirror_map, marks_mm[:mark], found, place_mm)))
     while True:
-        figures, refusal = None, None
+        figures: MirrorFigures | None = None
+        refusal: InputError | NotMeasuredError | None = None
         try:
             figures = fitted_marks(marks_mm, found)
         except InputError as wrong:
             refusal = wrong
+        if len(moved) < LEAST_MARKS:  # the map at hand put the beam at the others, and would only be found again
+            figures = None
+            refusal = NotMeasuredError(
+                f"the beam was moved at {len(moved)} of {len(marks_mm)} marks, which decides no map; at least "
+                f"{LEAST_MARKS} must be met by moving the beam. If the spot was on every mark, the present map is right"
+            )
         match operator.judge(_view(marks_mm, figures, refusal, limit_mm)):
             case Redo(number) if 1 <= number <= len(found):
-                again = JogView(number, len(marks_mm), marks_mm[number - 1], found[number - 1])
-                found[number - 1] = _met(setup, again, limit_mrad, operator)
+                found[number - 1] = meet(number - 1, found[number - 1])
             case Drop():
                 raise NotMeasuredError("its map was looked at and left")
             case Keep() if refusal is not None:
@@ -107,8 +120,8 @@ def measure_mirror(
                 return figures
 
 
-def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> Place:
-    """Let the operator bring the beam onto one mark; the angles at which it is there."""
+def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> JogView:
+    """Let the operator bring the beam onto one mark; the view of it when it is there."""
     x_mrad, y_mrad = np.clip(view.at_mrad, -limit_mrad, limit_mrad).tolist()
     view = replace(view, at_mrad=(x_mrad, y_mrad))
     _point(setup, view.at_mrad)
@@ -116,7 +129,7 @@ def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> 
         step = operator.jog(view)
         match step:
             case Here():
-                return view.at_mrad
+                return view
             case By():
                 wanted = (view.at_mrad[0] + step.x_mrad, view.at_mrad[1] + step.y_mrad)
             case To():
@@ -125,12 +138,15 @@ def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> 
             note = f"({wanted[0]:.3f}, {wanted[1]:.3f}) mrad is beyond the limit of {limit_mrad:g} mrad: not moved"
             view = replace(view, note=note)
             continue
-        view = replace(view, at_mrad=wanted, note="")
+        view = replace(view, at_mrad=wanted, note="", moved=view.moved or step != By(0.0, 0.0))
         _point(setup, wanted)
 
 
 def _view(
-    marks_mm: Sequence[Place], figures: MirrorFigures | None, refusal: InputError | None, limit_mm: float
+    marks_mm: Sequence[Place],
+    figures: MirrorFigures | None,
+    refusal: InputError | NotMeasuredError | None,
+    limit_mm: float,
 ) -> MapView:
     if figures is None:
         return MapView(tuple(marks_mm), (), np.nan, np.nan, limit_mm, 0, str(refusal))

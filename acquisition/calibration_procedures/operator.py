@@ -27,6 +27,8 @@ class JogView:
         Where the mirror stands now.
     note : str
         What came of the last step, where it was not done; else empty.
+    moved : bool
+        The beam was moved for this mark.
     """
 
     number: int
@@ -34,6 +36,7 @@ class JogView:
     place_mm: tuple[float, float]
     at_mrad: tuple[float, float]
     note: str = ""
+    moved: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from acquisition.calibration_procedures.operator import SUM, Operator, output
-from acquisition.calibration_procedures.probe import Figures, Probe, check_loopback
-from calibration.channel_comparison import ResponseMissingError
-from calibration.timing import ReferenceMissingError
+from acquisition.calibration_procedures.probe import Figures, NotMeasuredError, Probe, check_loopback
+from calibration.clock.timing import ReferenceMissingError
+from calibration.rig.channel_comparison import ResponseMissingError
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +92,12 @@ def measure_outputs(
     Raises
     ------
     NotMeasuredError
-        The loopback itself is not heard, or the probe is too loud.
+        The loopback itself is not heard, the summing box is not there, or the probe is too loud.
     InstrumentError
         Of the instrument that failed for good.
     """
     if task.summing_box:
-        operator.connect(SUM)
+        _plug_box(probe, operator)
     measured: list[OutputFigures] = []
     loopback: OutputFigures | None = None
     for done, channel in enumerate(task.channels):
@@ -114,11 +114,28 @@ def measure_outputs(
     return (*(() if loopback is None else (loopback,)), *measured)
 
 
+def _plug_box(probe: Probe, operator: Operator) -> None:
+    """Have the summing box plugged in; the loopback, which is not in it, must not be heard."""
+    while True:
+        operator.connect(SUM)
+        if not probe.hears(None):
+            return
+        if not operator.again("the response input carries the loopback, not the summing box"):
+            raise NotMeasuredError("the outputs need the summing box in the response input, which has the loopback")
+
+
 def _heard(task: OutputsTask, channel: int, probe: Probe, operator: Operator) -> Figures | None:
     """An output compared with the loopback, as often as the operator tries; None when it is given up."""
     while True:
         if not task.summing_box:
             operator.connect(output(channel))
+            # Played without it: what is heard now comes by another cable.
+            other = next((one for one in task.channels if one != channel), None)
+            if probe.hears(other):
+                heard = "the loopback" if other is None else f"output {other} or the loopback"
+                if operator.again(f"the response input carries {heard}, not output {channel} alone"):
+                    continue
+                return None
         try:
             return probe.compare(channel)
         except ResponseMissingError as missing:

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.record import take_record
-from acquisition.setup import Setup
-from calibration.channel_comparison import ChannelComparer, Comparison
-from calibration.errors import WavefocusError
-from calibration.sweeps import Excitation
-from calibration.timing import ReferenceMissingError
+from acquisition.engine.record import take_record
+from acquisition.engine.setup import Setup
+from calibration.clock.timing import ReferenceMissingError
+from calibration.excitation.sweeps import Excitation
+from calibration.rig.channel_comparison import ChannelComparer, Comparison, ResponseMissingError
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Float64Array, Recording, Take
+from storage.errors import WavefocusError
 
 # Above what coupling capacitors turn, and below what converters begin to fold back.
 LOWEST_HZ = 200.0
@@ -21,6 +21,8 @@ HIGHEST_SHARE = 0.4
 DURATION_S, SILENCE_S = 0.5, 0.05
 RECORDS = 3
 TRIES = 3
+# A cable brings at least this much of the reference's level, through a summing box too; crosstalk is far below.
+LEAST_OF_REFERENCE = 0.02
 
 
 class NotMeasuredError(WavefocusError):
@@ -108,11 +110,31 @@ class Probe:
             clock_ppm=float(np.median([one.reference.skew_ppm for one in found])),
         )
 
+    def hears(self, output: int | None) -> bool:
+        """Whether the response input has a cable to what plays: the loopback, and one output with it.
+
+        Parameters
+        ----------
+        output : int, optional
+            The output; None for the loopback alone.
+
+        Raises
+        ------
+        NotMeasuredError
+            The loopback is not on the reference input.
+        InstrumentError
+            Of the instrument that failed for good.
+        """
+        try:
+            found = self._comparer.compare(*self._played(output, 0).volts)
+        except ResponseMissingError:
+            return False
+        except ReferenceMissingError as missing:
+            raise check_loopback(missing) from None
+        return abs(found.response.gain) >= LEAST_OF_REFERENCE * abs(found.reference.gain)
+
     def _once(self, output: int | None, record: int) -> Comparison:
-        channels = {self._setup.loopback_channel, self._setup.loopback_channel if output is None else output}
-        signals_v = dict.fromkeys(sorted(channels), self._signal_v)
-        number = self._setup.loopback_channel if output is None else output
-        recording = self._recorded(signals_v, number, record)
+        recording = self._played(output, record)
         for name, reached, range_v in zip(
             ("reference", "response"), recording.over_range, self._setup.range_v, strict=True
         ):
@@ -122,6 +144,11 @@ class Probe:
                     f"{range_v:g} V: lower --amplitude-v, or raise the range in the rig file"
                 )
         return self._comparer.compare(*recording.volts)
+
+    def _played(self, output: int | None, record: int) -> Recording:
+        number = self._setup.loopback_channel if output is None else output
+        signals_v = dict.fromkeys(sorted({self._setup.loopback_channel, number}), self._signal_v)
+        return self._recorded(signals_v, number, record)
 
     def _recorded(self, signals_v: dict[int, Float64Array], number: int, record: int) -> Recording:
         """A record, taken again after a passing fault."""

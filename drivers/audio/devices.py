@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from drivers.identity import DeviceIdentity
+
 
 @dataclass(frozen=True, slots=True)
 class OutputDevice:
@@ -27,6 +29,15 @@ class OutputDevice:
     name: str
     channels: int
     rate_hz: float
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Its name; PortAudio knows neither maker nor serial number.
+
+        With ALSA the name ends in the card's number, " (hw:2,0)", which depends on what was plugged in first.
+        """
+        name = self.name.partition(" (hw:")[0] if self.host_api == "ALSA" else self.name
+        return DeviceIdentity("", name)
 
     def __str__(self) -> str:
         return f"{self.name!r} ({self.host_api}, {self.channels} channels, {self.rate_hz:g} Hz)"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.audio.playback import UNDERFLOW
 from drivers.audio.stream_life import PlayUnderWay, StreamLife, lost
-from drivers.audio.stream_process import ProcessGoneError
+from drivers.driver_process import ProcessGoneError
 from drivers.errors import InstrumentError, TransientInstrumentError
 
 Float64Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.audio.band_limited import rate_ratio
-from drivers.audio.messages import Message
 from drivers.audio.signal_shelf import BeyondFullScaleError, ShelvedSignal, SignalShelf
 from drivers.errors import InstrumentError
+from drivers.message_pipe import Message
 
 Float64Array = NDArray[np.float64]
 

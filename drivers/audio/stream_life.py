@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-from drivers.audio.messages import Message
-from drivers.audio.stream_process import ProcessGoneError, StreamProcess
+from drivers.driver_process import DriverProcess, ProcessGoneError
 from drivers.errors import InstrumentLostError
+from drivers.message_pipe import Message
 
 LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
 
@@ -40,13 +40,20 @@ class StreamLife:
         self.opened: Message = {}
         self.play: PlayUnderWay | None = None
         self._heard_s = 0.0
-        self.process = StreamProcess(environment, self._note)
+        self.process = DriverProcess(
+            "drivers.audio.player_process",
+            "the process that owns its stream",
+            environment,
+            self._note,
+            # PortAudio would start an audio server of its own where there is none.
+            {"JACK_NO_START_SERVER": "1"},
+        )
 
     def heard_after(self, instant_s: float) -> bool | None:
         """True when a sign of life came after an instant."""
         return True if self._heard_s > instant_s else None
 
-    def _note(self, message: Message) -> None:
+    def _note(self, message: Message, payload: bytes) -> None:
         if message["is"] in ("open", "failed"):
             self.opened = message
         elif message["is"] == "here":

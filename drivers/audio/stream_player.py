@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.audio.devices import OutputDevice
-from drivers.audio.messages import Message
 from drivers.audio.piecewise_play import PiecewisePlay
 from drivers.audio.play_orders import Order, PlayOrders
 from drivers.audio.playback import UNDERFLOW
 from drivers.audio.stream_life import LOST_REMEDY, PlayUnderWay, StreamLife, lost
-from drivers.audio.stream_process import ANSWER_S, OPENING_S, ProcessGoneError
+from drivers.driver_process import ANSWER_S, OPENING_S, ProcessGoneError
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.identity import DeviceIdentity
+from drivers.message_pipe import Message
 
 Float64Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -96,6 +97,11 @@ class StreamPlayer:
         except BaseException:
             self._end_stream()
             raise
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Name of the device as PortAudio lists it, which knows neither maker nor serial number."""
+        return self._identity
 
     @property
     def channels(self) -> int:
@@ -294,6 +300,7 @@ class StreamPlayer:
         if answer["is"] == "failed":
             kind = refusal if answer["absent"] else InstrumentError
             raise kind(self._name, doing, answer["cause"], answer["remedy"])
+        self._identity = OutputDevice(**answer["device"]).identity
 
     def _end_stream(self) -> None:
         process = self._stream.process

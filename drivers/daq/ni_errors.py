@@ -18,7 +18,10 @@ STOPPED_BEFORE_DONE = 200010
 PASSING_WARNINGS = (200003, 200004, 200005, 200007)
 
 REPEAT = "try again; if it stays, close other programs or use another USB port"
-PLUG = "check its USB cable and its power, then try again"
+PLUG = (
+    "check its USB cable and its power, then try again; if it stays away, restart NI's gRPC Device Server where it has "
+    "one: its library may stay broken after a replug"
+)
 
 
 class ServerSilentError(Exception):
@@ -126,11 +129,18 @@ def _meaning_of_rpc(failure: Any) -> Meaning:
         return Meaning(
             InstrumentLostError,
             "NI's gRPC Device Server cannot be reached, or went away during the call",
-            "start ni_grpc_device_server on the computer with the device (without TLS), check address of [recorder] "
-            "and the network",
+            "start ni_grpc_device_server on the computer with the device; its server_config.json must say "
+            '"address": "[::]", for it serves its own computer alone ([::1]) otherwise; check address and, where the '
+            "server has a certificate, tls_root of [recorder], and the network",
         )
     if failure.rpc_code == grpc.StatusCode.CANCELLED:
         return Meaning(TransientInstrumentError, "the call was cancelled: the connection was closed", "connect again")
+    if failure.rpc_code in (grpc.StatusCode.INTERNAL, grpc.StatusCode.RESOURCE_EXHAUSTED):
+        return Meaning(
+            TransientInstrumentError,
+            f"the server could not serve the call this time: {_one_line(failure)}",
+            "try again; if it stays, restart the server and look into its log",
+        )
     if failure.rpc_code == grpc.StatusCode.UNIMPLEMENTED:
         return Meaning(InstrumentError, _one_line(failure), "install a newer NI gRPC Device Server")
     return Meaning(InstrumentError, f"the server says: {_one_line(failure)}", "look into the server's own log")

@@ -8,11 +8,13 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.daq.ni_channel import TlsFiles
 from drivers.daq.ni_errors import REPEAT
 from drivers.daq.ni_limits import check_request, check_wiring
 from drivers.daq.ni_session import NiSession
 from drivers.daq.ni_task import RecordTask, Timing, Wiring
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.identity import DeviceIdentity
 from drivers.protocols import Recording, RecordRequest
 
 ANSWER_S = 5.0
@@ -44,6 +46,12 @@ class NiRecorder:
         Digital input whose rising edge starts a record: ``"PFI0"``; None or empty to start at once.
     answer_s : float
         How long a server may take to answer beyond what a call asks for, in s, > 0.
+    identity : DeviceIdentity, optional
+        The device that must answer, where it has answered before.
+    owned : bool
+        Whether this program had the device before: it is reset then, see `reconnect`.
+    tls : TlsFiles, optional
+        For a server with a certificate.
 
     Raises
     ------
@@ -63,17 +71,22 @@ class NiRecorder:
         terminal: str,
         trigger: str | None,
         answer_s: float = ANSWER_S,
+        identity: DeviceIdentity | None = None,
+        owned: bool = False,
+        tls: TlsFiles | None = None,
     ) -> None:
         self._device = device
         self._address = address or None
         self._answer_s = answer_s
+        self._tls = tls
         self._wiring = Wiring((reference_input, response_input), terminal, trigger or None)
         self._lock = threading.RLock()
         self._task: RecordTask | None = None
         self._under_way: RecordRequest | None = None
-        self._owned = False  # whether it may have reserved the device: what is left reserved may be its own then
+        self._owned = owned  # whether it may have reserved the device: what is left reserved may be its own then
         self._closed = False
-        self._session: NiSession | None = NiSession(device, self._address, answer_s)
+        self._session: NiSession | None = None
+        self._session = self._opened("opening", identity)
         self._instrument = self._session.instrument
         self._identity = self._session.identity
         try:
@@ -81,6 +94,16 @@ class NiRecorder:
         except BaseException:
             self._session.close()
             raise
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Product and serial number of the device."""
+        return self._identity
+
+    @property
+    def owned(self) -> bool:
+        """Whether this recorder may have reserved the device."""
+        return self._owned
 
     def identify(self) -> str:
         """Product, serial number, driver version, address and inputs of the device."""
@@ -91,7 +114,7 @@ class NiRecorder:
             where = f"at {self._address}" if self._address else "on this computer"
             inputs = " and ".join(self._wiring.inputs)
             return (
-                f"NI {identity}, {self._device} {where}, NI-DAQmx {session.driver_version}, "
+                f"{identity}, {self._device} {where}, NI-DAQmx {session.driver_version}, "
                 f"{inputs} {self._wiring.terminal}"
             )
 
@@ -237,23 +260,7 @@ class NiRecorder:
             self._check_open(doing)
             with suppress(InstrumentError):  # the reset takes back what cannot be cleared any more
                 self._drop(doing)
-            session = NiSession(self._device, self._address, self._answer_s, known=True)
-            try:
-                if session.identity != self._identity:
-                    raise InstrumentError(
-                        self._instrument,
-                        doing,
-                        f"{session.identity} answers instead of {self._identity}",
-                        "plug the right one in, or start a new campaign with this one",
-                    )
-                session.owned = self._owned
-                if self._owned:
-                    with session.telling("resetting the device"):
-                        session.reset()
-            except BaseException:
-                session.close()
-                raise
-            self._session = session
+            self._session = self._opened(doing, self._identity)
 
     def close(self) -> None:
         """Release the device. Safe to call twice; what is lost anyway is released in silence."""
@@ -261,6 +268,26 @@ class NiRecorder:
             self._closed = True
             with suppress(InstrumentLostError):
                 self._drop("closing")
+
+    def _opened(self, doing: str, identity: DeviceIdentity | None) -> NiSession:
+        """A session with the device, which must be that of an earlier session, if there was one."""
+        session = NiSession(self._device, self._address, self._answer_s, known=identity is not None, tls=self._tls)
+        try:
+            if identity is not None and session.identity != identity:
+                raise InstrumentError(
+                    session.instrument,
+                    doing,
+                    f"{session.identity} answers instead of {identity}",
+                    "plug the right one in, or start a new campaign with this one",
+                )
+            session.owned = self._owned
+            if self._owned:
+                with session.telling("resetting the device"):
+                    session.reset()
+        except BaseException:
+            session.close()
+            raise
+        return session
 
     def _ready(self, session: NiSession, timing: Timing, doing: str) -> RecordTask:
         """The task for a record: the one of the record before where that was of the same kind."""

@@ -8,26 +8,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from drivers.daq.ni_channel import open_channel
+from drivers.daq.ni_channel import TlsFiles, open_channel
 from drivers.daq.ni_errors import NOT_SUPPORTED, ServerSilentError, explain
 from drivers.errors import InstrumentError
+from drivers.identity import DeviceIdentity
 
 T = TypeVar("T")
 
 TERMINALS = {"differential": "DIFF", "rse": "RSE", "nrse": "NRSE", "pseudodifferential": "PSEUDO_DIFF"}
 """Terminal configurations by their names here and in nidaqmx.constants.TerminalConfiguration."""
-
-
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """What must be the same after a reconnection."""
-
-    product: str
-    serial_number: int
-
-    def __str__(self) -> str:
-        # As it is printed on the box and shown by NI MAX.
-        return f"{self.product}, serial number {self.serial_number:08X}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +55,8 @@ class NiSession:
         How long a server may take to answer, in s.
     known : bool
         Whether it has answered before: then it is gone where it does not answer, and not misspelt.
+    tls : TlsFiles, optional
+        For a server with a certificate.
 
     Raises
     ------
@@ -75,7 +66,9 @@ class NiSession:
         The package, the driver or a device of that name is missing.
     """
 
-    def __init__(self, device: str, address: str | None, answer_s: float, *, known: bool = False) -> None:
+    def __init__(
+        self, device: str, address: str | None, answer_s: float, *, known: bool = False, tls: TlsFiles | None = None
+    ) -> None:
         self.device = device
         self.instrument = f"recorder {device}" + (f" at {address}" if address else "")
         self.owned = False  # whether this program may have reserved it
@@ -89,13 +82,24 @@ class NiSession:
         try:
             if address:
                 _grpc(self.instrument, doing)
-                self._channel = open_channel(address, answer_s)
+                self._channel = self._opened_channel(address, answer_s, tls)
                 self._options = self._nidaqmx.GrpcSessionOptions(self._channel, "")
             with self.telling(doing):
                 self._open()
         except BaseException:
             self.close()
             raise
+
+    def _opened_channel(self, address: str, answer_s: float, tls: TlsFiles | None) -> Any:
+        try:
+            return open_channel(address, answer_s, tls)
+        except OSError as failure:
+            raise InstrumentError(
+                self.instrument,
+                "opening",
+                f"{failure.filename} cannot be read ({failure.strerror})",
+                "correct tls_root, tls_certificate and tls_key of [recorder]",
+            ) from failure
 
     def _open(self) -> None:
         try:
@@ -128,9 +132,10 @@ class NiSession:
         remedy = f"put a name that is there into device of [recorder]: {', '.join(names)}; or plug it in"
         return type(explained)(self.instrument, "opening", explained.cause, remedy)
 
-    def ask_identity(self) -> Identity:
+    def ask_identity(self) -> DeviceIdentity:
         """Ask the device who it is."""
-        return Identity(self.handle.product_type, int(self.handle.serial_num))
+        # The serial number as it is printed on the box and shown by NI MAX.
+        return DeviceIdentity("NI", self.handle.product_type, f"{int(self.handle.serial_num):08X}")
 
     def terminals_of(self, name: str) -> tuple[str, ...] | None:
         """Terminal configurations of an input, None where the device does not tell."""
@@ -176,12 +181,15 @@ class NiSession:
             inputs=tuple(name.rpartition("/")[2] for name in device.ai_physical_chans.channel_names),
             ranges_v=ranges_v,
             slowest_hz=self._known(lambda: float(device.ai_min_rate)),
-            # The second one is what all channels share.
-            fastest_hz=self._known(
-                lambda: float(min(device.ai_max_single_chan_rate, device.ai_max_multi_chan_rate / 2))
-            ),
+            fastest_hz=self._known(lambda: self._fastest_hz(device)),
             triggers=triggers,
         )
+
+    def _fastest_hz(self, device: Any) -> float:
+        """Fastest rate of two inputs: what all share where one converter serves them, else each input's own."""
+        simultaneous = self._known(lambda: bool(device.ai_simultaneous_sampling_supported))
+        of_several_hz = device.ai_max_multi_chan_rate
+        return float(min(device.ai_max_single_chan_rate, of_several_hz if simultaneous else of_several_hz / 2))
 
     def _known(self, ask: Callable[[], T]) -> T | None:
         """What a question yields, None where the device has no such property."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from drivers.identity import DeviceIdentity
 from drivers.serial_line.dialogue import Dialogue
 from drivers.serial_line.question import Marker
 
@@ -25,13 +26,22 @@ class Dialect(Protocol):
         ...
 
     @property
+    def encoding(self) -> str:
+        """Of commands and answers, see `drivers.serial_line.line.LineSettings`."""
+        ...
+
+    @property
     def patience_s(self) -> float:
         """How long the device may take to answer once its port is open."""
         ...
 
     @property
     def reach_mrad(self) -> float:
-        """Largest angle that can be said to the device."""
+        """Largest angle on either axis that can be sent to the device; it may be known only after `enable`."""
+        ...
+
+    def reaches(self, x_mrad: float, y_mrad: float) -> bool:
+        """Whether the device can point there."""
         ...
 
     @property
@@ -41,6 +51,10 @@ class Dialect(Protocol):
 
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
         """Make the device listen, within `patience_s`, and return its identity. Raises InstrumentError."""
+        ...
+
+    def device(self, identity: str) -> DeviceIdentity:
+        """Who the device is, from the identity that `wake` returned, its white space made single blanks."""
         ...
 
     def marker(self, identity: str) -> Marker:

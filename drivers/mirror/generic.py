@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import reduce
 from typing import TypeVar
 
+from drivers.identity import DeviceIdentity
 from drivers.serial_line.dialogue import Dialogue
 from drivers.serial_line.question import Marker, Query, RefusedError, UnreadableError
 
@@ -34,12 +35,20 @@ class GenericMirror:
 
     baud = 115200
     command_end = "\r\n"
+    encoding = "ascii"
     patience_s = 4.0  # opening the port resets many a board, which then takes seconds to start
     reach_mrad = 1000 * math.pi / 2
     says_when_idle = True
 
+    def reaches(self, x_mrad: float, y_mrad: float) -> bool:
+        return max(abs(x_mrad), abs(y_mrad)) <= self.reach_mrad
+
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
         return dialogue.introduce(_query("*IDN?", _identity), patience_s)
+
+    def device(self, identity: str) -> DeviceIdentity:
+        maker, product, serial, _version = (field.strip() for field in identity.split(","))
+        return DeviceIdentity(maker, product, serial)
 
     def marker(self, identity: str) -> Marker:
         def stranger(line: str) -> str | None:

@@ -1,14 +1,14 @@
 """Mirrorcle MEMS mirrors on a USB or Bluetooth MTI controller in its command mode.
 
-Sources: public drivers of laboratories, in agreement with each other: command mode is entered by ``$MTI$``
-(answer ``MTI-Device MTI-MZ-2.3.113:USB Ready in Command Mode``) and left by ``MTI+EX``; ``MTI+EN`` and ``MTI+DI``
-switch the high voltage; ``MTI+GT x y m`` points, x and y from -1 to 1, m a digital output, here 0; answers are
-``MTI-OK`` and ``MTI-ERR`` with a word, ``MTI-ERR InvalidCommand`` also to ``$MTI$`` within command mode. Commands
-end with a line feed.
+Sources: public drivers of laboratories, in agreement with each other: command mode is entered by ``$MTI$`` (answer
+``MTI-Device MTI-MZ-2.3.113:USB Ready in Command Mode``) and left by ``MTI+EX``; ``MTI+EN`` and ``MTI+DI`` switch the
+high voltage, and its settings cannot be changed while it is on; ``MTI+GT x y m`` points, x and y from -1 to 1, m a
+digital output, here 0; answers are ``MTI-OK`` and ``MTI-ERR`` with a word, ``MTI-ERR InvalidCommand`` also to
+``$MTI$`` within command mode. Commands end with a line feed.
 
 Not confirmed: other words after ``MTI-ERR``; the baud, which is a setting of the controller (115200 and 460800 are
-both in use). There is no read-back and no busy query: a move lasts the stated settling time. Between full
-deflections the angle is taken to be linear in x and y; what is not is the mirror map's business.
+both in use). There is no read-back and no busy query: a move lasts the stated settling time. Between full deflections
+the angle is taken to be linear in x and y; what is not is the mirror map's business.
 
 Bias, largest difference and filter (``MTI+VB``, ``MTI+VD``, ``MTI+BW``) belong to the mirror's data sheet. They are
 taken from the controller's memory, or sent as `setup` before the mirror is enabled.
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import re
 
+from drivers.identity import DeviceIdentity
 from drivers.serial_line.dialogue import Dialogue
 from drivers.serial_line.question import Marker, Query, RefusedError, RestartedError, UnreadableError
 
@@ -37,6 +38,7 @@ class MirrorcleMti:
 
     baud = 115200
     command_end = "\n"
+    encoding = "ascii"
     patience_s = 2.0
     says_when_idle = False
 
@@ -48,9 +50,15 @@ class MirrorcleMti:
     def reach_mrad(self) -> float:
         return self._full_scale_mrad
 
+    def reaches(self, x_mrad: float, y_mrad: float) -> bool:
+        return max(abs(x_mrad), abs(y_mrad)) <= self.reach_mrad
+
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
         # Only on entering command mode does the controller say who it is: leave it first.
         return dialogue.introduce(Query("$MTI$", _greeting), patience_s, before="MTI+EX")
+
+    def device(self, identity: str) -> DeviceIdentity:
+        return DeviceIdentity("Mirrorcle", identity)
 
     def marker(self, identity: str) -> Marker:
         def stranger(line: str) -> str | None:
@@ -63,6 +71,9 @@ class MirrorcleMti:
         return Marker("$MTI$", identity, lambda line: line.endswith(WITHIN_COMMAND_MODE), stranger)
 
     def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
+        if self._setup:
+            # It may still be enabled from before, and refuses settings then.
+            dialogue.ask(Query("MTI+DI", _done), "disabling the mirror")
         for command in self._setup:
             dialogue.ask(Query(command, _done), f"setting up ({command})")
         dialogue.ask(Query("MTI+EN", _done), "enabling the mirror")

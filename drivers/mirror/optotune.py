@@ -1,13 +1,16 @@
-"""Optotune MR-E-2 fast steering mirrors in their "simple mode"; experimental.
+"""Optotune MR-E-2 and MR-E-3 fast steering mirrors in their "simple mode"; experimental.
 
 Sources: public programs for this controller (256000 baud, commands end with carriage return and line feed, ``start``
-as handshake, ``status`` with ten digits, ``acknowledge``, ``xy=0.1234;-0.5000``), and one for the vendor's package,
-which states the unit: x is the tangent of the beam's angle over tan 50 degrees. "MR-E-2 Development Kit Operation
-Manual" (2019), section 4.2, lists the simple mode's commands; it was not at hand.
+as handshake, ``status``, ``acknowledge``, ``xy=0.1234;-0.5000``), and one for the vendor's package, which states the
+unit: x is the tangent of the beam's angle over tan 50 degrees; the vendor's Python SDK (optoMDC, optoKummenberg): the
+frame that ends the pro mode, in which text is not answered, the answers ``OK`` and ``NO`` to ``Start``, USB
+0483:A31E; the MR-E-3 manual: ``STATUS`` is a 32-bit register in hexadecimal, bit 4 says that the mirror is not
+stable, ``OU`` and ``OL`` say that a value was over or under the range, that it was clamped and that the mirror moved
+there, ``NO`` that a command was not recognised; the reach is the unit circle of x and y.
 
-Not confirmed: the answer ``OK`` to ``xy=``, ``NO`` for what is refused, and the answer to ``status``. No question for
-a serial number is known, so the device cannot be told from another of its kind: name the port by its serial number
-(``serial-number:...``) where there are two. There is no read-back; a move lasts the stated settling time.
+Not confirmed: whether the eight digits have ``0x`` or two zeros before them (all are read). No question for a serial
+number is known, so the device cannot be told from another of its kind: name the port by its serial number
+(``serial-number:...``) where there are two. There is no read-back.
 """
 
 from __future__ import annotations
@@ -15,11 +18,20 @@ from __future__ import annotations
 import math
 import re
 
+from drivers.identity import DeviceIdentity
 from drivers.serial_line.dialogue import Dialogue
 from drivers.serial_line.question import Marker, Query, RefusedError, UnreadableError
 
 IDENTITY = "Optotune MR-E-2"
 FULL_SCALE = math.tan(math.radians(50.0))
+LEAVE_PRO_MODE = "\x7e\x00\x06\x02\x00\x00\x00\x00\x7e"
+NOT_STABLE = 1 << 4
+REGISTER = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{8,10})")
+REFUSALS = {
+    "OU": ("a value was over its range: it moved to the edge of its reach", "lower limit_mrad in the rig file", False),
+    "OL": ("a value was under its range: it moved to the edge of its reach", "lower limit_mrad in the rig file", False),
+    "NO": ("it did not recognise the command", "try again; if it stays, check driver and baud in the rig file", True),
+}
 
 
 class OptotuneMre2:
@@ -27,32 +39,48 @@ class OptotuneMre2:
 
     baud = 256000
     command_end = "\r\n"
+    encoding = "ascii"
     patience_s = 2.0
     reach_mrad = 1000 * math.radians(50.0)
-    says_when_idle = False
+    says_when_idle = True
+
+    def reaches(self, x_mrad: float, y_mrad: float) -> bool:
+        return math.hypot(*_deflections(x_mrad, y_mrad)) <= 1.0
 
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
-        dialogue.introduce(Query("start", _ready), patience_s)
+        dialogue.introduce(Query("start", _ready), patience_s, before=LEAVE_PRO_MODE)
         return IDENTITY
 
+    def device(self, identity: str) -> DeviceIdentity:
+        return DeviceIdentity("", identity)
+
     def marker(self, identity: str) -> Marker:
-        return Marker("status", identity, lambda line: re.search(r"\d{10}$", line) is not None, lambda line: None)
+        return Marker("status", identity, lambda line: re.search(REGISTER.pattern + "$", line) is not None, _nobody)
 
     def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
         dialogue.ask(Query("acknowledge", _done), "acknowledging earlier errors")
 
     def move(self, dialogue: Dialogue, x_mrad: float, y_mrad: float, doing: str) -> None:
-        x, y = (math.tan(angle_mrad / 1000) / FULL_SCALE for angle_mrad in (x_mrad, y_mrad))
+        x, y = _deflections(x_mrad, y_mrad)
         dialogue.ask(Query(f"xy={x:.4f};{y:.4f}", _done), doing)
 
     def park(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
         self.move(dialogue, *park_mrad, "parking")
 
     def moving(self, dialogue: Dialogue, doing: str) -> bool:
-        return False
+        return bool(dialogue.ask(Query("status", _register), doing) & NOT_STABLE)
 
     def where_mrad(self, dialogue: Dialogue, doing: str) -> None:
         return None
+
+
+def _deflections(x_mrad: float, y_mrad: float) -> tuple[float, float]:
+    """Parts of full scale; the two lie in the unit circle."""
+    return math.tan(x_mrad / 1000) / FULL_SCALE, math.tan(y_mrad / 1000) / FULL_SCALE
+
+
+def _nobody(line: str) -> None:
+    """No answer of this device tells it from another."""
 
 
 def _ready(answer: str) -> str:
@@ -61,9 +89,19 @@ def _ready(answer: str) -> str:
     return answer
 
 
+def _register(answer: str) -> int:
+    found = REGISTER.fullmatch(answer.strip())
+    if found is None:
+        _done(answer)
+        raise UnreadableError(answer)
+    return int(found.group(1), 16)
+
+
 def _done(answer: str) -> None:
-    if answer.strip() == "OK":
+    text = answer.strip()
+    if text == "OK":
         return
-    if re.fullmatch(r"[A-Z]{2}", answer.strip()):
-        raise RefusedError(f"the controller answers {answer.strip()}", "see the controller's manual", passing=True)
+    if re.fullmatch(r"[A-Z]{2}|ERROR[ -~]*", text):
+        meaning, remedy, passing = REFUSALS.get(text, ("an error", "see the controller's manual", True))
+        raise RefusedError(f"the controller answers {text}: {meaning}", remedy, passing=passing)
     raise UnreadableError(answer)

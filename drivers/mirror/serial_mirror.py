@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.identity import DeviceIdentity
 from drivers.mirror.asi_tiger import AsiTiger
 from drivers.mirror.dialect import Dialect
 from drivers.mirror.generic import GenericMirror
@@ -103,15 +104,20 @@ class SerialMirror:
         self._standing_since_s: float | None = None
         self._settled = False
         self._astray = ""
-        if limit_mrad > self._dialect.reach_mrad:
-            cause = f"limit_mrad is {limit_mrad:g}, the device's full scale {self._dialect.reach_mrad:g} mrad"
-            raise InstrumentError(self._name, "preparing", cause, "lower limit_mrad in the rig file")
-        self._check_reach(*park_mrad, "preparing to park")
-        settings = LineSettings(baud or self._dialect.baud, self._dialect.command_end, answer_s)
-        self._dialogue = Dialogue(self._name, SerialLine(self._name, port, settings))
+        self._check_settings()
+        self._port = port
+        self._line_settings = LineSettings(
+            baud or self._dialect.baud, self._dialect.command_end, answer_s, self._dialect.encoding
+        )
+        self._dialogue = self._new_dialogue()
         self._open()
 
     # -- the role ----------------------------------------------------------------------------------
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Who the device said it is when it was opened."""
+        return self._dialect.device(_words(self._identity or ""))
 
     def identify(self) -> str:
         """Name of the device, after making sure that it still answers."""
@@ -214,6 +220,9 @@ class SerialMirror:
 
     def _open(self) -> None:
         self._forget_move()
+        # A call that hangs keeps the old dialogue; nobody waits for it.
+        self._dialogue.close()
+        self._dialogue = self._new_dialogue()
         self._dialogue.open()
         try:
             identity = self._dialect.wake(self._dialogue, self._patience_s)
@@ -223,11 +232,15 @@ class SerialMirror:
             self._check_identity(identity)
             self._dialogue.recognise(self._dialect.marker(identity))
             self._dialect.enable(self._dialogue, self._park_mrad)
+            self._check_settings()
         except BaseException:
             self._dialogue.close()
             raise
         self._identity = identity
         self._standing_since_s = None if self._dialect.says_when_idle else self._clock.now_s()
+
+    def _new_dialogue(self) -> Dialogue:
+        return Dialogue(self._name, SerialLine(self._name, self._port, self._line_settings))
 
     def _check_identity(self, identity: str) -> None:
         stranger = self._stranger(identity)
@@ -284,11 +297,23 @@ class SerialMirror:
     def _is_near(self, one_mrad: tuple[float, float], other_mrad: tuple[float, float]) -> bool:
         return max(abs(one_mrad[0] - other_mrad[0]), abs(one_mrad[1] - other_mrad[1])) <= self._tolerance_mrad
 
+    def _check_settings(self) -> None:
+        """Hold the rig file against what the device can reach, as far as that is known yet."""
+        reach_mrad = self._dialect.reach_mrad
+        if self._limit_mrad > reach_mrad:
+            cause = f"limit_mrad is {self._limit_mrad:g}, and the device ends at {reach_mrad:.4g} mrad"
+            remedy = f"lower limit_mrad and park_mrad of [mirror] in the rig file to {reach_mrad:.4g} or less"
+            raise InstrumentError(self._name, "preparing", cause, remedy)
+        self._check_reach(*self._park_mrad, "preparing to park")
+
     def _check_reach(self, x_mrad: float, y_mrad: float, doing: str) -> None:
         limit = self._limit_mrad
         if not (abs(x_mrad) <= limit and abs(y_mrad) <= limit):
             cause = f"({x_mrad:g}, {y_mrad:g}) mrad is beyond the limit of +-{limit:g} mrad"
             raise InstrumentError(self._name, doing, cause, "choose a grid within the mirror's reach")
+        if not self._dialect.reaches(x_mrad, y_mrad):
+            cause = f"the device cannot point to ({x_mrad:g}, {y_mrad:g}) mrad"
+            raise InstrumentError(self._name, doing, cause, "choose a grid and park_mrad within its reach")
 
     def _check_open(self, doing: str) -> None:
         if self._closed:

@@ -19,6 +19,10 @@ from drivers.serial_line.question import Marker, Query, RefusedError, RestartedE
 
 Answer = TypeVar("Answer")
 
+# A call ends within eight times the line's longest wait for an answer; a longer one hangs in the port's driver.
+HUNG_ANSWERS = 10
+# Closing a port is a matter of milliseconds, unless its driver hangs.
+CLOSING_S = 1.0
 # Pause after a command whose answer is not waited for, as public drivers make it (0.2 s, lab-built ones for MTI).
 BEFORE_S = 0.2
 
@@ -56,9 +60,10 @@ class Dialogue:
             self._line.open()
 
     def close(self) -> None:
-        """Release the line."""
-        with self._lock:
-            self._line.close()
+        """Release the line, whether or not a call of another thread still hangs in it; never waits for long."""
+        closing = threading.Thread(target=self._line.close, name=f"closing of {self._instrument}", daemon=True)
+        closing.start()
+        closing.join(CLOSING_S)
 
     def introduce(self, query: Query[str], patience_s: float, before: str = "") -> str:
         """Ask a device that was just opened who it is, again and again: it may still be starting.
@@ -80,7 +85,7 @@ class Dialogue:
         doing = "asking who it is"
         latest = NoAnswerError("no answer came")
         gives_up_s = time.monotonic() + patience_s
-        with self._lock, self._losses(doing):
+        with self._turn(doing), self._losses(doing):
             while True:
                 try:
                     # An end rounds off what another program may have left half said.
@@ -125,7 +130,7 @@ class Dialogue:
         InstrumentLostError
             None does, or it has been switched off and on.
         """
-        with self._lock, self._losses(doing):
+        with self._turn(doing), self._losses(doing):
             self._require_open(doing)
             try:
                 self._catch_up(doing)
@@ -154,7 +159,7 @@ class Dialogue:
         InstrumentLostError
             The port is gone, or the device did not answer the time before either.
         """
-        with self._lock, self._losses(doing):
+        with self._turn(doing), self._losses(doing):
             self._require_open(doing)
             if self._behind or self._line.received():
                 self._catch_up_or_fail(doing)
@@ -163,6 +168,10 @@ class Dialogue:
                     return self._exchange(query)
                 except NoAnswerError:
                     self._catch_up(doing)
+                    return self._exchange(query)
+                except RefusedError as refused:
+                    if not refused.again:
+                        raise
                     return self._exchange(query)
             except NoAnswerError as missing:
                 raise TransientInstrumentError(
@@ -284,6 +293,27 @@ class Dialogue:
                 "check its power and its cable",
             ) from missing
 
+    @contextmanager
+    def _turn(self, doing: str) -> Iterator[None]:
+        """Wait until no other thread asks, and no longer than a call can take.
+
+        Raises
+        ------
+        InstrumentLostError
+            A call of another thread hangs.
+        """
+        if not self._lock.acquire(timeout=HUNG_ANSWERS * self._line.settings.answer_s):
+            raise InstrumentLostError(
+                self._instrument,
+                doing,
+                "an earlier call hangs in the driver of its port",
+                "connect it again; if it stays, unplug the port and plug it in again",
+            )
+        try:
+            yield
+        finally:
+            self._lock.release()
+
     # -- losing the device -------------------------------------------------------------------------
 
     def _require_open(self, doing: str) -> None:
@@ -305,5 +335,8 @@ class Dialogue:
         except RestartedError as restarted:
             self._line.close()
             raise InstrumentLostError(
-                self._instrument, doing, "the device was switched off and on meanwhile", "check its power supply"
+                self._instrument,
+                doing,
+                "the device was switched off and on meanwhile: its position and its settings are lost",
+                "check its power supply; it is set up afresh when it is opened again",
             ) from restarted

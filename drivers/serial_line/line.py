@@ -36,11 +36,14 @@ class LineSettings:
         What ends a command. Every answer ends with a line feed; a carriage return before it does not count.
     answer_s : float
         Longest wait for an answer, and for the device to take a command, > 0.
+    encoding : str
+        ``"ascii"``; ``"latin-1"`` for a device that sends any bytes between those of text.
     """
 
     baud: int
     end: str
     answer_s: float = 1.0
+    encoding: str = "ascii"
 
 
 class SerialLine:
@@ -85,7 +88,8 @@ class SerialLine:
         except ImportError as missing:
             raise pyserial_missing(self._instrument, f"opening {self._name}") from missing
         # termios.error is none of the OSErrors; it comes from tcflush when a port has gone. Windows has no termios.
-        self._failures = (serial.SerialException, OSError, ValueError, *_termios_errors())
+        # A port that another thread closes meanwhile has no descriptor left: pyserial fails with a TypeError then.
+        self._failures = (serial.SerialException, OSError, ValueError, TypeError, AttributeError, *_termios_errors())
         address = find_port(self._name, self._instrument)
         try:
             self._port = serial.serial_for_url(
@@ -112,7 +116,7 @@ class SerialLine:
         import serial
 
         try:
-            self._port.write((text + self.settings.end).encode("ascii"))
+            self._port.write((text + self.settings.end).encode(self.settings.encoding))
         except serial.SerialTimeoutException:
             # What was not taken must not be sent later, before another command.
             with contextlib.suppress(*self._failures):
@@ -147,7 +151,7 @@ class SerialLine:
         line, _, rest = self._input.partition(b"\n")
         self._input = rest
         try:
-            return line.rstrip(b"\r").decode("ascii")
+            return line.rstrip(b"\r").decode(self.settings.encoding)
         except UnicodeDecodeError:
             raise NoAnswerError(f"what came is no text: {bytes(line)!r}") from None
 

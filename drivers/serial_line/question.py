@@ -24,13 +24,16 @@ class RefusedError(Exception):
         What to do about it.
     passing : bool
         Whether a new attempt can go well.
+    again : bool
+        Whether a disturbed command is answered so too, so that it is asked once more before the answer is believed.
     """
 
-    def __init__(self, meaning: str, remedy: str, *, passing: bool = False) -> None:
+    def __init__(self, meaning: str, remedy: str, *, passing: bool = False, again: bool = False) -> None:
         super().__init__(meaning)
         self.meaning = meaning
         self.remedy = remedy
         self.passing = passing
+        self.again = again
 
 
 class RestartedError(Exception):

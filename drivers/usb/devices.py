@@ -11,7 +11,14 @@ from drivers.errors import InstrumentError
 from drivers.usb.remedies import install_libusb
 
 NI_VENDOR = 0x3923
-FTDI_SERIAL_ADAPTER = (0x0403, 0x6001)
+SERIAL_ADAPTERS = {
+    (0x0403, 0x6001),  # FTDI FT232
+    (0x10C4, 0xEA60),  # Silicon Labs CP2102, CP2104: in ASI's Tiger, among others
+    (0x10C4, 0xEA70),  # Silicon Labs CP2105, two ports
+    (0x10C4, 0xEA71),  # Silicon Labs CP2108, four ports
+    (0x0483, 0x5740),  # STMicroelectronics, virtual COM port
+    (0x0483, 0xA31E),  # Optotune MR-E-2, on a controller of STMicroelectronics
+}
 AUDIO_CLASS = 0x01  # https://www.usb.org/defined-class-codes
 HUB_CLASS = 0x09
 # A device that is unplugged while the list is made ends the list; the next one is complete.
@@ -196,7 +203,7 @@ def _problem(failure: Any) -> Problem:
 def _kind(handle: Any) -> Kind:
     if handle.idVendor == NI_VENDOR:
         return Kind.DAQ
-    if (handle.idVendor, handle.idProduct) == FTDI_SERIAL_ADAPTER:
+    if (handle.idVendor, handle.idProduct) in SERIAL_ADAPTERS:
         return Kind.SERIAL_ADAPTER
     if handle.bDeviceClass == HUB_CLASS:
         return Kind.HUB

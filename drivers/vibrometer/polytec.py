@@ -3,8 +3,8 @@
 Sources: the PLACE laboratory package's driver, made after Polytec's "RS-232 Interface Commands: OFV-5000 User Manual"
 (``Get,VeloDec,1,Range`` -> ``125mm/s/V``, ``Get,VeloDec,1,SignalDelay`` -> ``8.16 us``, ``Get,Controller,0,Name``,
 ``Set,Interface,0,Echo,Off`` without an answer; 115200 baud, 8N1, line feed); two further public programs ask
-``Get,SignalLevel,0,Value`` and get a whole number. Which number a decoder has differs from box to box: 1 is the
-VD-09 in those programs.
+``Get,SignalLevel,0,Value`` and get a number. Numbers may have decimals, behind a point or a comma. Which number a
+decoder has differs from box to box: 1 is the VD-09 in those programs.
 
 Not confirmed: the largest signal level, 775 in one of the programs; what the controller answers to a command that it
 does not know (``Not Available`` for a decoder that is not installed).
@@ -22,7 +22,7 @@ from drivers.serial_line.question import Marker, Query, RefusedError, Unreadable
 
 BAUD = 115200
 FULL_SIGNAL_LEVEL = 775
-NUMBER = r"(\d{1,6}(?:\.\d{1,6})?)"
+NUMBER = r"(\d{1,6}(?:[.,]\d{1,9})?)"
 METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 
@@ -150,23 +150,27 @@ def _range(answer: str) -> str:
 def _metres_per_second_per_volt(text: str) -> float:
     """The sensitivity of a range such as ``125mm/s/V``."""
     found = re.fullmatch(rf"{NUMBER} ?(nm|um|mm|cm|m)/s/V", text)
-    if found is None or float(found.group(1)) == 0:
+    if found is None or _number(found.group(1)) == 0:
         raise UnreadableError(text)
-    return float(found.group(1)) * METRES[found.group(2)]
+    return _number(found.group(1)) * METRES[found.group(2)]
 
 
 def _delay_s(answer: str) -> float:
     found = re.fullmatch(rf"{NUMBER} ?(ns|us|ms|s)", _given(answer))
     if found is None:
         raise UnreadableError(answer)
-    return float(found.group(1)) * SECONDS[found.group(2)]
+    return _number(found.group(1)) * SECONDS[found.group(2)]
 
 
 def _level(answer: str) -> float:
-    found = re.fullmatch(r"\d{1,4}", _given(answer))
+    found = re.fullmatch(NUMBER, _given(answer))
     if found is None:
         raise UnreadableError(answer)
-    return min(1.0, int(found.group()) / FULL_SIGNAL_LEVEL)
+    return min(1.0, _number(found.group()) / FULL_SIGNAL_LEVEL)
+
+
+def _number(text: str) -> float:
+    return float(text.replace(",", "."))
 
 
 def _given(answer: str) -> str:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from pathlib import Path
 
 from PyQt5.QtWidgets import QAction, QWidget
 
+from acquisition.durations import hours
 from gui.campaign.follower import same_file
-from gui.desk import Desk, sentence_of
-from gui.errand import Answer, Errand
-from gui.long_text import show_text
-from gui.own_run import OwnRun
-from gui.tab import Question
+from gui.process.command_process import Answer, Errand
+from gui.process.own_run import OwnRun
+from gui.shell.desk import Desk, sentence_of
+from gui.shell.long_text import show_text
+from gui.shell.tab import Question
 
 _STOPPED = 130
 _LISTENS_EVERY_S = 0.5
@@ -90,14 +93,19 @@ class CampaignRun:
             if answer.code != 0:
                 self._desk.messages.fault(answer.sentence or "the dry run was ended")
                 return
-            told = {line[:12].strip(): line[12:].strip() for line in answer.said.splitlines()}
-            main = "; ".join(f"{key} {told[key]}" for key in ("positions", "duration", "bank") if key in told)
+            facts = json.loads(answer.out)
+            everything = "\n".join(facts["lines"])
+            finish = datetime.fromisoformat(facts["finish_at"])
+            main = (
+                f"{facts['positions']} positions, {facts['actuators']} actuators, {hours(facts['duration_s'])}, "
+                f"finished {finish:%a %d %b %H:%M}; bank {facts['bank_bytes'] / 1e6:.0f} MB"
+            )
             self._desk.messages.warn(
-                f"{run_file.name}: {main}", ("Everything", lambda: show_text("Dry run", answer.said, self._owner))
+                f"{run_file.name}: {main}", ("Everything", lambda: show_text("Dry run", everything, self._owner))
             )
 
         self._desk.messages.warn(f"dry run of {run_file.name}…", ("Cancel", self._cancel))
-        self._errand = self._desk.run(["plan", str(run_file)], answered)
+        self._errand = self._desk.run(["plan", str(run_file), "--json"], answered)
 
     def look(self) -> None:
         """Tell when the own run has ended, and how."""

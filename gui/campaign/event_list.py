@@ -21,7 +21,7 @@ from PyQt5.QtWidgets import (
 from gui.campaign.event_words import WEIGHT_WORDS, Line, Weight
 from gui.campaign.model import Campaign
 from gui.campaign.position_panel import clock
-from gui.theme import LIGHT, Theme
+from gui.shell.theme import LIGHT, Theme
 
 _TITLES = ("when", "weight", "event")
 _NOWHERE = QModelIndex()

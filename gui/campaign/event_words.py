@@ -79,7 +79,7 @@ def line_of(record: Record) -> Line | None:
     kind = record.get("event")
     words = _WORDS.get(str(kind))
     if words is None:
-        return None if kind == "progress" else Line(instant_s(record), Weight.DETAIL, f"{kind}")
+        return None if kind in ("progress", "record_taken") else Line(instant_s(record), Weight.DETAIL, f"{kind}")
     weight, text = words(record)
     return Line(instant_s(record), weight, text, whole(record, "position"))
 

@@ -6,6 +6,7 @@ import os
 import queue
 import threading
 import time
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,23 +15,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.errors import WavefocusError
 from gui.campaign.figures import Float32Array, per_position
-from gui.front_door import FrontDoor, Pulse
-from gui.log_tail import LogTail
+from gui.process.log_tail import LogTail
+from gui.shell.front_door import FrontDoor, Pulse
 from gui.surface.surface import Surface, surface_of
+from storage.errors import WavefocusError
 
 if TYPE_CHECKING:
-    from calibration.bank import Bank
-    from calibration.bank_owner import Owner
-    from rendering.report_drift import DriftPoint
+    from rendering.report.drift import DriftPoint
+    from storage.bank.owner import Owner
+    from storage.bank.reading import Bank
 
 LOOKS_EVERY_S = 0.05
 LIFE_EVERY_S = 1.0
 # Reading all statuses and figures of a large bank takes a while; it may take this fraction of the time at most.
 _LEDGER_SHARE = 0.005
 _LEDGER_EVERY_S = 1.0
-_ENDS_WITHIN_S = 2.0
+# Longer than the thread sleeps; one that a disk holds up ends when it can, and the window does not wait for it.
+_ENDS_WITHIN_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +76,10 @@ class DriftSeen:
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """A sentence about what cannot be read; an empty one when it can be read again."""
+    """A sentence about what cannot be read, empty when it can be read again; the traceback of a defect."""
 
     sentence: str
+    details: str = ""
 
 
 Seen = Opened | Records | Ledger | Life | DriftSeen | Trouble
@@ -133,6 +136,12 @@ class Follower:
                 self._tell(str(failure))
                 self._identity = None
                 self._over.wait(LIFE_EVERY_S)
+            except Exception as failure:  # the thread must not end without a word
+                kind = type(failure).__name__
+                sentence = f"{self.bank.name} is not followed ({kind}: {failure}); what is shown may be out of date"
+                self._tell(sentence, "".join(traceback.format_exception(failure)))
+                self._identity = None
+                self._over.wait(LIFE_EVERY_S)
             self._over.wait(LOOKS_EVERY_S)
 
     def _look(self) -> None:
@@ -185,10 +194,10 @@ class Follower:
         self._ledger_due_s = time.monotonic() + max(_LEDGER_EVERY_S, took_s / _LEDGER_SHARE)
         self._stale = False
 
-    def _tell(self, sentence: str) -> None:
+    def _tell(self, sentence: str, details: str = "") -> None:
         if sentence != self._trouble:
             self._trouble = sentence
-            self._seen.put(Trouble(sentence))
+            self._seen.put(Trouble(sentence, details))
 
 
 def same_file(one: Path, other: Path) -> bool:
@@ -197,12 +206,12 @@ def same_file(one: Path, other: Path) -> bool:
 
 
 def _opened(path: Path) -> Bank:
-    from calibration.bank import open_bank  # h5py is loaded by the thread that follows, not by the window's start
+    from storage.bank.reading import open_bank  # h5py is loaded by the thread that follows, not by the window's start
 
     return open_bank(path)
 
 
 def _owner_of(path: Path) -> Owner | None:
-    from calibration.bank_owner import bank_owner
+    from storage.bank.owner import bank_owner
 
     return bank_owner(path)

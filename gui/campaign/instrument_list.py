@@ -7,7 +7,7 @@ from PyQt5.QtWidgets import QHeaderView, QLabel, QTableWidget, QTableWidgetItem,
 
 from gui.campaign.model import Campaign
 from gui.campaign.position_panel import clock
-from gui.theme import LIGHT, Theme
+from gui.shell.theme import LIGHT, Theme
 
 _MARKS = {"in use": "●", "at rest": "○", "faulty": "▲", "away": "✕"}
 

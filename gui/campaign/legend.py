@@ -9,8 +9,8 @@ from PyQt5.QtGui import QColor, QIcon, QPainter, QPixmap
 from PyQt5.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QStackedLayout, QWidget
 
 from gui.campaign.status_look import LOOKS, Look, look_index
+from gui.shell.theme import LIGHT, Theme
 from gui.surface.colour_bar import ColourBar
-from gui.theme import LIGHT, Theme
 
 _SWATCH = 14
 

@@ -8,7 +8,7 @@ from gui.campaign.figures import FIGURES
 from gui.campaign.legend import Legend
 from gui.campaign.model import Campaign
 from gui.campaign.surface_map import SurfaceMap
-from gui.theme import Theme
+from gui.shell.theme import Theme
 
 _WAYS = (("point", "Pan"), ("rectangle", "Rectangle"), ("lasso", "Lasso"))
 

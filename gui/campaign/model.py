@@ -10,24 +10,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.events import State
+from acquisition.engine.events import State
 from gui.campaign.event_words import Line, Record, instant_s, line_of, number, whole
 from gui.campaign.figures import Float32Array
 from gui.campaign.follower import DriftSeen, Ledger, Life, Opened, Records, Seen, Trouble
 from gui.campaign.instruments import Instruments
 from gui.campaign.standing import GOING, OVER, Extra, Standing
-from gui.front_door import Pulse
+from gui.shell.front_door import Pulse
 from gui.surface.surface import Surface
 
 if TYPE_CHECKING:
-    from calibration.bank_owner import Owner
-    from rendering.report_drift import DriftPoint
+    from rendering.report.drift import DriftPoint
+    from storage.bank.owner import Owner
 
 # A week of a night's events; what is older is in the log.
 KEPT_LINES = 20_000
 _TRIMMED_AT = 22_000
 # A process that was just killed may have told its last event after its owner was last asked for.
 _ASKED_AFTER_S = 0.05
+
+_RATE = "wall_positions_per_hour"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +87,7 @@ class Campaign:
     owner: Owner | None = None
     pulse: Pulse | None = None
     trouble: str = ""
+    trouble_details: str = ""
     revision: dict[str, int] = field(
         default_factory=lambda: dict.fromkeys(("surface", "map", "lines", "instruments", "drift", "history"), 0)
     )
@@ -111,8 +114,8 @@ class Campaign:
             case DriftSeen(points):
                 self.drift = points
                 self._changed("drift")
-            case Trouble(sentence):
-                self.trouble = sentence
+            case Trouble(sentence, details):
+                self.trouble, self.trouble_details = sentence, details
 
     @property
     def measured(self) -> int:
@@ -121,7 +124,7 @@ class Campaign:
 
     def forget(self) -> None:
         """Know nothing: another bank will be followed."""
-        self.surface, self.owner, self.pulse, self.trouble = None, None, None, ""
+        self.surface, self.owner, self.pulse, self.trouble, self.trouble_details = None, None, None, "", ""
         self.status, self.figures, self.drift = np.zeros(0, np.uint8), {}, []
         self._forget_log()
         self._changed("surface", "drift")
@@ -199,7 +202,8 @@ class Campaign:
                     whole(record, "done"),
                     whole(record, "total"),
                     number(record, "elapsed_s"),
-                    number(record, "positions_per_hour"),
+                    # Logs of earlier versions have the rate on the rig's clock alone.
+                    number({_RATE: record.get("positions_per_hour"), **record}, _RATE),
                     number(record, "wall_remaining_s"),
                     instant_s(record),
                 )

@@ -12,13 +12,14 @@ import pyqtgraph
 from PyQt5.QtCore import QRectF
 from PyQt5.QtWidgets import QVBoxLayout, QWidget
 
+from gui.shell.theme import Theme
 from gui.surface.plot import MOST_COLUMNS, Plot, Real, whole_ticks
 from gui.surface.surface import Surface
-from gui.theme import Theme
+from storage.units import quantity
 
 if TYPE_CHECKING:
-    from calibration.raw_file import Recordings
-    from rendering.report_drift import DriftPoint
+    from rendering.report.drift import DriftPoint
+    from storage.raw.reading import Recordings
 
 _FLOOR_DB = -60.0
 
@@ -47,14 +48,16 @@ class GreenPlot(Plot):
         self._image = pyqtgraph.ImageItem(axisOrder="row-major")
         self._image.setColorMap(pyqtgraph.colormap.get("viridis"))
 
-    def show_green(self, surface: Surface, greens: Greens, actuator: int, *, waterfall: bool) -> None:
-        """Draw; `actuator` is emphasised, -1 for none."""
+    def show_green(
+        self, surface: Surface, greens: Greens, actuator: int, *, waterfall: bool, own_scale: bool = False
+    ) -> None:
+        """Draw; `actuator` is emphasised, -1 for none. With its own scale, each trace fills its step."""
         plot = self.getPlotItem()
         plot.clear()
         green = greens.green
         largest = float(np.abs(green).max(initial=0.0))
         time_ms = np.arange(green.shape[1]) / surface.sample_rate_hz * 1e3
-        title = f"position {greens.position}: largest {largest:.3g} {surface.unit}"
+        title = f"position {greens.position}: largest {quantity(f'{largest:.3g}', surface.unit)}"
         if largest == 0:
             plot.setTitle(f"position {greens.position} is not measured", color=self.theme.faint)
             return
@@ -65,11 +68,14 @@ class GreenPlot(Plot):
             plot.addItem(self._image)
             plot.setTitle(f"{title} = 0 dB, dark is {_FLOOR_DB:.0f} dB", color=self.theme.text)
         else:
-            for number, trace in enumerate(green):
+            peaks = np.abs(green).max(axis=1)
+            scales = np.where(peaks > 0, peaks, 1.0) if own_scale else np.full(len(green), largest)
+            for number, (trace, scale) in enumerate(zip(green, scales, strict=True)):
                 chosen = number == actuator
                 colour = self.theme.fault if chosen else self.theme.traces[0]
-                self.line(time_ms, number + 0.9 * trace / largest, colour, 1.6 if chosen else 1.0)
-            plot.setTitle(f"{title} = 0.9 of a step", color=self.theme.text)
+                self.line(time_ms, number + 0.9 * trace / scale, colour, 1.6 if chosen else 1.0)
+            told = f"; each to its own peak, the least {float(peaks.min()):.3g}" if own_scale else " = 0.9 of a step"
+            plot.setTitle(f"{title}{told}", color=self.theme.text)
         plot.getAxis("left").setTicks([whole_ticks(len(green)), []])
         plot.setXRange(0.0, float(time_ms[-1]), padding=0.01)
         plot.setYRange(-1.0, len(green), padding=0.0)

@@ -28,11 +28,11 @@ from PyQt5.QtWidgets import (
 from gui.campaign.model import Attempt, Campaign
 from gui.campaign.plots import DriftPlot, GreenPlot, Greens, RecordingPlot, SpectrumPlot
 from gui.campaign.statuses import status_text
-from gui.desk import Desk
-from gui.theme import Theme
+from gui.shell.desk import Desk
+from gui.shell.theme import Theme
 
 if TYPE_CHECKING:
-    from calibration.raw_file import Recordings
+    from storage.raw.reading import Recordings
 
 _ATTEMPTS = ("when", "attempt", "outcome", "SNR (dB)", "residual (dB)")
 _ACTUATORS = ("actuator", "SNR (dB)", "residual (dB)", "coherence", "peak (V)")
@@ -58,7 +58,7 @@ class PositionPanel(QTabWidget):
         self._seen: dict[str, int] = {}
         self.green_plot, self.spectrum_plot = GreenPlot(), SpectrumPlot()
         self.recording_plot, self.drift_plot = RecordingPlot(), DriftPlot()
-        self._view = _combo("How to show the Green's functions", ["stacked", "waterfall"])
+        self._view = _combo("How to show the Green's functions", ["stacked", "waterfall", "stacked, own scale"])
         self._actuator = _combo("Actuator that is emphasised", ["all actuators"])
         self._record = QSpinBox()
         self._record.setAccessibleName("Record")
@@ -103,7 +103,7 @@ class PositionPanel(QTabWidget):
         self._fill_attempts()
 
     def show_green_as(self, view: int) -> None:
-        """Show Green's functions stacked (0) or as a waterfall (1)."""
+        """Show Green's functions stacked (0), as a waterfall (1), or stacked and each to its own peak (2)."""
         self._view.setCurrentIndex(view)
 
     def draw(self) -> None:
@@ -152,7 +152,8 @@ class PositionPanel(QTabWidget):
             return
         actuator = self._actuator.currentIndex() - 1
         waterfall = self._view.currentIndex() == 1
-        self.green_plot.show_green(surface, self.greens, actuator, waterfall=waterfall)
+        own_scale = self._view.currentIndex() == 2
+        self.green_plot.show_green(surface, self.greens, actuator, waterfall=waterfall, own_scale=own_scale)
         self.spectrum_plot.show_green(surface, self.greens, actuator)
 
     def _page_changed(self) -> None:
@@ -216,7 +217,7 @@ def clock(at_s: float) -> str:
 
 
 def _read(path: Path, position: int) -> Details:
-    from calibration.bank import open_bank  # h5py is loaded in the background
+    from storage.bank.reading import open_bank  # h5py is loaded in the background
 
     with open_bank(path) as bank:
         quality = {key: bank.quality[key][position] for key in _KEYS if key in bank.quality}
@@ -224,7 +225,7 @@ def _read(path: Path, position: int) -> Details:
 
 
 def _read_raw(path: Path, position: int) -> Raw:
-    from calibration.raw_file import open_raw
+    from storage.raw.reading import open_raw
 
     with open_raw(path) as raw:
         return raw.read(position), raw.header.sample_rate_hz

@@ -6,11 +6,11 @@ import math
 
 from PyQt5.QtWidgets import QGridLayout, QLabel, QProgressBar, QSizePolicy, QWidget
 
-from acquisition.events import State
+from acquisition.engine.events import State
 from gui.campaign.model import Pace
 from gui.campaign.standing import Extra, Standing
-from gui.progress import Badge, finish_words, put
-from gui.theme import LIGHT, Theme
+from gui.shell.progress import Badge, finish_words, put
+from gui.shell.theme import LIGHT, Theme
 
 _TROUBLED = (State.FAILED, Extra.GONE, Extra.SILENT)
 _WAITING = (State.SUSPENDED, State.RECOVERING, State.PAUSING, State.PAUSED, State.STOPPING)

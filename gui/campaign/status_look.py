@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gui.campaign.statuses import DISABLED, FAILED, NOT_MEASURED, OVER_RANGE, POOR_SIGNAL, VALID
-from gui.theme import LIGHT, Theme
+from gui.shell.theme import LIGHT, Theme
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,11 @@
 """The contract's status bits in words.
 
-`acquisition.quality` has them too; with it comes all that measures, for which the window would have to wait.
+`acquisition.quality.judgement` has them too; with it comes all that measures, for which the window would have to wait.
 """
 
 from __future__ import annotations
 
-from calibration.bank_ledger import DISABLED, FAILED, OVER_RANGE, POOR_SIGNAL, VALID
+from storage.bank.ledger import DISABLED, FAILED, OVER_RANGE, POOR_SIGNAL, VALID
 
 __all__ = ["DISABLED", "FAILED", "NOT_MEASURED", "OVER_RANGE", "POOR_SIGNAL", "VALID", "WORDS", "status_text"]
 

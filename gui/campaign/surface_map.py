@@ -14,10 +14,10 @@ from gui.campaign.figures import Figure, Float32Array
 from gui.campaign.picking import PickingBox
 from gui.campaign.status_look import LOOKS, look_index
 from gui.campaign.statuses import status_text
+from gui.shell.theme import LIGHT, Theme, dress_axes
 from gui.surface.spots import Spots
 from gui.surface.surface import Surface
 from gui.surface.walking import STEPS, next_position
-from gui.theme import LIGHT, Theme, dress_axes
 
 _COLOURS = 256
 _MARK = "#ff7a1a"
@@ -70,6 +70,8 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         plot.hideButtons()
         plot.setLabel("bottom", "x (mm)")
         plot.setLabel("left", "y (mm)")
+        for side in ("left", "bottom"):  # no prefix: the unit stands in the label
+            plot.getAxis(side).enableAutoSIPrefix(False)
         self.box.clicked.connect(self._clicked)
         self.box.surrounded.connect(self._surrounded)
         self.dress(LIGHT)

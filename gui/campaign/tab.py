@@ -9,7 +9,6 @@ from pathlib import Path
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAction, QHBoxLayout, QVBoxLayout
 
-from gui.actions import make_action
 from gui.campaign.campaign_run import CampaignRun
 from gui.campaign.controls import Controls
 from gui.campaign.event_list import EventList
@@ -21,14 +20,15 @@ from gui.campaign.position_panel import PositionPanel
 from gui.campaign.progress_row import ProgressRow
 from gui.campaign.standing import possible
 from gui.campaign.statuses import FAILED, OVER_RANGE, POOR_SIGNAL
-from gui.desk import Desk
-from gui.divided import side_by_side, stacked
-from gui.path_field import PathField
-from gui.tab import Question, Tab
-from gui.theme import Theme
-from gui.toml_file import TomlKind, toml_kind
-from gui.which_rig import runs_on_virtual_rig
-from rendering.verification_names import FIELD_NAMES, RECORD_NAME
+from gui.shell.actions import copy_text, make_action
+from gui.shell.desk import Desk
+from gui.shell.divided import side_by_side, stacked
+from gui.shell.path_field import PathField
+from gui.shell.tab import Question, Tab
+from gui.shell.theme import Theme
+from gui.shell.toml_file import TomlKind, toml_kind
+from gui.shell.which_rig import runs_on_virtual_rig
+from rendering.verify.names import FIELD_NAMES, RECORD_NAME
 
 _BAD = POOR_SIGNAL | OVER_RANGE | FAILED
 # What is taken up in one go; the rest of a long log comes with the next ticks, so that the window answers meanwhile.
@@ -50,6 +50,7 @@ class CampaignTab(Tab):
         self.follower: Follower | None = None
         self.run = CampaignRun(desk, self)
         self._told_trouble = ""
+        self._run_file: Path | None = None
         self._drawn: tuple[int, ...] = ()
         self._draw_due_s = 0.0
         self.run_field = PathField("&Run", ".toml", "run file", desk.memory)
@@ -107,6 +108,7 @@ class CampaignTab(Tab):
             if same_file(self.follower.bank, bank):
                 return
             self.follower.end()
+        self.desk.messages.withdraw(self._told_trouble)
         self._told_trouble = ""
         self.campaign.forget()
         self.map_panel.map.clear_surface()
@@ -119,8 +121,11 @@ class CampaignTab(Tab):
             for seen in self.follower.take(_FINDINGS_PER_TICK):
                 self.campaign.take(seen)
         if self.campaign.trouble != self._told_trouble:
+            self.desk.messages.withdraw(self._told_trouble)
             self._told_trouble = self.campaign.trouble
-            if self._told_trouble:
+            if details := self.campaign.trouble_details:
+                self.desk.messages.fault(self._told_trouble, ("Copy details", lambda: copy_text(details)))
+            elif self._told_trouble:
                 self.desk.messages.fault(self._told_trouble)
         self.run.look()
 
@@ -175,6 +180,21 @@ class CampaignTab(Tab):
         """Ask what is to become of a run that this window started."""
         return self.run.closing()
 
+    def keep(self) -> None:
+        """Remember run and bank, and how the room is divided."""
+        super().keep()
+        for name, field in (("run", self.run_field), ("bank", self.bank_field)):
+            self.desk.memory.keep(f"campaign/{name}", str(field.path or ""))
+
+    def recall(self) -> None:
+        """Open run and bank of last time, where they are still there."""
+        run, bank = (self.desk.memory.text(f"campaign/{name}") for name in ("run", "bank"))
+        if run and Path(run).is_file():
+            self.run_field.show_path(Path(run))
+            self._run_file = Path(run)
+        if bank and (Path(bank).is_file() or self.run_field.path is not None):
+            self.follow(Path(bank))
+
     def closed(self) -> None:
         """End following; leave the run alone."""
         if self.follower is not None:
@@ -197,8 +217,12 @@ class CampaignTab(Tab):
         column.addWidget(both, stretch=1)
 
     def _run_chosen(self, path: Path) -> None:
+        """Take a run; a bank that was chosen stays, unless it was another run's."""
         self.desk.memory.opened(path)
-        if self.bank_field.path is None or self.campaign.surface is None:
+        former, self._run_file = self._run_file, path
+        another = former is not None and not same_file(former, path)
+        bank = self.bank_field.path
+        if another or bank is None or not bank.exists():
             self.follow(path.parent / _DEFAULT_BANK)
 
     def _bank_chosen(self, path: Path) -> None:

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gui.desk import Desk
 from gui.rig.facts import ChannelLevel, maybe
 from gui.rig.lines_process import LinesProcess, Told
+from gui.shell.desk import Desk
 
 Pair = tuple[float, float]
 

@@ -6,15 +6,15 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QVBoxLayout, QWidget
 
 from acquisition.calibration_procedures.marks import default_marks_mm
-from gui.divided import side_by_side
-from gui.memory import Memory
 from gui.rig.arrows import Arrows
 from gui.rig.calibration import Ask, Calibration, Pair
 from gui.rig.calibration_start import CalibrationStart
 from gui.rig.level_meter import LevelMeter
 from gui.rig.residual_table import ResidualTable
 from gui.rig.surface_picture import SurfacePicture
-from gui.theme import Theme
+from gui.shell.divided import side_by_side
+from gui.shell.memory import Memory
+from gui.shell.theme import Theme
 
 _STEPS_MRAD = (0.05, 0.2, 1.0, 5.0, 20.0)
 
@@ -190,10 +190,9 @@ class CalibrationPage(QWidget):
         if rms_mm is not None and worst_mm is not None:
             self.question.setText(f"The map misses the marks by {rms_mm:.2f} mm rms, {worst_mm:.2f} mm at most")
         else:
-            self.question.setText("No map goes through these marks")
+            self.question.setText("These marks give no map")
         drawn = f"Residuals are drawn {times:g} times larger." if off else ""
-        alone = " Four marks decide the map alone: their residuals prove nothing." if len(places) == 4 else ""
-        self.note.setText(f"▲ {problem}\n{drawn}" if problem else f"{drawn}{alone}")
+        self.note.setText(f"▲ {problem}\n{drawn}" if problem else drawn)
         self._word(self.yes, "&Accept and write", "Write the map into a dated calibration file")
         self.yes.setEnabled(not problem)
         self._word(self.no, "&Leave the map", "Write nothing of it")

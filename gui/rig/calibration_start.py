@@ -19,8 +19,8 @@ from PyQt5.QtWidgets import (
 )
 
 from acquisition.calibration_procedures.marks import default_marks_mm
-from gui.memory import Memory
-from gui.path_field import PathField
+from gui.shell.memory import Memory
+from gui.shell.path_field import PathField
 
 _PARTS = (
     ("inputs", "&Inputs: how much later the response is sampled", "You plug the loopback into both inputs"),
@@ -56,9 +56,9 @@ class CalibrationStart(QWidget):
             column.addWidget(box)
             self.parts[part] = box
         self.marks = QComboBox()
-        self.marks.addItems(["seven places: middle, corners, ends", "four corners", "a file of marks"])
+        self.marks.addItems(["seven places: middle, corners, ends", "five places: corners, middle", "a file of marks"])
         self.marks.setAccessibleName("Marks on the surface")
-        self.marks.setToolTip("Where the beam is brought to; four marks decide the map alone, more of them check it")
+        self.marks.setToolTip("Where the beam is brought to; four marks decide the map, each more checks it")
         self.file = PathField("&File", ".csv", "file of marks", memory)
         self.file.setToolTip("x_mm,y_mm of each mark; with x_mrad,y_mrad nothing is jogged")
         self.limit_mm = QDoubleSpinBox()
@@ -126,6 +126,6 @@ class CalibrationStart(QWidget):
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-marks-")
         path = Path(self._folder.name) / "corners.csv"
-        corners = default_marks_mm(*self.size_mm)[1:5]
-        path.write_text("x_mm,y_mm\n" + "".join(f"{x:g},{y:g}\n" for x, y in corners), encoding="utf-8")
+        middle, *corners = default_marks_mm(*self.size_mm)[:5]
+        path.write_text("x_mm,y_mm\n" + "".join(f"{x:g},{y:g}\n" for x, y in (*corners, middle)), encoding="utf-8")
         return path

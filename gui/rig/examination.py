@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from gui.desk import Desk
 from gui.rig.examination_page import ExaminationPage
 from gui.rig.lines_process import LinesProcess, Told
 from gui.rig.remedies import Finding
+from gui.shell.desk import Desk
 
 _STOPPED = 130
 

@@ -19,7 +19,7 @@ from PyQt5.QtWidgets import (
 )
 
 from gui.rig.remedies import Finding
-from gui.theme import LIGHT, Theme
+from gui.shell.theme import LIGHT, Theme
 
 _HEADINGS = ("", "instrument", "check", "found", "what to do", "")
 _LOOKS = {"ok": "✔ ok", "warn": "▲ look", "fail": "✖ fail", "skipped": "– skipped"}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from PyQt5.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from gui.divided import side_by_side
 from gui.rig.hands import Hands
 from gui.rig.jog_panel import JogPanel
 from gui.rig.sound_panel import SoundPanel
-from gui.theme import Theme
+from gui.shell.divided import side_by_side
+from gui.shell.theme import Theme
 
 _STATES = {
     "released": "○ the instruments are free",

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gui.desk import Desk
 from gui.rig.facts import ChannelLevel, RigFacts, Spot, Sweep
 from gui.rig.lines_process import LinesProcess, Told
+from gui.shell.desk import Desk
 
 # x and y in millimetres.
 Place = tuple[float, float]

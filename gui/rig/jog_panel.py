@@ -16,7 +16,7 @@ from PyQt5.QtWidgets import (
 from gui.rig.arrows import Arrows
 from gui.rig.hands import Hands
 from gui.rig.surface_picture import SurfacePicture
-from gui.theme import Theme
+from gui.shell.theme import Theme
 
 _STEPS_MM = (0.1, 0.5, 1.0, 5.0, 20.0)
 _FARTHEST_MM = 10_000.0

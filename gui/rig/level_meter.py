@@ -9,7 +9,7 @@ from PyQt5.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
 from PyQt5.QtWidgets import QSizePolicy, QWidget
 
 from gui.rig.facts import ChannelLevel, volts
-from gui.theme import LIGHT, Theme
+from gui.shell.theme import LIGHT, Theme
 
 _FLOOR_DB = -100.0
 _TICKS_DB = (-80, -60, -40, -20, 0)

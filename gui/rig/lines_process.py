@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import IO
 
-from gui.apart import leave, start_apart
-from gui.desk import Desk, sentence_of
-from gui.front_door import FrontDoor
+from gui.shell.apart import leave, start_apart
+from gui.shell.desk import Desk, sentence_of
+from gui.shell.front_door import FrontDoor
 
 Told = dict[str, object]
 
@@ -79,6 +79,15 @@ class LinesProcess:
     def exit_code(self) -> int | None:
         """Its exit code; None while it runs."""
         return self._process.poll()
+
+    @property
+    def said(self) -> list[str]:
+        """The last lines that it told people."""
+        return list(self._said)
+
+    def kill(self) -> None:
+        """End it by force."""
+        self._process.kill()
 
     def hand_over(self, hear: Callable[[Told], object]) -> bool:
         """Give `hear` what it told since the last look; whether it has ended, and that was all."""

@@ -9,7 +9,7 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem
 
-from gui.theme import LIGHT
+from gui.shell.theme import LIGHT
 
 _HEADINGS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "off (mm)")
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from acquisition.text_file import read_text
-from calibration.errors import InputError
-from gui.toml_file import tables_of
-from gui.which_rig import is_virtual
+from gui.shell.toml_file import tables_of
+from gui.shell.which_rig import is_virtual
+from storage.errors import InputError
 
 Pair = tuple[float, float]
 

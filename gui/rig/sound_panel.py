@@ -21,7 +21,7 @@ from PyQt5.QtWidgets import (
 from gui.rig.hands import Hands
 from gui.rig.level_meter import LevelMeter
 from gui.rig.sweep_plots import SweepSpectrumPlot, WaveformPlot
-from gui.theme import LIGHT, Theme
+from gui.shell.theme import LIGHT, Theme
 
 _SHORTEST_S, _LONGEST_S, _USUAL_S = 0.05, 10.0, 0.5
 _HIGHEST_HZ = 4999.0

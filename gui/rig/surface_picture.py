@@ -9,8 +9,8 @@ import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent
 
-from acquisition.grid import stadium_rim
-from gui.theme import LIGHT, Theme, dress_axes
+from acquisition.schedule.grid import stadium_rim
+from gui.shell.theme import LIGHT, Theme, dress_axes
 
 Pair = tuple[float, float]
 

@@ -9,10 +9,6 @@ from PyQt5.QtCore import QUrl
 from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtWidgets import QAction, QApplication, QHBoxLayout, QPushButton, QTabWidget, QVBoxLayout
 
-from calibration.errors import InputError
-from gui.actions import make_action
-from gui.desk import Desk
-from gui.path_field import PathField
 from gui.rig.calibration import Calibration
 from gui.rig.calibration_page import CalibrationPage
 from gui.rig.examination import Examination
@@ -20,10 +16,14 @@ from gui.rig.examination_page import ExaminationPage
 from gui.rig.hand_page import HandPage
 from gui.rig.hands import Hands
 from gui.rig.rig_file import RigFile, line_of, read_rig_file
-from gui.tab import Question, Tab
-from gui.theme import Theme
-from gui.toml_file import TomlKind, toml_kind
-from gui.which_rig import rig_of_run
+from gui.shell.actions import make_action
+from gui.shell.desk import Desk
+from gui.shell.path_field import PathField
+from gui.shell.tab import Question, Tab
+from gui.shell.theme import Theme
+from gui.shell.toml_file import TomlKind, toml_kind
+from gui.shell.which_rig import rig_of_run
+from storage.errors import InputError
 
 
 class RigTab(Tab):

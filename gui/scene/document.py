@@ -11,15 +11,15 @@ from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QUndoStack
 
 from acquisition.text_file import read_text
-from calibration.durable import replacement
-from calibration.errors import InputError
-from gui.front_door import FrontDoor
 from gui.scene.draft import OutputDraft, SceneDraft, SourceDraft
 from gui.scene.history import Stand, Step
 from gui.scene.toml_text import draft_of, scene_toml
+from gui.shell.front_door import FrontDoor
+from storage.errors import InputError
+from storage.output_files import replacement
 
 if TYPE_CHECKING:
-    from rendering.scene import Scene
+    from rendering.scene.model import Scene
 
 # Changes are told on at most this often: a drag makes more of them than can be seen.
 COALESCED_MS = 30
@@ -60,6 +60,7 @@ class SceneDocument(QObject):
         self.chosen = -1
         self.path: Path | None = None
         self.bank: Path | None = None
+        self.allow_large = False
         self._came_unsaved = False
         self.steps = QUndoStack(self)
         self.steps.setUndoLimit(MOST_STEPS)
@@ -104,7 +105,13 @@ class SceneDocument(QObject):
         if not self.draft.sources:
             return _refuse_empty
         folder = self.path.parent if self.path else None
-        return partial(_read, self._front.read_scene, self.draft, folder, self.place)
+        return partial(_read, self._front.read_scene, self.draft, folder, self.place, self.allow_large)
+
+    def allow(self, allow_large: bool) -> None:
+        """Let the scene be larger than the limits of the command line, or not."""
+        if allow_large != self.allow_large:
+            self.allow_large = allow_large
+            self.changed.emit()
 
     def edit(self, words: str, draft: SceneDraft, *, chosen: int | None = None, gesture: str = "") -> None:
         """Change the scene in a step that can be undone.
@@ -225,9 +232,9 @@ class SceneDocument(QObject):
             self._soon.start()
 
 
-def _read(read: Callable[[str, Path], Scene], draft: SceneDraft, folder: Path | None, place: Path) -> Scene:
+def _read(read: Callable[..., Scene], draft: SceneDraft, folder: Path | None, place: Path, allow_large: bool) -> Scene:
     try:
-        return read(scene_toml(draft, folder), place)
+        return read(scene_toml(draft, folder), place, allow_large)
     except InputError as error:
         raise InputError(str(error).removeprefix(f"{place}: ")) from None
 

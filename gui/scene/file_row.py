@@ -7,8 +7,8 @@ from pathlib import Path
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QHBoxLayout, QLineEdit, QSizePolicy, QToolButton, QWidget
 
-from gui.chosen_files import choose_file
-from gui.memory import Memory
+from gui.shell.chosen_files import choose_file
+from gui.shell.memory import Memory
 
 
 class FileRow(QWidget):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import sys
@@ -11,11 +12,12 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QWidget
 
-from calibration.errors import WavefocusError
-from gui.chosen_files import choose_place
-from gui.desk import Desk
 from gui.scene.document import SceneDocument
-from gui.tab import Question
+from gui.shell.chosen_files import choose_place
+from gui.shell.desk import Desk
+from gui.shell.tab import Question
+from storage.errors import WavefocusError
+from storage.output_files import new_file
 
 _KEPT_AFTER_MS = 1000
 _TEXT, _PLACE, _OWNER = "scene/unsaved", "scene/unsaved_file", "scene/unsaved_by"
@@ -168,8 +170,10 @@ class SceneFiles(QObject):
         """Keep a file that people wrote beside the first one saved over it: comments are not taken over."""
         if not self._others_text or not path.is_file() or b"#" not in path.read_bytes():
             return ""
-        aside = path.with_name(f"{path.name}~")
-        shutil.copy2(path, aside)
+        names = (path.with_name(f"{path.name}~{count or ''}") for count in itertools.count())
+        aside = next(name for name in names if not os.path.lexists(name))
+        with new_file(aside) as temporary:
+            shutil.copy2(path, temporary)
         return f"; the file as it was, with its comments, is {aside.name}"
 
     def _drop(self, close: Then) -> None:

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from calibration.errors import WavefocusError
-from gui.background import Background
-from gui.desk import Desk
+from gui.process.background import Background
 from gui.scene.document import SceneDocument
 from gui.scene.draft import SceneDraft
-from gui.scene.ground import Ground, bare_ground, ground_of
-from gui.scene.trace import Trace, Tracer
+from gui.scene.surface.ground import Ground, bare_ground, ground_of
+from gui.scene.surface.trace import Trace, Tracer
+from gui.shell.desk import Desk
+from storage.errors import WavefocusError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,10 +92,10 @@ class Live(QObject):
             return
         self._at_work, self._stale = True, False
         draft, ground, chosen = self._document.draft, self.ground, self._document.chosen
-        read = self._document.reader()
+        read, allow_large = self._document.reader(), self._document.allow_large
 
         def work() -> Drawn:
-            traces = self._tracer.traces(draft, ground)
+            traces = self._tracer.traces(draft, ground, allow_large=allow_large)
             signal = self._tracer.signal(draft.sources[chosen], ground) if chosen >= 0 else ""
             try:
                 read()

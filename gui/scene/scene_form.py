@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from PyQt5.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PyQt5.QtWidgets import QCheckBox, QLabel, QVBoxLayout, QWidget
 
 from gui.scene.document import SceneDocument
 from gui.scene.draft import RegularisationDraft
 from gui.scene.fields import ChoiceField, NumberField
 from gui.scene.form import TINY, WIDE, Form
-from gui.scene.keys import OUTPUT_KEYS, REGULARISATION_KEYS, SCENE_KEYS
+from gui.scene.surface.keys import OUTPUT_KEYS, REGULARISATION_KEYS, SCENE_KEYS
 
 _SATURATIONS = (
     ("", "off"),
@@ -38,6 +38,9 @@ class SceneForm(QWidget):
         self.scene = Form(SCENE_KEYS)
         self.regularisation = Form(REGULARISATION_KEYS)
         self.output = Form(OUTPUT_KEYS)
+        self.large = QCheckBox("Allow large scenes (--allow-large)")
+        self.large.setAccessibleName("Allow large scenes")
+        self.large.setToolTip("Render scenes of over an hour, 8 GiB of drives or a million path points, too")
         self.saturates = ChoiceField(
             "Saturation", _SATURATIONS,
             "Holds actuators back that are so near that they would drown the others (eq. 14)",
@@ -58,10 +61,12 @@ class SceneForm(QWidget):
             column.addWidget(heading)
             column.addWidget(form)
             column.addSpacing(6)
+        column.addWidget(self.large)
         column.addStretch(1)
         width = max(label.sizeHint().width() for label in self.output.labels.values())
         for form in (self.scene, self.regularisation, self.output):
             form.align(width)
+        self.large.toggled.connect(document.allow)
         self.scene.edited.connect(lambda key, value: self._edit({key: value}, f"scene {key}"))
         self.regularisation.edited.connect(lambda key, value: self._regularise({key: value}, ""))
         self.output.edited.connect(

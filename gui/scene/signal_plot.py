@@ -6,8 +6,8 @@ import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
 
+from gui.shell.theme import Theme
 from gui.surface.plot import Plot
-from gui.theme import Theme
 
 _LINES = 7
 _FEW = 32
@@ -17,18 +17,17 @@ class SignalPlot(Plot):
     """The chosen source's signal, amplitude included."""
 
     def __init__(self) -> None:
-        super().__init__("Signal of the chosen source", "time (ms)", "")
+        super().__init__("Signal of the chosen source", "time (ms)", "amplitude")
         self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing())
-        self._shown: tuple[NDArray[np.float64] | str, float, str] = ("", 1.0, "")
+        self._shown: tuple[NDArray[np.float64] | str, float] = ("", 1.0)
 
-    def show_signal(self, samples: NDArray[np.float64] | str, sample_rate_hz: float, unit: str) -> None:
+    def show_signal(self, samples: NDArray[np.float64] | str, sample_rate_hz: float) -> None:
         """Show samples, or say why there are none."""
-        if samples is self._shown[0] and (sample_rate_hz, unit) == self._shown[1:]:
+        if samples is self._shown[0] and sample_rate_hz == self._shown[1]:
             return
-        self._shown = samples, sample_rate_hz, unit
+        self._shown = samples, sample_rate_hz
         plot = self.getPlotItem()
         plot.clear()
-        plot.setLabel("left", unit)
         if isinstance(samples, str):
             plot.setTitle(samples[:1].upper() + samples[1:], color=self.theme.faint, size="8pt")
             return
@@ -47,6 +46,6 @@ class SignalPlot(Plot):
     def dress(self, theme: Theme) -> None:
         """Take the theme's colours."""
         super().dress(theme)
-        samples, rate_hz, unit = self._shown
-        self._shown = "", 0.0, ""
-        self.show_signal(samples, rate_hz, unit)
+        samples, rate_hz = self._shown
+        self._shown = "", 0.0
+        self.show_signal(samples, rate_hz)

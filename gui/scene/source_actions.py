@@ -10,15 +10,15 @@ from typing import Any
 from PyQt5.QtCore import QObject, pyqtSignal
 from PyQt5.QtWidgets import QApplication, QWidget
 
-from calibration.errors import WavefocusError
-from gui.chosen_files import choose_file
-from gui.desk import Desk
 from gui.scene.document import SceneDocument
 from gui.scene.draft import FileDraft, PathDraft, SourceDraft, SvgDraft
-from gui.scene.handles import box_of, shifted
 from gui.scene.live import Live
 from gui.scene.source_form import moving
+from gui.scene.surface.handles import box_of, shifted
 from gui.scene.toml_text import source_toml
+from gui.shell.chosen_files import choose_file
+from gui.shell.desk import Desk
+from storage.errors import WavefocusError
 
 # A drawing that is larger than the surface, or too small to be felt, is brought to this share of its width.
 _SHARE = 0.6
@@ -136,7 +136,7 @@ def _fitted(file: Path, size_mm: tuple[float, float], middle_mm: tuple[float, fl
     """A drawing on the surface: in its own scale where that can be."""
     import numpy as np
 
-    from rendering.svg_path import SvgPath
+    from rendering.scene.svg_path import SvgPath
 
     drawing = SvgPath(file)
     points = drawing.point_at(np.linspace(0.0, drawing.length_mm, _LOOKED_AT))

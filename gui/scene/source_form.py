@@ -8,7 +8,6 @@ from typing import Any
 
 from PyQt5.QtWidgets import QFormLayout, QLabel, QVBoxLayout, QWidget
 
-from gui.desk import Desk
 from gui.scene.document import SceneDocument
 from gui.scene.draft import (
     PATHS,
@@ -26,11 +25,12 @@ from gui.scene.draft import (
 from gui.scene.fields import ChoiceField
 from gui.scene.file_row import FileRow
 from gui.scene.form import Form
-from gui.scene.handles import anchor_of, shifted
-from gui.scene.keys import MOTION_KEYS, PATH_KEYS, SIGNAL_KEYS
 from gui.scene.live import Drawn
-from gui.scene.vertices import Vertices
+from gui.scene.surface.handles import anchor_of, shifted
+from gui.scene.surface.keys import MOTION_KEYS, PATH_KEYS, SIGNAL_KEYS
+from gui.scene.surface.vertices import Vertices
 from gui.scene.words import figures_of
+from gui.shell.desk import Desk
 
 _PATH_WORDS = {
     "point": "point, stands still", "line": "line", "circle": "circle or arc", "polyline": "polyline",
@@ -231,7 +231,7 @@ def _first(kinds: tuple[type[Any], ...], kind: str) -> Any:
 
 
 def _path_ids(file: Path) -> tuple[str, ...]:
-    from rendering.svg_path import svg_path_ids
+    from rendering.scene.svg_path import svg_path_ids
 
     return svg_path_ids(file)
 

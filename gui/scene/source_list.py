@@ -16,12 +16,12 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.actions import make_button
 from gui.scene.document import SceneDocument
-from gui.scene.picture import source_colour
-from gui.scene.trace import Trace
+from gui.scene.surface.picture import source_colour
+from gui.scene.surface.trace import Trace
 from gui.scene.words import title_of
-from gui.theme import LIGHT, Theme
+from gui.shell.actions import make_button
+from gui.shell.theme import LIGHT, Theme
 
 _LINES = 4
 _SWATCH = 12

@@ -17,10 +17,6 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.actions import make_action, make_button
-from gui.desk import Desk
-from gui.divided import side_by_side, stacked
-from gui.path_field import PathField
 from gui.scene.document import SceneDocument
 from gui.scene.draft import SourceDraft, TextDraft
 from gui.scene.files import SceneFiles
@@ -30,10 +26,14 @@ from gui.scene.scene_form import SceneForm
 from gui.scene.source_actions import SourceActions
 from gui.scene.source_form import SourceForm
 from gui.scene.source_list import SourceList
-from gui.scene.surface_panel import SurfacePanel
-from gui.tab import Question, Tab
-from gui.theme import Theme
-from gui.toml_file import TomlKind, toml_kind
+from gui.scene.surface.surface_panel import SurfacePanel
+from gui.shell.actions import make_action, make_button
+from gui.shell.desk import Desk
+from gui.shell.divided import side_by_side, stacked
+from gui.shell.path_field import PathField
+from gui.shell.tab import Question, Tab
+from gui.shell.theme import Theme
+from gui.shell.toml_file import TomlKind, toml_kind
 
 
 class SceneTab(Tab):

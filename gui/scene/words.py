@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gui.scene.draft import PolylineDraft, SourceDraft, TextDraft
 from gui.scene.live import Drawn
-from gui.scene.trace import Trace
+from gui.scene.surface.trace import Trace
 
 
 def name_of(source: SourceDraft) -> str:

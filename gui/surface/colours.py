@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyqtgraph
 
-from gui.theme import Theme
+from gui.shell.theme import Theme
 
 # Blue and orange differ for every kind of colour vision, and in brightness from the middle on. On a dark window the
 # middle is dark: what is at rest must not be what shines.

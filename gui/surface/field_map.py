@@ -9,11 +9,11 @@ from PyQt5.QtCore import QRectF, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPainterPath, QResizeEvent
 from PyQt5.QtWidgets import QGraphicsPathItem
 
+from gui.shell.theme import LIGHT, Theme, dress_axes
 from gui.surface.colours import magnitude_map, signed_map
 from gui.surface.ground import Float64Array, Ground, actuator_triangles
 from gui.surface.signs import cross_path, ring_path, sign_of
 from gui.surface.walking import STEPS, next_position
-from gui.theme import LIGHT, Theme, dress_axes
 
 Real = NDArray[np.float32] | NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from PyQt5.QtCore import QPointF, QRectF, Qt
 from PyQt5.QtGui import QColor, QIcon, QPainter, QPen, QPixmap, QPolygonF
 
-from gui.theme import Theme
+from gui.shell.theme import Theme
 
 _SIDE = 64
 

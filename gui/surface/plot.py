@@ -7,7 +7,7 @@ import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtCore import Qt
 
-from gui.theme import LIGHT, Theme, dress_axes
+from gui.shell.theme import LIGHT, Theme, dress_axes
 
 Real = NDArray[np.float32] | NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class Plot(pyqtgraph.PlotWidget):
     def line(self, x: Real, y: Real, colour: str, width: float = 1.0, name: str | None = None) -> None:
         """Draw a line, thinned to what can be seen without losing a peak; `name` for the legend."""
         x, y = thinned(x, y)
-        self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width), name=name)
+        self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width), name=name, antialias=True)
 
     def mark_band(self, low_hz: float, high_hz: float) -> None:
         """Draw the ends of a band, dashed."""
@@ -67,15 +67,18 @@ class Plot(pyqtgraph.PlotWidget):
 
 
 def thinned(x: Real, y: Real) -> tuple[Real, Real]:
-    """Smallest and largest value of each column of pixels; the line looks the same and draws quickly."""
+    """Smallest and largest value of each column of pixels, each where it is; the line looks the same and draws quickly.
+
+    In the order of x: in any other, a smooth slope would get a ripple.
+    """
     step = len(y) // MOST_COLUMNS
     if step < 2:
         return x, y
     used = len(y) // step * step
     blocks = y[:used].reshape(-1, step)
-    both = np.asarray(np.stack([blocks.min(axis=1), blocks.max(axis=1)], axis=1).reshape(-1), np.float64)
-    twice = np.asarray(np.repeat(x[:used:step], 2), np.float64)
-    return twice, both
+    ends = np.sort(np.stack([blocks.argmin(axis=1), blocks.argmax(axis=1)], axis=1), axis=1)
+    kept = np.append((ends + np.arange(0, used, step)[:, None]).ravel(), np.arange(used, len(y)))
+    return x[kept], y[kept]
 
 
 def thinning_curve() -> pyqtgraph.PlotDataItem:
@@ -83,7 +86,9 @@ def thinning_curve() -> pyqtgraph.PlotDataItem:
 
     To be kept in its plot and filled anew: taken out, it asks a view that it has no longer.
     """
-    return pyqtgraph.PlotDataItem(autoDownsample=True, downsampleMethod="peak", clipToView=True, skipFiniteCheck=True)
+    return pyqtgraph.PlotDataItem(
+        autoDownsample=True, downsampleMethod="peak", clipToView=True, skipFiniteCheck=True, antialias=True
+    )
 
 
 def whole_ticks(count: int, most: int = 12) -> list[tuple[float, str]]:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.grid import stadium_rim
-from gui.which_rig import is_virtual
+from acquisition.schedule.grid import stadium_rim
+from gui.shell.which_rig import is_virtual
 
 if TYPE_CHECKING:
-    from calibration.bank import Bank
     from gui.surface.raster import Raster
+    from storage.bank.reading import Bank
 
 _OUTLINE_POINTS = 181
 

@@ -21,8 +21,8 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
+from gui.shell.theme import LIGHT, Theme
 from gui.surface.player_icons import player_icon
-from gui.theme import LIGHT, Theme
 
 FRAME_EVERY_MS = 50
 # How many times slower than life; waves of some hundred hertz can be followed with the eyes from about 1000 on.

@@ -18,11 +18,11 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.progress import Badge
-from gui.theme import LIGHT, Theme
+from gui.shell.progress import Badge
+from gui.shell.theme import LIGHT, Theme
 from gui.verification.results import Results
-from rendering.number_words import number, precise
-from rendering.verification_reading import RecordedFigure, VerificationRecord
+from rendering.report.number_words import number, precise
+from rendering.verify.reading import RecordedFigure, VerificationRecord
 
 _COLUMNS = (
     ("Figure", "What it is stands in each line's tooltip"),

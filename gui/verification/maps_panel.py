@@ -6,12 +6,12 @@ import numpy as np
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from gui.shell.theme import Theme
 from gui.surface.colour_bar import ColourBar
 from gui.surface.colours import symmetric_levels
 from gui.surface.field_map import FieldMap
 from gui.surface.time_slider import TimeSlider
 from gui.surface.units import shown_unit
-from gui.theme import Theme
 from gui.verification.results import Results
 
 # A few positions at nodes have huge relative errors; they must not make all others look alike.

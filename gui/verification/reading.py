@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from gui.background import Background
+from gui.process.background import Background
 from gui.verification.results import Results, read_results
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QSpinBox, QWidget
 
-from calibration.errors import InputError
-from gui.desk import Desk
-from gui.path_field import PathField
-from gui.which_rig import names_virtual_rig
+from gui.shell.desk import Desk
+from gui.shell.path_field import PathField
+from gui.shell.which_rig import names_virtual_rig
+from rendering.verify.names import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
+from storage.errors import InputError
 
 _CHOICES = (
     ("all", "all positions", "Every position of the bank"),
@@ -75,11 +78,14 @@ class RequestForm(QWidget):
         self.rows.setToolTip("Bank rows from 0: single or as ranges, 3,5-9")
         self.rows.setPlaceholderText("0-99,120")
         self.choice = QWidget()
+        self.large = QCheckBox("large")
+        self.large.setAccessibleName("Allow large scenes")
+        self.large.setToolTip("Allow scenes of over an hour, 8 GiB of drives or a million path points (--allow-large)")
         row = QHBoxLayout(self.choice)
         row.setContentsMargins(0, 0, 0, 0)
         label = QLabel("&Positions")
         label.setBuddy(self.positions)
-        for part in (label, self.positions, self.step, self.rows):
+        for part in (label, self.positions, self.step, self.rows, self.large):
             row.addWidget(part)
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
@@ -120,7 +126,7 @@ class RequestForm(QWidget):
         return "" if not words else f"choose {', and '.join(words)}"
 
     def request(self) -> Request:
-        """The command of what is chosen.
+        """The command of what is chosen; a folder that holds results is left, and one with a number is made.
 
         Raises
         ------
@@ -133,8 +139,11 @@ class RequestForm(QWidget):
         assert scene is not None
         assert bank is not None
         assert out is not None
+        out = unused_folder(out)
         rig = "virtual" if self.virtual.isChecked() else str(self.rig.path)
         arguments = ["verify", str(scene), "--bank", str(bank), "--rig", rig, "--out", str(out), "--json"]
+        if self.large.isChecked():
+            arguments.append("--allow-large")
         if positions := self._positions(bank):
             arguments += ["--positions", positions]
         return Request(tuple(arguments), out, names_virtual_rig(rig))
@@ -202,3 +211,20 @@ class RequestForm(QWidget):
             for label in labels:
                 if label is not None:
                     label.setMinimumWidth(widest)
+
+
+def unused_folder(folder: Path) -> Path:
+    """The folder, or the first of ``NAME-2``, ``NAME-3``, ... where it holds results of a verification."""
+    if not _holds_results(folder):
+        return folder
+    stem, _, number = folder.name.rpartition("-")
+    first = folder.with_name(stem) if stem and number.isdecimal() else folder
+    if first != folder and not first.is_dir():
+        first = folder
+    numbered = (first.with_name(f"{first.name}-{count}") for count in itertools.count(2))
+    return next(one for one in numbered if not _holds_results(one))
+
+
+def _holds_results(folder: Path) -> bool:
+    names = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, *PICTURE_NAMES)
+    return any(os.path.lexists(folder / name) for name in names) or (os.path.lexists(folder) and not folder.is_dir())

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.errors import InputError
-from rendering.verification_names import FIELD_NAMES, PREDICTION_NAME, RECORD_NAME, REPORT_NAME, SCAN_NAME
+from rendering.verify.names import FIELD_NAMES, PREDICTION_NAME, RECORD_NAME, REPORT_NAME, SCAN_NAME
+from storage.errors import InputError
 
 if TYPE_CHECKING:
     from gui.surface.ground import Ground
-    from rendering.field_pair import FieldPair
-    from rendering.verification_reading import VerificationRecord
+    from rendering.verify.field_pair import FieldPair
+    from rendering.verify.reading import VerificationRecord
 
 # So many instants tell how loud a field is where no focus instants are known.
 _INSTANTS = 64
@@ -59,8 +59,8 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
         Nobody wants it any more.
     """
     from gui.surface.ground import ground_of
-    from rendering.field_pair import read_pair  # scipy is loaded by whoever looks at a field
-    from rendering.verification_reading import read_record
+    from rendering.verify.field_pair import read_pair  # scipy is loaded by whoever looks at a field
+    from rendering.verify.reading import read_record
 
     record = read_record(record_file)
     folder = record.folder

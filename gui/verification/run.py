@@ -8,12 +8,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from gui.desk import Desk, sentence_of
-from gui.log_tail import LogTail
-from gui.own_run import OwnRun
-from gui.tab import Question
+from gui.process.log_tail import LogTail
+from gui.process.own_run import OwnRun
+from gui.shell.desk import Desk, sentence_of
+from gui.shell.tab import Question
 from gui.verification.request import Request
-from rendering.verification_names import FIELD_NAMES, LOG_NAME, RECORD_NAME, STOP_NAME
+from rendering.verify.names import LOG_NAME, RECORD_NAME, STOP_NAME
 
 _NOT_GOOD_ENOUGH, _STOPPED = 1, 130
 _SAID_NAME = "verify.said"
@@ -80,17 +80,9 @@ class VerificationRun:
         return self.progress is not None
 
     def start(self, request: Request) -> None:
-        """Start it, unless one is running; files that are no verification's are not overwritten without a word."""
+        """Start it, unless one is running."""
         if self.running:
             self._desk.messages.warn("a verification is still running; cancel it first, or wait for its end")
-            return
-        strange = _strange_files(request.out)
-        if strange:
-            self._desk.messages.ask(
-                f"{request.out} holds {strange}, which is of no verification and would be overwritten",
-                ("Overwrite", lambda: self._start(request)),
-                ("Leave it", lambda: None),
-            )
             return
         self._start(request)
 
@@ -246,10 +238,3 @@ class VerificationRun:
             messages.fault(reason or (own.ending() if own is not None else "") or "the verification ended")
         if self._closes is not None:
             self._closes()
-
-
-def _strange_files(out: Path) -> str:
-    """A file that a verification would overwrite, where there was none before; empty when nothing is lost."""
-    if any((out / name).exists() for name in (RECORD_NAME, LOG_NAME)):
-        return ""
-    return next((name for name in FIELD_NAMES if (out / name).exists()), "")

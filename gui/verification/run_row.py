@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 from PyQt5.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QWidget
 
-from gui.actions import make_action, make_button
-from gui.progress import Badge, finish_words, put
-from gui.theme import LIGHT, Theme
+from gui.shell.actions import make_action, make_button
+from gui.shell.progress import Badge, finish_words, put
+from gui.shell.theme import LIGHT, Theme
 from gui.verification.run import Progress
 
 # The steps' names in the log, and what people read.

@@ -8,13 +8,12 @@ from PyQt5.QtCore import Qt, QUrl
 from PyQt5.QtGui import QDesktopServices, QDragEnterEvent, QDropEvent
 from PyQt5.QtWidgets import QAction, QApplication, QLabel, QStackedWidget, QVBoxLayout
 
-from calibration.errors import InputError
-from gui.background import Background
-from gui.chosen_files import choose_file, dropped_files
-from gui.desk import Desk, sentence_of
-from gui.divided import side_by_side, stacked
-from gui.tab import Question, Tab
-from gui.theme import Theme
+from gui.process.background import Background
+from gui.shell.chosen_files import choose_file, dropped_files
+from gui.shell.desk import Desk, sentence_of
+from gui.shell.divided import side_by_side, stacked
+from gui.shell.tab import Question, Tab
+from gui.shell.theme import Theme
 from gui.verification.dropped import Dropped, kind_of
 from gui.verification.figures_panel import FiguresPanel
 from gui.verification.maps_panel import MapsPanel
@@ -24,7 +23,8 @@ from gui.verification.results import Results, record_of
 from gui.verification.run import VerificationRun
 from gui.verification.run_row import RunRow
 from gui.verification.waveform_panel import WaveformPanel
-from rendering.verification_names import REPORT_NAME
+from rendering.verify.names import REPORT_NAME
+from storage.errors import InputError
 
 _HINT = (
     "Choose a scene, a bank, a rig and a folder, and press Verify: the scene is played and scanned, and compared with "
@@ -170,6 +170,7 @@ class VerificationTab(Tab):
         except InputError as wrong:
             self.desk.messages.warn(sentence_of(wrong))
             return
+        self.form.out.show_path(request.out)
         self.desk.claim_instruments(self, "Verify", lambda: self.run.start(request), virtual=request.is_virtual)
 
     def _folder_chosen(self, folder: Path) -> None:

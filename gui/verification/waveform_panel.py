@@ -9,9 +9,9 @@ import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QGraphicsItem, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from gui.shell.theme import Theme
 from gui.surface.plot import Plot, thinned
 from gui.surface.units import shown_unit
-from gui.theme import Theme
 from gui.verification.results import Results
 
 

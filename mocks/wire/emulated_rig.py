@@ -8,12 +8,12 @@ from pathlib import Path
 from types import TracebackType
 
 from mocks.settings import VirtualSettings
+from mocks.wire.audio.jack_server import JackServer
 from mocks.wire.bench import WireBench
 from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.jack_server import JackServer
-from mocks.wire.mirror_devices import mirror_device
-from mocks.wire.motion import MirrorMotion
-from mocks.wire.ni_server import NiServer
+from mocks.wire.mirrors.mirror_devices import mirror_device
+from mocks.wire.mirrors.motion import MirrorMotion
+from mocks.wire.ni.ni_server import NiServer
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import PtyWire, TcpWire, Wire
 from mocks.wire.vibrometer_device import PolytecDevice
@@ -34,7 +34,7 @@ class Wiring:
     mirror_port : str
         Path of a link to make, or ``socket://HOST:PORT`` (port 0: any).
     mirror_full_scale_mrad : float, optional
-        Of ``mirrorcle-mti`` alone.
+        Optical angle at full deflection, as of `mirror_device`.
     ni_product, ni_device, ni_address : str
         Model of the NI box, its name, and HOST:PORT of its gRPC Device Server.
     reference_input, response_input : str

@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 KINDS = {
-    "mirror": ("silent", "late", "truncated", "garbled", "stalled", "refused", "unplugged", "impostor"),
+    "mirror": ("silent", "late", "truncated", "garbled", "stalled", "refused", "unplugged", "impostor", "restarted"),
     "vibrometer": ("silent", "late", "truncated", "garbled", "stalled", "refused", "unplugged", "impostor"),
     "recorder": (
         "overwritten",
@@ -25,6 +25,8 @@ KINDS = {
         "missing_reference",
         "over_range",
         "warning",
+        "internal",
+        "exhausted",
     ),
     "player": ("underflow", "lost", "frozen"),
     "usb": ("no_permission", "no_backend", "unplugged"),

@@ -71,7 +71,8 @@ class SerialFarSide:
     Faults: *silent*: the command is lost on its way. *late*: the answer comes `seconds` late. *truncated*: half of
     the answer comes, without an end. *garbled*: see `garble`. *stalled*: from then on nothing is read for `seconds`,
     0 until the next unplugging. *refused*: an error code. *unplugged*: the port vanishes for `seconds`, 0 until
-    :meth:`plug`. *impostor*: another device says who it is.
+    :meth:`plug`. *impostor*: another device says who it is. *restarted*: it is switched off and on in place of
+    obeying; then comes what it sends by itself.
 
     Parameters
     ----------
@@ -193,11 +194,14 @@ class SerialFarSide:
             if not self._before_answer(fault):
                 return
             if fault.kind == "refused":
-                answer = self._device.refusal(command).encode()
+                answer = self._device.refusal(command).encode("latin-1")
+            elif fault.kind == "restarted":
+                self._device.restart()
+                answer = getattr(self._device, "banner", str)().encode("latin-1")
             elif fault.kind == "impostor" and operation == "identify":
-                answer = self._device.impostor(command).encode()
+                answer = self._device.impostor(command).encode("latin-1")
         if answer is None:
-            answer = self._device.answer(command).encode()
+            answer = self._device.answer(command).encode("latin-1")
         for fault in due:
             answer = self._spoilt(answer, fault)
         if answer and self._plugged:

@@ -1,4 +1,11 @@
-"""A Polytec OFV-5000 behind its RS-232 interface; sources stand in the driver's module."""
+"""A Polytec OFV-5000 behind its RS-232 interface.
+
+Where the replies come from: the PLACE laboratory package's driver, made after Polytec's "RS-232 Interface Commands:
+OFV-5000 User Manual" (``Get,Controller,0,Name``, ``Get,VeloDec,n,Name``, ``Range``, ``SignalDelay``), and two further
+public programs (``Get,SignalLevel,0,Value``, echo of commands, ``Set,Interface,0,Echo,Off``).
+
+Not confirmed by a source: ``Not Available`` for a decoder that is not installed; whether values come with a comma.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +19,8 @@ class PolytecDevice:
         The measurement range that is set.
     signal_delay : str
         What the decoder says of its delay.
-    signal_level : int
-        Strength of the reflected light, 0 to 775.
+    signal_level : int or str
+        Strength of the reflected light, 0 to 775, or how the controller writes it.
     decoder : int
         Number of the decoder; the others are not installed.
     echo : bool
@@ -31,7 +38,7 @@ class PolytecDevice:
         range_text: str = "125mm/s/V",
         *,
         signal_delay: str = "8.16 us",
-        signal_level: int = 600,
+        signal_level: int | str = 600,
         decoder: int = 1,
         echo: bool = True,
         name: str = "OFV-5000",

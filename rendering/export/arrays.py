@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from calibration.durable import replacement
-from calibration.errors import InputError
 from rendering.export.bank_rows import BankRows, OnProgress
+from storage.errors import InputError
+from storage.output_files import replacement
 
 MOST_MAT_BYTES = 2**31 - 2**20
 """A variable of a MATLAB file of level 5 ends here."""

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import Bank
-from calibration.errors import InputError
-from rendering.green_source import usable
+from rendering.greens.source import usable
+from storage.bank.reading import Bank
+from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]

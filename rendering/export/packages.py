@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
-from calibration.errors import InputError
+from storage.errors import InputError
 
 
 def needed(package: str, format_name: str) -> ModuleType:
@@ -19,6 +19,4 @@ def needed(package: str, format_name: str) -> ModuleType:
     try:
         return importlib.import_module(package)
     except ImportError as error:
-        raise InputError(
-            f"--to {format_name} needs the package {package} ({error}): pip install 'wavefocus[export]'"
-        ) from None
+        raise InputError(f"--to {format_name} needs the package {package} ({error}): pip install {package}") from None

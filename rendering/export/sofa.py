@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.durable import replacement
 from rendering.export.bank_rows import BankRows, OnProgress
 from rendering.export.packages import needed
+from storage.errors import InputError
+from storage.output_files import replacement, require_room
 
 CONVENTION = "GeneralFIR-E"
+_METADATA_BYTES = 1 << 18
 
 
 def write_sofa(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
@@ -57,11 +59,12 @@ def write_sofa(path: Path, rows: BankRows, on_progress: OnProgress | None = None
     with replacement(path) as temporary:
         # The package writes to names that end in .sofa alone.
         named = temporary.with_name(temporary.name + ".sofa")
+        require_room(temporary, sofa.Data_IR.nbytes + _METADATA_BYTES)
         try:
             sofar.write_sofa(str(named), sofa)
-            named.replace(temporary)
-        finally:
-            named.unlink(missing_ok=True)
+        except RuntimeError as error:  # what its HDF5 says
+            raise InputError(f"{path} cannot be written ({error})") from error
+        named.replace(temporary)
 
 
 def _metres(

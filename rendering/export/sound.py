@@ -10,14 +10,16 @@ from typing import Any, Literal
 import numpy as np
 import soundfile
 
-from calibration.durable import replacement
-from calibration.errors import InputError
 from rendering.export.bank_rows import BankRows, OnProgress
+from rendering.wav.wav_stream import sound_failures
+from storage.errors import InputError
+from storage.output_files import require_room, staged_folder
 
 MOST_CHANNELS = 1024
 """More than that is not a sound file for the library that writes them."""
 
 Per = Literal["position", "actuator"]
+TABLE_NAME = "bank.json"
 
 
 def write_sounds(folder: Path, rows: BankRows, per: Per, on_progress: OnProgress | None = None) -> Path:
@@ -59,22 +61,7 @@ def write_sounds(folder: Path, rows: BankRows, per: Per, on_progress: OnProgress
         raise InputError(f"{folder}: a WAV file has a whole rate, the bank has {bank.sample_rate_hz:.12g} Hz; use npz")
     if not rows.known.all():
         raise InputError(f"{folder}: sound files hold no NaN; leave missing positions out")
-    folder.mkdir(parents=True, exist_ok=True)
     scale = _scale(rows)
-    files: list[dict[str, Any]] = []
-    if per == "position":
-        width = len(str(bank.positions - 1))
-        for row, green in rows.each(on_progress):
-            name = f"position-{row:0{width}d}.wav"
-            _write(folder / name, green.T / scale, rate_hz)
-            files.append({"file": name, "position": row, "position_mm": bank.position_mm[row].tolist()})
-    else:
-        green = rows.green(np.float32, on_progress)
-        width = len(str(bank.actuators - 1))
-        for actuator in range(bank.actuators):
-            name = f"actuator-{actuator:0{width}d}.wav"
-            _write(folder / name, green[:, actuator].T / scale, rate_hz)
-            files.append({"file": name, "actuator": actuator, "actuator_mm": _known(bank.actuator_mm[actuator])})
     facts = {
         "format": "wavefocus-wav-export",
         "scale": scale,
@@ -85,12 +72,31 @@ def write_sounds(folder: Path, rows: BankRows, per: Per, on_progress: OnProgress
         "position_mm": rows.position_mm.tolist(),
         "status": rows.status.tolist(),
         "actuator_mm": [_known(one) for one in bank.actuator_mm],
-        "files": files,
     }
-    told = folder / "bank.json"
-    with replacement(told) as temporary:
-        temporary.write_text(json.dumps(facts, indent=1), encoding="utf-8")
-    return told
+    with staged_folder(folder, TABLE_NAME) as staged:
+        require_room(staged / TABLE_NAME, 4 * len(rows.row) * bank.actuators * bank.taps)
+        files: list[dict[str, Any]] = []
+        names = sound_names(rows, per)
+        if per == "position":
+            for name, (row, green) in zip(names, rows.each(on_progress), strict=True):
+                _write(staged / name, green.T / scale, rate_hz)
+                files.append({"file": name, "position": row, "position_mm": bank.position_mm[row].tolist()})
+        else:
+            green = rows.green(np.float32, on_progress)
+            for actuator, name in enumerate(names):
+                _write(staged / name, green[:, actuator].T / scale, rate_hz)
+                files.append({"file": name, "actuator": actuator, "actuator_mm": _known(bank.actuator_mm[actuator])})
+        (staged / TABLE_NAME).write_text(json.dumps({**facts, "files": files}, indent=1), encoding="utf-8")
+    return folder / TABLE_NAME
+
+
+def sound_names(rows: BankRows, per: Per) -> list[str]:
+    """Names of the sound files, in their order."""
+    if per == "position":
+        width = len(str(rows.bank.positions - 1))
+        return [f"position-{row:0{width}d}.wav" for row in rows.row.tolist()]
+    width = len(str(rows.bank.actuators - 1))
+    return [f"actuator-{actuator:0{width}d}.wav" for actuator in range(rows.bank.actuators)]
 
 
 def _scale(rows: BankRows) -> float:
@@ -100,8 +106,8 @@ def _scale(rows: BankRows) -> float:
 
 
 def _write(path: Path, samples: Any, rate_hz: int) -> None:
-    with replacement(path) as temporary:
-        soundfile.write(temporary, samples.astype(np.float32), rate_hz, subtype="FLOAT", format="WAV")
+    with sound_failures(path):
+        soundfile.write(path, samples.astype(np.float32), rate_hz, subtype="FLOAT", format="WAV")
 
 
 def _known(place_mm: Any) -> list[float] | None:

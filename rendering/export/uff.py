@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from calibration.durable import replacement
-from calibration.errors import InputError
 from rendering.export.bank_rows import BankRows, OnProgress
 from rendering.export.packages import needed
+from storage.errors import InputError
+from storage.output_files import replacement
 
 TIME_RESPONSE, NORMAL, TIME, VELOCITY = 1, 3, 17, 11
 UNITS_SI = 1

@@ -8,16 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.green_source import DOUBTFUL_BITS, GreenSource, read_row, usable
-from rendering.interpolation import Follow, Nodes, OffGridError, near, show_mm
+from calibration.neighbours.wave_fit import fit_waves
+from calibration.neighbours.wave_model import WaveModel
+from rendering.greens.interpolation import Follow, Nodes, OffGridError, near, show_mm
+from rendering.greens.snapping import PositionGrid
+from rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_row, usable
 from rendering.kernel.kernel_rows import KernelRows
 from rendering.kernel.neighbourhoods import Neighbourhoods, Patch, SparseError
 from rendering.kernel.path_nodes import PathNodes, node_spacing_mm
 from rendering.kernel.row_values import RowValues
-from rendering.kernel.wave_fit import fit_waves
-from rendering.kernel.wave_model import WaveModel
-from rendering.paths import Path
-from rendering.snapping import PositionGrid
+from rendering.scene.paths import Path
 from rendering.threads import one_blas_thread
 
 Float64Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ PATH_ERROR = 1e-3
 
 
 class KernelInterpolation:
-    """Kernel ridge regression from a position and its 36 neighbours (`rendering.kernel.wave_model`).
+    """Kernel ridge regression from a position and its 36 neighbours (`calibration.neighbours.wave_model`).
 
     The Green's functions of a moving source are interpolated twice: by the kernel to nodes along its path,
     from there by cubics in arc length, at an error of 1e-3 at the highest frequency. Rows that were not

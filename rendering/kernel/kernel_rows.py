@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 from scipy.interpolate import CubicSpline
 
-from acquisition.point_status import Status
-from rendering.green_source import GreenSource, read_row
+from acquisition.quality.point_status import Status
+from calibration.neighbours.wave_model import PatchKernel, WaveModel
+from rendering.greens.source import GreenSource, read_row
 from rendering.kernel.neighbourhoods import Neighbourhoods, Patch
-from rendering.kernel.wave_model import PatchKernel, WaveModel
 from rendering.threads import one_blas_thread
 
 Float64Array = NDArray[np.float64]

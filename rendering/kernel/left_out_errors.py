@@ -5,17 +5,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.interpolation import Nodes
+from calibration.neighbours.wave_model import PatchKernel
+from rendering.greens.error_bands import ErrorBands
+from rendering.greens.interpolation import Nodes
 from rendering.kernel.interpolation import KernelInterpolation
-from rendering.kernel.wave_model import PatchKernel
+from rendering.kernel.row_values import RowValues
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
 
+UNRESOLVED = 0.3
+"""Where the kernel misses more than this from a frequency on, in the median, what it finds there is chance."""
+
 
 def left_out_errors(
-    kernel: KernelInterpolation, points_mm: Float64Array, nodes: Nodes | None = None
-) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+    kernel: KernelInterpolation, points_mm: Float64Array, nodes: Nodes | None = None, values: RowValues | None = None
+) -> ErrorBands:
     """Estimate relative errors at points.
 
     Each point's nearest position is left out of its patch and predicted from the others, in closed form. What
@@ -32,16 +37,18 @@ def left_out_errors(
         Where.
     nodes : Nodes, optional
         Rows and weights of another interpolation at the points, which is judged instead.
+    values : RowValues, optional
+        Rows at the frequencies that are judged; those of the kernel by default.
 
     Returns
     -------
-    frequency_hz, median, worst, power : float64 arrays, shape (bands,)
-        Centres of bands, median and worst error over the points, mean power of the rows.
+    ErrorBands
     """
+    row_values = kernel.values if values is None else values
     anchors, _ = kernel.neighbourhoods.nearest(points_mm)
-    frequency_hz = kernel.values.frequency_hz
+    frequency_hz = row_values.frequency_hz
     waves, bands = kernel.waves.at(frequency_hz), len(frequency_hz)
-    errors = np.empty((bands, len(points_mm)))
+    unsure, found_energy, apart, taken_energy, strength = (np.zeros((bands, len(points_mm))) for _ in range(5))
     power = np.zeros(bands)
     kernels: dict[bytes, PatchKernel] = {}
     for anchor in np.unique(anchors).tolist():
@@ -49,22 +56,38 @@ def left_out_errors(
         if patch.key not in kernels:
             kernels[patch.key] = PatchKernel(waves, patch.offset_mm)
         regression = kernels[patch.key]
-        values = kernel.values.of(patch.rows)
+        here = row_values.of(patch.rows)
         chosen = np.flatnonzero(anchors == anchor)
         offset_mm = points_mm[chosen] - kernel.neighbourhoods.position_of(anchor)
-        missed = _energy(np.einsum("fn,fna->fa", regression.left_out, values))
-        strength = missed / regression.left_out_variance
-        found = regression.weights(offset_mm) @ values
-        wrong = strength[:, None] * regression.variance(offset_mm)
+        missed = _energy(np.einsum("fn,fna->fa", regression.left_out, here))
+        found = regression.weights(offset_mm) @ here
+        unsure[:, chosen] = (missed / regression.left_out_variance)[:, None] * regression.variance(offset_mm)
+        found_energy[:, chosen] = taken_energy[:, chosen] = _energy(found)
+        strength[:, chosen] = _energy(here[:, 0])[:, None]
         if nodes is not None:
             weights = nodes.weights[chosen]
             rows = np.where(weights != 0, nodes.rows[chosen], anchor)
-            other = kernel.values.of(rows.ravel()).reshape(bands, *rows.shape, -1)
-            wrong = wrong + _energy(np.einsum("pn,fpna->fpa", weights, other) - found)
-        there = _energy(found)
-        errors[:, chosen] = np.sqrt(np.divide(wrong, there, out=np.ones_like(wrong), where=there > 0))
-        power += _energy(values[:, 0])
-    return frequency_hz, np.median(errors, axis=1), errors.max(axis=1), power
+            other = row_values.of(rows.ravel()).reshape(bands, *rows.shape, -1)
+            taken = np.einsum("pn,fpna->fpa", weights, other)
+            apart[:, chosen] = _energy(taken - found)
+            taken_energy[:, chosen] = _energy(taken)
+        power += strength[:, chosen[0]]
+    there = found_energy + unsure
+    by_kernel, errors = _ratio(unsure, there), _ratio(unsure + apart, there)
+    unresolved = _first_unresolved(np.median(by_kernel, axis=1))
+    by_kernel[unresolved:] = _ratio(strength + found_energy, strength)[unresolved:]
+    errors[unresolved:] = _ratio(strength + taken_energy, strength)[unresolved:]
+    return ErrorBands(frequency_hz, np.median(errors, axis=1), errors.max(axis=1), power, np.median(by_kernel, axis=1))
+
+
+def _ratio(wrong: Float64Array, there: Float64Array) -> Float64Array:
+    return np.asarray(np.sqrt(np.divide(wrong, there, out=np.ones_like(wrong), where=there > 0)))
+
+
+def _first_unresolved(by_kernel: Float64Array) -> int:
+    """The first band from which on the positions are too far apart for the waves: what is found there is chance."""
+    bad = (band for band in range(len(by_kernel)) if by_kernel[band] > UNRESOLVED)
+    return next((band for band in bad if np.median(by_kernel[band:]) > UNRESOLVED), len(by_kernel))
 
 
 def _energy(values: Complex128Array) -> Float64Array:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calibration.errors import InputError
-from rendering.snapping import PositionGrid
+from rendering.greens.snapping import PositionGrid
+from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.paths import Circle, Path
+from rendering.scene.paths import Circle, Path
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.errors import InputError
-from rendering.green_source import GreenSource, read_row
+from rendering.greens.source import GreenSource, read_row
+from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]

@@ -17,16 +17,16 @@ import pytest
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Clock, Mirror, Player, Recorder
 from mocks.wire.emulated_rig import EmulatedRig
-from mocks.wire.mirror_devices import mirror_device
-from mocks.wire.motion import MirrorMotion
+from mocks.wire.mirrors.mirror_devices import mirror_device
+from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import TcpWire
 from tests.wire.emulated import free_port, rig_text
 from wavefocus.commands.emulate import wiring_of
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.instruments import Openers, openers
-from wavefocus.virtual_bench import virtual_settings
+from wavefocus.rig.instruments import Openers, openers
+from wavefocus.rig.virtual_bench import virtual_settings
 
 Taken = TypeVar("Taken")
 

@@ -11,6 +11,7 @@ from drivers.protocols import Mirror
 def test_given_a_mirror_then_it_has_the_role_and_a_name(bench):
     assert isinstance(bench.instruments.mirror, Mirror)
     assert bench.instruments.mirror.identify().strip()
+    assert bench.instruments.mirror.identity.product.strip()
 
 
 def test_given_a_direction_within_reach_then_the_beam_settles_in_time(bench):

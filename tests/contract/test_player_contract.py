@@ -40,6 +40,7 @@ def test_given_a_player_then_it_has_the_role_a_name_and_its_limits(bench):
     player = bench.instruments.player
     assert isinstance(player, Player)
     assert player.identify().strip()
+    assert player.identity.product.strip()
     assert player.channels > bench.loopback_channel
     assert player.full_scale_v > 0
 

@@ -18,6 +18,7 @@ def ask(bench, samples=2000, range_v=None):
 def test_given_a_recorder_then_it_has_the_role_and_a_name(bench):
     assert isinstance(bench.instruments.recorder, Recorder)
     assert bench.instruments.recorder.identify().strip()
+    assert bench.instruments.recorder.identity.product.strip()
 
 
 @pytest.mark.parametrize("samples", [1, 1999, 2000])

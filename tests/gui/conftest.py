@@ -19,10 +19,10 @@ from PyQt5.QtWidgets import QApplication
 from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
-from gui.application import require_fonts
 from gui.campaign.tab import CampaignTab
-from gui.memory import Memory
-from gui.window import Window
+from gui.shell.application import require_fonts
+from gui.shell.memory import Memory
+from gui.shell.window import Window
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
 
@@ -106,6 +106,7 @@ def open_window(qtbot: QtBot, memory: Memory) -> Generator[Callable[..., Window]
         opened.append(window)
         for path in files:
             window.open_file(path)
+        window.resize(1280, 800)  # whatever the platform thinks of its screen
         window.show()
         return window
 

@@ -20,14 +20,14 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from acquisition.point_status import STATUS_WORDS
-from calibration.bank import open_bank
+from acquisition.quality.point_status import STATUS_WORDS
 from gui.campaign import statuses
 from gui.campaign.surface_map import SurfaceMap
 from gui.campaign.tab import CampaignTab
-from gui.memory import Memory
-from gui.theme import DARK
-from gui.window import Window
+from gui.shell.memory import Memory
+from gui.shell.theme import DARK
+from gui.shell.window import Window
+from storage.bank.reading import open_bank
 from tests.gui.conftest import campaign_of, wait, write_lab
 
 LEFT = Qt.MouseButton.LeftButton

@@ -12,8 +12,8 @@ import pytest
 from PyQt5.QtCore import QTimer
 from pytestqt.qtbot import QtBot
 
-from calibration.errors import InputError
-from gui.window import Window
+from gui.shell.window import Window
+from storage.errors import InputError
 from tests.gui.conftest import campaign_of, wait
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="about X servers and fontconfig")

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.events import State
-from calibration.bank_owner import Owner
+from acquisition.engine.events import State
 from gui.campaign.event_words import Weight
 from gui.campaign.figures import per_position
 from gui.campaign.follower import Life, Records
 from gui.campaign.model import KEPT_LINES, Campaign
 from gui.campaign.standing import Extra, Order, Standing, possible
-from gui.front_door import Pulse
-from gui.log_tail import LogTail
+from gui.process.log_tail import LogTail
+from gui.shell.front_door import Pulse
 from gui.surface.raster import raster_of
+from storage.bank.owner import Owner
 
 
 def test_given_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path: Path) -> None:

@@ -13,11 +13,11 @@ from PyQt5.QtCore import QPoint, QPointF, Qt
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from calibration.mirror_map import MirrorMap
+from calibration.rig.mirror_map import MirrorMap
 from gui.rig.remedies import Finding
 from gui.rig.rig_file import line_of
 from gui.rig.tab import RigTab
-from gui.window import Window
+from gui.shell.window import Window
 from tests.gui.conftest import SOON_MS, write_lab
 
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))
@@ -183,7 +183,7 @@ def test_given_a_wizard_that_is_cancelled_then_nothing_is_written_and_the_instru
     tab.pages.setCurrentWidget(page)
     page.start.marks.setCurrentIndex(1)
     click(qtbot, window, page.start.start)
-    until(qtbot, window, lambda: "Mark 1 of 4" in page.question.text())
+    until(qtbot, window, lambda: "Mark 1 of 5" in page.question.text())
     tab.examine()
     assert "being calibrated; wait for its end, or cancel it" in window.messages.sentence
     click(qtbot, window, page.cancel)
@@ -309,3 +309,21 @@ def _ended(pid: int) -> bool:
         return os.waitpid(pid, os.WNOHANG)[0] == pid
     except ChildProcessError:
         return True
+
+
+def test_given_marks_that_are_accepted_without_moving_the_beam_then_no_map_can_be_written(
+    qtbot: QtBot, open_window: Callable[..., Window], rig: Path
+) -> None:
+    window = open_window(rig)
+    tab, page, calibration = tab_of(window), tab_of(window).calibration_page, tab_of(window).calibration
+    tab.pages.setCurrentWidget(page)
+    click(qtbot, window, page.start.start)
+    for number in range(1, 8):
+        until(qtbot, window, lambda number=number: f"Mark {number} of 7" in page.question.text())
+        click(qtbot, window, page.yes)
+    until(qtbot, window, page.residuals.isVisible)
+    assert not page.yes.isEnabled()
+    assert "0.00" not in page.question.text()
+    assert "moved at 0 of 7 marks" in page.note.text()
+    click(qtbot, window, page.cancel)
+    until(qtbot, window, lambda: not calibration.running)

@@ -15,16 +15,16 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QPlainTextEdit
 from pytestqt.qtbot import QtBot
 
-from calibration.bank_owner import bank_owner
 from gui.campaign.tab import CampaignTab
-from gui.window import Window
+from gui.shell.window import Window
+from storage.bank.owner import bank_owner
 from tests.gui.conftest import campaign_of, wait, write_lab
 from wavefocus.__main__ import run
-from wavefocus.heartbeat import read_heartbeat
+from wavefocus.campaign.heartbeat import read_heartbeat
 
 HOLDER = """
 import sys
-from calibration.bank_writer import BankWriter
+from storage.bank.writer import BankWriter
 with BankWriter.open(sys.argv[1]):
     print("mine", flush=True)
     sys.stdin.read()
@@ -162,8 +162,8 @@ def test_given_a_run_file_then_the_dry_run_tells_positions_and_hours(
 ) -> None:
     window = open_window(write_lab(tmp_path / "lab", 4, 3))
     press(qtbot, campaign_of(window), "plan")
-    wait(qtbot, lambda: "positions 12" in window.messages.sentence)
-    assert "finishes" in window.messages.sentence
+    wait(qtbot, lambda: "12 positions" in window.messages.sentence)
+    assert "finished" in window.messages.sentence
     answer(qtbot, window, "Everything")
     assert "within all limits" in campaign_of(window).findChild(QPlainTextEdit).toPlainText()
 

@@ -8,9 +8,6 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.bank import open_bank
-from calibration.drive_file import read_drive
-from calibration.errors import InputError
 from gui.scene.results.calculator import Calculator, SupersededError
 from gui.scene.results.drives import emission_s, render_while_edited
 from gui.scene.results.instants import between
@@ -25,12 +22,15 @@ from gui.scene.results.messages import (
     Request,
     Told,
 )
-from rendering.coil_limits import DriveLimits
-from rendering.drive import render_with_report
-from rendering.field import predict
-from rendering.paths import Line, Point
-from rendering.scene import Scene, Source
-from rendering.signals import Impulse, Noise, Sine
+from rendering.drive.coil_limits import DriveLimits
+from rendering.drive.rendering import render_with_report
+from rendering.field.model import predict
+from rendering.scene.model import Scene, Source
+from rendering.scene.paths import Line, Point
+from rendering.scene.signals import Impulse, Noise, Sine
+from storage.bank.reading import open_bank
+from storage.drive_file import read_drive
+from storage.errors import InputError
 from tests.gui.conftest import RIG
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door

@@ -15,9 +15,6 @@ from PyQt5.QtGui import QMouseEvent
 from PyQt5.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFileDialog, QLineEdit
 from pytestqt.qtbot import QtBot
 
-from calibration.errors import InputError
-from gui.memory import Memory
-from gui.scene.canvas import SceneCanvas
 from gui.scene.document import NEW_SCENE, SceneDocument
 from gui.scene.draft import (
     CircleDraft,
@@ -36,14 +33,17 @@ from gui.scene.draft import (
     SvgDraft,
     TextDraft,
 )
-from gui.scene.handles import handles_of, shifted, with_handle_at
+from gui.scene.surface.canvas import SceneCanvas
+from gui.scene.surface.handles import handles_of, shifted, with_handle_at
 from gui.scene.tab import SceneTab
 from gui.scene.toml_text import draft_of, scene_toml
-from gui.window import Window
-from rendering import paths, signals
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.svg_path import SvgPath
-from rendering.text_path import TextPath
+from gui.shell.memory import Memory
+from gui.shell.window import Window
+from rendering.scene import paths, signals
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.svg_path import SvgPath
+from rendering.scene.text_path import TextPath
+from storage.errors import InputError
 from tests.gui.conftest import wait
 from tests.gui.test_details import click, drag, pixel
 from wavefocus.commands.gui import front_door

@@ -14,16 +14,16 @@ from PyQt5.QtGui import QColor, QDragEnterEvent
 from PyQt5.QtWidgets import QCheckBox, QStyle, QStyleOptionButton
 from pytestqt.qtbot import QtBot
 
-from calibration.bank_creation import create_bank
-from calibration.bank_layout import BankHeader
 from gui.rig.tab import RigTab
 from gui.scene.draft import LineDraft, SceneDraft, SineDraft, SourceDraft
 from gui.scene.results.rig_play import IDLE
 from gui.scene.tab import SceneTab
-from gui.theme import DARK, LIGHT, Theme, palette_of
-from gui.tick_style import TickStyle
+from gui.shell.theme import DARK, LIGHT, Theme, palette_of
+from gui.shell.tick_style import TickStyle
+from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
-from gui.window import Window
+from storage.bank.creation import create_bank
+from storage.bank.layout import BankHeader
 from tests.gui.conftest import campaign_of, wait, write_lab
 from tests.gui.test_run import HOLDER, answer, press
 from tests.system.test_startup import loaded_by
@@ -51,9 +51,9 @@ import os
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 from pathlib import Path
 from PyQt5.QtCore import QSettings
-from gui.application import make_application
-from gui.memory import Memory
-from gui.window import Window
+from gui.shell.application import make_application
+from gui.shell.memory import Memory
+from gui.shell.window import Window
 from wavefocus.commands.gui import front_door
 application = make_application()
 window = Window(front_door(), Memory(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
@@ -225,8 +225,13 @@ def test_given_files_of_every_kind_then_the_window_lets_each_be_dropped(
 def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Path) -> None:
     loaded = loaded_by(OPEN_WINDOW, tmp_path)
     assert "gui.verification.tab" in loaded
-    assert not loaded & {"scipy", "h5py", "matplotlib", "pydantic", "soundfile", "mocks", "acquisition.engine"}
-    assert not loaded & {"rendering.prediction", "rendering.drive", "rendering.scene", "gui.scene.results.worker"}
+    assert not loaded & {"scipy", "h5py", "matplotlib", "pydantic", "soundfile", "mocks", "acquisition.engine.campaign"}
+    assert not loaded & {
+        "rendering.field.prediction",
+        "rendering.drive.rendering",
+        "rendering.scene.model",
+        "gui.scene.results.worker",
+    }
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)

@@ -16,8 +16,8 @@ from PyQt5.QtCore import QPointF, Qt
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
+from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
-from gui.window import Window
 from tests.gui.conftest import campaign_of, wait
 from wavefocus.__main__ import run
 
@@ -336,12 +336,14 @@ def test_given_choices_of_positions_then_the_command_says_so_or_a_sentence_what_
     form.virtual.setChecked(True)
     arguments = form.request().arguments
     assert arguments[arguments.index("--rig") + 1] == "virtual"
-    # Files of something else are asked for before they are overwritten.
-    tab.form.out.show_path(lab / "render")
+    # What a folder holds stays: the next one with a number is taken.
     (lab / "render").mkdir()
     (lab / "render" / "drive.h5").write_bytes(b"precious")
-    tab.row.start.trigger()
-    assert "would be overwritten" in window.messages.sentence
-    window.messages.buttons()[1].click()
-    assert not tab.run.running
+    for used, free in (("render", "render-2"), ("verify", "verify-2")):
+        tab.form.out.show_path(lab / used)
+        assert form.request().out == lab / free
+    (lab / "verify-2").mkdir()
+    (lab / "verify-2" / "report.html").write_text("earlier", encoding="utf-8")
+    tab.form.out.show_path(lab / "verify-2")
+    assert form.request().out == lab / "verify-3"
     assert (lab / "render" / "drive.h5").read_bytes() == b"precious"

@@ -12,15 +12,15 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QListView, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
-from acquisition.point_status import not_valid
-from calibration.bank import open_bank
-from calibration.bank_owner import bank_owner
-from gui.memory import Memory
-from gui.path_field import PathField
+from acquisition.quality.point_status import not_valid
 from gui.scene.tab import SceneTab
+from gui.shell.memory import Memory
+from gui.shell.path_field import PathField
+from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
-from gui.window import Window
-from rendering.verification_names import RECORD_NAME
+from rendering.verify.names import RECORD_NAME
+from storage.bank.owner import bank_owner
+from storage.bank.reading import open_bank
 from tests.gui.conftest import campaign_of, wait
 from tests.gui.test_details import click, pixel
 from wavefocus.__main__ import run

@@ -7,9 +7,9 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from calibration.bank_creation import create_bank
+from storage.bank.creation import create_bank
 from wavefocus.__main__ import run
-from wavefocus.blueprint import blueprint_from_files
+from wavefocus.campaign.blueprint import blueprint_from_files
 
 
 def events_of(text: str, kind: str) -> list[dict[str, object]]:

@@ -14,13 +14,13 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.bank import open_bank
-from calibration.bank_check import check_bank
-from calibration.bank_creation import create_bank
-from calibration.bank_header import BankHeader
-from calibration.bank_ledger import PointRecord
-from calibration.bank_owner import owner_path
-from calibration.bank_writer import BankWriter
+from calibration.check.bank import check_bank
+from storage.bank.creation import create_bank
+from storage.bank.header import BankHeader
+from storage.bank.ledger import PointRecord
+from storage.bank.owner import owner_path
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter
 
 ROOT = Path(__file__).parents[2]
 POSITIONS, ACTUATORS, TAPS = 3, 2, 16
@@ -46,8 +46,8 @@ def record_of(position: int, attempt: int = 1) -> PointRecord:
 CAMPAIGNS = """
 import os, sys
 import numpy as np
-from calibration.bank_ledger import PointRecord
-from calibration.bank_writer import BankWriter
+from storage.bank.ledger import PointRecord
+from storage.bank.writer import BankWriter
 
 def green_of(position, attempt):
     return np.random.default_rng([position, attempt]).normal(size=(2, 16)).astype(np.float32)
@@ -130,8 +130,8 @@ def assert_nothing_lost(path: Path, acknowledged: dict[int, int]) -> None:
 # HDF5 on a disk that fails loses what it could not write, or takes the process along: it must not be on the disk.
 MAKE = """
 import resource, sys
-from calibration.bank_creation import create_bank
-from calibration.errors import InputError
+from storage.bank.creation import create_bank
+from storage.errors import InputError
 from tests.system.test_bank_crash import header
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
@@ -14,9 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.bank import open_bank
-from calibration.mirror_map import MirrorMap
+from acquisition.calibration_procedures.marks import default_marks_mm
+from calibration.rig.mirror_map import MirrorMap
 from mocks.chain import output_errors
+from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
 from wavefocus.config.calibration_file import CalibrationRecord
 from wavefocus.config.loading import load_calibration, load_rig
@@ -154,13 +156,57 @@ def test_given_a_person_who_jogs_then_the_map_is_as_good_as_their_eye(rig: Path)
     )
 
 
-def test_given_no_marks_of_their_own_then_seven_good_places_are_offered(rig: Path) -> None:
-    told, people = calibrate(rig, "--only", "mirror", lines=[""] * 7)
-    record = record_of(told)
+@pytest.mark.parametrize("moved", [0, 1, 3])
+def test_given_enter_at_the_marks_then_no_map_is_taken_and_nothing_is_written(rig: Path, moved: int) -> None:
+    lines = ["0 0", ""] + moved * ["0.5 -0.25", ""] + (6 - moved) * [""]
+    told, people = calibrate(rig, "--only", "mirror", lines=lines, code=1)
     assert "mark 7 of 7 at (-100, 0) mm" in people
+    assert (told["file"], told["measured"], len(told["problems"])) == (None, [], 1)
+    assert f"moved at {moved} of 7 marks" in told["problems"][0]
+    assert list(rig.parent.iterdir()) == [rig]
+
+
+def test_given_no_marks_of_their_own_then_seven_good_places_are_offered(rig: Path) -> None:
+    lines = []
+    for x_mm, y_mm in default_marks_mm(250.0, 150.0)[:5]:
+        x_mrad, y_mrad = (float(angle) for angle in TRUE.angles_mrad(x_mm, y_mm))
+        lines += [f"= {x_mrad} {y_mrad}", ""]
+    told, _ = calibrate(rig, "--only", "mirror", lines=[*lines, "", ""])
+    record = record_of(told)
     assert record.mirror is not None
-    # Whoever accepts every place as it is confirms the first guess.
-    np.testing.assert_allclose(record.mirror.map, load_rig(rig).mirror.matrix, atol=1e-9)
+    assert beam_error_mm(record.mirror.map) < 1e-6
+
+
+@pytest.mark.parametrize("angles", [False, True])
+def test_given_four_marks_then_they_are_too_few_to_show_a_wrong_one(rig: Path, angles: bool) -> None:
+    file = marks_file(rig.parent)
+    header, _, *rest = file.read_text(encoding="utf-8").splitlines()
+    rows = [header, *rest[:4]]
+    rows = rows if angles else ["x_mm,y_mm", *(",".join(row.split(",")[:2]) for row in rows[1:])]
+    file.write_text("\n".join(rows), encoding="utf-8")
+    _, people = calibrate(rig, "--only", "mirror", "--fiducials", file, code=2)
+    assert str(file) in people
+
+
+@pytest.mark.may_skip("a terminal of POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="a terminal of POSIX")
+def test_given_keys_pressed_before_a_question_then_they_are_no_answer_to_it(rig: Path) -> None:
+    import pty
+
+    ours, theirs = pty.openpty()
+    os.write(ours, b"\n\n\n")  # in the terminal before the command begins
+    command = [sys.executable, "-m", "wavefocus", "calibrate", str(rig), "--only", "inputs"]
+    with subprocess.Popen(command, stdin=theirs, stderr=subprocess.PIPE, text=True) as process:
+        os.close(theirs)
+        assert process.stderr is not None
+        told = next(line for line in process.stderr if "press Enter" in line)
+        os.write(ours, b"\x04")  # the end of input: the question still waits for its answer
+        rest = process.stderr.read()
+    os.close(ours)
+    assert "both inputs" in told
+    assert "standard input: ended before a cable was plugged" in rest
+    assert process.returncode == 2
+    assert list(rig.parent.iterdir()) == [rig]
 
 
 def test_given_a_mark_that_is_off_then_the_map_is_refused_and_nothing_is_written(rig: Path) -> None:
@@ -325,7 +371,10 @@ def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(
             ("stale_after_days = 90", "stale_after_days = 1e-9"),
             "warning: {file}: inputs measured 0 days ago",
         ),
-        (('device = "virtual recorder', 'device = "other recorder'), "measured on another device (other recorder"),
+        (
+            ('product = "virtual recorder', 'product = "other recorder'),
+            "measured on another device (wavefocus other recorder",
+        ),
     ],
 )
 def test_given_a_calibration_too_old_or_of_another_device_then_capture_warns_and_goes_on(

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from calibration.mirror_map import MirrorMap
+from calibration.rig.mirror_map import MirrorMap
 from tests.system.lines import Lines
 
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))
@@ -101,6 +101,10 @@ def test_given_a_person_who_leaves_the_map_then_nothing_is_written(asked: Lines,
     for _ in range(7):
         asked.hear("ask")
         asked.send(answer="here")
+    judged = asked.hear("ask")
+    assert (judged["what"], judged["rms_mm"], judged["off_mm"]) == ("map", None, [])
+    asked.send(answer="keep")  # no mark was moved
+    assert asked.hear("refused")["sentence"] == judged["problem"]
     assert asked.hear("ask")["what"] == "map"
     asked.send(answer="drop")
     assert asked.hear("done")["problems"] == ["mirror: its map was looked at and left"]

@@ -90,6 +90,35 @@ def test_given_sigkill_at_any_moment_then_resume_ends_byte_identical(lab: Path) 
         assert bank.read_bytes() == reference
 
 
+def test_given_a_bank_deleted_while_it_is_measured_then_exit_3_and_the_rescue_file_ends_byte_identical(
+    lab: Path,
+) -> None:
+    _take_longer(lab)
+    reference = _capture(lab, "reference.h5").read_bytes()
+    bank = lab / "plate.h5"
+    start = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
+    with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            event = json.loads(line)
+            if event["event"] == "progress" and event["done"] == 2:
+                bank.unlink()
+                break
+        rest, told = child.communicate(timeout=60)
+    assert child.returncode == 3, told
+    assert _events(rest)[-1]["state"] == "failed"
+    rescue = lab / "plate.rescue.h5"
+    assert str(rescue) in told
+    assert _wavefocus("resume", rescue) == 0
+    assert rescue.read_bytes() == reference
+
+
+def test_given_hdf5_is_asked_for_locks_then_a_capture_is_as_ever(lab: Path) -> None:
+    environment = {**os.environ, "HDF5_USE_FILE_LOCKING": "TRUE"}
+    command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]
+    assert subprocess.run(command, env=environment, check=False, capture_output=True).returncode == 0
+
+
 def test_given_capture_on_a_finished_bank_then_nothing_changes(lab: Path) -> None:
     bank = _capture(lab)
     before = bank.read_bytes()
@@ -224,7 +253,7 @@ def test_given_a_second_process_then_exit_75_names_the_owner(lab: Path) -> None:
     bank = _capture(lab)
     hold = (
         "import sys, time\n"
-        "from calibration.bank_writer import BankWriter\n"
+        "from storage.bank.writer import BankWriter\n"
         f"with BankWriter.open({str(bank)!r}):\n"
         "    print('mine', flush=True)\n"
         "    sys.stdin.read()\n"

@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.drive_file import Drive, write_drive
-from calibration.errors import InputError
+from storage.drive_file import Drive, write_drive
+from storage.errors import InputError
 from tests.system.raw_script import RATE_HZ, Script, sweep
 from wavefocus.__main__ import run
 from wavefocus.cluster_tasks import field_parts, identity_of
@@ -113,7 +113,7 @@ def test_given_no_dask_then_a_sentence_says_what_to_install(lab: Path) -> None:
     command = [sys.executable, "-c", without, *predict, "--cluster", "local"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.strip().endswith("pip install 'wavefocus[cluster]'")
+    assert done.stderr.strip().endswith("pip install 'dask[distributed]'")
 
 
 def test_given_a_tolerance_then_a_cluster_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:

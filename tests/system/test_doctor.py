@@ -35,7 +35,9 @@ def doctor(rig: Path, *options: str, capsys: pytest.CaptureFixture[str]) -> tupl
     capsys.readouterr()
     code = run(["doctor", str(rig), *options])
     told = capsys.readouterr()
-    return code, json.loads(told.out) if told.out else {}, told.err
+    if "--json" in options:
+        return code, json.loads(told.out), told.err
+    return code, {}, told.out + told.err
 
 
 def written(folder: Path, text: str) -> Path:
@@ -59,7 +61,7 @@ def test_given_a_sound_rig_then_exit_0_and_one_object(tmp_path: Path, capsys: py
     assert {"python", "numpy", "pyserial", "nidaqmx", "sounddevice"} <= set(told["versions"])
 
 
-def test_given_people_then_they_get_a_table_and_nothing_on_standard_output(
+def test_given_people_then_they_get_a_table_on_standard_output(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, told, people = doctor(written(tmp_path, RIG), "--no-play", capsys=capsys)

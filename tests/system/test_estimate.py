@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
@@ -45,3 +47,21 @@ def test_given_a_file_that_is_no_recording_then_exit_2_and_one_line(tmp_path, ca
     assert run(["estimate", str(tmp_path / "a.raw.h5"), "--bank", str(tmp_path / "bank.h5")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "bank.h5").exists()
+
+
+@pytest.mark.parametrize("gain", [0.5, 2.0])
+def test_given_a_reference_of_another_gain_by_another_program_then_the_rows_are_valid_all_the_same(tmp_path, gain):
+    script = replace(SEQUENTIAL, reference_gain=gain, snr_db=60.0)
+    raw, bank = script.write(tmp_path / "a.raw.h5"), tmp_path / "bank.h5"
+    assert run(["estimate", str(raw), "--bank", str(bank)]) == 0
+    with h5py.File(bank) as file:
+        assert file["status"][:].tolist() == [1, 1]
+
+
+def test_given_one_recording_whose_reference_is_fainter_than_the_others_then_its_position_is_poor(tmp_path):
+    raw, bank = replace(SEQUENTIAL, snr_db=60.0).write(tmp_path / "a.raw.h5"), tmp_path / "bank.h5"
+    with h5py.File(raw, "r+") as file:
+        file["reference"][1, 2] = file["reference"][1, 2] * 10 ** (-0.3 / 20)
+    assert run(["estimate", str(raw), "--bank", str(bank)]) == 0
+    with h5py.File(bank) as file:
+        assert file["status"][:].tolist() == [1, 4]

@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from acquisition.expectation import method_of
-from acquisition.measuring import measuring_of
-from acquisition.plan import Plan
-from acquisition.pointing import point_at
-from acquisition.record import take_record
-from acquisition.setup import Setup
-from acquisition.trial import scheduled
-from acquisition.trial_verdict import Band, decibel_of_median, relative
-from calibration.expected_error import Noise, expected_error
+from acquisition.engine.measuring import measuring_of
+from acquisition.engine.pointing import point_at
+from acquisition.engine.record import take_record
+from acquisition.engine.setup import Setup
+from acquisition.schedule.expectation import method_of
+from acquisition.schedule.plan import Plan
+from acquisition.schedule.trial import scheduled
+from acquisition.schedule.trial_verdict import Band, decibel_of_median, relative
+from calibration.estimator.expected_error import Noise, expected_error
 from drivers.protocols import Take
-from wavefocus.blueprint import blueprint_from_files
-from wavefocus.compose import open_setup
+from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.config.rig_emulation import Emulation
-from wavefocus.virtual_bench import virtual_rig
+from wavefocus.rig.compose import open_setup
+from wavefocus.rig.virtual_bench import virtual_rig
 
 POSITIONS = (0, 2, 4)
 ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0], [60.0, -50.0], [-60.0, -50.0]]

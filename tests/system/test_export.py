@@ -132,7 +132,7 @@ def test_given_rows_then_those_alone_are_exported_in_their_order(
         (["bank.uff", "--to", "uff", "--missing", "nan"], "hold no NaN"),
         (["bank.npz", "--to", "npz", "--positions", "2-3"], "nothing to export"),
         (["nowhere/bank.npz", "--to", "npz"], "there is no folder"),
-        (["foreign.h5", "--to", "npz"], "is the bank itself"),
+        (["foreign.h5", "--to", "npz"], "is an input"),
         (["foreign.h5", "--to", "wav"], "is a file"),
         (["bank.doc", "--to", "doc"], "'doc' is not one of"),
     ],
@@ -157,5 +157,5 @@ def test_given_no_package_then_a_sentence_says_what_to_install(
     command = [sys.executable, "-c", without, "export", str(bank), str(tmp_path / "out"), "--to", kind]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.strip().endswith("pip install 'wavefocus[export]'")
+    assert done.stderr.strip().endswith(f"pip install {package}")
     assert "Traceback" not in done.stderr

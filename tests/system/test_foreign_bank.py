@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import xarray
 
 from wavefocus.__main__ import run
 
@@ -111,9 +112,9 @@ def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(
 
 
 def test_given_an_impulse_then_the_predicted_response_at_the_focus_is_its_amplitude(bank: Path) -> None:
-    from calibration.bank import open_bank
-    from rendering.drive import render_with_report
-    from rendering.field import predict
+    from rendering.drive.rendering import render_with_report
+    from rendering.field.model import predict
+    from storage.bank.reading import open_bank
     from wavefocus.config.scene import load_scene
 
     scene = bank.with_name("scene.toml")
@@ -146,3 +147,74 @@ def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(
     assert "foreign.h5" in told[0]
     assert "made by other means" in told[0]
     assert bank.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("green", "drive", "response", "peak"),
+    [("Pa/mV", "mV", "Pa", " mV"), ("1", "1", "1", ""), ("m s-1 V-1", "V", "m s-1", " V")],
+)
+def test_a_bank_of_other_units_then_gives_drives_and_fields_their_units(
+    tmp_path: Path, bank: Path, capsys: pytest.CaptureFixture[str], green: str, drive: str, response: str, peak: str
+) -> None:
+    with h5py.File(bank, "r+") as file:
+        file.attrs.update(response_unit=green, drive_unit=drive)
+    scene, rig = tmp_path / "scene.toml", tmp_path / "rig.toml"
+    scene.write_text(SCENE.format(emission="per_point"), encoding="utf-8")
+    played, field = tmp_path / "drive.h5", tmp_path / "field.h5"
+    assert run(["render", str(scene), "--bank", str(bank), "--out", str(played)]) == 0
+    told = capsys.readouterr()
+    (line,) = [one for one in (told.err + told.out).splitlines() if "largest drive" in one]
+    assert line.endswith(peak) or f"{peak};" in line
+    assert run(["predict", str(played), "--bank", str(bank), "--out", str(field)]) == 0
+    assert "1 1" not in capsys.readouterr().err
+    with h5py.File(played) as file:
+        assert (file.attrs["drive_unit"], file["drive"].attrs["units"]) == (drive, drive)
+    with h5py.File(field) as file:
+        assert file.attrs["response_unit"] == response
+    if drive == "mV":
+        places = "[actuators]\nposition_mm = [[0, 0], [9, 0], [0, 9]]\n"
+        player = '[player]\ndriver = "virtual"\nchannels = [0, 1, 2]\nloopback_channel = 4\n'
+        text = f'[rig]\nname = "virtual"\n{places}{player}'
+        rig.write_text(text, encoding="utf-8")
+        assert run(["play", str(played), "--rig", str(rig)]) == 2
+        assert "is in mV" in capsys.readouterr().err
+
+
+def test_drives_and_fields_opened_by_xarray_then_show_labelled_dimensions_and_units(tmp_path: Path, bank: Path) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE.format(emission="per_point"), encoding="utf-8")
+    played, field = tmp_path / "drive.h5", tmp_path / "field.h5"
+    assert run(["render", str(scene), "--bank", str(bank), "--out", str(played)]) == 0
+    assert run(["predict", str(played), "--bank", str(bank), "--out", str(field)]) == 0
+    with xarray.open_dataset(played, engine="h5netcdf") as found:
+        assert found["drive"].dims == ("actuator", "time_s")
+        assert found["time_s"].attrs["units"] == "s"
+        assert found["time_s"].values[0] == pytest.approx(-(TAPS - 1) / RATE_HZ)
+    with xarray.open_dataset(field, engine="h5netcdf") as found:
+        assert found["field"].dims == ("position", "time_s")
+        assert found["position_index"].dims == ("position",)
+
+
+@pytest.mark.parametrize("name", ["sample_rate_hz", "start_s", "scale", "method", "drive"])
+def test_a_drive_that_was_changed_then_is_refused_and_one_without_checksums_is_named_unverified(
+    tmp_path: Path, bank: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    scene, played = tmp_path / "scene.toml", tmp_path / "drive.h5"
+    scene.write_text(SCENE.format(emission="per_point"), encoding="utf-8")
+    assert run(["render", str(scene), "--bank", str(bank), "--out", str(played)]) == 0
+    with h5py.File(played, "r+") as file:
+        if name == "drive":
+            file["drive"][0, 5] += 1e-9
+        else:
+            file.attrs[name] = "exact " if name == "method" else file.attrs[name] * 1.0000001
+    predict = ["predict", str(played), "--bank", str(bank), "--out", str(tmp_path / "field.h5")]
+    capsys.readouterr()
+    assert run(predict) == 2
+    assert run(["check", str(played)]) == 2
+    with h5py.File(played, "r+") as file:
+        del file.attrs["contents_sha256"], file["time_s"].attrs["sha256"]
+        for one in ("drive", "focus/sample", "focus/position", "focus/source", "actuator"):
+            del file[one].attrs["sha256"]
+    capsys.readouterr()
+    assert run(predict) == (2 if name == "sample_rate_hz" else 0)  # which the bank has otherwise
+    assert "unverified" in capsys.readouterr().err

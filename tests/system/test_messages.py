@@ -13,13 +13,14 @@ from collections.abc import Iterator
 
 import pytest
 
-from acquisition.events import Drift, Fault, SessionEnded, State, StateChanged
-from calibration.errors import InputError
+from acquisition.engine.events import Drift, Fault, SessionEnded, State, StateChanged
+from storage.errors import InputError
 from tests.system.conftest import ACTUATORS
+from wavefocus.__main__ import run
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig_messages import MessagesSection
-from wavefocus.message_check import message_findings
-from wavefocus.messages import AppriseOutbox, Messenger, messenger_for
+from wavefocus.rig.message_check import message_findings
+from wavefocus.rig.messages import AppriseOutbox, Messenger, messenger_for
 
 PASSWORD = "secret-word-7"
 COUNTS = {"not-measured": 0, "valid": 6, "poor": 0}
@@ -148,6 +149,39 @@ def test_given_a_mistake_in_an_address_then_the_message_does_not_show_it(tmp_pat
         messenger_for(tmp_path / "plate.h5", load_rig(tmp_path / "rig.toml").messages)
     assert "messages.url" in str(wrong.value) or "messages.about" in str(wrong.value)
     assert PASSWORD not in str(wrong.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[messages]\nurls = '{0}'",
+        "[messages]\nurls = ['a', '{0}', 3]",
+        "[messages]\nurls = [['{0}']]",
+        "[messages]\nurls = {{ '{0}' = 1 }}",
+        "[messages]\nurl = '{0}'",
+        "[messages]\nabout = '{0}'",
+        "[messages]\nabout = ['{0}']",
+        "[messages]\nsuspended_after_min = '{0}'",
+        "[messages]\n'{0}' = 1",
+        "[messages]\n'json://{0}@host' = 1",
+        "[[messages.urls]]\n'{0}' = '{0}'",
+        "messages = '{0}'",
+        "urls = '{0}'",
+        "[[messages]]\nurls = '{0}'",
+        "[message]\nurls = '{0}'",
+        "[player]\nurls = ['{0}']",
+    ],
+)
+@pytest.mark.parametrize("command", [["doctor"], ["plan"], ["capture", "--bank", "plate.h5"]])
+def test_given_a_password_in_a_mistaken_table_of_messages_then_no_command_shows_it(tmp_path, capsys, text, command):
+    # Without a kind before it, a password looks like any other text.
+    (tmp_path / "rig.toml").write_text(text.format(PASSWORD) + "\n", encoding="utf-8")
+    (tmp_path / "run.toml").write_text('rig = "rig.toml"\n', encoding="utf-8")
+    file = "rig.toml" if command[0] == "doctor" else "run.toml"
+    assert run([command[0], str(tmp_path / file), *command[1:]]) == 2
+    told = "".join(capsys.readouterr())
+    assert "rig.toml: " in told
+    assert PASSWORD not in told
 
 
 def test_given_the_doctor_is_asked_then_each_address_gets_a_message_and_the_one_that_takes_none_is_named(

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import codecs
+import json
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -106,6 +110,77 @@ def test_given_orders_that_cannot_be_then_each_is_one_sentence_and_the_next_is_c
     assert [one["x_mm"] for one in told if one["event"] == "mirror"] == [0, 1, 2, 3, 4]
     assert told[-1]["event"] == "ended"
     assert operated.end() == 0
+
+
+def _piped(rig: Path, text: bytes) -> tuple[list[dict[str, Any]], subprocess.CompletedProcess[bytes]]:
+    """Answers to orders that are all in the pipe before anything is read, and how the command ended."""
+    command = [sys.executable, "-m", "wavefocus", "operate", str(rig)]
+    done = subprocess.run(command, input=text, capture_output=True, timeout=60, check=False)
+    assert b"Traceback" not in done.stderr, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()], done
+
+
+@pytest.mark.parametrize("mark", [b"", codecs.BOM_UTF8, codecs.BOM_UTF8 + b"\n"])
+def test_given_a_mute_as_the_first_line_then_it_mutes_and_the_next_orders_are_carried_out(
+    rig: Path, mark: bytes
+) -> None:
+    text = mark + b'{"order": "mute"}\n{"order": "sweep", "actuator": 0, "duration_s": 0.1}\n{"order": "end"}\n'
+    told, done = _piped(rig, text)
+    kinds = [one["event"] for one in told]
+    assert [one["order"] for one in told if one["event"] == "done"] == ["mute", "sweep", "end"]
+    assert kinds.index("muted") < kinds.index("sweep")
+    assert done.returncode == 0
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        '{"order": "state", "id": 1e400}',
+        '{"order": "state", "id": NaN}',
+        '{"order": "state", "id": [[1]]}',
+        '{"order": "state", "id": ' + 700 * "[" + 700 * "]" + "}",
+        '{"order": "jog", "x_mm": 1e308, "y_mm": -1e308}',
+        '{"order": "jog", "x_mm": 1' + 400 * "0" + ', "y_mm": 0}',
+        '{"order": "jog", "x_mrad": 1e400, "y_mrad": 0}',
+        '{"order": "sweep", "actuator": 0, "level_v": 1e-320}',
+        '{"order": "level", "actuator": 0, "level_v": 5e-324}',
+        '{"order": "sweep", "actuator": 0, "start_hz": 399.9999999999, "stop_hz": 400}',
+        '{"order": "mute", "now": true}',
+        '{"order": "\\ud800"}',
+    ],
+)
+def test_given_an_order_at_the_edge_of_numbers_then_it_is_refused_and_the_next_is_carried_out(
+    rig: Path, order: str
+) -> None:
+    told, done = _piped(rig, order.encode() + b'\n{"order": "sweep", "actuator": 0, "duration_s": 0.1}\n')
+    assert "refused" in [one["event"] for one in told]
+    assert [one["ok"] for one in told if one["event"] == "done"][-1]
+    assert "sweep" in [one["event"] for one in told]
+    assert done.returncode == 0
+
+
+@pytest.mark.may_skip("a shell that closes standard streams")
+@pytest.mark.skipif(os.name != "posix", reason="a shell that closes standard streams")
+def test_given_a_closed_standard_input_then_it_ends_muted_and_parked(rig: Path) -> None:
+    command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "wavefocus", "operate", str(rig)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert json.loads(done.stdout.splitlines()[-1]) == {"event": "ended", "muted": True, "parked": True}
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_given_a_reading_thread_that_fails_then_it_is_acted_on_at_once_and_reported() -> None:
+    code = (
+        "from wavefocus.json_lines import LinesIn, ReadingFailedError\n"
+        "def fail(content): raise KeyError(content['order'])\n"
+        "lines = LinesIn()\n"
+        "lines.start(fail, fails=lambda: print('muted', flush=True))\n"
+        "try: lines.next(30)\n"
+        "except ReadingFailedError as failure: print(type(failure.__cause__).__name__)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], input='{"order": "park"}\n', capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["muted", "KeyError"]
 
 
 def test_given_a_signal_then_it_ends_in_130(operated: Lines) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.drive_file import Drive, write_drive
+from storage.drive_file import Drive, write_drive
 from wavefocus.__main__ import run
 
 RATE_HZ = 10_000.0

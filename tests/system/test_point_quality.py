@@ -122,6 +122,12 @@ def test_given_a_dark_spot_then_the_mirror_moves_aside_and_finds_light(
     assert committed[0]["moved_mm"] == repeated[0]["moved_mm"]
     assert "0.1 mm aside" in told
     assert _status(bank) == [1] * 6
+    with h5py.File(bank, "r") as file:
+        assert file["quality/moved_mm"][...] == pytest.approx([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    assert _wavefocus("status", bank, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["moved_positions"] == "2"
+    assert _wavefocus("check", bank, "--json") == 0
+    assert 2 in [one["position"] for one in json.loads(capsys.readouterr().out)["findings"]]
 
 
 def test_given_one_dropout_then_the_next_try_is_in_place(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -190,13 +196,13 @@ def test_given_a_break_in_a_round_or_in_the_pass_then_resume_ends_byte_identical
 
 def _interrupted(lab: Path, bank: Path, position: int, attempt: int) -> None:
     """A session of the campaign that ends at the first record of an attempt, as a kill there would end it."""
-    from acquisition.engine import Campaign
-    from acquisition.events import Event, PositionStarted
-    from acquisition.stopping import StopRequest
-    from calibration.bank_creation import create_bank
-    from calibration.bank_writer import BankWriter
-    from wavefocus.blueprint import blueprint_from_files
-    from wavefocus.compose import open_setup
+    from acquisition.engine.campaign import Campaign
+    from acquisition.engine.events import Event, PositionStarted
+    from acquisition.engine.stopping import StopRequest
+    from storage.bank.creation import create_bank
+    from storage.bank.writer import BankWriter
+    from wavefocus.campaign.blueprint import blueprint_from_files
+    from wavefocus.rig.compose import open_setup
 
     class KilledError(BaseException):
         """The end of the process."""

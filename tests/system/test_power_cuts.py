@@ -9,15 +9,15 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.bank import open_bank
-from calibration.bank_creation import create_bank
-from calibration.bank_writer import BankWriter
-from calibration.durable import OpenFile
-from calibration.errors import InputError
-from calibration.raw_file import open_raw
-from calibration.raw_header import RawHeader
-from calibration.raw_writer import RawWriter, create_raw
-from calibration.schedule import sequential
+from storage.bank.creation import create_bank
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter
+from storage.durable import OpenFile
+from storage.errors import InputError
+from storage.raw.header import RawHeader
+from storage.raw.reading import open_raw
+from storage.raw.schedule import sequential
+from storage.raw.writer import RawWriter, create_raw
 from tests.system.crash.logged import (
     INODE,
     LoggedFile,

@@ -14,7 +14,7 @@ from mocks.wire.serial_wires import TcpWire
 from mocks.wire.vibrometer_device import PolytecDevice
 from wavefocus.__main__ import run
 from wavefocus.config.rig import RigConfig
-from wavefocus.instruments import openers
+from wavefocus.rig.instruments import openers
 
 RIG = """
 [actuators]

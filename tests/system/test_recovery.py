@@ -78,7 +78,7 @@ def test_given_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_
     assert "mirror" in last
     assert "not back within 10 min 00 s" in last
     assert "check its cable and its power" in last
-    assert last.endswith(f"go on with: wavefocus resume {bank}")
+    assert last.endswith(f"go on with: wavefocus resume {bank} --rig {lab / 'rig.toml'}")
     assert "Traceback" not in told.err
     waits = [one["next_try_s"] for one in events_of(told.out, "reconnect_tried")]
     assert waits[:7] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
@@ -183,8 +183,8 @@ def test_given_status_while_an_instrument_is_waited_for_then_it_says_so_since_wh
     assert facts["recovering"]["tries"] == 1
     assert facts["recovering"]["next_try_s"] == 1.0
     assert facts["recovering"]["gives_up_s"] == 600.0
-    assert "is recovering since" in answers[1].stderr
-    assert "virtual player" in answers[1].stderr
+    assert "is recovering since" in answers[1].stdout
+    assert "virtual player" in answers[1].stdout
 
 
 def test_given_status_before_the_first_try_has_ended_then_it_names_the_instrument(lab: Path) -> None:

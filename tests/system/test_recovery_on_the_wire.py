@@ -8,20 +8,21 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.engine import Campaign
-from acquisition.events import Event, PositionStarted, ReconnectTried, State, StateChanged, Subscriber
-from acquisition.setup import Setup
-from acquisition.stopping import StopRequest
-from calibration.bank_creation import create_bank
-from calibration.bank_writer import BankWriter
-from calibration.mirror_map import MirrorMap
+from acquisition.engine.campaign import Campaign
+from acquisition.engine.events import Event, PositionStarted, ReconnectTried, State, StateChanged, Subscriber
+from acquisition.engine.setup import Setup
+from acquisition.engine.stopping import StopRequest
+from calibration.rig.mirror_map import MirrorMap
 from drivers.clock import WallClock
 from drivers.errors import InstrumentLostError
+from drivers.identity import DeviceIdentity
 from drivers.protocols import Instruments, Mirror
+from storage.bank.creation import create_bank
+from storage.bank.writer import BankWriter
 from tests.wire.serial_bench import MirrorBench, mirror_bench
-from wavefocus.blueprint import blueprint_from_files
+from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.config.run import Virtual
-from wavefocus.virtual_bench import virtual_rig
+from wavefocus.rig.virtual_bench import virtual_rig
 
 
 class TwoMirrors:
@@ -29,6 +30,10 @@ class TwoMirrors:
 
     def __init__(self, wired: Mirror, virtual: Mirror) -> None:
         self._wired, self._virtual = wired, virtual
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        return self._wired.identity
 
     def identify(self) -> str:
         return self._wired.identify()

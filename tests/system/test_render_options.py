@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from calibration.drive_file import read_drive
+from storage.drive_file import read_drive
 from wavefocus.__main__ import run
 
 RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
@@ -58,7 +58,7 @@ def lab(tmp_path: Path) -> Path:
 
 
 def render(lab: Path, *options: str) -> int:
-    place = [str(lab / "scene.toml"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "drive.h5")]
+    place = [str(lab / "scene.toml"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "drive.h5"), "--force"]
     return run(["render", *place, "--json", *options])
 
 
@@ -189,3 +189,46 @@ def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(
     assert run(["movie", "field.h5", "--bank", "bank.h5", *options]) == 2
     assert named in capsys.readouterr().err.splitlines()[-1]
     assert not list(lab.glob("*.gif"))
+
+
+POINT = """
+[[source]]
+amplitude = {amplitude}
+path = {{ kind = "point", at_mm = [4, 8] }}
+signal = {signal}
+
+[regularisation]
+normalise = true
+
+[output]
+{limit}
+"""
+
+
+def write_point(lab: Path, signal: str, amplitude: float, limit: str = "") -> None:
+    text = POINT.format(signal=signal, amplitude=amplitude, limit=limit)
+    (lab / "scene.toml").write_text(text, encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "signal", ['{ kind = "impulse" }', '{ kind = "sine", frequency_hz = 150.0, duration_s = 0.1 }']
+)
+@pytest.mark.parametrize("limit", ["", "limit_v = 1e-4"], ids=["unlimited", "limited"])
+def test_given_a_focus_then_its_reported_peak_is_what_predict_finds_there(
+    lab: Path, capsys: pytest.CaptureFixture[str], signal: str, limit: str
+) -> None:
+    write_point(lab, signal, 0.001, limit)
+    found = figures(lab, capsys)
+    row = 5 * 2 + 1  # (4, 8) mm
+    drive, bank, field = (str(lab / name) for name in ("drive.h5", "bank.h5", "field.h5"))
+    assert run(["predict", drive, "--bank", bank, "--out", field, "--positions", str(row)]) == 0
+    with h5py.File(field) as file:
+        assert found["focus_peak"] == pytest.approx(np.abs(file["field"][:]).max(), rel=1e-5)
+    assert found["response_unit"] == "m/s"
+
+
+def test_given_an_impulse_then_its_amplitude_is_the_response_at_the_focus(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_point(lab, '{ kind = "impulse" }', 0.001)
+    assert figures(lab, capsys)["focus_peak"] == pytest.approx(0.001, rel=1e-9)

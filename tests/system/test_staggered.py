@@ -13,11 +13,11 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.bank import open_bank
+from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
-from wavefocus.blueprint import blueprint_from_bank
-from wavefocus.truth import compare_with_truth
-from wavefocus.virtual_bench import virtual_rig
+from wavefocus.campaign.blueprint import blueprint_from_bank
+from wavefocus.campaign.truth import compare_with_truth
+from wavefocus.rig.virtual_bench import virtual_rig
 
 KEEP = 'excitation = "staggered"\nwhen_staggered_does_not_pay = "keep"'
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from calibration.drive_file import read_drive
+from storage.drive_file import read_drive
 from wavefocus.__main__ import run
 
 SCENE = """

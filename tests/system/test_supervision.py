@@ -18,8 +18,8 @@ import pytest
 from tests.system.conftest import with_faults
 from tests.system.telling import Listener, capture, empty_bank, events_of, states_of
 from wavefocus.__main__ import run
-from wavefocus.event_log import last_events
-from wavefocus.heartbeat import read_heartbeat
+from wavefocus.campaign.event_log import last_events
+from wavefocus.campaign.heartbeat import read_heartbeat
 
 WAVEFOCUS = [sys.executable, "-m", "wavefocus"]
 POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of these signals nor terminals")
@@ -127,7 +127,7 @@ def test_given_an_order_to_a_bank_that_nobody_owns_then_it_says_so(
 
 HOLDER = """
 import sys
-from calibration.bank_writer import BankWriter
+from storage.bank.writer import BankWriter
 with BankWriter.open(sys.argv[1]):
     print("mine", flush=True)
     sys.stdin.read()
@@ -158,7 +158,7 @@ def test_given_a_process_that_does_not_answer_then_the_order_is_withdrawn_and_st
         assert "does not answer" in told
         assert not (lab / "plate.h5.orders").exists()
         assert run(["status", str(bank)]) == 0
-        assert "owns the bank but has been silent for" in capsys.readouterr().err
+        assert "owns the bank but has been silent for" in capsys.readouterr().out
         assert run(["status", str(bank), "--json"]) == 0
         facts = json.loads(capsys.readouterr().out)
     assert facts["silent"] is True
@@ -177,7 +177,7 @@ def test_given_a_campaign_then_its_heartbeat_tells_how_it_ended(lab: Path, capsy
     assert "recording capture of position 2" in beat.fault
     capsys.readouterr()
     assert run(["status", str(bank)]) == 0
-    told = capsys.readouterr().err
+    told = capsys.readouterr().out
     assert "failed: virtual recorder" in told
     assert "no process owns the bank" in told
 
@@ -238,7 +238,7 @@ def test_given_a_driver_that_never_comes_back_then_the_process_ends_with_exit_3_
     last = ended.stderr.splitlines()[-1]
     assert "virtual player: playing: the call did not come back within" in last
     assert "not back within" in last
-    assert last.endswith(f"go on with: wavefocus resume {bank}")
+    assert last.endswith(f"go on with: wavefocus resume {bank} --rig {lab / 'rig.toml'}")
     assert "on the way out: virtual mirror: parking" in ended.stderr  # so it was parked, though it said no
     assert "Traceback" not in ended.stderr
     with h5py.File(bank, "r") as file:

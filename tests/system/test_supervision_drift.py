@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
+from drivers.identity import DeviceIdentity
 from tests.system.conftest import with_faults
 from tests.system.telling import events_of
 from wavefocus.__main__ import run
-from wavefocus.drift_history import read_drift
+from wavefocus.campaign.drift_history import read_drift
 
 DRIFT = "\n[drift]\nevery_positions = 2\n"
 LOUDER = 'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = -6.0\npurpose = "sentinel"'
@@ -84,7 +86,7 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
     with h5py.File(bank, "r") as file:
         assert list(file["status"]) == [1, 1, 0, 0, 0, 0]
     assert run(["status", str(bank)]) == 0
-    assert "--positions 0-1" in capsys.readouterr().err
+    assert "--positions 0-1" in capsys.readouterr().out
     assert run(["status", str(bank), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["suspect_positions"] == "0-1"
     # Accepted on purpose, it is told and goes on.
@@ -117,12 +119,16 @@ rig = "three coils"
 [inputs]
 at = 2026-01-{day:02d}T12:00:00+00:00
 device = "{device}"
+identity = {{ maker = "{maker}", product = "{product}", serial = "{serial}" }}
 inter_channel_delay_s = {delay_s}
 """
 
+VIRTUAL = DeviceIdentity("wavefocus", "virtual recorder")
 
-def _calibrate(lab: Path, name: str, day: int, delay_s: float, device: str = "virtual recorder") -> None:
-    (lab / name).write_text(CALIBRATION.format(day=day, delay_s=delay_s, device=device), encoding="utf-8")
+
+def _calibrate(lab: Path, name: str, day: int, delay_s: float, device: DeviceIdentity = VIRTUAL) -> None:
+    text = CALIBRATION.format(day=day, delay_s=delay_s, device=device, **asdict(device))
+    (lab / name).write_text(text, encoding="utf-8")
     rig = (lab / "rig.toml").read_text(encoding="utf-8").partition("\n[calibration]")[0]
     table = f'\n[calibration]\nfile = "{name}"\nstale_after_days = 100000.0\n'
     (lab / "rig.toml").write_text(rig + table, encoding="utf-8")
@@ -157,7 +163,7 @@ def test_given_a_calibration_of_another_device_then_resume_refuses_it_and_says_h
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bank = lab / "plate.h5"
-    _calibrate(lab, "other.toml", 1, 5e-6, "NI USB-6211, serial number 0123ABCD")
+    _calibrate(lab, "other.toml", 1, 5e-6, DeviceIdentity("NI", "USB-6211", "0123ABCD"))
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"')
     assert _capture(lab, bank) == 3  # an empty bank has no rows of the other device yet: it is only warned of
     assert "inputs measured on another device" in capsys.readouterr().err

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calibration.bank import open_bank
+from storage.bank.reading import open_bank
+from tests.system.telling import Listener, capture
 from wavefocus.__main__ import run
-from wavefocus.blueprint import bank_configuration
+from wavefocus.campaign.blueprint import bank_configuration
+from wavefocus.campaign.orders import give_order, orders_path
+from wavefocus.campaign.truth import compare_with_truth
 from wavefocus.config.run import Virtual
 from wavefocus.console import finish_clock
-from wavefocus.truth import compare_with_truth
-from wavefocus.virtual_bench import virtual_rig
+from wavefocus.rig.virtual_bench import virtual_rig
 
 
 def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(
@@ -33,8 +37,8 @@ def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(
     assert len(facts["plan_sha256"]) == 64
     assert run(["plan", str(lab / "run.toml")]) == 0
     told = capsys.readouterr()
-    assert told.out == ""
-    assert "6, 3 actuators, 18 records" in told.err
+    assert told.err == ""
+    assert "6, 3 actuators, 18 records" in told.out
 
 
 def test_given_a_plan_then_its_bytes_are_those_of_the_bank(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -50,9 +54,10 @@ def test_given_a_bank_then_status_tells_people_how_it_stands(lab: Path, capsys: 
     assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
     capsys.readouterr()
     assert run(["status", str(bank)]) == 0
-    told = capsys.readouterr().err
-    assert "6 of 6 positions measured (6 valid)" in told
-    assert "no process is measuring" in told
+    told = capsys.readouterr()
+    assert told.err == ""
+    assert "6 of 6 positions measured (6 valid)" in told.out
+    assert "no process is measuring" in told.out
 
 
 def test_given_a_log_with_a_torn_line_then_status_still_reads_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,6 +111,62 @@ def test_given_a_measured_bank_then_it_is_near_the_plates_truth(lab: Path) -> No
     assert figures.median_db < -45.0
     # Each pair is as good as its own signal-to-noise ratio promises, up to a few dB.
     assert np.max(figures.error_db + np.minimum(snr_db, 70.0)) < 8.0
+
+
+def test_given_a_short_campaign_then_what_is_left_is_right_from_its_first_position_on(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5"), "--json"]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    end_s = max(event["time_s"] for event in events if event["event"] == "record_taken")
+    position_s = end_s / 6
+    for event in events:
+        if event["event"] == "progress":
+            assert event["remaining_s"] == pytest.approx(end_s - event["time_s"], abs=0.2 * position_s)
+    taken = [event for event in events if event["event"] == "record_taken"]
+    assert [(event["record"], event["records"]) for event in taken] == [(1, 3), (2, 3), (3, 3)] * 6
+    assert [event["position"] for event in taken] == [row for row in range(6) for _ in range(3)]
+
+
+def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = lab / "plate.h5"
+    facts: list[dict[str, object]] = []
+    told: list[str] = []
+
+    def ask() -> None:
+        for options in (["--json"], []):
+            done = subprocess.run(
+                [sys.executable, "-m", "wavefocus", "status", str(bank), *options],
+                capture_output=True, text=True, check=True,
+            )  # fmt: skip
+            facts.extend(map(json.loads, done.stdout.splitlines()) if options else ())
+            told.append(done.stdout + done.stderr)
+        give_order(bank, "go-on")
+
+    def during() -> None:
+        done = subprocess.run(
+            [sys.executable, "-m", "wavefocus", "status", str(bank), "--json"],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        facts.append(json.loads(done.stdout))
+        give_order(bank, "pause")
+        until_s = time.monotonic() + 60
+        while orders_path(bank).exists() and time.monotonic() < until_s:
+            time.sleep(0.01)
+
+    listener = Listener(('"record": 2,', during), ('"state": "paused"', ask))
+    with contextlib.redirect_stdout(listener):
+        assert capture(lab, bank) == 0
+    early, paused = facts
+    assert (early["record"], early["state"]) == ({"position": 0, "number": 2, "of": 3}, "running")
+    assert early["remaining_s"] == pytest.approx(6 * (3 * (2 * 0.4 + 0.12) + 0.05), rel=0.01)  # as planned
+    assert (paused["state"], paused["done"], paused["record"]) == ("paused", 1, {"position": 0, "number": 3, "of": 3})
+    assert float(str(paused["remaining_s"])) > 4 * 3 * 2 * 0.4
+    assert float(str(paused["wall_remaining_s"])) > 0
+    assert "5 positions to go" in told[1]
+    assert "finished at" not in told[1]
 
 
 def test_given_the_written_templates_then_they_plan_the_thirty_hour_campaign(

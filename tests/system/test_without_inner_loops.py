@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.render_workloads import jumping, modal_bank
-from rendering.drive import render_with_report
+from rendering.drive.rendering import render_with_report
 from rendering.inner_loops import VARIABLE
 
 TESTS = Path(__file__).parent.parent
@@ -23,7 +23,7 @@ RENDER = """
 import sys
 import numpy as np
 from benchmarks.render_workloads import jumping, modal_bank
-from rendering.drive import render_with_report
+from rendering.drive.rendering import render_with_report
 from rendering.inner_loops import inner_loops
 assert inner_loops() is None
 load = jumping(modal_bank(20, 1), 20, 300)

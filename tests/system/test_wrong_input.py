@@ -120,7 +120,7 @@ def test_given_a_flipped_byte_then_render_refuses_check_names_it_and_resume_meas
     assert "position 1" in line
     assert bank.read_bytes() == bytes(flipped)
     assert run(["check", str(bank)]) == 1
-    assert "position 1" in capsys.readouterr().err
+    assert "position 1" in capsys.readouterr().out
     assert bank.read_bytes() == bytes(flipped)
     assert run(["resume", str(bank)]) == 0
     assert bank.read_bytes() == sound

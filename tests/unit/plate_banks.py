@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mocks.plates import SOFT_PLATE
-from rendering.green_source import GreenArray
+from rendering.greens.source import GreenArray
 
 RATE_HZ = 2000.0
 TAPS = 256

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import threading
 import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
-from acquisition.events import Fault, PositionStarted, Progress, SessionEnded, SessionStarted, State, StateChanged
-from acquisition.stopping import StopRequest
-from wavefocus.attendance import Attendance
-from wavefocus.heartbeat import Heartbeat, Pulse, heartbeat_path, read_heartbeat, write_heartbeat
-from wavefocus.orders import give_order, orders_path, take_order, withdraw
+from acquisition.engine.events import (
+    Fault,
+    PositionStarted,
+    Progress,
+    SessionEnded,
+    SessionStarted,
+    State,
+    StateChanged,
+)
+from acquisition.engine.stopping import StopRequest
+from wavefocus.campaign.attendance import Attendance
+from wavefocus.campaign.heartbeat import Heartbeat, Pulse, heartbeat_path, read_heartbeat, write_heartbeat
+from wavefocus.campaign.orders import give_order, orders_path, take_order, withdraw
 
 
 def _until(condition, seconds: float = 30.0) -> None:
@@ -127,3 +136,17 @@ def test_given_a_beat_then_every_field_is_plain_json(tmp_path: Path) -> None:
     write_heartbeat(tmp_path / "plate.h5", Pulse().beat())
     content = json.loads(heartbeat_path(tmp_path / "plate.h5").read_text(encoding="utf-8"))
     assert set(content) == {one.name for one in dataclasses.fields(Heartbeat)} | {"finish_at"}
+
+
+def test_given_an_order_laid_while_another_is_taken_then_it_is_not_lost(tmp_path: Path) -> None:
+    bank = tmp_path / "plate.h5"
+    for _ in range(200):
+        taken = []
+        taker = threading.Thread(target=lambda taken=taken: taken.append(take_order(bank)))
+        give_order(bank, "pause")
+        taker.start()
+        last = give_order(bank, "stop")
+        taker.join()
+        taken.append(take_order(bank))
+        assert last in taken
+        assert list(tmp_path.iterdir()) == []

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration.bank import open_bank
-from calibration.bank_creation import create_bank
-from calibration.bank_header import BankHeader
-from calibration.bank_ledger import PointRecord, encode_journal, encode_row, round_to_page
-from calibration.bank_writer import BankWriter
-from calibration.errors import InputError
-from calibration.hdf5_safety import heap_is_sound
+from storage.bank.creation import create_bank
+from storage.bank.header import BankHeader
+from storage.bank.ledger import PointRecord, encode_journal, encode_row, round_to_page
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter
+from storage.errors import InputError
+from storage.hdf5_safety import heap_is_sound
 
 
 def measured(path: Path, positions: int = 3) -> Path:
@@ -213,6 +213,13 @@ def attribute(name: str, value: object) -> Callable[[h5py.File], None]:
     return change
 
 
+def on(dataset: str, name: str, value: object) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        file[dataset].attrs[name] = value
+
+    return change
+
+
 def without(name: str) -> Callable[[h5py.File], None]:
     def change(file: h5py.File) -> None:
         if name in file.attrs:
@@ -246,6 +253,10 @@ def without(name: str) -> Callable[[h5py.File], None]:
         (put("position_mm", np.ones((3, 2))), r"/position_mm has shape \(3, 2\); \(2, 2\) is needed"),
         (put("position_mm", np.array([[0, 0], [0, np.inf]])), "/position_mm is not finite at position 1"),
         (put("actuator_mm", np.ones((2, 3))), r"/actuator_mm has shape \(2, 3\)"),
+        (put("time_s", np.arange(4) / 999.0), "/time_s has .* they must agree"),
+        (put("time_s", np.arange(4) / 10_000.0 - 1e-3), "/time_s has .* they must agree"),
+        (on("green", "scale_factor", "half"), "/green has the scale_factor 'half'"),
+        (on("green", "scale_factor", np.nan), "/green has the scale_factor nan"),
         (put("status", np.array([1, 77])), "/status holds 1 to 77"),
         (put("status", np.array([1.0, 0.0])), "/status holds floats; integers are needed"),
         (put("quality/snr_db", np.ones((3, 3))), r"/quality/snr_db has shape \(3, 3\)"),
@@ -286,3 +297,18 @@ def test_a_compressed_row_that_is_damaged_then_is_refused_in_one_line(tmp_path: 
         with pytest.raises(InputError, match="/green at position 1 is damaged") as refusal:
             bank.green(1)
     assert "\n" not in str(refusal.value)
+
+
+def test_packed_integers_then_are_unpacked_and_missing_ones_not_measured(tmp_path: Path) -> None:
+    stored = np.arange(24, dtype=np.int16).reshape(3, 2, 4)
+    stored[2] = -32768
+    path = foreign(tmp_path / "foreign.h5", stored)
+    with h5py.File(path, "r+") as file:
+        file["green"].attrs.update(scale_factor=0.5, add_offset=-3.0, _FillValue=np.int16(-32768))
+        del file["position_mm"]
+        file["position_mm"] = np.array([[0, 0], [1, 0], [2, 0]], np.int16)
+        file["position_mm"].attrs["scale_factor"] = 4.0
+    with open_bank(path) as bank:
+        assert np.array_equal(bank.green(1), stored[1] * 0.5 - 3.0)
+        assert bank.position_mm[:, 0].tolist() == [0.0, 4.0, 8.0]
+        assert bank.status.tolist() == [1, 1, 0]

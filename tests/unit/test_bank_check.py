@@ -8,12 +8,16 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.bank_check import Finding, check_bank
-from calibration.bank_creation import create_bank
-from calibration.bank_header import BankHeader
-from calibration.bank_ledger import PointRecord
-from calibration.bank_writer import BankWriter
-from calibration.errors import InputError
+from calibration.check.bank import Finding, check_bank
+from storage.bank.creation import create_bank
+from storage.bank.header import BankHeader
+from storage.bank.ledger import PointRecord
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter
+from storage.errors import InputError
+from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
+from tests.unit.plate_banks import TAPS as TAPS_OF_PLATE
+from wavefocus.__main__ import run
 
 POSITIONS, ACTUATORS, TAPS = 6, 3, 200
 
@@ -77,27 +81,25 @@ def test_a_flipped_byte_in_the_ledger_then_is_an_error_at_its_position(tmp_path:
 
 
 @pytest.mark.parametrize("name", ["status", "quality/peak_v", "quality/attempts"])
-def test_a_figure_that_differs_from_the_ledger_then_is_a_warning_and_opening_heals_it(
-    tmp_path: Path, name: str
-) -> None:
+def test_a_figure_that_differs_from_the_ledger_then_is_an_error_and_opening_heals_it(tmp_path: Path, name: str) -> None:
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r") as file:
         dataset = file[name]
         offset = dataset.id.get_offset() + 2 * dataset.id.get_type().get_size() * int(np.prod(dataset.shape[1:]))
     flip(path, offset)
     finding = only(check_bank(path))
-    assert (finding.position, finding.severity) == (2, "warning")
+    assert (finding.position, finding.severity) == (2, "error")
     assert "differ from the ledger" in finding.message
     BankWriter.open(path).close()
     assert check_bank(path) == []
 
 
-def test_a_journal_left_by_a_crash_then_is_a_warning(tmp_path: Path) -> None:
+def test_a_torn_journal_then_is_an_error_and_opening_clears_it(tmp_path: Path) -> None:
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r") as file:
         offset = file["durability/journal"].id.get_offset()
     flip(path, offset + 5000)
-    assert "a replacement was cut off" in only(check_bank(path)).message
+    assert only(check_bank(path)).severity == "error"
     BankWriter.open(path).close()
     assert check_bank(path) == []
 
@@ -164,3 +166,81 @@ def test_a_file_that_is_no_bank_then_is_refused(tmp_path: Path) -> None:
     (tmp_path / "bank.h5").write_text("not a bank")
     with pytest.raises(InputError, match="is not an HDF5 file"):
         check_bank(tmp_path / "bank.h5")
+
+
+@pytest.mark.parametrize("change", ["zeroed", "flipped"])
+def test_a_damaged_ledger_page_then_is_found_by_every_reader_and_measured_again(tmp_path: Path, change: str) -> None:
+    path = measured(tmp_path / "bank.h5", responses())
+    with h5py.File(path, "r") as file:
+        offset = file["durability/ledger"].id.get_offset() + 3 * 4096
+    if change == "zeroed":
+        with path.open("r+b") as raw:
+            raw.seek(offset)
+            raw.write(bytes(4096))
+    else:
+        flip(path, offset + 500)
+    assert {(one.position, one.severity) for one in check_bank(path)} == {(3, "error")}
+    with open_bank(path) as bank:
+        assert np.flatnonzero(bank.broken).tolist() == [3]
+        assert bank.verify() == (3,)
+        bank.require_sound([0, 1, 2])
+        with pytest.raises(InputError, match="position 3 is damaged"):
+            bank.require_sound()
+        with pytest.raises(InputError, match="position 3 is damaged"):
+            bank.green(3)
+    with BankWriter.open(path) as writer:
+        assert writer.status[3] == 0
+
+
+@pytest.mark.parametrize("name", ["position", "actuator", "axis", "time_s", "position_mm", "actuator_mm"])
+def test_a_changed_value_that_no_resume_rewrites_then_is_found(tmp_path: Path, name: str) -> None:
+    path = measured(tmp_path / "bank.h5", responses())
+    with h5py.File(path, "r+") as file:
+        file[name][...] = ["x", "z"] if name == "axis" else 7
+    with pytest.raises(InputError):
+        check_bank(path)
+
+
+def test_a_changed_unit_of_a_dataset_then_is_found(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5", responses())
+    with h5py.File(path, "r+") as file:
+        file["quality/peak_v"].attrs["units"] = "mV"
+    with pytest.raises(InputError, match="checksum of its contents"):
+        check_bank(path)
+
+
+def test_values_at_a_position_that_is_not_measured_then_are_an_error(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5", responses()[:2])
+    with h5py.File(path, "r") as file:
+        offset = file["green"].id.get_chunk_info(4).byte_offset
+    flip(path, offset + 9)
+    finding = only(check_bank(path))
+    assert (finding.position, finding.severity) == (4, "error")
+
+
+def test_a_bank_without_a_checksum_of_its_contents_then_is_read_and_checked_as_before(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5", responses())
+    with h5py.File(path, "r+") as file:
+        del file.attrs["contents_sha256"]
+    assert check_bank(path) == []
+
+
+def test_a_row_that_its_neighbours_contradict_then_is_an_error_that_names_the_difference(tmp_path: Path) -> None:
+    axis_mm = 4.0 * np.arange(-4, 5)
+    grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
+    plate = plate_bank(grid)
+    create_bank(
+        tmp_path / "bank.h5",
+        BankHeader(RATE_HZ, TAPS_OF_PLATE, BAND_HZ, grid, ACTUATOR_MM, "{}", "{}", "ab" * 32, "test"),
+    )
+    figures = np.ones(len(ACTUATOR_MM), np.float32)
+    with BankWriter.open(tmp_path / "bank.h5") as writer:
+        for position in range(len(grid)):
+            row = np.array(plate.green(position), np.float32)
+            if position == 40:
+                row[2] *= -0.5
+            writer.commit(position, row, PointRecord(1, 1, figures, figures, figures, figures))
+    errors = [one for one in check_bank(tmp_path / "bank.h5") if one.severity == "error"]
+    assert [(one.position, one.actuator) for one in errors] == [(40, 2)]
+    assert "polarity" in errors[0].message
+    assert run(["check", str(tmp_path / "bank.h5")]) == 1

@@ -21,14 +21,15 @@ import xarray
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration.bank import open_bank
-from calibration.bank_creation import create_bank
-from calibration.bank_header import BankHeader
-from calibration.bank_ledger import PointRecord
-from calibration.bank_owner import bank_owner, owner_path
-from calibration.bank_writer import BankWriter
-from calibration.durable import PortableFile, PosixFile, open_file
-from calibration.errors import BankBusyError, InputError, WavefocusError
+from calibration.check.bank import check_bank
+from storage.bank.creation import create_bank
+from storage.bank.header import BankHeader
+from storage.bank.ledger import PointRecord
+from storage.bank.owner import bank_owner, owner_path
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter
+from storage.durable import PortableFile, PosixFile, open_file
+from storage.errors import BankBusyError, InputError, WavefocusError
 
 
 def header(positions: int = 4, actuators: int = 2, taps: int = 16) -> BankHeader:
@@ -492,8 +493,8 @@ def test_a_flipped_byte_in_a_row_then_is_to_be_measured_again_and_heals(tmp_path
 HOLD = """
 import sys
 from pathlib import Path
-from calibration import durable
-from calibration.bank_writer import BankWriter
+from storage import durable
+from storage.bank.writer import BankWriter
 kind = durable.PortableFile if sys.argv[2] == "portable" else durable.open_file
 with BankWriter.open(Path(sys.argv[1]), open_file=kind):
     print("open", flush=True)
@@ -532,7 +533,7 @@ def test_two_writers_in_one_process_then_only_the_first_gets_the_bank(tmp_path: 
 # A forked child that outlives its parent, as worker processes may.
 FORK = """
 import os, sys
-from calibration.bank_writer import BankWriter
+from storage.bank.writer import BankWriter
 writer = BankWriter.open(sys.argv[1])
 if os.fork() == 0:
     print("forked", flush=True)
@@ -564,3 +565,43 @@ def test_plain_h5py_during_a_run_then_reads_status_and_quality(tmp_path: Path) -
                 assert np.array_equal(file["green"][position], green_of(position))
             with open_bank(path) as bank:
                 assert np.array_equal(bank.green(position), green_of(position))
+
+
+# --- figures that came later ----------------------------------------------------------------------------
+
+
+def _of_the_first_edition(path: Path) -> Path:
+    """A measured bank without what the first edition did not have."""
+    measured(path)
+    with h5py.File(path, "r+") as file:
+        del file["quality/moved_mm"], file["quality/reference_db"]
+        del file.attrs["layout_later_crc32"], file.attrs["contents_sha256"]
+    return path
+
+
+def test_a_row_measured_aside_then_says_so_and_how_loud_the_reference_was(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    with BankWriter.open(path) as writer:
+        writer.commit(2, green_of(2), replace(record_of(2), moved_mm=0.1414, reference_db=-0.0372))
+        assert writer.reference_before_db(3) == pytest.approx(-0.037)
+        assert writer.reference_before_db(2) is None
+    with h5py.File(path, "r", locking=False) as file, open_bank(path) as bank:
+        for name, value in (("moved_mm", 0.141), ("reference_db", -0.037)):
+            assert file["quality"][name][2] == pytest.approx(value)
+            assert np.isnan(file["quality"][name][[0, 1, 3]]).all()
+            assert np.array_equal(file["quality"][name][...], bank.quality[name], equal_nan=True)
+    BankWriter.open(path).close()
+    assert not [one for one in check_bank(path) if "differ" in one.message]
+
+
+def test_a_bank_of_the_first_edition_then_is_read_checked_and_measured_on(tmp_path: Path) -> None:
+    path = _of_the_first_edition(tmp_path / "bank.h5")
+    with open_bank(path) as bank:
+        assert bank.status.tolist() == [1, 1, 1, 1]
+        assert np.isnan(bank.quality["moved_mm"]).all()
+    with BankWriter.open(path) as writer:
+        writer.commit(1, green_of(1), replace(record_of(1), moved_mm=0.1, reference_db=0.0))
+    with open_bank(path) as bank:
+        assert bank.quality["moved_mm"][1] == pytest.approx(0.1)
+        assert bank.verify() == ()
+    assert not [one for one in check_bank(path) if "differ" in one.message]

@@ -12,12 +12,13 @@ import pytest
 from acquisition.by_hand.gate import GatedPlayer, ShutError
 from acquisition.by_hand.level import LevelMeter
 from acquisition.by_hand.single_sweep import SingleSweeps, SweepOrder
-from acquisition.pointing import point_at
-from acquisition.setup import Setup
-from calibration.errors import InputError
-from calibration.mirror_map import MirrorMap
+from acquisition.engine.pointing import point_at
+from acquisition.engine.setup import Setup
+from calibration.rig.mirror_map import MirrorMap
+from drivers.identity import DeviceIdentity
 from drivers.protocols import Float64Array, Instruments
 from mocks.virtual_rig import VirtualRig, VirtualSettings
+from storage.errors import InputError
 
 RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))
@@ -112,6 +113,7 @@ class SlowPlayer:
     """Converts its signal for as long as somebody lets it, as real ones do."""
 
     channels, full_scale_v = 2, 5.0
+    identity = DeviceIdentity("", "slow player")
 
     def __init__(self) -> None:
         self.converting, self.go_on = threading.Event(), threading.Event()

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import timedelta
 
 import pytest
 
+from acquisition.engine.timeouts import bounded
+from drivers.identity import DeviceIdentity
+from mocks.settings import VirtualSettings
+from mocks.virtual_rig import VirtualRig
 from tests.unit.test_config_calibration import AT, measured
-from wavefocus.calibration_care import calibration_warnings, device_itself
 from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.rig.calibration_care import calibrated_elsewhere, calibration_warnings, identities_of
 
-NAMES = {"mirror": "m", "recorder": "r", "player": "p"}
+THERE = {role: DeviceIdentity("", role[0]) for role in ("mirror", "recorder", "player")}
 
 
 def calibrated(**care: object) -> RigConfig:
@@ -20,60 +25,50 @@ def calibrated(**care: object) -> RigConfig:
 
 
 def test_given_no_calibration_then_there_is_nothing_to_warn_of() -> None:
-    assert calibration_warnings(default_rig(), NAMES) == []
+    assert calibration_warnings(default_rig(), THERE) == []
 
 
 def test_given_a_fresh_calibration_of_the_same_devices_then_there_is_nothing_to_warn_of() -> None:
-    assert calibration_warnings(calibrated(), NAMES, AT + timedelta(days=89)) == []
+    assert calibration_warnings(calibrated(), THERE, AT + timedelta(days=89)) == []
 
 
 def test_given_an_old_one_then_every_part_is_warned_of_with_what_to_do() -> None:
-    told = calibration_warnings(calibrated(stale_after_days=10.0), NAMES, AT + timedelta(days=30))
+    told = calibration_warnings(calibrated(stale_after_days=10.0), THERE, AT + timedelta(days=30))
     assert told[0] == "cal.toml: inputs measured 30 days ago, trusted for 10; run wavefocus calibrate --only inputs"
     assert len(told) == 4
 
 
 def test_given_another_device_then_the_parts_made_with_it_are_warned_of() -> None:
-    told = calibration_warnings(calibrated(), {**NAMES, "player": "other"}, AT)
+    told = calibration_warnings(calibrated(), {**THERE, "player": DeviceIdentity("", "other")}, AT)
     assert [line.split()[1] for line in told] == ["outputs", "actuators"]
     assert "made" not in told[0]
     assert "measured on another device (p); this is other; run wavefocus calibrate --only outputs" in told[0]
 
 
 def test_given_a_device_that_did_not_answer_then_it_is_left_to_others() -> None:
-    assert calibration_warnings(calibrated(), {"mirror": "m"}, AT) == []
+    assert calibration_warnings(calibrated(), {"mirror": THERE["mirror"]}, AT) == []
 
 
-@pytest.mark.parametrize(
-    ("then", "now", "same"),
-    [
-        (
-            "player system, JACK Audio Connection Kit, 21 of 24 channels at 48000 Hz, latency 85 ms, full scale 5 V, "
-            "PortAudio V19.6.0",
-            "player system, JACK Audio Connection Kit, 21 of 24 channels at 48000 Hz, latency 171 ms, "
-            "full scale 4.48 V, PortAudio V19.7.0",
-            True,
-        ),
-        ("player system, JACK", "player Fireface, ASIO", False),
-        (
-            "mirror (asi-tiger at /dev/ttyUSB0): TIGER SCAN_XY, within +-250 mrad",
-            "mirror (asi-tiger at COM7): TIGER SCAN_XY, within +-200 mrad",
-            True,
-        ),
-        (
-            "mirror (asi-tiger at socket://localhost:4001): TIGER A, within +-250 mrad",
-            "mirror (asi-tiger at socket://localhost:4002): TIGER B, within +-250 mrad",
-            False,
-        ),
-        ("recorder Dev1: USB-6211, serial number 01A2B3C4", "recorder Dev1: USB-6211, serial number 01A2B3C5", False),
-        (
-            "virtual player, 21 channels, full scale 5 V, 16 bit",
-            "virtual player, 22 channels, full scale 4 V, 16 bit",
-            True,
-        ),
-    ],
-)
-def test_given_two_names_then_settings_and_the_way_to_a_device_do_not_make_it_another(
-    then: str, now: str, same: bool
-) -> None:
-    assert (device_itself(then) == device_itself(now)) is same
+@pytest.mark.parametrize("field", ["maker", "product", "serial"])
+def test_given_any_field_of_an_identity_that_differs_then_it_is_another_device(field: str) -> None:
+    other = replace(THERE["recorder"], **{field: "x"})
+    assert list(calibrated_elsewhere(calibrated(), {**THERE, "recorder": other})) == ["inputs"]
+
+
+def test_given_a_file_that_names_a_device_only_in_words_then_it_is_not_compared_and_that_is_said() -> None:
+    older = measured().model_dump()
+    del older["inputs"]["identity"]
+    rig = calibrated(measured=older)
+    there = {**THERE, "recorder": DeviceIdentity("", "other")}
+    assert calibrated_elsewhere(rig, there) == {}
+    (told,) = calibration_warnings(rig, there, AT)
+    assert "inputs not comparable: the file names its device only in words" in told
+
+
+def test_given_other_settings_then_the_virtual_devices_stay_the_same() -> None:
+    one, other = VirtualSettings(), VirtualSettings(seed=2, full_scale_v=1.0, largest_range_v=1.0)
+    assert one != other
+    instruments = [VirtualRig(settings).instruments for settings in (one, other)]
+    first, second = (identities_of(each) for each in instruments)
+    assert first == second == identities_of(bounded(instruments[0], 10.0))
+    assert len(set(first.values())) == 3

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import InputError
+from storage.errors import InputError
 from wavefocus.config.calibration_naming import name_calibration
 
 NEW = "calibration-2026-11-21.toml"

@@ -15,12 +15,12 @@ from acquisition.calibration_procedures.mirror import fitted_marks
 from acquisition.calibration_procedures.operator import Here, Jog, JogView
 from acquisition.calibration_procedures.outputs import OutputFigures, OutputsTask, measure_outputs
 from acquisition.calibration_procedures.probe import NotMeasuredError, Probe
-from acquisition.grid import inside_stadium
-from acquisition.setup import Setup
-from calibration.errors import InputError
-from calibration.mirror_map import MirrorMap
+from acquisition.engine.setup import Setup
+from acquisition.schedule.grid import inside_stadium
+from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentLostError
 from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from storage.errors import InputError
 
 RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))
@@ -85,6 +85,31 @@ def test_given_a_cable_forgotten_then_the_person_is_asked_and_the_second_try_cou
     assert measure_inputs(probe, hands).late_s == pytest.approx(5e-6, abs=1e-7)
     assert hands.plugged == ["both", "both"]
     assert "not heard at the response input" in hands.problems[0]
+
+
+@pytest.mark.parametrize("left", ["both", "sum", "output 2"])
+def test_given_another_cable_than_asked_for_then_the_person_is_asked_again(left: str) -> None:
+    rig, _, probe = bench()
+    rig.patch_bay.connect(left)
+    hands = Hands(rig, forgets=("output 0",))
+    found = outputs(probe, hands)
+    assert hands.plugged == ["output 0", "output 0", "output 1", "output 2"]
+    assert len(hands.problems) == 1
+    assert [one.channel for one in found] == [3, 0, 1, 2]
+
+
+@pytest.mark.parametrize("patience", [1, 5])
+def test_given_the_loopback_in_place_of_the_summing_box_then_nothing_is_measured_by_it(patience: int) -> None:
+    rig, _, probe = bench()
+    rig.patch_bay.connect("both")
+    hands = Hands(rig, forgets=("sum",), patience=patience)
+    task = OutputsTask((0, 1, 2), 3, (5.0,) * 4, 1.0, 5e-6, summing_box=True)
+    if patience == 1:
+        with pytest.raises(NotMeasuredError):
+            measure_outputs(task, probe, hands, lambda done, total: None)
+    else:
+        assert len(measure_outputs(task, probe, hands, lambda done, total: None)) == 4
+        assert hands.plugged == ["sum", "sum"]
 
 
 def test_given_a_person_who_gives_up_then_the_inputs_are_not_measured() -> None:

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from calibration.channel_comparison import ChannelComparer, ResponseMissingError
-from calibration.sweeps import Excitation
-from calibration.timing import ReferenceMissingError
+from calibration.clock.timing import ReferenceMissingError
+from calibration.excitation.sweeps import Excitation
+from calibration.rig.channel_comparison import ChannelComparer, ResponseMissingError
 from mocks.signals import PlayedSignal
 
 RATE_HZ = 10_000.0

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from acquisition.conditions import Conditions
-from acquisition.measuring import Play
-from acquisition.setup import Setup
-from acquisition.watch import Band, Watch
-from calibration.mirror_map import MirrorMap
-from calibration.sweeps import Excitation
+from acquisition.engine.measuring import Play
+from acquisition.engine.setup import Setup
+from acquisition.quality.conditions import Conditions
+from acquisition.quality.watch import Band, Watch
+from calibration.excitation.sweeps import Excitation
+from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentError
 from drivers.protocols import Recording
 from mocks.virtual_rig import VirtualRig

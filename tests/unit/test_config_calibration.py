@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
+from drivers.identity import DeviceIdentity
+from storage.errors import InputError
 from wavefocus.config.calibration_file import (
     ActuatorMeasured,
     ActuatorsMeasured,
@@ -26,7 +28,7 @@ from wavefocus.config.calibration_toml import write_calibration
 from wavefocus.config.loading import load_calibration, load_rig, plan_sha256
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.run import default_run
-from wavefocus.virtual_bench import virtual_settings
+from wavefocus.rig.virtual_bench import virtual_settings
 
 AT = datetime(2026, 11, 21, 22, 10, tzinfo=UTC)
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.98e-3, -0.005), (1e-4, -5e-5, 1.0))
@@ -45,11 +47,14 @@ file = "cal.toml"
 def measured(**changes: object) -> CalibrationRecord:
     marks = [Fiducial(place_mm=(x, y), angles_mrad=(x, y), residual_mm=0.1) for x, y in np.eye(4, 2).tolist()]
     parts: dict[str, object] = {
-        "mirror": MirrorMeasured(at=AT, device="m", map=MAP, residual_rms_mm=0.1, fiducial=tuple(marks)),
-        "inputs": InputsMeasured(at=AT, device="r", inter_channel_delay_s=7.5e-6),
+        "mirror": MirrorMeasured(
+            at=AT, device="m", identity=DeviceIdentity("", "m"), map=MAP, residual_rms_mm=0.1, fiducial=tuple(marks)
+        ),
+        "inputs": InputsMeasured(at=AT, device="r", identity=DeviceIdentity("", "r"), inter_channel_delay_s=7.5e-6),
         "outputs": OutputsMeasured(
             at=AT,
             device="p",
+            identity=DeviceIdentity("", "p"),
             loopback_channel=2,
             channel=(
                 OutputMeasured(channel=2, latency_s=0.0, full_scale_v=4.9, polarity=1),
@@ -60,6 +65,7 @@ def measured(**changes: object) -> CalibrationRecord:
         "actuators": ActuatorsMeasured(
             at=AT,
             device="p",
+            identity=DeviceIdentity("", "p"),
             distance_mm=30.0,
             actuator=tuple(
                 ActuatorMeasured(actuator=one, channel=one, polarity=1, level_db=0.5, verdict="good") for one in (0, 1)
@@ -95,9 +101,24 @@ def test_given_any_device_name_then_its_file_reads_back_equal(
     tmp_path_factory: pytest.TempPathFactory, name: str
 ) -> None:
     folder = tmp_path_factory.mktemp("cal")
-    record = measured(inputs=InputsMeasured(at=AT, device=name, inter_channel_delay_s=-1.25e-7))
+    identity = DeviceIdentity("", name, name)
+    record = measured(inputs=InputsMeasured(at=AT, device=name, identity=identity, inter_channel_delay_s=-1.25e-7))
     write_calibration(folder / "cal.toml", record)
     assert load_calibration(folder / "cal.toml") == record
+
+
+def test_given_a_file_without_identities_then_it_is_read_and_has_none(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "cal.toml", measured(inputs=measured().inputs.model_copy(update={"identity": None})))
+    assert "identity" not in tomllib.loads((tmp_path / "cal.toml").read_text())["inputs"]
+    assert load_calibration(tmp_path / "cal.toml").inputs.identity is None
+
+
+def test_given_an_identity_with_a_key_that_is_not_known_then_the_file_is_refused_by_that_key(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "cal.toml", measured())
+    text = (tmp_path / "cal.toml").read_text()
+    (tmp_path / "cal.toml").write_text(text.replace('product = "r"', 'product = "r", colour = "r"'))
+    with pytest.raises(InputError, match=r"inputs\.identity\.colour"):
+        load_calibration(tmp_path / "cal.toml")
 
 
 def test_given_a_file_that_is_there_then_it_is_never_overwritten(tmp_path: Path) -> None:
@@ -267,6 +288,7 @@ def test_given_a_calibrated_virtual_rig_then_what_calibration_found_is_gone(tmp_
     outputs = OutputsMeasured(
         at=AT,
         device="p",
+        identity=DeviceIdentity("", "p"),
         loopback_channel=2,
         channel=tuple(
             OutputMeasured(channel=channel, latency_s=0.0, full_scale_v=volts, polarity=1)

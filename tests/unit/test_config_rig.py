@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
+from storage.errors import InputError
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig, default_rig
 
@@ -115,6 +116,10 @@ MISTAKES = [
         "[mirror]\ndistance_mm = 900\nmap = [[1, 0, 0], [0, 1, 0], [0, 0, 900]]",
         "mirror.distance_mm = 900.0: must be left out where map is given",
     ),
+    (
+        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\naddress = 'daq:31763'\ntls_root = 'none.pem'",
+        'recorder.tls_root = "none.pem": must be a file',
+    ),
     ("[mirror]\npark_mrad = [0, 300]", "mirror.park_mrad = [0.0, 300.0]: must be within limit_mrad = 250"),
     ("[mirror]\nlimit_deg = 3", "mirror.limit_deg = 3: unknown key; did you mean limit_mrad?"),
     (
@@ -140,6 +145,15 @@ MISTAKES = [
     (
         "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\naddress = 'localhost'",
         'recorder.address = "localhost": must be HOST:PORT of a gRPC Device Server',
+    ),
+    (
+        f"[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\ntls_root = '{__file__}'",
+        f"recorder.tls_root = {json.dumps(__file__)}: must be left out, or an address given",
+    ),
+    (
+        f"[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\naddress = 'a:1'\ntls_root = '{__file__}'\n"
+        f"tls_key = '{__file__}'",
+        f"recorder.tls_key = {json.dumps(__file__)}: needs tls_root and tls_certificate",
     ),
     ("[player]\ndriver = 'sounddevice'", "player.device: is missing; driver"),
     ("[player]\nblock_frames = 64", 'player.block_frames = 64: belongs to driver "sounddevice"; the driver here is'),

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.quality_limits import QualityLimits
-from calibration.errors import InputError
+from acquisition.quality.limits import QualityLimits
+from storage.errors import InputError
 from wavefocus.config.loading import check_together, configuration_from_json, load_run, plan_sha256
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.run import Quality, RunConfig, default_run

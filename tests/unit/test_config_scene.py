@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import InputError
-from rendering import paths, signals
-from rendering.scene import Output, Regularisation, Scene
-from rendering.svg_path import SvgPath
-from rendering.text_path import TextPath
+from rendering.scene import paths, signals
+from rendering.scene.model import Output, Regularisation, Scene
+from rendering.scene.svg_path import SvgPath
+from rendering.scene.text_path import TextPath
+from storage.errors import InputError
 from wavefocus.config.scene import SceneConfig, load_scene
 
 POINT = "[[source]]\npath = { kind = 'point', at_mm = [1, 2] }\nsignal = { kind = 'impulse' }\n"

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import InputError
+from storage.errors import InputError
 from wavefocus.config.loading import load_rig, load_run
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.instruments import open_rig, openers
-from wavefocus.sensors import RoomSensor, watch_of
+from wavefocus.rig.instruments import open_rig, openers
+from wavefocus.rig.sensors import RoomSensor, watch_of
 
 REAL = """
 [mirror]

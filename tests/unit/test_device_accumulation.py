@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rendering.device import Device, cuda_device, host_device
-from rendering.drive import render_with_report
-from rendering.green_source import GreenArray
-from rendering.paths import Circle, Line, Point
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Noise, Sine
+from rendering.drive.rendering import render_with_report
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Circle, Line, Point
+from rendering.scene.signals import Noise, Sine
 
 RATE_HZ = 1000.0
 STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**18)

@@ -11,11 +11,11 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.drive_file import Drive
-from calibration.errors import InputError
 from rendering.device import Device, cuda_device, host_device
-from rendering.device_prediction import DevicePrediction
-from rendering.green_source import GreenArray
+from rendering.field.device_prediction import DevicePrediction
+from rendering.greens.source import GreenArray
+from storage.drive_file import Drive
+from storage.errors import InputError
 
 STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.doctor import Patient, examine
-from acquisition.doctor_findings import Finding, Findings, HungError, bounded
-from calibration.mirror_map import MirrorMap
+from acquisition.doctor.examination import Patient, examine
+from acquisition.doctor.findings import Finding, Findings, HungError, bounded
+from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentError, TransientInstrumentError
 from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
-from wavefocus.instruments import Vibrometer
+from wavefocus.rig.instruments import Vibrometer
 
 CORNERS = ((90.0, 50.0), (-90.0, 50.0), (-90.0, -50.0), (90.0, -50.0))
 

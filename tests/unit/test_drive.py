@@ -10,15 +10,15 @@ import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
-from rendering.drive import render, render_with_report
-from rendering.field import predict
-from rendering.green_source import GreenArray
-from rendering.paths import Circle, Line, Point, Polyline
-from rendering.render_report import RenderWarning
+from rendering.drive.rendering import render, render_with_report
+from rendering.field.model import predict
+from rendering.greens.source import GreenArray
+from rendering.report.render_report import RenderWarning
 from rendering.reused_memory import spare_bytes
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse, Noise, Sine, SoundFile
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Circle, Line, Point, Polyline
+from rendering.scene.signals import Impulse, Noise, Sine, SoundFile
+from storage.errors import InputError
 
 RATE_HZ = 1000.0
 COLUMNS, ROWS, PITCH_MM = 9, 7, 4.0

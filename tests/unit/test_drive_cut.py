@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendering.drive_cut import CutDrive
+from rendering.drive.drive_cut import CutDrive
 
 
 @pytest.mark.parametrize(("dtype", "precision"), [(np.float64, 1e-15), (np.float32, 2e-7)])

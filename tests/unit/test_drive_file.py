@@ -12,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration.drive_file import Drive, read_drive, write_drive
-from calibration.errors import InputError
+from storage.drive_file import Drive, read_drive, write_drive
+from storage.errors import InputError
 
 
 def drive(actuators: int = 2, samples: int = 5, foci: int = 3, seed: int = 0) -> Drive:

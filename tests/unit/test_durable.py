@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration.durable import (
+from storage.durable import (
     PortableFile,
     PositionedFile,
     PosixFile,
@@ -19,11 +19,11 @@ from calibration.durable import (
     publish_by_claim,
     publish_by_link,
     publish_new,
-    replacement,
     sync_folder,
     sync_path,
 )
-from calibration.network_mount import is_network_mount, is_network_mount_in
+from storage.network_mount import is_network_mount, is_network_mount_in
+from storage.output_files import replacement
 
 KINDS = [PortableFile] if os.name == "nt" else [PosixFile, PortableFile]
 

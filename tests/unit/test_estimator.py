@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from calibration.errors import InputError
-from calibration.estimator import Estimate, Estimator
-from calibration.sweeps import Excitation
-from calibration.timing import ReferenceMissingError
+from calibration.clock.timing import ReferenceMissingError
+from calibration.estimator.sequential import Estimate, Estimator
+from calibration.excitation.sweeps import Excitation
+from storage.errors import InputError
 
 # A quarter of the default in every length, for quick tests; one below runs the default itself.
 SMALL = Excitation(10_000.0, 40.0, 800.0, 0.3, 0.06, 1.0, 3)
@@ -357,3 +357,12 @@ def test_records_that_cannot_be_are_refused() -> None:
     ):
         with pytest.raises(InputError):
             ESTIMATOR.estimate(reference, response, range_v=RANGE)
+
+
+@pytest.mark.parametrize("ppm", [60.0, -300.0])
+def test_given_an_audio_band_then_a_clock_that_turns_the_phases_many_times_is_found(ppm: float) -> None:
+    audio = Excitation(48_000.0, 50.0, 18_000.0, 0.8, 0.1, 1.0, 2)
+    truth = damped_modes(2, 4000, audio)
+    estimate = records_of(truth, audio, snr_db=50.0, offset=300.4, ppm=ppm).estimate(Estimator(audio, 4000))
+    assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx(np.full(2, ppm), abs=0.1)
+    assert error_db(estimate.green, truth, audio).max() < -54

@@ -7,8 +7,8 @@ from itertools import islice
 
 import pytest
 
-from wavefocus.beside import log_path
-from wavefocus.event_log import last_events
+from wavefocus.campaign.event_log import last_events
+from wavefocus.campaign.sidecar_files import log_path
 
 
 @pytest.mark.parametrize("padding", [0, 60, 70_000])

@@ -2,7 +2,7 @@
 
 import json
 
-from acquisition.events import PositionCommitted, SessionEnded, State, event_record
+from acquisition.engine.events import PositionCommitted, SessionEnded, State, event_record
 
 
 def test_given_an_event_then_its_record_names_its_kind_and_fields() -> None:

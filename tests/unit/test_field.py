@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.drive_file import Drive
-from calibration.errors import InputError
-from calibration.field_file import LowPass
-from rendering.field import measured_positions, predict, predict_rows
-from rendering.green_source import GreenArray
-from rendering.prediction import Prediction
-from rendering.response_spectra import predict_spectra
-from rendering.row_transforms import BankSpectra
+from rendering.drive.row_transforms import BankSpectra
+from rendering.field.model import measured_positions, predict, predict_rows
+from rendering.field.prediction import Prediction
+from rendering.field.response_spectra import predict_spectra
+from rendering.greens.source import GreenArray
+from storage.drive_file import Drive
+from storage.errors import InputError
+from storage.field_file import LowPass
 
 NONE = np.zeros(0, np.int64)
 

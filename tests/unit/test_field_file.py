@@ -12,9 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
-from calibration.field_file import Field, FieldWriter, LowPass, read_field, write_field
-from calibration.field_rows import FieldRowReader
+from storage.errors import InputError
+from storage.field_file import Field, FieldWriter, LowPass, read_field, write_field
+from storage.field_rows import FieldRowReader
 
 
 def field(positions: int = 3, samples: int = 5, seed: int = 0) -> Field:

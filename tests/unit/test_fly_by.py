@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from rendering.drive import render_with_report
-from rendering.green_source import GreenArray
-from rendering.paths import Line
-from rendering.scene import Output, Regularisation, Scene, Source
+from rendering.drive.rendering import render_with_report
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Line
 
 RATE_HZ = 5000.0
 SPEED_OF_SOUND_MM_S = 5000.0

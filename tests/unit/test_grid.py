@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.grid import inside_stadium, read_positions_file, stadium_grid, stadium_rim
-from calibration.errors import InputError
+from acquisition.schedule.grid import inside_stadium, read_positions_file, stadium_grid, stadium_rim
+from storage.errors import InputError
 
 
 def test_default_grid_has_the_papers_1500_positions() -> None:

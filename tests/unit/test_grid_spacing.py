@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
+from calibration.neighbours.wave_model import PatchKernel, WaveModel
 from mocks.plates import SOFT_PLATE
-from rendering.grid_spacing import expected_error, needed_grid, wave_number_rad_mm
-from rendering.interpolation import interpolation
+from rendering.greens.grid_spacing import expected_error, needed_grid, wave_number_rad_mm
+from rendering.greens.interpolation import interpolation
+from rendering.greens.snapping import PositionGrid
 from rendering.kernel.neighbourhoods import Neighbourhoods
-from rendering.kernel.wave_model import PatchKernel, WaveModel
-from rendering.snapping import PositionGrid
+from storage.errors import InputError
 
 ANGLES = 2.0 * np.pi * np.arange(20) / 20
 ACTUATOR_MM = 90.0 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)

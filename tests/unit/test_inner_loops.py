@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import fft as scipy_fft
 
+from rendering.drive.omission import TRANSFORM
 from rendering.inner_loops import (
     VARIABLE,
     InnerLoops,
@@ -22,7 +23,6 @@ from rendering.inner_loops import (
     inner_loops,
     transformable,
 )
-from rendering.omission import TRANSFORM
 
 UNIT = 2.0**-24
 

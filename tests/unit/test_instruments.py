@@ -11,7 +11,7 @@ import pytest
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Mirror, Recorder
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.instruments import Openers, in_time, open_rig, openers
+from wavefocus.rig.instruments import Openers, in_time, open_rig, openers
 
 REAL = {
     "mirror": {"driver": "generic", "port": "/nowhere/at/all"},

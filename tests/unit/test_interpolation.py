@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
-from rendering.interpolation import OffGridError, interpolation
-from rendering.snapping import PositionGrid
+from rendering.greens.interpolation import OffGridError, interpolation
+from rendering.greens.snapping import PositionGrid
+from storage.errors import InputError
 
 LATTICE = np.array([(4.0 * x, 4.0 * y) for y in range(5) for x in range(6)])
 

@@ -7,15 +7,15 @@ import functools
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
-from rendering.drive import render_with_report
-from rendering.field import predict
-from rendering.green_source import GreenArray
-from rendering.inverse_filter import inverse_filter
-from rendering.metrics import band_limited
-from rendering.paths import Circle, Line, Point
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse, Noise
+from rendering.drive.inverse_filter import inverse_filter
+from rendering.drive.rendering import render_with_report
+from rendering.field.metrics import band_limited
+from rendering.field.model import predict
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Circle, Line, Point
+from rendering.scene.signals import Impulse, Noise
+from storage.errors import InputError
 from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank
 
 LEAD = TAPS - 1

@@ -7,15 +7,15 @@ import functools
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
+from calibration.neighbours.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
 from mocks.plates import SOFT_PLATE
-from rendering.green_source import GreenArray
-from rendering.interpolation import OffGridError
+from rendering.greens.interpolation import OffGridError
+from rendering.greens.source import GreenArray
 from rendering.kernel.interpolation import KernelInterpolation
 from rendering.kernel.left_out_errors import left_out_errors
 from rendering.kernel.neighbourhoods import Neighbourhoods
 from rendering.kernel.row_values import RowValues
-from rendering.kernel.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
+from storage.errors import InputError
 from tests.unit.plate_banks import SPACING_MM, SQUARE_MM, errors_at, plate_bank, plate_greens
 
 POINTS_MM = np.random.default_rng(1).uniform(-22.0, 22.0, (60, 2))
@@ -121,7 +121,8 @@ def test_left_out_in_closed_form_is_what_leaving_out_gives():
 @pytest.mark.parametrize(("grid", "noise_db"), [("square", -60.0), ("square", -40.0), ("irregular", -60.0)])
 def test_the_error_found_by_leaving_positions_out_is_the_error_within_a_factor_of_two(grid, noise_db):
     _, kernel = kernel_on(grid, noise_db)
-    frequency_hz, median, worst, _ = left_out_errors(kernel, POINTS_MM)
+    found = left_out_errors(kernel, POINTS_MM)
+    frequency_hz, median, worst = found.frequency_hz, found.median, found.worst
     greens = greens_on(grid, noise_db)
     for band in np.flatnonzero((frequency_hz >= 90.0) & (frequency_hz <= 460.0)):
         # The truth is known at the bins of the transform; between them the error hardly changes.
@@ -132,12 +133,13 @@ def test_the_error_found_by_leaving_positions_out_is_the_error_within_a_factor_o
 
 @pytest.mark.parametrize("name", ["nearest", "bilinear", "bicubic"])
 def test_the_error_of_other_kinds_is_found_too(name):
-    from rendering.interpolation import interpolation
-    from rendering.snapping import PositionGrid
+    from rendering.greens.interpolation import interpolation
+    from rendering.greens.snapping import PositionGrid
 
     bank, kernel = kernel_on("square", -60.0)
     nodes = interpolation(name, PositionGrid(bank.position_mm)).nodes(POINTS_MM)
-    frequency_hz, median, _, _ = left_out_errors(kernel, POINTS_MM, nodes)
+    found = left_out_errors(kernel, POINTS_MM, nodes)
+    frequency_hz, median = found.frequency_hz, found.median
     greens = np.einsum("pn,pnat->pat", nodes.weights, bank.values[nodes.rows])
     for band in np.flatnonzero((frequency_hz >= 90.0) & (frequency_hz <= 460.0)):
         true = np.median(errors_at(frequency_hz[band], greens, POINTS_MM))

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from acquisition.bounded import bounded
-from acquisition.lane import HungError, Lane
+from acquisition.engine.call_thread import HungError, Lane
+from acquisition.engine.timeouts import bounded
 from drivers.errors import InstrumentError, InstrumentLostError
 from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import soundfile
 
-from calibration.errors import InputError
-from rendering.drive import render_with_report
-from rendering.green_source import GreenArray
-from rendering.live import LiveDrive
-from rendering.paths import Circle, Line, Point
-from rendering.scene import Output, Scene, Source
-from rendering.signals import Noise, Sine
-from rendering.wav import write_wav
-from rendering.wav_stream import stream_wav
+from rendering.drive.live import LiveDrive
+from rendering.drive.rendering import render_with_report
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Scene, Source
+from rendering.scene.paths import Circle, Line, Point
+from rendering.scene.signals import Noise, Sine
+from rendering.wav.drive_wav import write_wav
+from rendering.wav.wav_stream import stream_wav
+from storage.errors import InputError
 
 RATE_HZ = 1000.0
 MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.choice import choose_fft_samples
-from rendering.omission import Economy, ErrorBudget, choose_bins, relative_bound, row_norms, scaled_norm
-from rendering.product_bounds import SpectrumSizes
+from rendering.drive.block_size import choose_fft_samples
+from rendering.drive.omission import Economy, ErrorBudget, choose_bins, relative_bound, row_norms, scaled_norm
+from rendering.field.product_bounds import SpectrumSizes
 
 
 @given(bins=st.integers(1, 3000), ends=st.tuples(st.floats(0, 1), st.floats(0, 1)), single=st.booleans())

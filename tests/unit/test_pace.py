@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from acquisition.pace import LATEST, Pace
+from acquisition.engine.pace import LATEST, Pace
 
 
 def _measured(pace: Pace, start_s: float, attempt_s: list[float]) -> float:
@@ -53,6 +53,13 @@ def test_given_measurements_of_the_sentinel_then_they_are_no_positions_and_those
     _measured(pace, now_s + 4.0, [10.0] * 4)
     assert pace.position_s == 10.0
     assert pace.remaining_s(10, 2) == 108.0
+
+
+def test_given_a_position_under_way_then_what_it_still_takes_counts() -> None:
+    pace = Pace(0.0)
+    now_s = _measured(pace, 0.0, [10.0] * 3)
+    assert pace.remaining_s(2, 0, now_s + 4.0) == 26.0
+    assert pace.remaining_s(2, 0, now_s + 40.0) == 20.0
 
 
 def test_given_nothing_measured_yet_then_nothing_is_promised() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rendering.kernel.path_nodes import PathNodes, node_spacing_mm
-from rendering.paths import Circle, Line, Polyline, Strokes
+from rendering.scene.paths import Circle, Line, Polyline, Strokes
 
 
 def interpolated(nodes, values, along):

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
-from rendering.paths import Circle, Line, Point, Polyline, Strokes
-from rendering.svg_commands import flatten
-from rendering.svg_path import SvgPath
-from rendering.text_path import TextPath
+from rendering.scene.paths import Circle, Line, Point, Polyline, Strokes
+from rendering.scene.svg_commands import flatten
+from rendering.scene.svg_path import SvgPath
+from rendering.scene.text_path import TextPath
+from storage.errors import InputError
 
 NAN = float("nan")
 

@@ -8,16 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from acquisition.defects import Cure
-from acquisition.point_status import Status
-from acquisition.pointing import point_at
-from acquisition.quality import Judgement, judge
-from acquisition.quality_limits import QualityLimits
-from acquisition.record import take_record
-from acquisition.setup import Setup
-from calibration.estimator import Estimator
-from calibration.mirror_map import MirrorMap
-from calibration.sweeps import Excitation
+from acquisition.engine.pointing import point_at
+from acquisition.engine.record import take_record
+from acquisition.engine.setup import Setup
+from acquisition.quality.defects import Cure
+from acquisition.quality.judgement import Judgement, judge
+from acquisition.quality.limits import QualityLimits
+from acquisition.quality.point_status import Status
+from calibration.estimator.sequential import Estimator
+from calibration.excitation.sweeps import Excitation
+from calibration.rig.mirror_map import MirrorMap
 from drivers.protocols import Take
 from mocks.virtual_rig import VirtualRig, VirtualSettings
 
@@ -94,6 +94,17 @@ def dropped_out(reference: np.ndarray, response: np.ndarray) -> Channels:
     return reference, spoilt
 
 
+def fainter(level_db: float) -> Spoil:
+    """The second sweep of a record at another level."""
+
+    def stepped(reference: np.ndarray, response: np.ndarray) -> Channels:
+        spoilt = response.copy()
+        spoilt[12_300:24_300] *= 10 ** (level_db / 20)
+        return reference, spoilt
+
+    return stepped
+
+
 def early(spoil: Spoil) -> Spoil:
     """The same in the first sweep of a record."""
 
@@ -121,6 +132,9 @@ DEFECTS: dict[str, tuple[Spoil, str, str, Cure]] = {
     "hum at 50 Hz": (humming(50.0), "hum", "hum at 50 Hz", Cure.NOTHING),
     "hum at 60 Hz, off the grid of bins": (humming(60.1), "hum", "ground loop", Cure.NOTHING),
     "hum at 150 Hz": (humming(150.0), "hum", "3 times 50 Hz", Cure.NOTHING),
+    "a sweep fainter by 0.5 dB": (fainter(-0.5), "level step", "-0.5", Cure.REPEAT),
+    "a sweep fainter by 3 dB": (fainter(-3.0), "level step", "focus", Cure.REPEAT),
+    "a sweep louder by 6 dB": (fainter(6.0), "level step", "+", Cure.REPEAT),
     "a fan": (humming(133.0), "tone", "133.3 Hz", Cure.NOTHING),
 }
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from calibration.errors import InputError
-from wavefocus.positions import parse_positions
+from storage.errors import InputError
+from wavefocus.campaign.positions import parse_positions
 
 
 @pytest.mark.parametrize(

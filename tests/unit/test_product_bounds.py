@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import fft as scipy_fft
 
-from rendering.drive_blocks import DriveBlocks
-from rendering.drive_cut import CutDrive
-from rendering.omission import Economy
-from rendering.product_bounds import SpectrumSizes, drive_units, joint_squares, product_errors
-from rendering.row_transforms import RowTransforms
-from rendering.upsampling import choose_factor
+from rendering.drive.drive_blocks import DriveBlocks
+from rendering.drive.drive_cut import CutDrive
+from rendering.drive.omission import Economy
+from rendering.drive.row_transforms import RowTransforms
+from rendering.drive.upsampling import choose_factor
+from rendering.field.product_bounds import SpectrumSizes, drive_units, joint_squares, product_errors
 
 
 def signals(rng, kind, shape):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from acquisition.point_status import Status, status_counts
-from acquisition.quality import judge
-from acquisition.quality_limits import QualityLimits
-from calibration.estimator import Estimate
+from acquisition.quality.judgement import judge
+from acquisition.quality.limits import QualityLimits
+from acquisition.quality.point_status import Status, status_counts
+from calibration.estimator.sequential import Estimate
 
 LIMITS = QualityLimits()
 

@@ -9,12 +9,12 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.durable import PositionedFile, PosixFile
-from calibration.errors import InputError
-from calibration.raw_file import DamagedError, open_raw
-from calibration.raw_header import RawHeader
-from calibration.raw_writer import RawWriter, create_raw
-from calibration.schedule import sequential
+from storage.durable import PositionedFile, PosixFile
+from storage.errors import InputError
+from storage.raw.header import RawHeader
+from storage.raw.reading import DamagedError, open_raw
+from storage.raw.schedule import sequential
+from storage.raw.writer import RawWriter, create_raw
 
 SHAPE = (2, 300)
 STEP_V = 1 / 1024

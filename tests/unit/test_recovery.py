@@ -9,14 +9,14 @@ from collections.abc import Callable
 
 import pytest
 
-from acquisition.events import Event, ReconnectTried, State, StateChanged
-from acquisition.pointing import point_at
-from acquisition.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
-from acquisition.roles import names_of
-from acquisition.setup import Setup
-from acquisition.states import FOLLOWS, IllegalStateError, Lifecycle
-from acquisition.stopping import StoppedWhileWaitingError, StopRequest, stop_on_signals
-from calibration.mirror_map import MirrorMap
+from acquisition.engine.events import Event, ReconnectTried, State, StateChanged
+from acquisition.engine.pointing import point_at
+from acquisition.engine.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
+from acquisition.engine.roles import names_of
+from acquisition.engine.setup import Setup
+from acquisition.engine.states import FOLLOWS, IllegalStateError, Lifecycle
+from acquisition.engine.stopping import StoppedWhileWaitingError, StopRequest, stop_on_signals
+from calibration.rig.mirror_map import MirrorMap
 from drivers.clock import WallClock
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments

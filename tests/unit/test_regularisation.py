@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
-from rendering.green_source import GreenArray
-from rendering.regularisation import focus_gain_map, rms_map, saturation_threshold
-from rendering.scene import Regularisation
+from rendering.greens.regularisation import focus_gain_map, rms_map, saturation_threshold
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Regularisation
+from storage.errors import InputError
 
 POSITION_MM = np.stack([4.0 * np.arange(6), np.zeros(6)], axis=1)
 

@@ -7,13 +7,13 @@ import functools
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
-from rendering.drive import render_with_report
-from rendering.green_source import GreenArray
-from rendering.paths import Circle, Line, Point, Polyline
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse, Noise, Sine
-from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
+from rendering.drive.rendering import render_with_report
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Circle, Line, Point, Polyline
+from rendering.scene.signals import Impulse, Noise, Sine
+from storage.errors import InputError
+from tests.unit.plate_banks import ANGLES, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
 
 SIGNAL = Noise((80.0, 420.0), 0.4, 3)
 MOVING = Source(Circle((1.3, -0.7), 13.0, 0.9, 20.0), SIGNAL, 0.01, 180.0, 3.0, 2.0)
@@ -169,3 +169,61 @@ def test_a_path_on_one_position_alone_needs_no_more():
     source = Source(Point((-24.0, -24.0)), Impulse())
     _, report = render_with_report(Scene("s", (source,)), one, interpolation_tolerance=0.01)
     assert report.interpolation_errors is None
+
+
+WIDE_RATE_HZ, WIDE_TAPS = 48_000.0, 480
+
+
+def wide_bank():
+    """Waves of one speed at audio rates on a grid that is fine for 500 Hz and far too coarse for 8 kHz."""
+    hertz = np.fft.rfftfreq(WIDE_TAPS, 1.0 / WIDE_RATE_HZ)
+    position_mm = 10.0 * np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(-1, 2)
+    actuator_mm = 150.0 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
+    radius_mm = np.hypot(*(position_mm[:, None] - actuator_mm).transpose(2, 0, 1))
+    heard = (hertz >= 100.0) & (hertz <= 20_000.0)
+    spectra = np.where(heard, np.exp(-2j * np.pi * hertz * (radius_mm / 100e3 + 1e-3)[..., None]), 0.0)
+    noise = np.random.default_rng(0).standard_normal((*radius_mm.shape, WIDE_TAPS))
+    greens = np.fft.irfft(spectra, WIDE_TAPS, axis=2)
+    return GreenArray(greens + 1e-3 * greens.std() * noise, position_mm, WIDE_RATE_HZ, band_hz=(100.0, 20_000.0))
+
+
+@pytest.mark.parametrize("kind", ["bilinear", "kernel"])
+@pytest.mark.parametrize("tolerance", [None, 0.08])
+def test_the_error_is_judged_where_the_scene_emits(kind, tolerance):
+    source = Source(Line((-15.0, -11.0), (14.0, 9.0)), Noise((150.0, 500.0), 0.4, 4), 0.0, 180.0, 3.0)
+    _, report = render_with_report(
+        Scene("s", (source,), PLAIN, Output(kind)), wide_bank(), interpolation_tolerance=tolerance
+    )
+    found = report.interpolation_errors
+    assert 100.0 <= found.largest[0] <= 600.0
+    assert found.emitted[found.frequency_hz > 700.0].sum() < 1e-4
+    assert found.largest[1] < 0.08
+
+
+@functools.lru_cache
+def coarse_bank(spacing_mm):
+    axis = np.arange(-24.0, 24.1, spacing_mm)
+    return plate_bank(np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2), noise_db=-60.0)
+
+
+@pytest.mark.parametrize("thorough", [False, True])
+@pytest.mark.parametrize("spacing_mm", [8.0, 12.0])
+@pytest.mark.parametrize("kind", ["nearest", "bilinear", "bicubic", "kernel"])
+def test_the_estimate_does_not_saturate_and_advises_no_kernel_that_is_as_wrong(kind, spacing_mm, thorough):
+    source = Source(MOVING.path, Noise((300.0, 480.0), 0.4, 3), 0.01, 180.0, 3.0, 2.0)
+    expected = direct(source, "exact")
+    drive, report = render_with_report(
+        Scene("s", (source,), PLAIN, Output(kind)),
+        coarse_bank(spacing_mm),
+        method="exact",
+        interpolation_tolerance=1e9 if thorough else None,
+    )
+    error = np.linalg.norm(drive.drive_v - expected) / np.linalg.norm(expected)
+    assert error > 1.0
+    assert report.interpolation_errors.overall == pytest.approx(error, rel=0.3)
+    assert not report.interpolation_errors.kernel_is_better
+
+
+def test_the_kernel_is_advised_where_it_is_better():
+    _, report = error_of(MOVING, "bilinear", "exact")
+    assert report.interpolation_errors.kernel_is_better

@@ -15,20 +15,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from calibration.drive_file import Drive
-from calibration.field_file import Field
-from rendering.drive import render_with_report
-from rendering.field import predict
-from rendering.green_source import GreenArray
-from rendering.number_words import number
-from rendering.paths import Line
-from rendering.report import build_report
-from rendering.report_drift import DriftPoint
-from rendering.report_words import remarks
-from rendering.scan import Scan
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse
-from rendering.verification import compare
+from rendering.drive.rendering import render_with_report
+from rendering.field.model import predict
+from rendering.greens.source import GreenArray
+from rendering.report.drift import DriftPoint
+from rendering.report.number_words import number
+from rendering.report.page import build_report
+from rendering.report.words import remarks
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Line
+from rendering.scene.signals import Impulse
+from rendering.verify.scan import Scan
+from rendering.verify.verdict import compare
+from storage.drive_file import Drive
+from storage.field_file import Field
 
 RATE_HZ = 4_000.0
 TAPS = 200

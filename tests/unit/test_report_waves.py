@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendering.comparison import FieldComparison
-from rendering.green_source import GreenArray
-from rendering.paths import Line, Point
-from rendering.report_waves import LINE_POINTS, line_of, wave_figures, waves_of, waves_picture
-from rendering.scene import Scene, Source
-from rendering.signals import Impulse
+from rendering.greens.source import GreenArray
+from rendering.report.waves import LINE_POINTS, line_of, wave_figures, waves_of, waves_picture
+from rendering.scene.model import Scene, Source
+from rendering.scene.paths import Line, Point
+from rendering.scene.signals import Impulse
+from rendering.verify.comparison import FieldComparison
 
 NO_FOCI = {
     "instant": (),

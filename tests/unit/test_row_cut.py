@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendering.economy_choice import Sample
-from rendering.row_cut import choose_cut
+from rendering.drive.band_choice import Sample
+from rendering.drive.truncation import choose_cut
 
 ACTUATORS, TAPS, FFT = 4, 64, 128
 ROWS = [[0, 1, 2], [3, 4, 5]]

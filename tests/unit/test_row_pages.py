@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.omission import Economy
-from rendering.row_pages import RowPage, RowsView
+from rendering.drive.omission import Economy
+from rendering.drive.row_pages import RowPage, RowsView
 
 BINS, ACTUATORS, PLACES = 9, 3, 12
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
-from rendering.bank_rows import BankRows
-from rendering.green_source import GreenArray
+from rendering.greens.bank_rows import BankRows
+from rendering.greens.row_scaling import look_at_rows, scale_row, scale_together
+from rendering.greens.source import GreenArray
 from rendering.inner_loops import inner_loops
-from rendering.row_scaling import look_at_rows, scale_row, scale_together
-from rendering.scene import Regularisation
+from rendering.scene.model import Regularisation
+from storage.errors import InputError
 
 ACTUATORS, TAPS = 3, 40
 POSITION_MM = np.stack([4.0 * np.arange(6), np.zeros(6)], axis=1)

@@ -8,14 +8,14 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
-from rendering import row_spectra
-from rendering.bank_rows import BankRows
-from rendering.green_source import GreenArray
-from rendering.omission import SQUARES_SLACK, Economy
-from rendering.row_cut import RowCut
-from rendering.row_spectra import RowSpectra
-from rendering.scene import Regularisation
+from rendering.drive import row_spectra
+from rendering.drive.omission import SQUARES_SLACK, Economy
+from rendering.drive.row_spectra import RowSpectra
+from rendering.drive.truncation import RowCut
+from rendering.greens.bank_rows import BankRows
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Regularisation
+from storage.errors import InputError
 
 POSITIONS, ACTUATORS, TAPS, FFT = 60, 3, 50, 64
 BINS = FFT // 2 + 1

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from calibration.errors import InputError
-from rendering.paths import Line, Point
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Line, Point
+from rendering.scene.signals import Impulse
+from storage.errors import InputError
 
 NAN, INF = float("nan"), float("inf")
 

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
-from rendering.drive import render_with_report
-from rendering.green_source import GreenArray
-from rendering.paths import Circle, Line, Point, Polyline
-from rendering.scene import Output, Scene, Source
-from rendering.scene_rows import scene_rows
-from rendering.signals import Noise, Sine
+from rendering.drive.rendering import render_with_report
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Scene, Source
+from rendering.scene.paths import Circle, Line, Point, Polyline
+from rendering.scene.scene_rows import scene_rows
+from rendering.scene.signals import Noise, Sine
+from storage.errors import InputError
 
 SPACING_MM = 4.0
 GRID_MM = np.array([(x, y) for y in np.arange(-24.0, 25.0, SPACING_MM) for x in np.arange(-40.0, 41.0, SPACING_MM)])

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+from pathlib import Path
+
 import numpy as np
 import pytest
 import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
-from rendering.signals import Impulse, Noise, Sine, SoundFile
+from rendering.scene.signals import Impulse, Noise, Sine, SoundFile
+from storage.errors import InputError
 
 
 def test_an_impulse_is_one_sample_of_one():
@@ -105,3 +108,11 @@ def test_a_sound_file_that_is_missing_broken_or_silent_is_refused(tmp_path):
     for name in ("missing", "broken", "silent", "empty"):
         with pytest.raises(InputError, match=f"{name}.wav"):
             SoundFile(tmp_path / f"{name}.wav").samples(10_000.0)
+
+
+def test_a_sound_file_is_scaled_to_its_peak_whatever_its_name(tmp_path):
+    soundfile.write(tmp_path / "a sine.wav", 0.25 * np.ones(100), 8000, subtype="DOUBLE")
+    assert np.abs(SoundFile(tmp_path / "a sine.wav").samples(8000.0)).max() == 1.0
+    # Also where the path itself begins with those words.
+    with contextlib.chdir(tmp_path):
+        assert np.abs(SoundFile(Path("a sine.wav")).samples(8000.0)).max() == 1.0

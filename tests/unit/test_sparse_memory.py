@@ -7,7 +7,7 @@ import io
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.sparse_memory import SparseMemory
+from storage.sparse_memory import SparseMemory
 
 
 @given(writes=st.lists(st.tuples(st.integers(0, 20_000), st.binary(min_size=1, max_size=9000)), max_size=6))

@@ -10,14 +10,14 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
-from calibration.position_estimator import Channels, JointEstimator
-from calibration.schedule import EMPTY, Schedule, sequential, staggered
-from calibration.staggered_estimator import StaggeredEstimator
-from calibration.staggered_signal import StaggeredSignal
-from calibration.sweeps import Excitation
-from calibration.thinning import Thinning
-from calibration.timing import ReferenceMissingError
+from calibration.clock.decimation import Thinning
+from calibration.clock.timing import ReferenceMissingError
+from calibration.estimator.position import Channels, JointEstimator
+from calibration.estimator.staggered import StaggeredEstimator
+from calibration.excitation.staggered_signal import StaggeredSignal
+from calibration.excitation.sweeps import Excitation
+from storage.errors import InputError
+from storage.raw.schedule import EMPTY, Schedule, sequential, staggered
 
 RATE_HZ = 2000.0
 BAND_HZ = (20.0, 400.0)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.events import State, StateChanged
-from acquisition.states import AWAY, FOLLOWS, IllegalStateError, Lifecycle
+from acquisition.engine.events import State, StateChanged
+from acquisition.engine.states import AWAY, FOLLOWS, IllegalStateError, Lifecycle
 
 ENDS = {State.STOPPED, State.FINISHED, State.FAILED}
 

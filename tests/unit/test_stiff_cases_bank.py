@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from calibration.errors import InputError
-from calibration.estimator import Estimator
-from calibration.sweeps import Excitation
+from calibration.estimator.sequential import Estimator
+from calibration.excitation.sweeps import Excitation
 from mocks.thin_plate import ThinPlate
-from rendering.drive import render_with_report
-from rendering.green_source import GreenArray
-from rendering.inverse_filter import inverse_filter
-from rendering.paths import Circle, Line, Point
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse, Noise
+from rendering.drive.inverse_filter import inverse_filter
+from rendering.drive.rendering import render_with_report
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Circle, Line, Point
+from rendering.scene.signals import Impulse, Noise
+from storage.errors import InputError
 from tests.unit.plate_banks import SQUARE_MM, errors_at, plate_bank
 
 SIGNAL = Noise((80.0, 450.0), 0.4, 3)
@@ -44,8 +44,8 @@ def test_rows_10_to_12_a_path_off_the_grid_is_warned_about_with_the_error_per_fr
     assert "Hz" in warnings[0]
     errors = report.interpolation_errors
     # The truth: nearest 42 % at 250 Hz and 67 % at 450 Hz (notes/rendering.md).
-    from rendering.interpolation import interpolation
-    from rendering.snapping import PositionGrid
+    from rendering.greens.interpolation import interpolation
+    from rendering.greens.snapping import PositionGrid
 
     nodes = interpolation(kind, PositionGrid(bank().position_mm)).nodes(BETWEEN_MM)
     greens = np.einsum("pn,pnat->pat", nodes.weights, bank().values[nodes.rows])

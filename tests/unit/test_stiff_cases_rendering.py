@@ -7,14 +7,14 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
-from rendering.drive import render_with_report
-from rendering.field import predict
-from rendering.green_source import GreenArray
-from rendering.paths import Circle, Line, Point, Polyline
-from rendering.regularisation import focus_gain_map
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse, Noise, Sine
+from rendering.drive.rendering import render_with_report
+from rendering.field.model import predict
+from rendering.greens.regularisation import focus_gain_map
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Circle, Line, Point, Polyline
+from rendering.scene.signals import Impulse, Noise, Sine
+from storage.errors import InputError
 
 RATE_HZ = 1000.0
 GRID_MM = np.array([(4.0 * x, 4.0 * y) for y in range(5) for x in range(7)])

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
-from rendering.coil_limits import DriveLimits, largest_rms
-from rendering.drive import render_with_report
-from rendering.interface_rate import Interface, InterfaceRate
-from rendering.paths import Circle, Point
-from rendering.running_levels import RunningLevels
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse, Sine
-from rendering.streamed_drive import StreamedDrive
+from rendering.drive.coil_limits import DriveLimits, largest_rms
+from rendering.drive.rendering import render_with_report
+from rendering.drive.running_levels import RunningLevels
+from rendering.drive.streamed_drive import StreamedDrive
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Circle, Point
+from rendering.scene.signals import Impulse, Sine
+from rendering.wav.interface_rate import Interface, InterfaceRate
+from storage.errors import InputError
 from tests.unit.test_live import MOVING, RATE_HZ, REPEATING, STANDING, make_bank
 
 LIMITS = [Output(limit_v=1e-3), Output(limit_rms_v=2e-4), Output(limit_v=1e-3, limit_rms_v=2e-4), Output()]

@@ -1,16 +1,19 @@
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import get_args
 
 import pytest
 from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
 
-from calibration.errors import InputError
+from mocks.faults import ANYWHERE, CORRUPTING
+from storage.errors import InputError
 from wavefocus.config.loading import Configuration, load_rig, load_run
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.config.run import Virtual, default_run
+from wavefocus.config.run import Fault, RunConfig, Virtual, default_run
 from wavefocus.config.scene import load_scene
 from wavefocus.config.templates import write_templates
 
@@ -98,3 +101,21 @@ def test_every_key_of_the_rig_file_is_in_its_reference_page() -> None:
         assert f"[{name}]" in page
         for key in model.model_fields:
             assert f"`{key}`" in page or (name, key) == ("calibration", "measured"), f"{name}.{key}"
+
+
+def test_every_key_of_the_run_file_is_in_its_reference_page_with_its_default() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "run-file.md").read_text(encoding="utf-8")
+    for name, field in RunConfig.model_fields.items():
+        if name in {"rig", "settled"}:  # no table of the file
+            continue
+        annotations = (field.annotation, *get_args(field.annotation))
+        model = next(one for one in annotations if isinstance(one, type) and issubclass(one, BaseModel))
+        section = page.split(f"## [{name}]")[1].split("A fault:")[0].split("\n## ")[0]
+        lines = [line for line in section.splitlines() if line.startswith("|")]
+        rows = {key: line for line in lines for key in re.findall(r"`(\w+)`", line.split("|")[1])}
+        for key, one in model.model_fields.items():
+            assert key in rows, f"{name}.{key}"
+            if one.default is not PydanticUndefined and one.default not in (None, ()):
+                assert json.dumps(one.default) in rows[key], f"{name}.{key}"
+    assert all(f"`{key}`" in page for key in Fault.model_fields)
+    assert all(f'"{kind}"' in page for kind in (*ANYWHERE, *CORRUPTING))

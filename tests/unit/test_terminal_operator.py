@@ -7,9 +7,9 @@ import io
 import pytest
 
 from acquisition.calibration_procedures.operator import By, Here, Jog, JogView, To
-from calibration.errors import InputError
 from mocks.patch_bay import PatchBay
-from wavefocus.terminal_operator import TerminalOperator, VirtualHands
+from storage.errors import InputError
+from wavefocus.rig.terminal_operator import TerminalOperator, VirtualHands
 
 VIEW = JogView(2, 7, (80.0, -45.0), (1.0, -2.5))
 

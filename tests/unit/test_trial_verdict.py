@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from acquisition.trial_verdict import Candidate, choose, repeated_error, sequential_errors
-from calibration.decay import measure_decay
-from calibration.errors import InputError
+from acquisition.schedule.trial_verdict import Candidate, choose, repeated_error, sequential_errors
+from calibration.estimator.decay import measure_decay
+from storage.errors import InputError
 
 HOUR_S = 3600.0
 

@@ -9,17 +9,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from acquisition.setup import Setup
-from calibration.drive_file import Drive
-from calibration.errors import InputError
-from calibration.field_file import Field, LowPass
-from calibration.mirror_map import MirrorMap
-from calibration.timing import ReferenceMissingError
+from acquisition.engine.setup import Setup
+from calibration.clock.timing import ReferenceMissingError
+from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentLostError
 from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
-from rendering.field import predict
-from rendering.green_source import GreenArray
-from rendering.verification import Scan, ScanPlan, Tolerances, compare, scan
+from rendering.field.model import predict
+from rendering.greens.source import GreenArray
+from rendering.verify.verdict import Scan, ScanPlan, Tolerances, compare, scan
+from storage.drive_file import Drive
+from storage.errors import InputError
+from storage.field_file import Field, LowPass
 
 RATE_HZ = 10_000.0
 TAPS = 600

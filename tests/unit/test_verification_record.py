@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
-from calibration.field_file import Field, write_field
-from rendering.drive import render_with_report
-from rendering.field import predict
-from rendering.field_pair import CancelledError, read_pair
-from rendering.green_source import GreenArray
-from rendering.paths import Line
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.signals import Impulse
-from rendering.verification import Verification, compare
-from rendering.verification_reading import RecordedSource, read_record
-from rendering.verification_record import write_record
+from rendering.drive.rendering import render_with_report
+from rendering.field.model import predict
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Line
+from rendering.scene.signals import Impulse
+from rendering.verify.field_pair import CancelledError, read_pair
+from rendering.verify.reading import RecordedSource, read_record
+from rendering.verify.record import write_record
+from rendering.verify.verdict import Verification, compare
+from storage.errors import InputError
+from storage.field_file import Field, write_field
 
 RATE_HZ = 4_000.0
 TAPS = 200

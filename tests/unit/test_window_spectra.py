@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendering.omission import Economy
+from rendering.drive.omission import Economy
+from rendering.drive.window_spectra import rounding_of, window_spectra
+from rendering.drive.windows import Events, Windows
 from rendering.threads import AtOnce
-from rendering.window_spectra import rounding_of, window_spectra
-from rendering.windows import Events, Windows
 
 FFT = 1920
 BINS = FFT // 2 + 1

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.windows import LONG_RUN, Events, Windows
+from rendering.drive.windows import LONG_RUN, Events, Windows
 
 HOP, BLOCKS, LENGTH = 400, 2, 500
 

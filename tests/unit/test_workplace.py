@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.workplace import clear_leftovers, workplace
+from storage.staging_dir import clear_leftovers, workplace
 
 
 def leftover(path: Path, name: str = "dead", **files: bytes) -> Path:

@@ -1,6 +1,8 @@
 /* A stand-in for NI's driver library: what the nidaqmx package calls for a finite two-channel record, and no more.
  * Dev1 is a USB-6001 with a sine on both inputs, 0.5 V and 2 V. The number in the environment variable
- * SHIM_READ_STATUS is what reading samples returns. Compiled by test_daq_local_driver.py. */
+ * SHIM_READ_STATUS is what reading samples returns. While the file that SHIM_UNPLUGGED names is there, the device is
+ * unplugged; whoever asks for a property then gets no other answer until the process ends, as nidaqmx-python's users
+ * report. While that of SHIM_HANGS is there, properties do not return. Compiled by test_daq_local_driver.py. */
 
 #include <math.h>
 #include <stdint.h>
@@ -8,6 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#include <unistd.h>
 
 typedef int32_t status;
 typedef struct {
@@ -38,6 +41,18 @@ static status give_doubles(void *value, uint32_t size, const double *doubles, ui
     return 0;
 }
 
+static int there(const char *variable) {
+    const char *path = getenv(variable);
+    return path && !access(path, F_OK);
+}
+
+/* Broken for good, once the device was found unplugged. */
+static int broken(void) {
+    static int found;
+    while (there("SHIM_HANGS")) usleep(10000);
+    return found = found || there("SHIM_UNPLUGGED");
+}
+
 static double elapsed(const task *t) {
     struct timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
@@ -59,6 +74,7 @@ status DAQmxGetSystemInfoAttribute(int32_t attribute, void *value, uint32_t size
 
 status DAQmxGetDeviceAttribute(const char *device, int32_t attribute, void *value, uint32_t size) {
     static const double ranges[] = {-10.0, 10.0};
+    if (broken()) return fail(-201003, "Device cannot be accessed.");
     if (strcmp(device, "Dev1")) return fail(-200220, "Device identifier is invalid.");
     switch (attribute) {
     case 0x0631: return give(value, size, "USB-6001");
@@ -143,6 +159,7 @@ status DAQmxTaskControl(task *t, int32_t action) {
 }
 
 status DAQmxStartTask(task *t) {
+    if (broken()) return fail(-201003, "Device cannot be accessed.");
     if (t->running) return fail(-200479, "Specified operation cannot be performed while the task is running.");
     t->running = 1;
     clock_gettime(CLOCK_MONOTONIC, &t->start);

@@ -13,8 +13,8 @@ from typing import Any
 from drivers.clock import WallClock
 from drivers.mirror.serial_mirror import SerialMirror
 from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.mirror_devices import mirror_device
-from mocks.wire.motion import MirrorMotion
+from mocks.wire.mirrors.mirror_devices import mirror_device
+from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.serial_far_side import SerialDevice, SerialFarSide, garble
 from mocks.wire.serial_wires import PtyWire, TcpWire, Wire
 

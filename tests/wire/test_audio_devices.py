@@ -13,7 +13,8 @@ import pytest
 from drivers.audio.devices import DeviceChoiceError, OutputDevice, choose
 from drivers.audio.stream_player import StreamPlayer
 from drivers.errors import InstrumentError, InstrumentLostError
-from mocks.wire.alsa_file import AlsaFile
+from drivers.identity import DeviceIdentity
+from mocks.wire.audio.alsa_file import AlsaFile
 from tests.wire.audio_bench import AudioBench, run_python
 
 APIS = ("MME", "ASIO", "Windows WASAPI")
@@ -26,6 +27,7 @@ DEVICES = (
 OPENING = """
 from drivers.audio.stream_player import StreamPlayer
 from drivers.errors import InstrumentError
+from drivers.identity import DeviceIdentity
 try:
     StreamPlayer(None, "filed", channels=2, channel_full_scale_v=(1.0, 1.0), interface_rate_hz=48_000)
 except InstrumentError as error:
@@ -162,3 +164,9 @@ def test_given_the_import_of_the_player_then_nothing_of_the_audio_library_is_loa
 def test_given_an_unknown_output_then_nothing_is_left_running():
     with pytest.raises(InstrumentError):
         StreamPlayer(None, "no such output", channels=1, channel_full_scale_v=(1.0,), interface_rate_hz=48_000)
+
+
+@pytest.mark.parametrize("card", [1, 2])
+def test_given_a_card_that_has_another_number_today_then_it_is_the_same_device(card: int) -> None:
+    listed = OutputDevice(0, "ALSA", f"Fireface UCX: USB Audio (hw:{card},0)", 28, 48_000.0)
+    assert listed.identity == DeviceIdentity("", "Fireface UCX: USB Audio")

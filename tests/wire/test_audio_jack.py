@@ -11,6 +11,7 @@ import pytest
 
 from drivers.audio.band_limited import converted, lead_samples, rate_ratio
 from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.identity import DeviceIdentity
 from drivers.protocols import Player
 from tests.wire.audio_bench import (
     RATE_HZ,
@@ -94,6 +95,7 @@ def test_given_a_sweep_played_again_then_it_is_not_converted_again(server, playe
 
 def test_given_a_player_then_it_has_the_role_and_says_what_it_is(server, player):
     assert isinstance(player, Player)
+    assert player.identity == DeviceIdentity("", "wavefocus interface")
     said = player.identify()
     for part in ("wavefocus interface", "JACK Audio Connection Kit", "21 of 24 channels", "48000 Hz", "PortAudio"):
         assert part in said

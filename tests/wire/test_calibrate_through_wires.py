@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.mirror_map import MirrorMap
+from calibration.rig.mirror_map import MirrorMap
 from mocks.chain import output_errors
 from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
 from wavefocus.config.calibration_file import CalibrationRecord

@@ -15,7 +15,7 @@ import pytest
 from mocks.virtual_rig import VirtualRig
 from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
 from wavefocus.config.loading import load_rig
-from wavefocus.virtual_bench import virtual_settings
+from wavefocus.rig.virtual_bench import virtual_settings
 
 pytestmark = pytest.mark.long
 

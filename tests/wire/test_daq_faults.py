@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
+import grpc
 import numpy as np
 import pytest
 
-from calibration.timing import ReferenceMissingError, fit_clock
+from calibration.clock.timing import ReferenceMissingError, fit_clock
+from drivers.daq.ni_channel import TlsFiles
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
-from mocks.wire.ni_server import NiServer
+from mocks.wire.ni.ni_server import NiServer
 from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
 
 # No test waits long for an answer that does not come.
@@ -301,3 +304,66 @@ def test_given_a_warning_about_the_device_then_it_is_told_as_a_fault_that_no_rep
         recorder = bench.recorder()
         with pytest.raises(InstrumentError, match=r"warns.*DEV_NOT_SELF_CALIBRATED.*put right what it warns of"):
             recorder.start(ask())
+
+
+@pytest.mark.parametrize(
+    ("kind", "operation"),
+    [("exhausted", "StartTask"), ("exhausted", "GetDeviceAttributeString"), ("internal", "GetDeviceAttributeString")],
+)
+def test_given_a_server_that_refuses_a_call_for_now_then_it_is_made_again(kind, operation):
+    with daq_bench(faults=fault(kind, operation, at_call=1, count=2)) as bench:
+        check_tone(take_one(bench.recorder()))
+
+
+@pytest.mark.parametrize(("kind", "calls"), [("exhausted", 4), ("internal", 1)])
+def test_given_a_server_that_goes_on_refusing_then_the_attempt_fails_and_the_next_one_works(kind, calls):
+    with daq_bench(faults=fault(kind, "StartTask", at_call=1, count=calls)) as bench:
+        recorder = bench.recorder()
+        with pytest.raises(TransientInstrumentError, match="could not serve the call this time"):
+            recorder.start(ask())
+        # What may have been carried out is not ordered twice.
+        assert bench.calls("StartTask") == calls
+        check_tone(take_one(recorder))
+
+
+def test_given_an_unreachable_address_then_the_remedy_names_the_bind_address_that_serves_other_computers():
+    with daq_bench() as bench:
+        bench.server.stop()
+        with pytest.raises(InstrumentLostError) as caught:
+            bench.recorder()
+        assert '"address": "[::]"' in caught.value.remedy
+
+
+TLS = Path(__file__).with_name("tls")
+ROOT = TlsFiles(TLS / "root.pem")
+BOTH = TlsFiles(TLS / "root.pem", TLS / "client.pem", TLS / "client.key")
+
+
+def server_credentials(*, mutual):
+    pair = ((TLS / "server.key").read_bytes(), (TLS / "server.pem").read_bytes())
+    return grpc.ssl_server_credentials([pair], (TLS / "root.pem").read_bytes() if mutual else None, mutual)
+
+
+@pytest.mark.parametrize(("mutual", "files"), [(False, ROOT), (False, BOTH), (True, BOTH)])
+def test_given_a_server_with_a_certificate_then_records_come_over_tls(mutual, files):
+    with daq_bench(credentials=server_credentials(mutual=mutual)) as bench:
+        recorder = bench.recorder(tls=files)
+        check_tone(take_one(recorder))
+        recorder.reconnect()
+        check_tone(take_one(recorder))
+
+
+@pytest.mark.parametrize(
+    ("mutual", "files"), [(False, None), (True, ROOT), (False, TlsFiles(TLS / "client.pem"))], ids=str
+)
+def test_given_the_wrong_certificates_or_none_then_the_server_cannot_be_reached(mutual, files):
+    with (
+        daq_bench(credentials=server_credentials(mutual=mutual)) as bench,
+        pytest.raises(InstrumentLostError, match=r"cannot be reached.*tls_root of \[recorder\]"),
+    ):
+        bench.recorder(tls=files, answer_s=5.0)
+
+
+def test_given_a_certificate_file_that_is_not_there_then_its_key_is_named(tmp_path):
+    with daq_bench() as bench, pytest.raises(InstrumentError, match=r"cannot be read.*correct tls_root"):
+        bench.recorder(tls=TlsFiles(tmp_path / "gone.pem"))

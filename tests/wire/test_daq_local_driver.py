@@ -167,3 +167,184 @@ recorder.close()
     assert answers["told"][0] == error
     assert cause in answers["told"][1]
     assert answers["tasks"] == 0
+
+
+RIG = """
+[mirror]
+driver = "generic"
+port = "/nowhere"
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+[player]
+driver = "sounddevice"
+device = "none"
+"""
+IN_A_PROCESS = """
+import os
+from pathlib import Path
+from drivers.daq.process_recorder import ProcessRecorder
+
+def in_a_process(device="Dev1", **changes):
+    wiring = dict(reference_input="ai0", response_input="ai1", terminal="differential", trigger=None)
+    return ProcessRecorder(device, **{**wiring, **changes})
+
+def taken(recorder):
+    recorder.start(request())
+    recording = recorder.read(5.0)
+    return [list(recording.volts.shape), [float(abs(row).max()) for row in recording.volts]]
+
+unplugged = Path(os.environ["SHIM_UNPLUGGED"])
+"""
+
+
+@LINUX_ONLY
+@STANDS_IN
+def test_given_a_library_that_stays_broken_after_a_replug_then_a_fresh_process_brings_the_device_back(
+    library, tmp_path
+):
+    answers = session(
+        library,
+        IN_A_PROCESS
+        + """
+recorder, here = in_a_process(), opened("Dev1")
+answers["first"], process = taken(recorder), recorder.process_id
+unplugged.touch()
+answers["unplugged"] = told(lambda: taken(recorder))
+answers["away"] = told(recorder.reconnect)
+answers["not connected"] = told(lambda: taken(recorder))
+answers["here"] = told(here.reconnect)
+unplugged.unlink()
+answers["here again"] = told(here.reconnect)
+recorder.reconnect()
+answers["again"] = taken(recorder)
+answers["fresh"] = recorder.process_id != process
+answers["name"] = recorder.identify()
+answers["identity"] = str(recorder.identity)
+answers["ranges"] = recorder.input_ranges_v
+answers["input"] = recorder.read_input_v("ai2")
+recorder.start(request(100_000))
+recorder.abort()
+answers["aborted"] = told(lambda: recorder.read(0.1))
+answers["early"] = (recorder.start(request(100_000)), told(lambda: recorder.read(0.01)))[1]
+recorder.close()
+recorder.close()
+answers["closed"] = told(lambda: recorder.start(request()))
+""",
+        SHIM_UNPLUGGED=str(tmp_path / "unplugged"),
+    )
+    shape, peaks = answers["first"]
+    assert shape == [2, 1000]
+    assert peaks == pytest.approx([0.5, 2.0], abs=0.003)
+    assert answers["unplugged"][0] == "InstrumentLostError"
+    assert "unplugged" in answers["unplugged"][1]
+    assert answers["away"][0] == "InstrumentLostError"
+    assert "reconnect first" in answers["not connected"][1]
+    # In one and the same process it never comes back.
+    assert [answers["here"][0], answers["here again"][0]] == ["InstrumentLostError", "InstrumentLostError"]
+    assert answers["again"] == answers["first"]
+    assert answers["fresh"]
+    assert answers["name"].startswith("NI USB-6001, serial number 01C0FFEE, Dev1 on this computer")
+    assert answers["identity"] == "NI USB-6001, serial number 01C0FFEE"
+    assert answers["ranges"] == [10.0]
+    assert abs(answers["input"]) < 1.0
+    assert "no record was started" in answers["aborted"][1]
+    assert answers["early"][0] == "TransientInstrumentError"
+    assert "it is closed" in answers["closed"][1]
+
+
+@LINUX_ONLY
+@STANDS_IN
+def test_given_the_process_of_the_library_is_killed_then_the_recorder_is_lost_and_comes_back(library, tmp_path):
+    answers = session(
+        library,
+        IN_A_PROCESS
+        + """
+import signal
+recorder = in_a_process()
+recorder.start(request(100_000))
+os.kill(recorder.process_id, signal.SIGKILL)
+answers["killed"] = told(lambda: recorder.read(20.0))
+recorder.abort()
+recorder.reconnect()
+answers["again"] = taken(recorder)[0]
+recorder.close()
+""",
+        SHIM_UNPLUGGED=str(tmp_path / "unplugged"),
+    )
+    assert answers["killed"][0] == "InstrumentLostError"
+    assert "the process that runs NI-DAQmx ended" in answers["killed"][1]
+    assert answers["again"] == [2, 1000]
+
+
+@LINUX_ONLY
+@STANDS_IN
+def test_given_a_library_that_hangs_then_reconnecting_ends_it_with_its_process(library, tmp_path):
+    answers = session(
+        library,
+        IN_A_PROCESS
+        + """
+import threading
+recorder, hangs = in_a_process(), Path(os.environ["SHIM_HANGS"])
+process = recorder.process_id
+hangs.touch()
+hung = []
+thread = threading.Thread(target=lambda: hung.append(told(recorder.identify)))
+thread.start()
+threading.Timer(1.0, hangs.unlink).start()
+recorder.reconnect()
+thread.join()
+answers["hung"] = hung[0]
+answers["again"] = taken(recorder)[0]
+answers["fresh"] = recorder.process_id != process
+recorder.close()
+""",
+        SHIM_UNPLUGGED=str(tmp_path / "unplugged"),
+        SHIM_HANGS=str(tmp_path / "hangs"),
+    )
+    assert answers["again"] == [2, 1000]
+    assert answers["fresh"]
+
+
+@LINUX_ONLY
+@STANDS_IN
+@pytest.mark.parametrize(
+    ("script", "kind", "text"),
+    [
+        ("in_a_process('Dev9')", "InstrumentError", "put a name that is there into device of [recorder]: Dev1, Dev2"),
+        ("in_a_process(terminal='nrse')", "InstrumentError", "put differential or rse into terminal"),
+    ],
+)
+def test_given_what_the_device_has_not_then_the_refusal_comes_from_the_process_word_for_word(
+    library, tmp_path, script, kind, text
+):
+    answers = session(
+        library,
+        IN_A_PROCESS + f"answers['told'] = told(lambda: {script})",
+        SHIM_UNPLUGGED=str(tmp_path / "unplugged"),
+    )
+    assert answers["told"][0] == kind
+    assert text in answers["told"][1]
+
+
+@LINUX_ONLY
+@STANDS_IN
+def test_given_a_rig_file_without_an_address_then_the_library_is_loaded_in_a_process_of_its_own(library, tmp_path):
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text(RIG, encoding="utf-8")
+    answers = session(
+        library,
+        """
+import os
+from pathlib import Path
+from wavefocus.config.loading import load_rig
+from wavefocus.rig.instruments import openers
+recorder = openers(load_rig(Path(os.environ["RIG_FILE"]))).recorder()
+answers["name"] = recorder.identify()
+answers["here"] = "nidaqmx" in sys.modules
+recorder.close()
+""",
+        RIG_FILE=str(rig_file),
+    )
+    assert answers["name"].startswith("NI USB-6001")
+    assert not answers["here"]

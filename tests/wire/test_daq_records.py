@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import InstrumentError, TransientInstrumentError
-from mocks.wire.ni_products import DIFFERENTIAL, PRODUCTS, RSE
+from drivers.identity import DeviceIdentity
+from mocks.wire.ni.ni_products import DIFFERENTIAL, PRODUCTS, RSE
 from tests.wire.daq_bench import RATE_HZ, TAKE, Tone, Wires, ask, check_tone, daq_bench, take_one
 
 
@@ -48,7 +49,9 @@ def test_given_what_is_played_then_it_arrives_with_its_voltages_where_it_was_in_
 
 
 def test_given_a_device_then_it_tells_product_serial_number_driver_address_and_inputs(bench):
-    name = bench.recorder().identify()
+    recorder = bench.recorder()
+    name = recorder.identify()
+    assert recorder.identity == DeviceIdentity("NI", "USB-6211", "01E57A2C")
     for part in ("USB-6211", "01E57A2C", "NI-DAQmx 24.5.0", bench.server.address, "Dev1", "ai0 and ai1 differential"):
         assert part in name
 
@@ -97,7 +100,7 @@ def test_given_each_product_then_its_fastest_rate_and_all_its_ranges_record_whol
         for terminal, ranges_v in product.ranges_v.items():
             recorder = bench.recorder(terminal=terminal)
             for range_v in ranges_v:
-                recording = take_one(recorder, 300, product.aggregate_hz / 2, (range_v, ranges_v[-1]))
+                recording = take_one(recorder, 300, product.fastest_hz(2), (range_v, ranges_v[-1]))
                 for volts, step_v, limit_v in zip(
                     recording.volts, recording.volts_per_count, (range_v, ranges_v[-1]), strict=True
                 ):
@@ -110,13 +113,23 @@ def test_given_each_product_then_its_fastest_rate_and_all_its_ranges_record_whol
             recorder.close()
 
 
+def test_given_a_converter_for_each_input_then_the_rate_is_that_of_each_and_no_input_is_late():
+    source = Wires()
+    with daq_bench(source, "USB-6356", speed=50.0) as bench:
+        recorder = bench.recorder()
+        recorder.start(ask(2000, 1.25e6, (10.0, 10.0)))
+        assert recorder.read(10.0).volts.shape == (2, 2000)
+        *_, delay_s = source.asked[-1]
+        assert delay_s == 0.0
+
+
 @pytest.mark.parametrize("product", PRODUCTS.values(), ids=PRODUCTS.keys())
 def test_given_a_rate_beyond_the_product_then_the_refusal_names_the_limit(product):
     with daq_bench(product=product.name) as bench:
         recorder = bench.recorder()
         with pytest.raises(InstrumentError, match=f"{product.name} does not sample two inputs") as caught:
-            recorder.start(ask(rate_hz=product.aggregate_hz / 2 + 1, range_v=(10.0, 10.0)))
-        assert f"to {product.aggregate_hz / 2:g} Hz as sample_rate_hz" in caught.value.remedy
+            recorder.start(ask(rate_hz=product.fastest_hz(2) + 1, range_v=(10.0, 10.0)))
+        assert f"to {product.fastest_hz(2):g} Hz as sample_rate_hz" in caught.value.remedy
         assert bench.calls("CreateTask") == 0
 
 

@@ -17,7 +17,7 @@ from nidaqmx.errors import DaqError, DaqReadError
 
 from drivers.daq.ni_recorder import NiRecorder
 from drivers.errors import InstrumentLostError
-from mocks.wire.ni_server import NiServer
+from mocks.wire.ni.ni_server import NiServer
 from tests.wire.daq_bench import Tone, ask, check_tone, daq_bench, take_one
 
 ROOT = Path(__file__).parents[2]
@@ -43,7 +43,7 @@ def voltage_task(bench, mode=AcquisitionType.FINITE, samples=500, rate_hz=10_000
 
 @contextmanager
 def server_process():
-    command = [sys.executable, "-m", "mocks.wire.ni_process", "--product", "USB-6212", "--tone-v", "0.5"]
+    command = [sys.executable, "-m", "mocks.wire.ni.ni_process", "--product", "USB-6212", "--tone-v", "0.5"]
     with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield process, process.stdout.readline().strip()

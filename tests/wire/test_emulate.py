@@ -66,8 +66,8 @@ def test_given_a_keyboard_then_the_spot_the_patch_bay_and_mistakes_are_answered(
             baud=None,
             identity=None,
             settle_s=0.0,
-            limit_mrad=250.0,
-            park_mrad=(-240.0, -240.0),
+            limit_mrad=155.0,
+            park_mrad=(-150.0, -150.0),
             clock=WallClock(),
         )
         mirror.move_to(30.0, -20.0)

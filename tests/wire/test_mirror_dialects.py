@@ -10,8 +10,11 @@ import pytest
 import tests.contract.test_mirror_contract as contract
 from drivers.clock import WallClock
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from mocks.wire.asi_device import AsiTigerDevice
-from mocks.wire.mirrorcle_device import MirrorcleDevice
+from drivers.identity import DeviceIdentity
+from drivers.mirror.generic import GenericMirror
+from mocks.wire.mirrors.asi_device import AsiTigerDevice
+from mocks.wire.mirrors.mirrorcle_device import MirrorcleDevice
+from mocks.wire.mirrors.optotune_device import OptotuneDevice
 from tests.wire.serial_bench import ALL, LIMIT_MRAD, LOCAL, PARK_MRAD, WIRES, mirror_bench
 
 CONTRACT = [test for name, test in vars(contract).items() if name.startswith("test_")]
@@ -65,15 +68,31 @@ def test_given_a_closed_mirror_then_the_port_is_free_for_the_next_one(bench):
 
 def test_given_a_mirror_in_use_then_reconnecting_goes_on_with_the_same_device(bench):
     mirror = bench.mirror()
-    named = mirror.identify()
+    named, identity = mirror.identify(), mirror.identity
     mirror.move_to(5.0, 5.0)
     mirror.reconnect()
     assert mirror.identify() == named
+    assert mirror.identity == identity
     with pytest.raises(TransientInstrumentError, match="sent nowhere"):
         mirror.wait_settled(10.0)
     mirror.move_to(6.0, 6.0)
     mirror.wait_settled(10.0)
     assert bench.stands_at(6.0, 6.0)
+
+
+def test_given_another_limit_then_the_device_is_the_same_one(bench):
+    first = bench.mirror()
+    named, identity = first.identify(), first.identity
+    first.close()
+    second = bench.mirror(limit_mrad=LIMIT_MRAD / 2, park_mrad=(0.0, 0.0))
+    assert second.identify() != named
+    assert second.identity == identity
+
+
+def test_given_a_generic_mirror_of_another_firmware_then_it_is_the_same_device():
+    wanted = DeviceIdentity("wavefocus", "generic mirror", "0001")
+    for version in ("1.0", "1.1"):
+        assert GenericMirror().device(f"wavefocus,generic mirror,0001,{version}") == wanted
 
 
 def test_given_another_identity_in_the_rig_file_then_the_device_is_refused_by_name(bench):
@@ -98,7 +117,7 @@ def test_given_a_dialect_without_read_back_then_it_says_that_it_does_not_know(di
         assert bench.mirror().where_mrad() is None
 
 
-@pytest.mark.parametrize("dialect", ["asi-tiger", "generic"])
+@pytest.mark.parametrize("dialect", ["asi-tiger", "generic", "optotune-mre2"])
 def test_given_a_slow_mirror_then_the_driver_waits_until_it_is_idle(dialect, tmp_path):
     with mirror_bench(dialect, LOCAL, tmp_path, settle_s=0.05, slew_mrad_s=1000.0) as bench:
         mirror = bench.mirror(settle_s=0.0)
@@ -122,7 +141,7 @@ def test_given_a_mirror_that_is_held_elsewhere_then_waiting_says_where_it_stands
 
 def test_given_units_per_degree_then_asi_moves_by_half_the_beam_angle_in_those_units(tmp_path):
     def device(motion):
-        return AsiTigerDevice(motion, ("P", "Q"), units_per_degree=500.0)
+        return AsiTigerDevice(motion, ("P", "Q"), units_per_degree=500.0, limit_degrees=8.0)
 
     with mirror_bench("asi-tiger", LOCAL, tmp_path, device=device) as bench:
         bench.mirror().move_to(2000 * math.radians(1.0), 0.0)
@@ -131,23 +150,28 @@ def test_given_units_per_degree_then_asi_moves_by_half_the_beam_angle_in_those_u
 
 def test_given_a_scanner_whose_degrees_are_the_beams_then_the_factor_is_one(tmp_path):
     with mirror_bench("asi-tiger", LOCAL, tmp_path) as bench:
-        bench.mirror(beam_per_mirror=1.0, axes=("X", "Y")).move_to(1000 * math.radians(1.0), 0.0)
-        assert bench.far.heard[-1] == "M X=1000.000 Y=0.000"
+        bench.mirror(beam_per_mirror=1.0, limit_mrad=120.0, park_mrad=(-100.0, -100.0), axes=("a", "b")).move_to(
+            1000 * math.radians(1.0), 0.0
+        )
+        assert bench.far.heard[-1] == "M A=1000.000 B=0.000"
 
 
 def test_given_a_scanner_on_its_analog_inputs_then_it_is_refused_and_the_command_named(tmp_path):
     def device(motion):
-        return AsiTigerDevice(motion, external_input=True)
+        return AsiTigerDevice(motion, external_input=True, limit_degrees=8.0)
 
     with (
         mirror_bench("asi-tiger", LOCAL, tmp_path, device=device) as bench,
-        pytest.raises(InstrumentError, match="analog input; send PM X=0"),
+        pytest.raises(InstrumentError, match=r"analog input.*; send PM A=0"),
     ):
         bench.mirror()
 
 
 def test_given_old_firmware_without_input_modes_then_asi_goes_on(tmp_path):
     class Older(AsiTigerDevice):
+        def __init__(self, motion):
+            super().__init__(motion, limit_degrees=8.0)
+
         def answer(self, command):
             return ":N-1\r\n" if command.startswith("PM") else super().answer(command)
 
@@ -158,6 +182,9 @@ def test_given_old_firmware_without_input_modes_then_asi_goes_on(tmp_path):
 @pytest.mark.parametrize("answer", [":A X=1000", ":X=1000.000000 A", "X=1000 :A"])
 def test_given_each_way_in_which_firmware_tells_a_setting_then_asi_reads_it(answer, tmp_path):
     class Firmware(AsiTigerDevice):
+        def __init__(self, motion):
+            super().__init__(motion, limit_degrees=8.0)
+
         def answer(self, command):
             axis = command[3:4]
             return f"{answer.replace('X', axis)}\r\n" if command.startswith("UM") else super().answer(command)
@@ -173,13 +200,24 @@ def test_given_full_scale_then_mirrorcle_gets_parts_of_it(tmp_path):
     with mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench:
         bench.mirror(setup=("MTI+VB 80", "MTI+VD 135", "MTI+BW 120")).move_to(125.0, -62.5)
         assert bench.far.heard[:2] == ("MTI+EX", "$MTI$")
-        assert bench.far.heard[-5:] == (
+        assert bench.far.heard[-6:] == (
+            "MTI+DI",
             "MTI+VB 80",
             "MTI+VD 135",
             "MTI+BW 120",
             "MTI+EN",
             "MTI+GT 0.5000 -0.2500 0",
         )
+
+
+def test_given_a_controller_that_is_still_enabled_then_its_settings_are_sent_with_the_voltage_off(tmp_path):
+    setup = ("MTI+VB 80",)
+    with mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench:
+        bench.mirror(setup=setup).close()  # closing leaves the mirror enabled
+        mirror = bench.mirror(setup=setup)
+        mirror.move_to(40.0, -25.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(40.0, -25.0)
 
 
 def test_given_a_setup_that_the_controller_refuses_then_it_says_which_command(tmp_path):
@@ -194,6 +232,78 @@ def test_given_tangents_then_optotune_gets_them_over_that_of_fifty_degrees(tmp_p
         bench.mirror().move_to(200.0, -100.0)
         x, y = (math.tan(angle) / math.tan(math.radians(50)) for angle in (0.2, -0.1))
         assert bench.far.heard[-1] == f"xy={x:.4f};{y:.4f}"
+
+
+def test_given_optotune_in_its_pro_mode_then_it_is_brought_back_to_simple_mode(tmp_path):
+    with mirror_bench(
+        "optotune-mre2", LOCAL, tmp_path, device=lambda motion: OptotuneDevice(motion, pro_mode=True)
+    ) as bench:
+        mirror = bench.mirror()
+        mirror.move_to(40.0, -25.0)
+        mirror.wait_settled(10.0)
+        assert bench.stands_at(40.0, -25.0)
+
+
+@pytest.mark.parametrize("digits", ["{:08X}", "0x{:08x}"])
+def test_given_a_status_register_then_bit_4_alone_says_that_optotune_moves(digits, tmp_path):
+    class Busy(OptotuneDevice):
+        registers = (0xFFFFFFEF, 0x00000010, 0xFFFFFFFF, 0x0000000F)
+        asked = 0
+
+        def answer(self, command):
+            if command != "status":
+                return super().answer(command)
+            self.asked += 1
+            return digits.format(self.registers[min(self.asked, len(self.registers)) - 1]) + "\r\n"
+
+    with mirror_bench("optotune-mre2", LOCAL, tmp_path, device=Busy) as bench:
+        mirror = bench.mirror(settle_s=0.0)  # the first register answers the look for the place after `start`
+        mirror.move_to(40.0, -25.0)
+        mirror.wait_settled(10.0)
+        assert bench.device.asked == len(Busy.registers)
+
+
+@pytest.mark.parametrize("answer", ["OU", "OL"])
+def test_given_an_answer_that_the_mirror_was_clamped_then_the_move_has_failed_for_good(answer, tmp_path):
+    class Clamps(OptotuneDevice):
+        def answer(self, command):
+            return f"{answer}\r\n" if command.startswith("xy=") else super().answer(command)
+
+    with mirror_bench("optotune-mre2", LOCAL, tmp_path, device=Clamps) as bench:
+        mirror = bench.mirror()
+        with pytest.raises(InstrumentError, match=f"{answer}.*edge of its reach") as caught:
+            mirror.move_to(40.0, -25.0)
+        assert not isinstance(caught.value, TransientInstrumentError)
+        with pytest.raises(TransientInstrumentError, match="latest move failed"):
+            mirror.wait_settled(0.1)
+
+
+@pytest.mark.parametrize("answer", ["NO", "ERROR", "ERROR 17"])
+def test_given_any_other_refusal_of_optotune_then_the_move_can_be_tried_again(answer, tmp_path):
+    class Refuses(OptotuneDevice):
+        def answer(self, command):
+            return f"{answer}\r\n" if command.startswith("xy=") else super().answer(command)
+
+    with mirror_bench("optotune-mre2", LOCAL, tmp_path, device=Refuses) as bench:
+        mirror = bench.mirror()
+        with pytest.raises(TransientInstrumentError, match=f"answers {answer}"):
+            mirror.move_to(40.0, -25.0)
+
+
+def test_given_a_corner_of_the_square_then_it_is_outside_of_optotunes_circle(tmp_path):
+    with mirror_bench("optotune-mre2", LOCAL, tmp_path) as bench:
+        mirror = bench.mirror(limit_mrad=800.0)
+        with pytest.raises(InstrumentError, match=r"cannot point to \(750, 750\) mrad"):
+            mirror.move_to(750.0, 750.0)
+        assert not any(command.startswith("xy=") for command in bench.far.heard)
+
+
+def test_given_a_park_direction_outside_of_the_circle_then_optotune_refuses_it_before_it_is_needed(tmp_path):
+    with (
+        mirror_bench("optotune-mre2", LOCAL, tmp_path) as bench,
+        pytest.raises(InstrumentError, match="preparing to park: the device cannot point"),
+    ):
+        bench.mirror(limit_mrad=800.0, park_mrad=(750.0, 750.0))
 
 
 def test_given_a_controller_that_restarted_unnoticed_then_mirrorcle_is_lost_and_enabled_again(tmp_path):
@@ -231,7 +341,7 @@ def test_given_no_full_scale_then_mirrorcle_asks_for_it(tmp_path):
 def test_given_a_limit_beyond_full_scale_then_it_is_refused(tmp_path):
     with (
         mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench,
-        pytest.raises(InstrumentError, match="limit_mrad is 250, the device's full scale 100"),
+        pytest.raises(InstrumentError, match="limit_mrad is 250, and the device ends at 100 mrad"),
     ):
         bench.mirror(full_scale_mrad=100.0)
 

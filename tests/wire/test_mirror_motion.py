@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocks.wire.motion import MirrorMotion
+from mocks.wire.mirrors.motion import MirrorMotion
 
 SECOND_NS = 1_000_000_000
 

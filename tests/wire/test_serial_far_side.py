@@ -11,13 +11,13 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from mocks.wire.asi_device import AsiTigerDevice
 from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.generic_device import GenericMirrorDevice
-from mocks.wire.mirror_devices import mirror_device
-from mocks.wire.mirrorcle_device import MirrorcleDevice
-from mocks.wire.motion import MirrorMotion
-from mocks.wire.optotune_device import OptotuneDevice
+from mocks.wire.mirrors.asi_device import AsiTigerDevice
+from mocks.wire.mirrors.generic_device import GenericMirrorDevice
+from mocks.wire.mirrors.mirror_devices import mirror_device
+from mocks.wire.mirrors.mirrorcle_device import MirrorcleDevice
+from mocks.wire.mirrors.motion import MirrorMotion
+from mocks.wire.mirrors.optotune_device import LEAVE_PRO_MODE, OptotuneDevice
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import TcpWire
 from mocks.wire.vibrometer_device import PolytecDevice
@@ -52,7 +52,7 @@ def test_given_asi_then_each_mistake_has_its_code():
         assert ask("um a? b?") == ":A A=1000.000 B=1000.000\r\n"
         assert ask("/") == "N\r\n"
         assert ask("JUMP") == ":N-1\r\n"
-        assert ask("M X=1") == ":N-2\r\n"
+        assert ask("M Q=1") == ":N-2\r\n"
         assert ask("M A") == ":N-3\r\n"
         assert ask("M") == ":N-3\r\n"
         assert ask("M A=1e9") == ":N-3\r\n"
@@ -72,8 +72,10 @@ def test_given_mirrorcle_then_it_is_deaf_outside_command_mode_and_flat_without_h
         assert mirror.where_mrad() == (125.0, 125.0)
         assert ask("MTI+GT 1.5 0 0") == "MTI-ERR InvalidParameter\r\n"
         assert ask("MTI+GT 0.5 0.5") == "MTI-ERR InvalidCommand\r\n"
-        assert ask("MTI+BW 20") == "MTI-ERR InvalidParameter\r\n"
+        assert ask("MTI+BW 120") == "MTI-ERR InvalidCommand\r\n"
         assert ask("MTI+DI") == "MTI-OK\r\n"
+        assert ask("MTI+BW 20") == "MTI-ERR InvalidParameter\r\n"
+        assert ask("MTI+BW 120") == "MTI-OK\r\n"
         assert mirror.where_mrad() == (0.0, 0.0)
         assert ask("MTI+EX") == "MTI-Device Exit Command Mode\r\n"
 
@@ -81,11 +83,21 @@ def test_given_mirrorcle_then_it_is_deaf_outside_command_mode_and_flat_without_h
 def test_given_optotune_then_both_spellings_of_its_move_work():
     with terminal(OptotuneDevice(motion())) as ask:
         assert ask("start", "\r\n") == "OK\r\n"
-        assert ask("status", "\r\n") == "0000000000\r\n"
+        assert ask("status", "\r\n") == "00000000\r\n"
         assert ask("xy=0.1000;-0.1000", "\r\n") == "OK\r\n"
         assert ask("xy= 0.1000; -0.1000", "\r\n") == "OK\r\n"
-        assert ask("xy=1.5;0", "\r\n") == "NO\r\n"
+        assert ask("xy=1.5;0", "\r\n") == "OU\r\n"
+        assert ask("xy=-1.5;0", "\r\n") == "OL\r\n"
+        assert ask("xy=0.8;0.8", "\r\n") == "OU\r\n"
         assert ask("xy=up", "\r\n") == "NO\r\n"
+
+
+def test_given_optotune_in_its_pro_mode_then_it_is_deaf_to_text_until_its_frame_comes():
+    with terminal(OptotuneDevice(motion(), pro_mode=True)) as ask:
+        # The first two lines are not answered at all.
+        assert ask("start\r\n" + LEAVE_PRO_MODE + "\r\nstart", "\r\n") == "OK\r\n"
+        assert ask(LEAVE_PRO_MODE + "start", "\r\n") == "NO\r\n"
+        assert ask("Start", "\r\n") == "OK\r\n"
 
 
 def test_given_the_generic_mirror_then_it_can_be_typed_to_by_hand():

@@ -228,3 +228,12 @@ def test_given_a_device_that_answers_rubbish_then_it_is_unreadable():
     (silent,) = found(Garbled([DAQ]), expect(DAQ, "01A2B3C4"))
     assert silent.verdict is Verdict.UNREADABLE
     assert "does not answer properly" in silent.sentence
+
+
+@pytest.mark.parametrize(
+    "ids", [(0x0403, 0x6001), (0x10C4, 0xEA60), (0x10C4, 0xEA70), (0x10C4, 0xEA71), (0x0483, 0x5740), (0x0483, 0xA31E)]
+)
+def test_given_a_bridge_of_a_serial_instrument_then_it_is_a_serial_adapter(ids):
+    bus = VirtualUsb([VirtualUsbDevice(*ids, "1", port_path=(1, 5))])
+    (found,) = list_devices(bus)
+    assert found.kind is Kind.SERIAL_ADAPTER

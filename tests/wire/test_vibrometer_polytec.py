@@ -54,6 +54,26 @@ def test_given_a_range_then_its_unit_is_read_too(text, sensitivity_m_s_per_v, tm
         assert read(far).sensitivity_m_s_per_v == pytest.approx(sensitivity_m_s_per_v)
 
 
+@pytest.mark.parametrize(
+    ("range_text", "signal_delay", "signal_level", "sensitivity_m_s_per_v", "latency_s"),
+    [
+        ("2,5mm/s/V", "8,16 us", "310,5", 0.0025, 8.16e-6),
+        ("0.488281mm/s/V", "12.123456789us", "310.5", 0.000488281, 12.123456789e-6),
+        ("1m/s/V", "8 us", 310, 1.0, 8e-6),
+    ],
+)
+def test_given_values_with_decimals_then_they_are_read(
+    range_text, signal_delay, signal_level, sensitivity_m_s_per_v, latency_s, tmp_path
+):
+    with controller(
+        LOCAL, tmp_path, range_text=range_text, signal_delay=signal_delay, signal_level=signal_level
+    ) as far:
+        reading = read(far)
+    assert reading.sensitivity_m_s_per_v == pytest.approx(sensitivity_m_s_per_v)
+    assert reading.latency_s == pytest.approx(latency_s)
+    assert reading.signal_level == pytest.approx(0.4, rel=2e-3)
+
+
 @pytest.mark.parametrize("text", ["125", "125mm/V", "0mm/s/V", "125mm/s", "125 km/s/V", "-5mm/s/V", "1e3mm/s/V"])
 def test_given_a_range_that_cannot_be_read_then_it_is_no_sensitivity(text, tmp_path):
     with (

@@ -10,12 +10,9 @@ from pathlib import Path
 
 from acquisition.by_hand.level import LevelMeter
 from acquisition.calibration_procedures.operator import Operator
-from acquisition.setup import Setup
-from calibration.errors import InputError
+from acquisition.engine.setup import Setup
 from drivers.errors import InstrumentError
-from wavefocus.calibration_request import Request, marks
-from wavefocus.calibration_session import CalibrationSession
-from wavefocus.compose import put_to_rest, setup_of
+from storage.errors import InputError
 from wavefocus.config.calibration_file import PARTS, CalibrationRecord
 from wavefocus.config.calibration_naming import name_calibration
 from wavefocus.config.calibration_toml import write_calibration
@@ -23,12 +20,16 @@ from wavefocus.config.loading import load_rig
 from wavefocus.console import say
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
-from wavefocus.instruments import open_rig, openers
 from wavefocus.json_lines import LinesIn, LinesOut
-from wavefocus.lines_operator import LinesOperator
-from wavefocus.operation import tell_fault
-from wavefocus.operation_orders import SAMPLE_RATE_HZ
-from wavefocus.terminal_operator import TerminalOperator, VirtualHands
+from wavefocus.rig.calibration_request import Request, marks
+from wavefocus.rig.calibration_session import CalibrationSession
+from wavefocus.rig.compose import put_to_rest, setup_of
+from wavefocus.rig.instruments import open_rig, openers
+from wavefocus.rig.lines_operator import LinesOperator
+from wavefocus.rig.operation import tell_fault
+from wavefocus.rig.operation_orders import SAMPLE_RATE_HZ
+from wavefocus.rig.terminal_operator import TerminalOperator, VirtualHands
+from wavefocus.type_ahead import forget_typed
 
 
 def calibrate(
@@ -81,7 +82,7 @@ def calibrate(
 
 def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
     if lines is None:
-        return TerminalOperator(sys.stdin.readline)
+        return TerminalOperator(sys.stdin.readline, forget_typed)
 
     def place_mm(x_mrad: float, y_mrad: float) -> tuple[float, float] | None:
         try:
@@ -90,7 +91,9 @@ def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
             return None
         return round(float(x_mm), 4), round(float(y_mm), 4)
 
-    return LinesOperator(LinesIn(), lines, LevelMeter(setup, SAMPLE_RATE_HZ).hear, place_mm)
+    answers = LinesIn()
+    answers.start()
+    return LinesOperator(answers, lines, LevelMeter(setup, SAMPLE_RATE_HZ).hear, place_mm)
 
 
 def _keep(file: Path, record: CalibrationRecord, measured: list[str], rig_file: Path, *, use: bool) -> None:
@@ -121,9 +124,9 @@ def parts_named(words: str) -> tuple[str, ...]:
 def _file(out: Path | None, folder: Path) -> Path:
     """Where to write: the file asked for, or one of today's beside the rig file; none is overwritten."""
     if out is not None:
-        if out.exists():
+        if os.path.lexists(out):
             raise InputError(f"--out {out}: is there already and is not overwritten; name another file")
         return out
     name = f"calibration-{date.today().isoformat()}"
     candidates = [folder / f"{name}.toml", *(folder / f"{name}-{number}.toml" for number in range(2, 1000))]
-    return next(file for file in candidates if not file.exists())
+    return next(file for file in candidates if not os.path.lexists(file))

@@ -6,32 +6,34 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from acquisition.engine import Campaign
-from acquisition.events import Event, State, Subscriber
-from acquisition.point_status import STATUS_WORDS, Status, not_valid
-from acquisition.raw_keeping import without_recordings
-from acquisition.row_ranges import row_ranges
-from acquisition.stopping import StopRequest, stop_on_signals
-from calibration.bank import open_bank
-from calibration.bank_creation import create_bank
-from calibration.bank_writer import BankWriter
-from calibration.errors import ExistsError, InputError
-from calibration.network_mount import is_network_mount
+from acquisition.engine.campaign import Campaign
+from acquisition.engine.event_publisher import EventPublisher
+from acquisition.engine.events import Event, State, Subscriber
+from acquisition.engine.raw_keeping import without_recordings
+from acquisition.engine.stopping import StopRequest, stop_on_signals
+from acquisition.quality.point_status import STATUS_WORDS, Status, not_valid
+from acquisition.schedule.row_ranges import row_ranges
 from drivers.errors import InstrumentError
-from wavefocus.attendance import Attendance
-from wavefocus.beside import log_path
-from wavefocus.blueprint import Blueprint, blueprint_from_bank, blueprint_from_files
-from wavefocus.calibration_change import refuse_other_devices, with_one_calibration
-from wavefocus.campaign_view import CampaignView
-from wavefocus.compose import open_setup
+from storage.bank.creation import create_bank
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter
+from storage.errors import ExistsError, InputError
+from storage.network_mount import is_network_mount
+from wavefocus.campaign.attendance import Attendance
+from wavefocus.campaign.blueprint import Blueprint, blueprint_from_bank, blueprint_from_files, blueprint_with_rig
+from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.campaign.drift_history import DriftHistory, read_drift
+from wavefocus.campaign.event_log import EventLines, EventLog, print_line
+from wavefocus.campaign.go_on import resume_line
+from wavefocus.campaign.positions import parse_positions
+from wavefocus.campaign.raw_sidecar import opened_raw
+from wavefocus.campaign.schedule_choice import as_settled, settle
+from wavefocus.campaign.sidecar_files import log_path
 from wavefocus.console import progress, say
-from wavefocus.drift_history import DriftHistory
-from wavefocus.event_log import EventLines, EventLog, print_line
 from wavefocus.exits import Exit
-from wavefocus.messages import messenger_for
-from wavefocus.positions import parse_positions
-from wavefocus.raw_beside import opened_raw
-from wavefocus.settling import as_settled, settle
+from wavefocus.rig.calibration_change import refuse_other_devices, with_one_calibration
+from wavefocus.rig.compose import open_setup
+from wavefocus.rig.messages import messenger_for
 
 
 def capture(
@@ -40,6 +42,7 @@ def capture(
     scenes: Sequence[Path] = (),
     *,
     checks: bool = True,
+    allow_large: bool = False,
     as_json: bool,
     accept_drift: bool,
     accept_calibration: bool = False,
@@ -48,15 +51,18 @@ def capture(
     blueprint = blueprint_from_files(run_file)
     needed = None
     if scenes:
-        from wavefocus.scene_positions import needed_by  # with it comes what renders
+        from wavefocus.campaign.scene_positions import needed_by  # with it comes what renders
 
-        needed = needed_by(scenes, blueprint.plan.position_mm, checks=checks)
+        needed = needed_by(scenes, blueprint.plan.position_mm, checks=checks, allow_large=allow_large)
     blueprint, told = _with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
+    named = blueprint.configuration.run.rig
+    rig_file = None if named == "virtual" else run_file.parent / named
     if needed is None:
         return _session(
             blueprint,
             bank,
             None,
+            rig_file=rig_file,
             as_json=as_json,
             accept_drift=accept_drift,
             accept_calibration=accept_calibration,
@@ -71,6 +77,7 @@ def capture(
             blueprint,
             bank,
             rows,
+            rig_file=rig_file,
             as_json=as_json,
             accept_drift=accept_drift,
             accept_calibration=accept_calibration,
@@ -78,7 +85,7 @@ def capture(
         )
     say(
         f"all {len(needed)} positions that are needed are in the bank; the other "
-        f"{len(left) - len(rows)} are left, and measured by: wavefocus resume {bank}"
+        f"{len(left) - len(rows)} are left, and measured by: {resume_line(bank, rig_file)}"
     )
     return done
 
@@ -97,23 +104,49 @@ def _with_bank(
     return with_one_calibration(as_settled(blueprint, bank), bank, run_file, accept=accept_calibration), ()
 
 
-def resume(bank: Path, *, as_json: bool, accept_drift: bool, accept_calibration: bool = False) -> Exit:
-    """Go on with a campaign from the configuration that its bank holds."""
+def resume(
+    bank: Path,
+    rig_file: Path | None = None,
+    *,
+    as_json: bool,
+    accept_drift: bool,
+    accept_calibration: bool = False,
+) -> Exit:
+    """Go on with a campaign from the configuration that its bank holds, or with a corrected rig file."""
     return _session(
-        blueprint_from_bank(bank),
+        _from_bank(bank, rig_file, accept_calibration=accept_calibration),
         bank,
         None,
+        rig_file=rig_file,
         as_json=as_json,
         accept_drift=accept_drift,
         accept_calibration=accept_calibration,
     )
 
 
+def _from_bank(bank: Path, rig_file: Path | None, *, accept_calibration: bool) -> Blueprint:
+    if rig_file is None:
+        return blueprint_from_bank(bank)
+    return with_one_calibration(blueprint_with_rig(bank, rig_file), bank, rig_file, accept=accept_calibration)
+
+
 def remeasure(
-    bank: Path, words: str, positions: str, *, as_json: bool, accept_drift: bool, accept_calibration: bool = False
+    bank: Path,
+    words: str,
+    positions: str,
+    rig_file: Path | None = None,
+    *,
+    replace: bool = False,
+    as_json: bool,
+    accept_drift: bool,
+    accept_calibration: bool = False,
 ) -> Exit:
-    """Measure again the positions of some status, or those named."""
-    blueprint = blueprint_from_bank(bank)
+    """Measure again the positions of some status, or those named.
+
+    Valid rows are replaced by others only where `replace` says so, or where the latest measurement of the sentinel
+    speaks against them.
+    """
+    blueprint = _from_bank(bank, rig_file, accept_calibration=accept_calibration)
     rows = parse_positions(positions, blueprint.plan.positions) if positions else []
     wanted = _status_bits(words) if words or not positions else Status.NOT_MEASURED
     with open_bank(bank) as view:
@@ -122,10 +155,14 @@ def remeasure(
     if not chosen:
         say("no position of that status: nothing to measure again")
         return Exit.DONE
+    history = read_drift(bank)
+    suspect = history[-1].suspect if history else ()
     return _session(
         blueprint,
         bank,
         chosen,
+        rig_file=rig_file,
+        replaceable=chosen if replace or accept_drift or accept_calibration else suspect,
         as_json=as_json,
         accept_drift=accept_drift,
         accept_calibration=accept_calibration,
@@ -147,17 +184,19 @@ def _session(
     bank: Path,
     rows: Sequence[int] | None,
     *,
+    rig_file: Path | None,
     as_json: bool,
     accept_drift: bool,
     accept_calibration: bool = False,
     told: Sequence[Event] = (),
+    replaceable: Sequence[int] = (),
 ) -> Exit:
     """Carry out one session with log, progress and signals around it; `told` is what happened before it."""
     stop = StopRequest()
     plan = blueprint.plan
     with (
-        _told_how_to_go_on(bank),
-        messenger_for(bank, blueprint.configuration.rig.messages) as messenger,
+        _told_how_to_go_on(bank, rig_file),
+        messenger_for(bank, blueprint.configuration.rig.messages, resume_line(bank, rig_file)) as messenger,
         BankWriter.open(bank, plan_sha256=plan.sha256) as writer,
         # Outside of the instruments, so that no impatient Ctrl-C keeps them from being put to rest.
         stop_on_signals(stop),
@@ -168,13 +207,16 @@ def _session(
         DriftHistory(bank) as drift,
         progress("capture", plan.positions, timed=False) as report,
     ):
-        subscribers: list[Subscriber] = [log, drift, attendance, CampaignView(report), messenger]
+        subscribers: dict[str, Subscriber] = {
+            "the event log": log,
+            "the drift history": drift,
+            "the heartbeat": attendance,
+            "the progress display": CampaignView(report),
+            "the sending of messages": messenger,
+        }
         if as_json:
-            subscribers.append(EventLines(print_line, "standard output"))
-
-        def publish(event: Event) -> None:
-            for subscriber in subscribers:
-                subscriber(event)
+            subscribers["standard output"] = EventLines(print_line, "standard output")
+        publish = EventPublisher(subscribers, say)
 
         if writer.status.any():
             refuse_other_devices(blueprint.configuration.rig, setup.instruments, bank, accept=accept_calibration)
@@ -183,26 +225,32 @@ def _session(
         if raw is not None and rows is None and (bare := without_recordings(writer.status, raw)):
             say(f"{raw.path} lacks the recordings of {len(bare)} measured position(s): measured again")
             rows = [*plan.to_do(writer.status).tolist(), *bare]
-        ended = Campaign(plan, setup, writer, publish, stop, raw=raw).run(rows, accept_drift=accept_drift)
+        ended = Campaign(plan, setup, writer, publish, stop, raw=raw).run(
+            rows, accept_drift=accept_drift, replaceable=replaceable
+        )
         if ended.state is State.STOPPED:
-            say(f"nothing measured is lost; go on with: wavefocus resume {bank}")
+            say(f"nothing measured is lost; go on with: {resume_line(bank, rig_file)}")
             # From in here, so that an instrument that cannot be put to rest is told and does not hide the stop.
             raise KeyboardInterrupt
+        if writer.renamed:
+            say(f"warning: {bank} was renamed while it was measured; it has its name again, beside the other")
         bad = not_valid(writer.status)
     if bad:
         rows_text = row_ranges(bad)
         say(
             f"{len(bad)} of {plan.positions} positions are not valid: {rows_text}; {log_path(bank)} says why; measure "
-            f"them again with: wavefocus remeasure {bank}"
+            f"them again with: {resume_line(bank, rig_file, word='remeasure')}"
         )
     return Exit.DONE
 
 
 @contextmanager
-def _told_how_to_go_on(bank: Path) -> Iterator[None]:
+def _told_how_to_go_on(bank: Path, rig_file: Path | None) -> Iterator[None]:
     """Let an instrument's last word end with the command that goes on with the campaign."""
     try:
         yield
     except InstrumentError as failure:
-        remedy = f"{failure.remedy}; nothing measured is lost; then go on with: wavefocus resume {bank}"
+        corrected = "" if rig_file is not None else "; a corrected rig file is taken by --rig RIG.toml"
+        remedy = f"{failure.remedy}; nothing measured is lost{corrected}; then go on with: "
+        remedy += resume_line(bank, rig_file)
         raise type(failure)(failure.instrument, failure.operation, failure.cause, remedy) from failure

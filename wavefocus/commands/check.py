@@ -6,25 +6,26 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from calibration.bank_check import check_bank
-from wavefocus.console import say
+from calibration.check.file import check_file
+from wavefocus.console import answer, say
 from wavefocus.exits import Exit
 
 # So many lines of a kind are read; the rest is for programs.
 MOST_LINES = 10
 
 
-def check(bank: Path, *, as_json: bool) -> Exit:
-    """Tell everything that is wrong with a bank; errors make the exit code 1, warnings do not."""
-    findings = check_bank(bank)
+def check(file: Path, *, as_json: bool) -> Exit:
+    """Tell everything that is wrong with a file; errors make the exit code 1, warnings do not."""
+    findings = check_file(file)
     errors = sum(one.severity == "error" for one in findings)
     if as_json:
-        print(json.dumps({"bank": str(bank), "errors": errors, "findings": [asdict(one) for one in findings]}))
-    told = {severity: [one for one in findings if one.severity == severity] for severity in ("error", "warning")}
+        print(json.dumps({"bank": str(file), "errors": errors, "findings": [asdict(one) for one in findings]}))
+    line = say if as_json else answer
+    told = {level: [one for one in findings if one.severity == level] for level in ("error", "warning", "note")}
     for severity, some in told.items():
         for one in some[:MOST_LINES]:
-            say(f"{severity}: {one.message}")
+            line(f"{severity}: {one.message}")
         if len(some) > MOST_LINES:
-            say(f"{severity}: and {len(some) - MOST_LINES} more; --json tells all")
-    say(f"{bank}: {errors} errors, {len(findings) - errors} warnings")
+            line(f"{severity}: and {len(some) - MOST_LINES} more; --json tells all")
+    line(f"{file}: {errors} errors, {len(told['warning'])} warnings")
     return Exit.NOT_GOOD_ENOUGH if errors else Exit.DONE

@@ -15,9 +15,10 @@ from pathlib import Path
 
 from rich.table import Table
 
-from calibration.bank import open_bank
-from calibration.errors import InputError, WavefocusError
-from wavefocus.blueprint import bank_configuration
+from storage.bank.reading import open_bank
+from storage.errors import InputError, WavefocusError
+from wavefocus.campaign.blueprint import bank_configuration
+from wavefocus.campaign.truth import compare_with_truth
 from wavefocus.commands import check, init, plan, status
 from wavefocus.commands import predict as prediction
 from wavefocus.commands import render as rendering
@@ -26,8 +27,7 @@ from wavefocus.config.run import Virtual
 from wavefocus.console import people, say
 from wavefocus.exits import Exit
 from wavefocus.render_options import RenderOptions
-from wavefocus.truth import compare_with_truth
-from wavefocus.virtual_bench import virtual_rig
+from wavefocus.rig.virtual_bench import virtual_rig
 
 # The bank is this good at the default noise, or the demo has failed.
 BANK_LIMIT_DB = -55.0
@@ -49,9 +49,9 @@ class _Stopwatch:
         self.parts.append((name, time.monotonic() - started_s))
 
 
-def demo(out: Path) -> Exit:
+def demo(out: Path, *, force: bool = False) -> Exit:
     """Capture, kill half-way, resume, check, render, predict, verify; all files in a folder of its own."""
-    _prepare(out)
+    _prepare(out, force=force)
     run, bank, scene = out / "run.toml", out / "plate.h5", out / "scene.toml"
     drive, report = out / "drive.h5", out / "verify" / "report.html"
     watch = _Stopwatch()
@@ -88,11 +88,13 @@ def demo(out: Path) -> Exit:
     return max(outcome)
 
 
-def _prepare(out: Path) -> None:
+def _prepare(out: Path, *, force: bool) -> None:
     """Take a folder of the demo's own; never clear one that is somebody else's."""
     if out.exists():
         if not (out / _MARKER).is_file() and (not out.is_dir() or any(out.iterdir())):
             raise InputError(f"--out {out}: is not empty and was not made by the demo; name another folder")
+        if any(out.iterdir()) and not force:
+            raise InputError(f"--out {out}: holds an earlier demo; name another folder, or replace it with --force")
         shutil.rmtree(out)
     out.mkdir(parents=True)
     (out / _MARKER).write_text("this folder is cleared whenever the demo runs\n", encoding="utf-8")

@@ -10,19 +10,19 @@ from pathlib import Path
 
 from rich.table import Table
 
-from acquisition.doctor import Patient, examine
-from acquisition.doctor_findings import Act, Finding
-from calibration.errors import InputError
-from calibration.mirror_map import MirrorMap
+from acquisition.doctor.examination import Patient, examine
+from acquisition.doctor.findings import Act, Finding
+from calibration.rig.mirror_map import MirrorMap
+from storage.errors import InputError
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig
-from wavefocus.console import people, say
+from wavefocus.console import answer, answers, people, say
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
-from wavefocus.instruments import openers
-from wavefocus.levels import safe_amplitude_v
-from wavefocus.message_check import message_findings
-from wavefocus.surroundings import check_surroundings, versions
+from wavefocus.rig.environment_checks import check_surroundings, versions
+from wavefocus.rig.instruments import openers
+from wavefocus.rig.levels import safe_amplitude_v
+from wavefocus.rig.message_check import message_findings
 
 SAMPLE_RATE_HZ = 10_000.0
 # Corners of a stadium: at 45 degrees on its ends, so far from the middle of the end towards the outline.
@@ -62,9 +62,8 @@ def doctor(
                 status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
 
         with ending_at_once():
-            examine(_patient(rig), publish, play=play)
-        names = {one.instrument: one.what for one in findings if one.check == "identity"}
-        check_surroundings(rig, folder, names, publish)
+            identities = examine(_patient(rig), publish, play=play)
+        check_surroundings(rig, folder, identities, publish)
         for finding in message_findings(rig, rig_file.name, send=test_message):
             publish(finding)
     failed = sum(one.verdict == "fail" for one in findings)
@@ -80,9 +79,10 @@ def doctor(
         print(json.dumps(facts))
     else:
         _show(findings)
-        say(", ".join(f"{package} {number}" for package, number in versions().items()))
+        answer(", ".join(f"{package} {number}" for package, number in versions().items()))
     warned = sum(one.verdict == "warn" for one in findings)
-    say(f"{rig_file}: {failed} not good enough, {warned} to look at, {len(findings)} findings")
+    line = say if as_json or as_lines else answer
+    line(f"{rig_file}: {failed} not good enough, {warned} to look at, {len(findings)} findings")
     return Exit.NOT_GOOD_ENOUGH if failed else Exit.DONE
 
 
@@ -132,7 +132,7 @@ def _show(findings: list[Finding]) -> None:
     for one in findings:
         found = f"{one.what}\n-> {one.remedy}" if one.remedy else one.what
         table.add_row(_styled(one.verdict), one.instrument, one.check, _plain(found))
-    people.print(table)
+    answers.print(table)
 
 
 def _styled(verdict: str) -> str:

@@ -10,14 +10,14 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.stopping import StopRequest, stop_on_signals
-from calibration.errors import InputError
+from acquisition.engine.stopping import StopRequest, stop_on_signals
 from mocks.wire.faults import WireFault
+from storage.errors import InputError
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import say
 from wavefocus.exits import Exit
-from wavefocus.virtual_bench import virtual_settings
+from wavefocus.rig.virtual_bench import virtual_settings
 
 if TYPE_CHECKING:
     from mocks.wire.emulated_rig import EmulatedRig, Wiring
@@ -51,11 +51,11 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
             "wavefocus init DIR --rig emulated writes one whose drivers are real"
         )
     try:
+        from mocks.wire.audio.jack_server import JackServerError
         from mocks.wire.emulated_rig import EmulatedRig
-        from mocks.wire.jack_server import JackServerError
     except ImportError as missing:
         raise InputError(
-            f"emulate: the Python package {missing.name} is missing; install it with: pip install 'wavefocus[emulate]'"
+            f"emulate: the Python package {missing.name} is missing; install it with: pip install JACK-Client"
         ) from None
     faults = tuple(WireFault(**fault.model_dump()) for fault in rig.emulation.fault_plan)
     stop = StopRequest()

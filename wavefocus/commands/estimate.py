@@ -12,22 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
-from acquisition.point_status import Status, status_counts
-from acquisition.quality import judge
-from acquisition.quality_limits import QualityLimits
-from calibration.bank_creation import create_bank
-from calibration.bank_header import BankHeader
-from calibration.bank_ledger import PointRecord
-from calibration.bank_writer import BankWriter
+from acquisition.quality.judgement import judge
+from acquisition.quality.limits import QualityLimits
+from acquisition.quality.point_status import Status, status_counts
 from calibration.blas import one_blas_thread
-from calibration.errors import InputError
-from calibration.network_mount import is_network_mount
-from calibration.raw_estimation import PositionResult, estimate_positions
-from calibration.raw_file import open_raw
-from calibration.raw_header import RawHeader
+from calibration.estimator.estimation_memory import affordable_workers
+from calibration.estimator.raw_estimation import PositionResult, estimate_positions
+from storage.bank.creation import create_bank
+from storage.bank.header import BankHeader
+from storage.bank.ledger import PointRecord
+from storage.bank.writer import BankWriter
+from storage.errors import InputError
+from storage.network_mount import is_network_mount
+from storage.raw.header import RawHeader
+from storage.raw.reading import open_raw
+from wavefocus.campaign.raw_estimator import estimator_for, own_plan
 from wavefocus.cluster import estimate_on_cluster
 from wavefocus.console import progress, say
-from wavefocus.raw_estimator import estimator_for, own_plan
 
 # So many faults are told one by one.
 MOST_LINES = 10
@@ -39,11 +40,21 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
         header = recordings.header
         plan = own_plan(header, raw)
         limits = QualityLimits() if plan is None else plan.quality
+        count = affordable_workers(header, workers or os.cpu_count() or 1, str(raw))
         if bank.exists() and bank.samefile(raw):
             raise InputError(f"--bank {bank}: is the raw file itself; name another file")
+
+        def tell(line: str) -> None:
+            say(f"{raw}: {line}")
+
+        tell(
+            f"{header.positions} positions, {header.records} records of {header.samples} samples at "
+            f"{header.sample_rate_hz:g} Hz, {header.taps} taps"
+            f"{'; finding what was played' if plan is None else ''}"
+        )
         if not bank.exists():
             # What was played must be known before a bank is made of it.
-            estimator = estimator_for(recordings, plan)
+            estimator = estimator_for(recordings, plan, tell)
             if is_network_mount(bank.absolute().parent):
                 say(f"{bank} is on a network drive, where locks and syncs are unreliable: estimate to a local disk")
             create_bank(bank, _bank_header(header))
@@ -54,19 +65,18 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
             to_do = np.flatnonzero(writer.status == 0).tolist()
             done = first = header.positions - len(to_do)
             if to_do and estimator is None:
-                estimator = estimator_for(recordings, plan)
+                estimator = estimator_for(recordings, plan, tell)
             started_s = time.monotonic()
             faults: list[str] = []
             with progress("estimate", header.positions, done=first) as report:
                 if to_do and estimator is not None:
-                    count = workers or os.cpu_count() or 1
                     results = (
                         estimate_on_cluster(cluster, raw, to_do, workers)
                         if cluster
                         else estimate_positions(recordings, estimator, to_do, count)
                     )
                     for result in results:
-                        if fault := _commit(writer, result, limits):
+                        if fault := _commit(writer, result, limits, calibrated=plan is not None):
                             faults.append(fault)
                         done += 1
                         report(done, header.positions)
@@ -79,7 +89,7 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
     _tell(bank, raw, header, status, done - first, took_s, as_json=as_json)
 
 
-def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits) -> str:
+def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits, *, calibrated: bool) -> str:
     """Keep one position; the sentence about it where it is not valid."""
     actuators, taps = writer.header.actuators, writer.header.taps
     found = result.estimate
@@ -88,7 +98,8 @@ def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits) -
         record = PointRecord(int(Status.FAILED), 1, nothing, nothing, nothing, nothing)
         writer.commit(result.position, np.zeros((actuators, taps), np.float32), record)
         return f"position {result.position} failed: {result.fault}"
-    judgement = judge(found, False, limits)
+    before_db = writer.reference_before_db(result.position)
+    judgement = judge(found, False, limits, before_db=before_db, calibrated=calibrated)
     record = PointRecord(
         status=int(judgement.status),
         attempts=1,
@@ -96,6 +107,7 @@ def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits) -
         residual_db=found.residual_db,
         coherence=found.coherence,
         peak_v=found.peak_v,
+        reference_db=float(np.median(found.reference_db)),
     )
     writer.commit(result.position, found.green, record)
     return "" if judgement.good else f"position {result.position}: {judgement.reason}"

@@ -8,11 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.bank import open_bank
-from calibration.errors import InputError
 from rendering.export.bank_rows import choose_rows
+from storage.bank.reading import open_bank
+from storage.errors import InputError
+from storage.output_files import require_output_folder, require_outputs
+from wavefocus.campaign.positions import parse_positions
 from wavefocus.console import progress, say
-from wavefocus.positions import parse_positions
 
 Format = Literal["sofa", "uff", "wav", "mat", "npz"]
 
@@ -28,6 +29,7 @@ def export(
     positions: str,
     missing_as_nan: bool,
     per: Literal["position", "actuator"],
+    force: bool = False,
     as_json: bool,
 ) -> None:
     """Write a bank, or some rows of it, in another format.
@@ -42,13 +44,16 @@ def export(
     if out.exists() and out.is_dir() != (to == "wav"):
         raise InputError(f"{out} is a {'folder' if out.is_dir() else 'file'}; --to {to} writes a "
                          f"{'folder of files' if to == 'wav' else 'file'}")  # fmt: skip
-    if to != "wav" and not out.absolute().parent.is_dir():
-        raise InputError(f"{out}: there is no folder {out.absolute().parent}")
+    if to != "wav":
+        require_outputs((out,), (bank,), force=force)
     with open_bank(bank) as view:
-        if out.exists() and out.samefile(bank):
-            raise InputError(f"{out} is the bank itself; name another file")
         wanted = parse_positions(positions, view.positions) if positions else None
+        view.require_sound(wanted)
         rows = choose_rows(view, wanted, missing_as_nan=missing_as_nan)
+        if to == "wav":
+            from rendering.export.sound import TABLE_NAME, sound_names
+
+            require_output_folder(out, (*sound_names(rows, per), TABLE_NAME), (bank,), force=force)
         if to == "uff":
             size = len(rows.row) * view.actuators * view.taps * ASCII_BYTES
             say(f"{len(rows.row) * view.actuators} functions in ASCII, about {size / 1e6:.3g} MB")

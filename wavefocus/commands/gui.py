@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gui.front_door import FrontDoor, Pulse, RigLimits
-from gui.start import open_window
-from wavefocus.beside import log_path, raw_path
-from wavefocus.heartbeat import SILENT_AFTER_S, read_heartbeat
+from gui.shell.front_door import FrontDoor, Pulse, RigLimits
+from gui.shell.start import open_window
+from wavefocus.campaign.heartbeat import SILENT_AFTER_S, read_heartbeat
+from wavefocus.campaign.sidecar_files import log_path, raw_path
 
 if TYPE_CHECKING:
-    from rendering.report_drift import DriftPoint
-    from rendering.scene import Scene
+    from rendering.report.drift import DriftPoint
+    from rendering.scene.model import Scene
 
 
 def gui(files: Sequence[Path]) -> int:
@@ -49,7 +49,7 @@ def front_door() -> FrontDoor:
 
 
 def _drift(bank: Path) -> list[DriftPoint]:
-    from wavefocus.drift_history import read_drift  # in the window's own time: it draws pictures, too
+    from wavefocus.campaign.drift_history import read_drift  # in the window's own time: it draws pictures, too
 
     return read_drift(bank)
 
@@ -61,10 +61,10 @@ def _pulse(bank: Path) -> Pulse | None:
     return Pulse(beat.at, beat.pid, beat.state, beat.reason, beat.position, beat.age_s() > SILENT_AFTER_S)
 
 
-def _scene(text: str, path: Path) -> Scene:
+def _scene(text: str, path: Path, allow_large: bool = False) -> Scene:
     from wavefocus.config.scene import read_scene  # when somebody draws one
 
-    return read_scene(text, path)
+    return read_scene(text, path, allow_large=allow_large)
 
 
 def _scene_tables(text: str, path: Path) -> dict[str, Any]:
@@ -76,7 +76,7 @@ def _scene_tables(text: str, path: Path) -> dict[str, Any]:
 def _rig_limits(path: Path) -> RigLimits:
     from wavefocus.config.loading import load_rig  # in the process that calculates scenes
     from wavefocus.config.rig import default_rig
-    from wavefocus.rig_limits import limits_of
+    from wavefocus.rig.rig_limits import limits_of
 
     player = (default_rig() if str(path) == "virtual" else load_rig(path)).player
     return RigLimits(limits_of(player), len(player.channels), player.coil_resistance_ohm)

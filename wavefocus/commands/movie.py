@@ -10,15 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.grid import stadium_rim
-from calibration.bank import Bank, open_bank
-from calibration.drive_file import Drive, read_drive
-from calibration.errors import InputError
-from calibration.field_rows import FieldRowReader
-from rendering.movie import snapshots, surface_of, write_movie
-from rendering.movie_frames import FramePlan, plan_frames
-from wavefocus.blueprint import bank_configuration
+from acquisition.schedule.grid import stadium_rim
+from rendering.report.movie import snapshots, surface_of, write_movie
+from rendering.report.movie_frames import FramePlan, plan_frames
+from storage.bank.reading import Bank, open_bank
+from storage.drive_file import Drive, read_drive
+from storage.errors import InputError
+from storage.field_rows import FieldRowReader
+from storage.output_files import require_outputs, write_whole
+from storage.units import quantity
+from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.console import progress, say
+from wavefocus.unverified import name_unverified
 
 OUTLINE_POINTS = 400
 FRAMES_PER_PERIOD = 2.5
@@ -45,6 +48,7 @@ def movie(
     drive_file: Path | None,
     options: MovieOptions,
     *,
+    force: bool = False,
     as_json: bool,
 ) -> None:
     """Draw a field file.
@@ -58,12 +62,13 @@ def movie(
         raise InputError("nothing to draw: give --out FILE.gif, --snapshots FILE.png, or both")
     if snapshot_file is not None and drive_file is None:
         raise InputError("--snapshots needs the focus instants: add --drive DRIVE.h5")
-    for path in (out, snapshot_file):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise InputError(f"{path}: there is no folder {path.absolute().parent}")
+    require_outputs((out, snapshot_file), (field_file, bank, drive_file), force=force)
     drive = None if drive_file is None else read_drive(drive_file)
     told: dict[str, object] = {"field": str(field_file)}
     with open_bank(bank) as view, FieldRowReader(field_file) as field:
+        name_unverified(field_file, verified=field.verified)
+        if drive_file is not None and drive is not None:
+            name_unverified(drive_file, verified=drive.verified)
         _check_together(field, field_file, view, drive, drive_file)
         surface = surface_of(view, drive, _outline(view))
         if out is not None:
@@ -82,11 +87,11 @@ def movie(
                 )
             say(
                 f"{out}: {len(plan.sample)} frames, {plan.step_s * 1e3:.3g} ms apart, {plan.slowed:.3g} times slower"
-                f" than life, colours to {limit:.3g} {field.response_unit}"
+                f" than life, colours to {quantity(f'{limit:.3g}', field.response_unit)}"
             )
             told |= {"movie": str(out), "frames": len(plan.sample), "slowed": plan.slowed, "limit": limit}
         if snapshot_file is not None and drive is not None:
-            snapshot_file.write_bytes(snapshots(field, surface, drive).png)
+            write_whole(snapshot_file, snapshots(field, surface, drive).png)
             say(f"{snapshot_file}: the field at focus instants")
             told["snapshots"] = str(snapshot_file)
     if as_json:

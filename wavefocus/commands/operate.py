@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from acquisition.bounded import RECONNECTING
 from acquisition.by_hand.gate import GatedPlayer
-from acquisition.lane import HungError, Lane
-from acquisition.watch import Sensor
-from calibration.errors import InputError
+from acquisition.engine.call_thread import HungError, Lane
+from acquisition.engine.timeouts import RECONNECTING
+from acquisition.quality.watch import Sensor
 from drivers.errors import InstrumentError
-from wavefocus.compose import put_to_rest, setup_of
+from storage.errors import InputError
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.console import say
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
-from wavefocus.instruments import OpenedRig, in_time, open_rig, openers
-from wavefocus.json_lines import LinesIn, LinesOut
-from wavefocus.operation import Operation, tell_fault
-from wavefocus.operation_orders import End, order_of
-from wavefocus.sensors import BoundedSensor, LightSensor
+from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
+from wavefocus.rig.compose import put_to_rest, setup_of
+from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers
+from wavefocus.rig.operation import Operation, tell_fault
+from wavefocus.rig.operation_orders import End, Mute, order_of
+from wavefocus.rig.sensors import BoundedSensor, LightSensor
 
 # So often it is looked whether anybody still reads, while no order comes.
 _LOOKS_EVERY_S = 1.0
@@ -44,6 +45,8 @@ def operate(rig_file: Path) -> Exit:
         The rig file is wrong.
     InstrumentError
         An instrument cannot be opened, or could not be put to rest.
+    ReadingFailedError
+        Orders cannot be read any more; the outputs are muted at once.
     """
     rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
     tell = LinesOut()
@@ -53,6 +56,9 @@ def operate(rig_file: Path) -> Exit:
             _operate(rig, tell)
     except InstrumentError as failure:
         tell_fault(tell, failure)
+        raise
+    except ReadingFailedError:
+        tell("ended", muted=True, parked=True)
         raise
     except KeyboardInterrupt:
         tell("ended", muted=True, parked=True)
@@ -76,20 +82,22 @@ def _operate(rig: RigConfig, tell: LinesOut) -> None:
 
 def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, tell: LinesOut) -> None:
     muting = Lane("muting")
+    orders = LinesIn()
 
     def is_mute(content: Mapping[str, object]) -> bool:
         return content.get("order") == "mute"
+
+    def mute() -> None:
+        with suppress(HungError, InstrumentError):  # told by what mutes again: the order itself, or the way out
+            muting.call(gate.shut, _MUTES_WITHIN_S)
 
     def overtake(content: Mapping[str, object]) -> None:
         """What shall be silent is so at once, whatever is under way; orders that wait are no longer wanted."""
         if is_mute(content):
             orders.forget(is_mute)
-            try:
-                muting.call(gate.shut, _MUTES_WITHIN_S)
-            except (HungError, InstrumentError):
-                return  # told by the order itself, which mutes again
+            mute()
 
-    orders = LinesIn(overtake)
+    orders.start(overtake, fails=mute)
     while not tell.gone:
         operation.look()
         due_s = operation.due_s()
@@ -102,17 +110,24 @@ def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, tell: LinesOu
             continue
         if content is None:
             return
-        known = {key: content[key] for key in ("order", "id") if key in content}
+        known = {key: content[key] for key in ("order", "id") if _is_simple(content.get(key))}
         try:
             order = order_of(content, rig)
         except InputError as wrong:
             tell("refused", sentence=str(wrong))
+            if is_mute(content):  # silence is wanted all the same, and the gate was shut for it
+                operation.carry_out(Mute())
             tell("done", **known, ok=False)
             continue
         ok = operation.carry_out(order)
         tell("done", **known, ok=ok)
         if isinstance(order, End):
             return
+
+
+def _is_simple(value: object) -> bool:
+    """Whether a value can be repeated in an answer."""
+    return isinstance(value, str | int | float)
 
 
 def _light(rig: RigConfig, opened: OpenedRig) -> Sensor | None:

@@ -7,12 +7,12 @@ import time
 from pathlib import Path
 
 from acquisition.durations import hours
-from calibration.bank_owner import Owner, bank_owner
-from calibration.errors import InputError
+from storage.bank.owner import Owner, bank_owner
+from storage.errors import InputError
+from wavefocus.campaign.heartbeat import Heartbeat, read_heartbeat
+from wavefocus.campaign.orders import give_order, withdraw
 from wavefocus.console import say
 from wavefocus.exits import Exit
-from wavefocus.heartbeat import Heartbeat, read_heartbeat
-from wavefocus.orders import give_order, withdraw
 
 # The states in which an order is carried out, and those in which it will be, in words.
 CARRIED_OUT = {"pause": ("paused",), "go-on": ("running",), "stop": ("stopped", "finished", "failed")}

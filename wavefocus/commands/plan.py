@@ -11,19 +11,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquisition.durations import hours
-from acquisition.expectation import ASSUMED_SNR_DB, schedule_name
-from acquisition.plan import Plan
-from acquisition.roles import names_of
-from wavefocus.blueprint import blueprint_from_files
-from wavefocus.comparison import compared
-from wavefocus.compose import open_setup
+from acquisition.engine.roles import names_of
+from acquisition.schedule.expectation import ASSUMED_SNR_DB, schedule_name
+from acquisition.schedule.plan import Plan
+from storage.errors import InputError
+from wavefocus.campaign.blueprint import blueprint_from_files
+from wavefocus.campaign.comparison import compared
+from wavefocus.campaign.grid_advice import Waves, advice_lines, grid_advice, top_hz_of
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
-from wavefocus.console import say
-from wavefocus.grid_advice import Waves, advice_lines, grid_advice, top_hz_of
+from wavefocus.console import answer
+from wavefocus.rig.compose import open_setup
 
 if TYPE_CHECKING:
-    from rendering.scene import Scene
+    from rendering.scene.model import Scene
 
 
 def plan(
@@ -32,6 +33,7 @@ def plan(
     waves: Waves = Waves(),  # noqa: B008  # frozen
     *,
     checks: bool = True,
+    allow_large: bool = False,
     as_json: bool,
 ) -> None:
     """Walk the plan without playing anything and tell what it would take; for some scenes alone if named."""
@@ -39,7 +41,7 @@ def plan(
     the_plan = blueprint.plan
     rig = blueprint.configuration.rig
     position_s = the_plan.position_s(rig.recorder)
-    needed, scenes = _needed_by_scenes(scene_files, the_plan, checks=checks)
+    needed, scenes = _needed_by_scenes(scene_files, the_plan, checks=checks, allow_large=allow_large)
     duration_s = the_plan.campaign_s(len(needed), rig.recorder)
     sentinel_passes = the_plan.drift.passes(len(needed), position_s)
     stop_hz = the_plan.excitation.band_hz[1]
@@ -72,42 +74,59 @@ def plan(
         "instruments": instruments,
         "plan_sha256": the_plan.sha256,
     }
-    if as_json:
-        print(json.dumps(facts))
-        return
+    lines: list[str] = []
     start, stop = the_plan.excitation.band_hz
-    say(f"positions   {the_plan.positions}, {the_plan.actuators} actuators, {facts['records']} records")
-    say(f"sweeps      {schedule_name(the_plan)}, {start:g}-{stop:g} Hz, {the_plan.excitation.amplitude_v:g} V")
+    lines.append(f"positions   {the_plan.positions}, {the_plan.actuators} actuators, {facts['records']} records")
+    lines.append(f"sweeps      {schedule_name(the_plan)}, {start:g}-{stop:g} Hz, {the_plan.excitation.amplitude_v:g} V")
     if scenes:
         all_s = the_plan.campaign_s(the_plan.positions, rig.recorder)
-        say(f"scenes      need {len(needed)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
-    say(f"duration    {hours(duration_s)}; started now it finishes {finish:%a %d %b %H:%M}")
+        lines.append(f"scenes      need {len(needed)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
+    lines.append(f"duration    {hours(duration_s)}; started now it finishes {finish:%a %d %b %H:%M}")
     if sentinel_passes:
-        say(f"sentinel    measured again {sentinel_passes} times, {hours(sentinel_passes * position_s)} of that")
+        lines.append(
+            f"sentinel    measured again {sentinel_passes} times, {hours(sentinel_passes * position_s)} of that"
+        )
     if blueprint.configuration.run.awaits_trial:
-        say("trial       a check position is measured by every schedule first, and decides between them")
+        lines.append("trial       a check position is measured by every schedule first, and decides between them")
     for one in schedules:
-        say(
+        lines.append(
             f"schedule    {one.name}: {hours(one.seconds)}; expected error {one.additive_db:.1f} dB, "
             f"{one.proportional_db:.1f} dB where noise grows with the signal"
         )
-    say(f"            at {ASSUMED_SNR_DB:g} dB signal-to-noise ratio of one actuator; another one moves all alike")
-    for line in advice_lines(grids, top_hz=top_hz, waves=waves, planned_s=the_plan.positions * position_s):
-        say(line)
-    say(f"bank        {size / 1e6:.0f} MB; {free / 1e9:.1f} GB free here")
-    for instrument in instruments:
-        say(f"instrument  {instrument}")
-    say(f"plan        {the_plan.sha256[:16]}; within all limits")
+    lines.append(
+        f"            at {ASSUMED_SNR_DB:g} dB signal-to-noise ratio of one actuator; another one moves all alike"
+    )
+    lines += advice_lines(grids, top_hz=top_hz, waves=waves, planned_s=the_plan.positions * position_s)
+    lines.append(f"bank        {size / 1e6:.0f} MB; {free / 1e9:.1f} GB free here")
+    lines += [f"instrument  {instrument}" for instrument in instruments]
+    lines.append(f"plan        {the_plan.sha256[:16]}; within all limits")
+    if as_json:
+        print(json.dumps({**facts, "lines": lines}))
+        return
+    for line in lines:
+        answer(line)
 
 
-def _needed_by_scenes(files: Sequence[Path], plan: Plan, *, checks: bool) -> tuple[Collection[int], list[Scene]]:
+def _needed_by_scenes(
+    files: Sequence[Path], plan: Plan, *, checks: bool, allow_large: bool
+) -> tuple[Collection[int], list[Scene]]:
     """Positions that some scenes need, and the scenes; all positions where there is none."""
     if not files:
         return range(plan.positions), []
+    from rendering.scene.scene_size import check_scene_size
+    from wavefocus.campaign.scene_positions import needed_by
     from wavefocus.config.scene import load_scene  # with them comes what renders
-    from wavefocus.scene_positions import needed_by
 
-    return needed_by(files, plan.position_mm, checks=checks), [load_scene(file) for file in files]
+    scenes = []
+    for file in files:
+        scene = load_scene(file, allow_large=allow_large)
+        try:
+            rate_hz = plan.excitation.sample_rate_hz
+            check_scene_size(scene, sample_rate_hz=rate_hz, taps=plan.taps, actuators=plan.actuators)
+        except InputError as wrong:
+            raise InputError(f"{file}: {wrong}") from None
+        scenes.append(scene)
+    return needed_by(files, plan.position_mm, checks=checks, allow_large=allow_large), scenes
 
 
 def _instruments(rig: RigConfig, run: RunConfig) -> list[str]:

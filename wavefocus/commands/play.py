@@ -14,17 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
-from calibration.drive_file import Drive, read_drive
-from calibration.errors import InputError
 from drivers.protocols import Clock
+from storage.drive_file import Drive, read_drive
+from storage.errors import InputError
 from wavefocus.config.loading import load_rig
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.console import Report, progress, say
 from wavefocus.ended_by_input import ended_by_input
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
-from wavefocus.rig_limits import check_drive
-from wavefocus.sounding import open_player
+from wavefocus.rig.rig_limits import check_drive
+from wavefocus.rig.sounding import open_player
+from wavefocus.unverified import name_unverified
 
 # What the player's process holds is kept in memory whole, so that nothing but a play that fits is begun.
 MOST_BYTES = 4 * 2**30
@@ -52,6 +53,7 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
     """
     rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
     drive = read_drive(drive_file)
+    name_unverified(drive_file, verified=drive.verified)
     if gain_db:
         drive = replace(drive, drive_v=drive.drive_v * 10.0 ** (gain_db / 20.0))
     actuators, samples = drive.drive_v.shape
@@ -79,6 +81,8 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
                 f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V,"
                 f" {memory}"
             )
+            if watched:
+                print(json.dumps({"event": "playing", "seconds": seconds}), flush=True)
             signals_v = {
                 channel: _repeated(volts, loop)
                 for channel, volts in zip(rig.player.channels, drive.drive_v, strict=True)

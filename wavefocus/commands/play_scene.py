@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.bounded import BoundedPlayer
 from acquisition.durations import hours
-from calibration.bank import Bank, open_bank
-from calibration.errors import InputError
-from rendering.interface_rate import InterfaceRate
-from rendering.scene import Scene
-from rendering.streamed_drive import StreamedDrive
+from acquisition.engine.timeouts import BoundedPlayer
+from rendering.drive.streamed_drive import StreamedDrive
+from rendering.scene.model import Scene
+from rendering.wav.interface_rate import InterfaceRate
+from storage.bank.reading import Bank, open_bank
+from storage.errors import InputError
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.scene import load_scene
 from wavefocus.console import progress, say
@@ -27,8 +27,9 @@ from wavefocus.ended_by_input import ended_by_input
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.render_options import RenderOptions
-from wavefocus.render_rig import interface_of, limited_words, rig_of, within
-from wavefocus.sounding import open_player
+from wavefocus.rig.render_rig import interface_of, limited_words, rig_of, within
+from wavefocus.rig.rig_limits import PLAYED_UNITS
+from wavefocus.rig.sounding import open_player
 
 AHEAD_S = 2.0
 """So much is rendered before it is heard: many times what a render takes, short enough to wait for."""
@@ -78,6 +79,7 @@ def play_scene(
     ahead_s: float,
     as_json: bool,
     watched: bool = False,
+    allow_large: bool = False,
 ) -> Exit:
     """Render a scene once to find its scale, then once more while it is played.
 
@@ -95,13 +97,16 @@ def play_scene(
     InstrumentError
         The interface failed, or ran dry because rendering did not keep up; it was muted.
     """
-    scene = load_scene(scene_file)
+    scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
+        view.require_sound()
+        if view.drive_unit not in PLAYED_UNITS:
+            raise InputError(f"{bank} takes drives in {view.drive_unit}, and the player plays volts")
         rig = rig_of(rig_file, view)
         assert rig is not None  # one that is named is there
         try:
             with ending_at_once(), ended_by_input() if watched else nullcontext():
-                figures = _play(within(scene, rig), view, rig, rig_file, options, gain_db, ahead_s)
+                figures = _play(within(scene, rig), view, rig, rig_file, options, gain_db, ahead_s, watched=watched)
         except KeyboardInterrupt:
             say("stopped by the user; the outputs are muted")
             return Exit.STOPPED
@@ -115,7 +120,15 @@ def play_scene(
 
 
 def _play(
-    scene: Scene, bank: Bank, rig: RigConfig, rig_file: Path, options: RenderOptions, gain_db: float, ahead_s: float
+    scene: Scene,
+    bank: Bank,
+    rig: RigConfig,
+    rig_file: Path,
+    options: RenderOptions,
+    gain_db: float,
+    ahead_s: float,
+    *,
+    watched: bool,
 ) -> dict[str, object]:
     rate_hz = float(bank.sample_rate_hz)
     block_samples = max(1, min(MOST_PIECE_SAMPLES, round(ahead_s * rate_hz / PIECES_AHEAD)))
@@ -144,6 +157,8 @@ def _play(
         latency = Latency(looked_ahead / rate_hz, ahead_s, player.latency_s)
         seconds = samples / rate_hz
         say(f"{player.identify()}: {hours(seconds)} on {actuators} actuators, at most {streamed.peak_v:.3g} V")
+        if watched:
+            print(json.dumps({"event": "playing", "seconds": seconds}), flush=True)
         say(f"found the scale in {prepared_s:.1f} s; {latency}")
         pieces = rate.pieces(streamed.blocks(), actuators, samples, block_samples)
         least_s = _sounding(player, rig, pieces, ahead_s, seconds)

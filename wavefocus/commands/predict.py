@@ -10,19 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import open_bank
-from calibration.drive_file import read_drive
-from calibration.durable import replacement
-from calibration.errors import InputError
-from calibration.field_file import FieldWriter
 from rendering.device import cuda_device
-from rendering.device_prediction import DevicePrediction
-from rendering.field import chosen_positions
-from rendering.prediction import Prediction
-from rendering.response_spectra import predict_spectra
+from rendering.field.device_prediction import DevicePrediction
+from rendering.field.model import chosen_positions, field_unit
+from rendering.field.prediction import Prediction
+from rendering.field.response_spectra import predict_spectra
+from storage.bank.reading import open_bank
+from storage.drive_file import read_drive
+from storage.errors import InputError
+from storage.field_file import FieldWriter
+from storage.output_files import replacement, require_outputs
+from storage.units import quantity
+from wavefocus.campaign.positions import parse_positions
 from wavefocus.cluster import cluster_client, field_on_cluster
 from wavefocus.console import Report, progress, say
-from wavefocus.positions import parse_positions
+from wavefocus.unverified import name_unverified
 
 
 def predict(
@@ -35,6 +37,7 @@ def predict(
     tolerance_db: float | None = None,
     cluster: str = "",
     device: str = "cpu",
+    force: bool = False,
     as_json: bool,
 ) -> None:
     """Predict the field at the positions asked for and write it row by row, here or on a cluster.
@@ -46,13 +49,16 @@ def predict(
         raise InputError("--cluster computes all; leave out --tolerance-db")
     if device != "cpu" and (cluster or tolerance_db is not None or rate_hz is not None):
         raise InputError(f"--device {device} goes neither with --cluster nor with --tolerance-db or --rate")
+    require_outputs((out,), (drive_file, bank), force=force)
     drive = read_drive(drive_file)
+    name_unverified(drive_file, verified=drive.verified)
     dtype = np.float64 if rate_hz is None and tolerance_db is None else np.float32
     with open_bank(bank) as view:
         wanted = parse_positions(positions, view.positions) if positions else None
+        view.require_sound(wanted)
         index = chosen_positions(drive, view, wanted)
         prediction = Prediction(drive, view, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz)
-        unit, peak = view.response_unit.removesuffix("/V"), 0.0
+        unit, peak = field_unit(view), 0.0
         with (
             FieldWriter(
                 out,
@@ -76,7 +82,9 @@ def predict(
         lost = prediction.lost_share()
         if left_out := view.positions - len(index) if wanted is None else 0:
             say(f"{left_out} positions are not measured and are left out")
-    say(f"{out}: {len(index)} positions, {prediction.samples} samples, largest response {peak:.4g} {unit}")
+    say(
+        f"{out}: {len(index)} positions, {prediction.samples} samples, largest response {quantity(f'{peak:.4g}', unit)}"
+    )
     if rate_hz is not None and prediction.passed_hz < drive.sample_rate_hz / 2:
         say(
             f"at {prediction.sample_rate_hz:g} Hz, low-passed above {prediction.passed_hz:g} Hz;"
@@ -126,6 +134,7 @@ def predict_energy(
     *,
     rate_hz: float | None,
     tolerance_db: float | None,
+    force: bool = False,
     as_json: bool,
 ) -> None:
     """Write the energy spectra of the responses as an .npz file.
@@ -139,20 +148,21 @@ def predict_energy(
         raise InputError(f"--out is {out}; --spectra writes an .npz file")
     if rate_hz is not None or tolerance_db is not None:
         raise InputError("--spectra goes neither with --rate nor with --tolerance-db; leave them out")
+    require_outputs((out,), (drive_file, bank), force=force)
     drive = read_drive(drive_file)
+    name_unverified(drive_file, verified=drive.verified)
     with open_bank(bank) as view:
-        index = chosen_positions(drive, view, parse_positions(positions, view.positions) if positions else None)
+        wanted = parse_positions(positions, view.positions) if positions else None
+        view.require_sound(wanted)
+        index = chosen_positions(drive, view, wanted)
         found = predict_spectra(drive, view, index)
-    try:
-        with replacement(out) as temporary, temporary.open("wb") as file:
-            np.savez(
-                file,
-                frequency_hz=found.frequency_hz,
-                energy_density=found.energy_density,
-                position_index=found.position_index,
-            )
-    except OSError as error:
-        raise InputError(f"{out} cannot be written: {error.strerror or error}") from error
+    with replacement(out) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            frequency_hz=found.frequency_hz,
+            energy_density=found.energy_density,
+            position_index=found.position_index,
+        )
     unit = f"({found.response_unit})^2 s/Hz"
     say(f"{out}: {len(index)} positions, {len(found.frequency_hz)} frequencies, energy density in {unit}")
     if as_json:

@@ -8,23 +8,27 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.grid import stadium_rim
-from calibration.bank import Bank, open_bank
-from calibration.drive_file import Drive, write_drive
-from calibration.errors import InputError
-from rendering.coil_limits import dynamic_range_db, relative_rms, strictest
+from acquisition.schedule.grid import stadium_rim
 from rendering.device import cuda_device
-from rendering.drive import render_with_report
-from rendering.inverse_filter import REGULARISATION_DB, InverseReport, inverse_filter
-from rendering.render_report import RenderReport
-from rendering.scene import Regularisation, Scene
-from rendering.wav import write_wav
+from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
+from rendering.drive.inverse_filter import REGULARISATION_DB, InverseReport, inverse_filter
+from rendering.drive.rendering import render_with_report
+from rendering.field.focus_peak import predicted_focus_peak
+from rendering.report.render_report import RenderReport
+from rendering.scene.model import Regularisation, Scene
+from rendering.wav.drive_wav import write_wav
+from storage.bank.reading import Bank, open_bank
+from storage.drive_file import Drive, write_drive
+from storage.errors import InputError
+from storage.output_files import require_outputs, write_whole
+from storage.units import quantity
 from wavefocus.commands.render_stream import render_streamed, too_large
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.scene import load_scene
 from wavefocus.console import progress, say
+from wavefocus.input_files import input_files
 from wavefocus.render_options import RenderOptions
-from wavefocus.render_rig import (
+from wavefocus.rig.render_rig import (
     DEFAULT_FULL_SCALE_V,
     DEFAULT_INTERFACE_RATE_HZ,
     interface_of,
@@ -32,6 +36,7 @@ from wavefocus.render_rig import (
     rig_of,
     within,
 )
+from wavefocus.rig.rig_limits import PLAYED_UNITS
 
 OUTLINE_POINTS = 400
 
@@ -46,11 +51,19 @@ def render(
     rig_file: Path | None,
     options: RenderOptions,
     stream: bool = False,
+    allow_large: bool = False,
+    force: bool = False,
     as_json: bool,
 ) -> None:
     """Render a scene and write the drive file, a WAV file and a picture of the scene when asked."""
-    scene = load_scene(scene_file)
+    require_outputs((out, wav, picture), input_files(scene_file, bank, rig_file), force=force)
+    scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
+        view.require_sound()
+        if wav is not None and view.drive_unit not in PLAYED_UNITS:
+            raise InputError(
+                f"--wav {wav}: {bank} takes drives in {view.drive_unit}, and a WAV file's full scale is in volts"
+            )
         rig = rig_of(rig_file, view)
         if rig_file is not None and rig is not None:
             scene = within(scene, rig)
@@ -60,7 +73,7 @@ def render(
         elif options.device != "cpu":
             if stream:
                 raise InputError("--stream goes with --device cpu alone")
-        elif stream or too_large(scene, view):
+        elif stream or too_large(scene_file, scene, view):
             render_streamed(scene_file, scene, view, out, wav, rig, rig_file, options, as_json=as_json)
             if picture is not None:
                 write_picture(picture, scene_file, scene, view, rig)
@@ -75,6 +88,7 @@ def render(
             _write_wav(wav, drive, rig)
         if picture is not None:
             write_picture(picture, scene_file, scene, view, rig)
+        focus_peak, unit = predicted_focus_peak(drive, view), view.response_unit.removesuffix("/V")
     write_drive(out, drive)
     for warning in facts.warnings:
         say(f"warning: {warning}")
@@ -82,8 +96,10 @@ def render(
     peak_v = float(max(drive.drive_v.max(initial=0.0), -drive.drive_v.min(initial=0.0)))
     say(
         f"{out}: {drive.method}, {drive.drive_v.shape[0]} actuators, {samples / drive.sample_rate_hz:.3f} s, "
-        f"{len(drive.focus_sample)} focus points, largest drive {peak_v:.3g} V"
+        f"{len(drive.focus_sample)} focus points, largest drive {quantity(f'{peak_v:.3g}', drive.drive_unit)}"
     )
+    if focus_peak is not None:
+        say(f"predicted response at the focus: up to {focus_peak:.3g} {unit}")
     if facts.limiting.decided_by is not None:
         say(limited_words(facts.limiting, rig_file))
     if options.tolerance_db is not None:
@@ -110,6 +126,8 @@ def render(
             "focus_points": len(drive.focus_sample),
             "peak_v": peak_v,
             "scale": drive.scale,
+            "focus_peak": focus_peak,
+            "response_unit": unit,
             "limited_by": facts.limiting.decided_by,
             "limiting_actuator": facts.limiting.actuator,
             "omitted_bound": drive.omitted_bound,
@@ -212,7 +230,7 @@ def _write_wav(path: Path, drive: Drive, rig: RigConfig | None) -> None:
 
 def write_picture(path: Path, scene_file: Path, scene: Scene, bank: Bank, rig: RigConfig | None) -> None:
     """Draw the scene before and after snapping."""
-    from rendering.scene_picture import scene_picture
+    from rendering.scene.scene_picture import scene_picture
 
     outline_mm = None
     if rig is not None:
@@ -221,5 +239,5 @@ def write_picture(path: Path, scene_file: Path, scene: Scene, bank: Bank, rig: R
         png = scene_picture(scene, bank, outline_mm=outline_mm).png
     except InputError as wrong:
         raise InputError(f"{scene_file}: {wrong}") from None
-    path.write_bytes(png)
+    write_whole(path, png)
     say(f"{path}: the scene before and after snapping to the bank's positions")

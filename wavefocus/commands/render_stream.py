@@ -10,16 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import Bank
-from calibration.drive_file import DriveAbout, drive_in_blocks
-from calibration.errors import InputError
-from rendering.scene import Scene
-from rendering.streamed_drive import StreamedDrive
-from rendering.wav_stream import stream_wav
+from rendering.drive.streamed_drive import StreamedDrive
+from rendering.scene.model import Scene
+from rendering.scene.scene_size import check_scene_size, size_words
+from rendering.wav.wav_stream import stream_wav
+from storage.bank.reading import Bank
+from storage.drive_file import DriveAbout, drive_in_blocks
+from storage.errors import InputError
+from storage.units import quantity
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress, say
 from wavefocus.render_options import RenderOptions
-from wavefocus.render_rig import DEFAULT_FULL_SCALE_V, DEFAULT_INTERFACE_RATE_HZ, interface_of, limited_words
+from wavefocus.rig.render_rig import DEFAULT_FULL_SCALE_V, DEFAULT_INTERFACE_RATE_HZ, interface_of, limited_words
 
 Float64Array = NDArray[np.float64]
 
@@ -27,16 +29,20 @@ MOST_WHOLE_BYTES = 2 * 2**30
 """Drives that take more are streamed without being asked: 22 minutes on 20 actuators at 10 kHz."""
 
 
-def too_large(scene: Scene, bank: Bank) -> bool:
-    """Whether the drives of a scene had better not be held in memory whole."""
-    rate_hz = bank.sample_rate_hz
-    most = 0.0
-    for source in scene.sources:
-        travel_s = source.path.length_mm / source.speed_mm_s if source.speed_mm_s > 0 else 0.0
-        alone = source.emission == "per_point" or not travel_s
-        signal_s = len(source.signal.samples(rate_hz)) / rate_hz if alone else 0.0
-        most = max(most, (source.start_s + travel_s + signal_s) * rate_hz)
-    return 8 * bank.actuators * most > MOST_WHOLE_BYTES
+def too_large(scene_file: Path, scene: Scene, bank: Bank) -> bool:
+    """Whether the drives of a scene had better not be held in memory whole.
+
+    Raises
+    ------
+    InputError
+        The scene is larger than it is allowed to be.
+    """
+    rate_hz = float(bank.sample_rate_hz)
+    try:
+        size = check_scene_size(scene, sample_rate_hz=rate_hz, taps=bank.taps, actuators=bank.actuators)
+    except InputError as wrong:
+        raise InputError(f"{scene_file}: {wrong}") from None
+    return size.drive_bytes > MOST_WHOLE_BYTES
 
 
 def render_streamed(
@@ -75,7 +81,8 @@ def render_streamed(
         )
         actuators, samples = streamed.shape
         seconds = samples / bank.sample_rate_hz
-        say(f"{seconds:.4g} s of drives in two passes: the first finds the scale, the second writes")
+        size = size_words(8.0 * actuators * samples)
+        say(f"{seconds:.4g} s of drives, {size}, in two passes: the first finds the scale, the second writes")
         with progress("first pass", samples) as report:
             facts = streamed.prepare(report)
         about = DriveAbout(
@@ -85,6 +92,7 @@ def render_streamed(
             facts.scale,
             facts.omitted_bound,
             *streamed.foci,
+            drive_unit=bank.drive_unit,
         )
         with ExitStack() as stack:
             append = stack.enter_context(drive_in_blocks(out, about, (actuators, samples)))
@@ -111,7 +119,7 @@ def render_streamed(
     foci = len(streamed.foci[0])
     say(
         f"{out}: {streamed.live.method}, {actuators} actuators, {seconds:.3f} s, {foci} focus points,"
-        f" largest drive {streamed.peak_v:.3g} V"
+        f" largest drive {quantity(f'{streamed.peak_v:.3g}', bank.drive_unit)}"
     )
     if facts.limiting.decided_by is not None:
         say(limited_words(facts.limiting, rig_file))
@@ -128,6 +136,8 @@ def render_streamed(
             "focus_points": foci,
             "peak_v": streamed.peak_v,
             "scale": facts.scale,
+            "focus_peak": None,  # needs the drives once more
+            "response_unit": bank.response_unit.removesuffix("/V"),
             "limited_by": facts.limiting.decided_by,
             "limiting_actuator": facts.limiting.actuator,
             "omitted_bound": facts.omitted_bound,

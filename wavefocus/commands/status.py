@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from acquisition.durations import hours
-from acquisition.events import State
-from acquisition.point_status import median_snr_db, status_counts
-from calibration.bank import open_bank
-from calibration.bank_owner import Owner, bank_owner
-from calibration.errors import InputError
-from rendering.report_drift import DriftPoint, drift_over_time
-from wavefocus.console import finish_clock, say
-from wavefocus.drift_history import drift_path, read_drift, suspect_rows
-from wavefocus.event_log import last_events
-from wavefocus.heartbeat import SILENT_AFTER_S, Heartbeat, read_heartbeat
-from wavefocus.standing import Standing, standing
+import numpy as np
+
+from acquisition.durations import a_while, hours
+from acquisition.engine.events import Progress, State
+from acquisition.quality.point_status import median_snr_db, status_counts
+from acquisition.schedule.row_ranges import row_ranges
+from rendering.report.drift import DriftPoint, drift_over_time
+from storage.bank.owner import Owner, bank_owner
+from storage.bank.reading import open_bank
+from storage.errors import InputError
+from storage.output_files import require_outputs, write_whole
+from wavefocus.campaign.campaign_state import Standing, standing
+from wavefocus.campaign.campaign_view import remaining
+from wavefocus.campaign.drift_history import drift_path, read_drift, suspect_rows
+from wavefocus.campaign.event_log import last_events
+from wavefocus.campaign.go_on import resume_line
+from wavefocus.campaign.heartbeat import SILENT_AFTER_S, Heartbeat, read_heartbeat
+from wavefocus.console import answer, say
+
+# So many positions that stayed as they were are told one by one.
+MOST_LINES = 5
 
 
-def status(bank: Path, *, as_json: bool, plot: Path | None = None) -> None:
+def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool = False) -> None:
     """Tell counts per status, who writes, how it stands and when it will have finished; reads only.
 
     Parameters
@@ -31,22 +41,31 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None) -> None:
         Tell programs.
     plot : Path, optional
         Where to draw the drift of the sentinel position.
+    force : bool
+        Whether an older file there is replaced.
 
     Raises
     ------
     InputError
         The bank cannot be read, or there is no drift to draw.
     """
+    require_outputs((plot,), (bank,), force=force)
     with open_bank(bank) as view:
         counts = status_counts(view.status)
+        broken = np.flatnonzero(view.broken).tolist()
+        counts["damaged"] = len(broken)
+        counts["not-measured"] -= len(broken)
         total = view.positions
-        done = total - counts["not-measured"]
+        done = total - counts["not-measured"] - len(broken)
         snr_db = median_snr_db(view.quality.get("snr_db"), view.status)
         plan_sha256 = view.plan_sha256
+        run_json = view.run_json
+        moved_mm = view.quality["moved_mm"]
+    moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
     owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
-    newest = next((event for event in last_events(bank) if event.get("event") == "progress"), None)
+    pace = _pace(bank) if owner else _Pace()
+    kept = _kept(bank)
     stands = standing(last_events(bank)) if owner else Standing(State.IDLE)
-    running = owner is not None and newest is not None
     if stands.state is State.IDLE and owner is not None and beat is not None and beat.pid == owner.pid:
         # The log is the quicker of the two, but a full disk may have ended it.
         stands = Standing(State(beat.state), beat.since.isoformat() if beat.since else None, beat.reason)
@@ -57,6 +76,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None) -> None:
         "positions": total,
         "done": done,
         "counts": counts,
+        "damaged_positions": broken,
         "median_snr_db": snr_db,
         "state": stands.state,
         "state_since": stands.since,
@@ -65,38 +85,122 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None) -> None:
         "owner": {"host": owner.host, "pid": owner.pid} if owner else None,
         "last_sign_of_life": _life_facts(beat),
         "silent": owner is not None and _is_silent(beat),
-        "positions_per_hour": newest["positions_per_hour"] if running and newest else None,
-        "remaining_s": newest["remaining_s"] if running and newest else None,
-        "last_event_at": newest["at"] if newest else None,
+        "positions_per_hour": pace.progress.get("positions_per_hour"),
+        "remaining_s": pace.progress.get("remaining_s", pace.planned_s),
+        "wall_positions_per_hour": pace.progress.get("wall_positions_per_hour"),
+        "wall_remaining_s": pace.progress.get("wall_remaining_s"),
+        "record": pace.record,
+        "last_event_at": next((event.get("at") for event in last_events(bank)), None),
         "suspect_positions": suspect_rows(drift),
+        "moved_positions": moved,
+        "kept_positions": [{"position": position, "reason": reason} for position, reason in kept.items()],
         "plan_sha256": plan_sha256,
     }
     if as_json:
         print(json.dumps(facts))
         return
     words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
-    say(f"{bank}: {done} of {total} positions measured ({words})")
+    answer(f"{bank}: {done} of {total} positions measured ({words})")
+    if broken:
+        answer(
+            f"the checksums of positions {row_ranges(broken)} do not hold; measure them again with: "
+            f"wavefocus resume {bank}"
+        )
     if snr_db is not None:
-        say(f"median signal-to-noise ratio {snr_db:.1f} dB over all pairs")
+        answer(f"median signal-to-noise ratio {snr_db:.1f} dB over all pairs")
+    if moved:
+        answer(f"measured up to {np.nanmax(moved_mm):.2g} mm beside their position, where there was light: {moved}")
+    for position, reason in list(kept.items())[:MOST_LINES]:
+        answer(f"position {position} stayed as the bank had it: {reason}")
+    if len(kept) > MOST_LINES:
+        answer(f"and {len(kept) - MOST_LINES} more stayed as the bank had them: {row_ranges(list(kept))}")
     if suspect := suspect_rows(drift):
-        say(
+        answer(
             f"the sentinel position had changed after positions {suspect} were measured: put it right, then "
             f"wavefocus remeasure {bank} --positions {suspect}"
         )
     if owner is None:
         if beat is not None and beat.state not in ("finished", "idle"):
             # A process that was killed has not said good-bye.
-            say(f"last heard {hours(beat.age_s())} ago: {beat.state}: {beat.reason}")
-        left = f"; go on with: wavefocus resume {bank}" if done < total else ""
-        say(f"no process owns the bank: no process is measuring{left}")
+            answer(f"last heard {hours(beat.age_s())} ago: {beat.state}: {beat.reason}")
+        left = f"; go on with: {resume_line(bank, None)}" if done < total else ""
+        if left and _names_rig_file(run_json):
+            left += " (with --rig RIG.toml where the rig file was corrected)"
+        answer(f"no process owns the bank: no process is measuring{left}")
         return
-    _tell_running(owner, stands, beat, newest)
+    _tell_running(owner, stands, beat, pace, total - done)
 
 
-def _tell_running(owner: Owner, stands: Standing, beat: Heartbeat | None, newest: dict[str, object] | None) -> None:
+def _kept(bank: Path) -> dict[int, str]:
+    """Positions that the latest session measured and left as they were, and why."""
+    kept: dict[int, str] = {}
+    for event in last_events(bank):
+        if event.get("event") == "session_started":
+            break
+        if event.get("event") == "position_kept":
+            kept[int(str(event["position"]))] = str(event["reason"])
+    return dict(sorted(kept.items()))
+
+
+def _names_rig_file(run_json: str | None) -> bool:
+    """Whether a bank's run was measured with a rig file; False where it cannot be understood."""
+    try:
+        run = json.loads(run_json or "{}")
+    except (ValueError, RecursionError):
+        return False
+    return isinstance(run, dict) and run.get("rig", "virtual") != "virtual"
+
+
+@dataclass(frozen=True, slots=True)
+class _Pace:
+    """What the log of the session under way says of its pace: its latest progress, its plan, its latest record."""
+
+    progress: dict[str, object] = field(default_factory=dict)
+    planned_s: object = None
+    record: dict[str, object] | None = None
+
+
+def _pace(bank: Path) -> _Pace:
+    progress: dict[str, object] = {}
+    record: dict[str, object] | None = None
+    under_way = True
+    for event in last_events(bank):
+        match event.get("event"):
+            case "record_taken" if under_way and record is None:
+                record = {"position": event.get("position"), "number": event.get("record"), "of": event.get("records")}
+            case "position_started" | "session_ended":
+                under_way = False
+            case "progress" if not progress:
+                progress = event
+            case "session_started":  # what came before was another session's
+                return _Pace(progress, None if progress else event.get("planned_s"), record)
+            case _:
+                pass
+        if progress and (record is not None or not under_way):
+            break
+    return _Pace(progress, None, record)
+
+
+def _tell_pace(pace: _Pace, state: State, to_go: int) -> None:
+    """Tell what is left, all by one clock; a finish only where the session goes on."""
+    if not pace.progress:
+        if isinstance(pace.planned_s, int | float):
+            answer(f"{to_go} positions to go, {a_while(pace.planned_s)} as planned")
+        return
+    wall_s, rig_s = (float(str(pace.progress.get(key, 0.0))) for key in ("wall_remaining_s", "remaining_s"))
+    told = Progress(0.0, 0, 0, 0.0, rig_s, wall_s, 0.0)
+    at = datetime.fromisoformat(str(pace.progress["at"])).astimezone()
+    if state in (State.RUNNING, State.STOPPING):
+        per_hour = float(str(pace.progress.get("wall_positions_per_hour") or pace.progress["positions_per_hour"]))
+        answer(f"{per_hour:.0f} positions an hour, {remaining(told)} (last position {at:%H:%M:%S})")
+    else:
+        answer(f"{to_go} positions to go, about {a_while(wall_s)} once it goes on (last position {at:%H:%M:%S})")
+
+
+def _tell_running(owner: Owner, stands: Standing, beat: Heartbeat | None, pace: _Pace, to_go: int) -> None:
     who = f"process {owner.pid} on {owner.host}"
     if _is_silent(beat) and beat is not None:
-        say(
+        answer(
             f"{who} owns the bank but has been silent for {hours(beat.age_s())}: it is held, or its machine is asleep "
             f"or hung; it last said {beat.state}: {beat.reason}"
         )
@@ -104,26 +208,22 @@ def _tell_running(owner: Owner, stands: Standing, beat: Heartbeat | None, newest
     if stands.state is State.RECOVERING:
         since = datetime.fromisoformat(str(stands.since)).astimezone()
         tries = (stands.recovering or {}).get("tries") or "no"
-        say(
+        answer(
             f"{who} is recovering since {since:%H:%M:%S}: {stands.reason} "
             f"({tries} tries so far); it goes on by itself when the instrument is back"
         )
     elif stands.state is State.RUNNING:
-        say(f"{who} is measuring")
+        answer(f"{who} is measuring")
     else:
-        say(f"{who} is {stands.state}: {stands.reason}")
+        answer(f"{who} is {stands.state}: {stands.reason}")
     if beat is not None:
         at = "" if beat.position is None else f", at position {beat.position}"
-        say(f"last sign of life {hours(beat.age_s())} ago{at}")
+        if pace.record is not None and beat.position == pace.record["position"]:
+            at += f", record {pace.record['number']} of {pace.record['of']}"
+        answer(f"last sign of life {hours(beat.age_s())} ago{at}")
         if beat.fault:
-            say(f"last fault: {beat.fault}")
-    if newest is not None:
-        remaining_s = float(str(newest["wall_remaining_s"]))
-        at_s = datetime.fromisoformat(str(newest["at"])).astimezone()
-        say(
-            f"{float(str(newest['positions_per_hour'])):.0f} positions an hour, {hours(remaining_s)} left, "
-            f"finished at {finish_clock(remaining_s)} (last position {at_s:%H:%M:%S})"
-        )
+            answer(f"last fault: {beat.fault}")
+    _tell_pace(pace, stands.state, to_go)
 
 
 def _is_silent(beat: Heartbeat | None) -> bool:
@@ -148,10 +248,10 @@ def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
 def _draw(bank: Path, drift: list[DriftPoint], plot: Path) -> None:
     if not drift:
         raise InputError(f"{drift_path(bank)}: holds no drift to draw: the sentinel has not been measured again yet")
-    from acquisition.sentinel import DriftLimits  # the configuration is read for a picture alone
-    from wavefocus.blueprint import bank_configuration
+    from acquisition.quality.sentinel import DriftLimits  # the configuration is read for a picture alone
+    from wavefocus.campaign.blueprint import bank_configuration
 
     with open_bank(bank) as view:
         limits = DriftLimits(**bank_configuration(view).run.drift.model_dump())
-    plot.write_bytes(drift_over_time(drift, limits).png)
+    write_whole(plot, drift_over_time(drift, limits).png)
     say(f"{plot}: drift of the sentinel position, {len(drift)} measurements")

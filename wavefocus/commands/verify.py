@@ -11,69 +11,87 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.durations import hours
-from acquisition.events import Event
-from acquisition.grid import stadium_rim
-from acquisition.point_status import median_snr_db
-from acquisition.sentinel import DriftLimits
-from calibration.bank import Bank, open_bank
-from calibration.drive_file import Drive, write_drive
-from calibration.errors import InputError
-from calibration.field_file import Field, write_field
-from rendering.field import predict as predict_field
-from rendering.metrics import grid_spacing_mm
-from rendering.report import build_report
-from rendering.report_words import summary
-from rendering.scan import Scan, ScanPlan, scan
-from rendering.scene import Scene
-from rendering.scene_rows import scene_rows
-from rendering.verification import Check, Tolerances, Verification, compare
-from rendering.verification_names import (
+from acquisition.engine.events import Event
+from acquisition.quality.point_status import median_snr_db
+from acquisition.quality.sentinel import DriftLimits
+from acquisition.schedule.grid import stadium_rim
+from rendering.field.metrics import grid_spacing_mm
+from rendering.field.model import predict as predict_field
+from rendering.report.page import build_report
+from rendering.report.words import summary
+from rendering.scene.model import Scene
+from rendering.scene.scene_rows import scene_rows
+from rendering.verify.names import (
     DRIVE_NAME,
     FIELD_NAMES,
+    LOG_NAME,
+    PICTURE_NAMES,
     PREDICTION_NAME,
     RECORD_NAME,
     REPORT_NAME,
     SCAN_NAME,
     STOP_NAME,
 )
-from rendering.verification_record import write_record
-from wavefocus.blueprint import bank_configuration
-from wavefocus.campaign_view import CampaignView
+from rendering.verify.record import write_record
+from rendering.verify.scan import Scan, ScanPlan, scan
+from rendering.verify.verdict import Check, Tolerances, Verification, compare
+from storage.bank.reading import Bank, open_bank
+from storage.drive_file import Drive, write_drive
+from storage.errors import InputError
+from storage.field_file import Field, write_field
+from storage.output_files import require_output_folder, staged_folder
+from storage.units import quantity
+from wavefocus.campaign.blueprint import bank_configuration
+from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.campaign.drift_history import read_drift
+from wavefocus.campaign.positions import parse_positions
 from wavefocus.commands.render import rendered
-from wavefocus.compose import open_setup
 from wavefocus.config.loading import Configuration, load_rig
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.scene import load_scene
 from wavefocus.console import Report, progress, say
-from wavefocus.drift_history import read_drift
 from wavefocus.ended_by_file import ended_by_file
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit
-from wavefocus.positions import parse_positions
-from wavefocus.rig_limits import check_drive
+from wavefocus.input_files import input_files
+from wavefocus.rig.compose import open_setup
+from wavefocus.rig.rig_limits import check_drive
 from wavefocus.verify_log import VerifyLog
 
 # Enough for an outline that looks round on any screen.
 OUTLINE_POINTS = 400
 
 
-def verify(scene_file: Path, bank: Path, rig_file: Path, out: Path, positions: str, *, as_json: bool) -> Exit:
+def verify(
+    scene_file: Path,
+    bank: Path,
+    rig_file: Path,
+    out: Path,
+    positions: str,
+    *,
+    force: bool = False,
+    allow_large: bool = False,
+    as_json: bool,
+) -> Exit:
     """Check the focusing of a scene against a new scan; exit code 1 when it is not good enough.
 
     A file ``verify.stop`` in the folder ends it as Ctrl-C does: outputs muted, mirror parked, exit code 130.
     """
-    scene = load_scene(scene_file)
+    results = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, *PICTURE_NAMES)
+    inputs = input_files(scene_file, bank, rig_file)
+    require_output_folder(out, results, inputs, force=force, may_exist=(LOG_NAME, STOP_NAME))
+    scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
+        view.require_sound()
         configuration = bank_configuration(view)
         rig = _checked_rig(rig_file, configuration, view)
         rows = _rows(positions, scene, view, scene_file)
         out.mkdir(parents=True, exist_ok=True)
         with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
-            # What an older verification found must not stand beside what this one plays.
-            for name in (RECORD_NAME, REPORT_NAME, *FIELD_NAMES):
-                (out / name).unlink(missing_ok=True)
-            work = _Work(scene_file, scene, view, configuration, rig, out, log)
-            verification, report_file, record_file = work.run(rows, str(rig_file))
+            with staged_folder(out, RECORD_NAME) as staged:
+                work = _Work(scene_file, scene, view, configuration, rig, staged, log)
+                verification = work.run(rows, str(rig_file))
+            report_file, record_file = out / REPORT_NAME, out / RECORD_NAME
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
             log.done(code, summary(verification))
     for check in verification.checks:
@@ -96,8 +114,8 @@ class _Work:
     out: Path
     log: VerifyLog
 
-    def run(self, rows: list[int] | None, rig_name: str) -> tuple[Verification, Path, Path]:
-        """Render, predict, scan, compare, report; return what was found, the report and the record."""
+    def run(self, rows: list[int] | None, rig_name: str) -> Verification:
+        """Render, predict, scan, compare and report into `out`; return what was found."""
         out, bank = self.out, self.bank
         with self._step("render", 1) as report:
             drive, facts = rendered(self.scene_file, self.scene, bank)
@@ -118,7 +136,7 @@ class _Work:
         with self._step("compare and report", 3) as report:
             verification = compare(prediction, measured, drive, bank, _tolerances(self.configuration, bank))
             report(1, 3)
-            report_file = build_report(
+            build_report(
                 out,
                 verification=verification,
                 scene=self.scene,
@@ -133,7 +151,7 @@ class _Work:
                 save_pictures=True,
             )
             report(2, 3)
-            record_file = write_record(
+            write_record(
                 out,
                 verification=verification,
                 scene=self.scene,
@@ -143,7 +161,7 @@ class _Work:
                 outline_mm=outline_mm,
             )
             report(3, 3)
-        return verification, report_file, record_file
+        return verification
 
     def _scanned(self, drive: Drive, prediction: Field) -> tuple[Scan, float]:
         """Play and scan; also how long that took on the rig's clock."""
@@ -184,7 +202,7 @@ def _rows(positions: str, scene: Scene, bank: Bank, scene_file: Path) -> list[in
             raise InputError(f"{scene_file}: {wrong}") from None
     if positions.startswith("every:"):
         step = positions.removeprefix("every:")
-        if not (step.isascii() and step.isdecimal() and 0 < int(step[:9]) <= bank.positions):
+        if not (step.isascii() and step.isdecimal() and len(step) < 10 and 0 < int(step) <= bank.positions):
             raise InputError(f"--positions: {positions} is not every:N with N from 1 to {bank.positions}")
         return list(range(0, bank.positions, int(step)))
     return parse_positions(positions, bank.positions)
@@ -225,7 +243,7 @@ def _line(check: Check) -> str:
     if check.value is None:
         return f"-     {check.name}: the positions it needs were not scanned"
     word = "pass" if check.passed else "FAIL"
-    return f"{word}  {check.name}: {check.value:.4g} {check.unit} ({check.relation} {check.limit:.4g})"
+    return f"{word}  {check.name}: {quantity(f'{check.value:.4g}', check.unit)} ({check.relation} {check.limit:.4g})"
 
 
 def _checked_rig(rig_file: Path, configuration: Configuration, bank: Bank) -> RigConfig:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, Field, model_validator
 
+from drivers.identity import DeviceIdentity
 from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
 from wavefocus.config.rig_mirror import Matrix
 
@@ -31,6 +32,7 @@ class MirrorMeasured(Table):
 
     at: AwareDatetime
     device: Text
+    identity: DeviceIdentity | None = None
     map: Matrix
     residual_rms_mm: NonNegative
     fiducial: Annotated[tuple[Fiducial, ...], Field(min_length=4, max_length=1000)]
@@ -41,6 +43,7 @@ class InputsMeasured(Table):
 
     at: AwareDatetime
     device: Text
+    identity: DeviceIdentity | None = None
     inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)]
 
 
@@ -58,6 +61,7 @@ class OutputsMeasured(Table):
 
     at: AwareDatetime
     device: Text
+    identity: DeviceIdentity | None = None
     loopback_channel: Index
     channel: Annotated[tuple[OutputMeasured, ...], Field(min_length=1, max_length=4096)]
 
@@ -85,6 +89,7 @@ class ActuatorsMeasured(Table):
 
     at: AwareDatetime
     device: Text
+    identity: DeviceIdentity | None = None
     distance_mm: Positive
     actuator: Annotated[tuple[ActuatorMeasured, ...], Field(min_length=1, max_length=1024)]
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 import tomllib
 from pathlib import Path
 
 from acquisition.text_file import read_text
-from calibration.errors import InputError
+from storage.errors import InputError
+from storage.output_files import write_whole
 
 _TABLE = re.compile(r"^\s*\[\s*calibration\s*\]\s*(#.*)?$")
 _ANY_TABLE = re.compile(r"^\s*\[")
@@ -28,9 +28,7 @@ def name_calibration(rig_file: Path, name: str) -> None:
     Raises
     ------
     InputError
-        The table is written in a way that only a person can change.
-    OSError
-        The file cannot be written.
+        The table is written in a way that only a person can change, or the file cannot be written.
     """
     text = read_text(rig_file)
     before = tomllib.loads(text)
@@ -44,19 +42,7 @@ def name_calibration(rig_file: Path, name: str) -> None:
         raise InputError(
             f'{rig_file}: the table calibration is written in a way of its own; write file = "{name}" into it by hand'
         )
-    _write(rig_file.resolve(), new)
-
-
-def _write(path: Path, text: str) -> None:
-    """Replace a file whole, so that no power cut leaves half of it."""
-    new = path.with_name(f"{path.name}.new")
-    try:
-        new.write_text(text, encoding="utf-8")
-        shutil.copymode(path, new)
-        new.replace(path)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
+    write_whole(rig_file.resolve(), new)
 
 
 def _named(text: str, name: str) -> str:

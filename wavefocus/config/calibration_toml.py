@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 
-from calibration.errors import InputError
+from storage.errors import InputError
+from storage.output_files import new_file
 from wavefocus.config.calibration_file import CalibrationRecord
 from wavefocus.config.mistakes import printable
 
@@ -31,8 +32,8 @@ def write_calibration(path: Path, record: CalibrationRecord) -> None:
     """
     text = HEAD + "\n".join(_lines(record))
     try:
-        with path.open("x", encoding="utf-8", newline="\n") as file:
-            file.write(text + "\n")
+        with new_file(path) as temporary:
+            temporary.write_bytes((text + "\n").encode())
     except FileExistsError:
         raise InputError(printable(f"{path}: is there already and is not overwritten; name another file")) from None
     except OSError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from acquisition.grid import read_positions_file, stadium_grid
+from acquisition.schedule.grid import read_positions_file, stadium_grid
 from acquisition.text_file import read_text
-from calibration.errors import InputError
+from storage.errors import InputError
 from wavefocus.config.calibration_file import FORMAT, FORMAT_VERSION, CalibrationRecord
 from wavefocus.config.mistakes import one_line, printable, shown
 from wavefocus.config.plan_hash import plan_sha256
@@ -111,6 +111,12 @@ def load_rig(path: Path) -> RigConfig:
         if isinstance(care.get("file"), str):
             record = load_calibration(named_file(path, "calibration.file", care["file"]))
             data["calibration"] = {**care, "measured": record.model_dump()}
+    recorder = data.get("recorder")
+    if isinstance(recorder, dict):
+        for key in ("tls_root", "tls_certificate", "tls_key"):
+            if isinstance(recorder.get(key), str):
+                # A bank holds the rig; it may be resumed from any folder.
+                recorder[key] = str(named_file(path, f"recorder.{key}", recorder[key]).absolute())
     return validated(RigConfig, data, str(path))
 
 
@@ -157,6 +163,28 @@ def configuration_from_json(
     run = validated(RunConfig, _from_json(run_json, f"{source}: attribute run"), f"{source}: attribute run")
     check_together(run, rig, source)
     return Configuration(run, rig, position_mm)
+
+
+def with_rig(configuration: Configuration, rig: RigConfig, source: str) -> Configuration:
+    """Put another rig in the place of a configuration's own, checked against its run and grid.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        What a bank carries.
+    rig : RigConfig
+        The other rig.
+    source : str
+        Its file's name, for messages.
+
+    Raises
+    ------
+    InputError
+        The run cannot be carried out with it.
+    """
+    check_together(configuration.run, rig, source)
+    _check_mirror_reach(rig, configuration.position_mm, source)
+    return replace(configuration, rig=rig)
 
 
 def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:

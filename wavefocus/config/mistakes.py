@@ -7,6 +7,7 @@ import json
 import re
 import types
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -22,6 +23,9 @@ UNIT_SUFFIXES = (
 
 # Of an address only its kind is told: it may hold a password. A mirror's port has none.
 ADDRESS = re.compile(r"\s*(?!socket)([A-Za-z][A-Za-z0-9+.-]*)://")
+
+# Tables and keys whose values are addresses with passwords in them, also where they stand in a wrong place.
+SECRETS = frozenset({"messages", "message", "urls", "url"})
 
 SENTENCES: Mapping[str, str] = {
     "float_type": "must be a number",
@@ -64,8 +68,8 @@ def one_line(source: str, failure: ValidationError, model: type[BaseModel], data
         What was validated.
     """
     errors = failure.errors(include_url=False)
-    mistakes = [sentence(error, model, data) for error in errors if not _follows(error, errors)]
-    told = mistakes[:TOLD_AT_ONCE]
+    mistakes = [error for error in errors if not _follows(error, errors)]
+    told = [sentence(error, model, data) for error in mistakes[:TOLD_AT_ONCE]]
     if len(mistakes) > len(told):
         told.append(f"and {len(mistakes) - len(told)} more")
     return printable(f"{source}: {'; '.join(told)}")
@@ -83,6 +87,12 @@ def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
     steps = without_tags(error["loc"], data)
     context: dict[str, Any] = error.get("ctx", {})
     kind = error["type"]
+    secret = not SECRETS.isdisjoint(steps)
+    if kind == "extra_forbidden" and secret:
+        known = _known_keys(model, steps, data)
+        # A key may be a mistaken address itself.
+        steps = steps if known.startswith("did you mean") or steps[-1] in SECRETS else (*steps[:-1], "...")
+        return f"{dotted(steps)}: unknown key; {known}"
     if kind == "extra_forbidden":
         return f"{dotted(steps)} = {shown(error['input'])}: unknown key; {_known_keys(model, steps, data)}"
     if kind == "missing":
@@ -93,11 +103,11 @@ def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
         steps = (*steps, *(part for part in str(context["key"]).split(".") if part))
     elif kind == "union_tag_invalid" and isinstance(value, Mapping):
         value, steps = value["kind"], (*steps, "kind")
-    elif kind in ("list_type", "tuple_type") and isinstance(value, Mapping):
+    elif kind in ("list_type", "tuple_type") and isinstance(value, Mapping) and not secret:
         return f"{dotted(steps)}: must be a list of tables, each under [[{dotted(steps)}]]"
     template = SENTENCES.get(kind)
     allowed = error["msg"] if template is None else template.format(**context).replace("'", '"')
-    holds = "" if value is None else f" = {shown(value)}"
+    holds = "" if value is None or secret else f" = {shown(value)}"
     return f"{dotted(steps)}{holds}: {allowed}"
 
 
@@ -134,9 +144,9 @@ def shown(value: object) -> str:
     if isinstance(value, str) and (address := ADDRESS.match(value)):
         text = f'"{address[1]}://..."'
     elif isinstance(value, str):
-        text = printable(json.dumps(value, ensure_ascii=False))
+        text = printable(json.dumps(value[:60], ensure_ascii=False))
     elif isinstance(value, Mapping):
-        text = "{ " + ", ".join(str(key) for key in value) + " }"
+        text = "{ " + ", ".join(str(key) for key in islice(value, 60)) + " }"
     elif isinstance(value, list | tuple):
         text = "[" + ", ".join(shown(entry) for entry in value[:8]) + (", ..." if len(value) > 8 else "") + "]"
     else:

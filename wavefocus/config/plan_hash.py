@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +33,42 @@ def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]
     str
         64 hexadecimal digits: SHA-256 of canonical JSON.
     """
+    essence = _essence(rig, run, position_mm)
+    text = json.dumps(essence, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def rig_differences(rig: RigConfig, other: RigConfig, run: RunConfig) -> tuple[str, ...]:
+    """Keys of a rig that a resume must not change and in which two rigs differ, as ``recorder.response_range_v``.
+
+    Parameters
+    ----------
+    rig, other : RigConfig
+        The rigs.
+    run : RunConfig
+        The run that both are to carry out.
+    """
+    nowhere = np.empty((0, 2))
+    own, new = (dict(_leaves("", _essence(one, run, nowhere))) for one in (rig, other))
+    return tuple(key for key in sorted({**own, **new}) if own.get(key) != new.get(key))
+
+
+def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
+    if isinstance(value, dict):
+        for key, beneath in value.items():
+            yield from _leaves(f"{name}.{key}" if name else str(key), beneath)
+    else:
+        yield name, value
+
+
+def _essence(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> dict[str, object]:
+    """All that the hash is taken of."""
     capture = {"averages", "decay_s", "excitation", "taps", "sample_rate_hz"}
     if run.capture.excitation == "staggered":
         capture |= {"stagger_s", "groups", "periods"}
     if run.capture.level_db != 0:
         capture |= {"level_db"}
-    essence = {
+    return {
         "position_mm": (position_mm + 0.0).tolist(),
         "actuator_mm": rig.actuators.position_mm,
         "surface": rig.surface.model_dump(),
@@ -47,8 +78,6 @@ def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]
         "quality": _quality_essence(run),
         "virtual": _virtual_essence(rig, run),
     }
-    text = json.dumps(essence, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
 def _quality_essence(run: RunConfig) -> dict[str, object]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from acquisition.grid import inside_stadium, stadium_rim
+from acquisition.schedule.grid import inside_stadium, stadium_rim
 from wavefocus.config.calibration_merge import with_calibration
 from wavefocus.config.fields import PointMm, Positive, Table, Text, mistake
 from wavefocus.config.rig_care import CalibrationSection, RecoverySection, UsbDevice

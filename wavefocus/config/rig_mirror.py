@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from calibration.mirror_map import MirrorMap
+from calibration.rig.mirror_map import MirrorMap
 from wavefocus.config.driver_keys import check_driver_keys, with_driver_defaults
 from wavefocus.config.fields import Finite, NonNegative, Positive, Table, Text, Whole, like, mistake
 
@@ -33,7 +33,13 @@ NEEDED = {
 }
 # What the drivers take where they are told nothing.
 DEFAULTS: dict[str, dict[str, object]] = {
-    "asi-tiger": {"beam_per_mirror": 2.0, "tolerance_mrad": 0.5},
+    # Micro-mirrors of its scanner cards turn by 4.6 degrees to either side, the beam by 160.6 mrad.
+    "asi-tiger": {
+        "beam_per_mirror": 2.0,
+        "tolerance_mrad": 0.5,
+        "limit_mrad": 155.0,
+        "park_mrad": (-150.0, -150.0),
+    },
     "generic": {"tolerance_mrad": 0.5},
 }
 DEFAULT_DISTANCE_MM = 1000.0

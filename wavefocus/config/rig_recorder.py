@@ -18,6 +18,9 @@ NIDAQMX = ("nidaqmx",)
 DRIVERS_OF = {
     "device": NIDAQMX,
     "address": NIDAQMX,
+    "tls_root": NIDAQMX,
+    "tls_certificate": NIDAQMX,
+    "tls_key": NIDAQMX,
     "reference_input": NIDAQMX,
     "response_input": NIDAQMX,
     "terminal": NIDAQMX,
@@ -47,6 +50,9 @@ class RecorderSection(Table):
     driver: RecorderDriver = "virtual"
     device: Text | None = None
     address: Text | None = None
+    tls_root: Text | None = None
+    tls_certificate: Text | None = None
+    tls_key: Text | None = None
     reference_input: AnalogInput | None = None
     response_input: AnalogInput | None = None
     terminal: Terminal | None = None
@@ -75,6 +81,12 @@ class RecorderSection(Table):
             host, _, port = self.address.rpartition(":")
             if not (host and port.isdecimal() and int(port) < 65536):
                 raise mistake("address", self.address, "must be HOST:PORT of a gRPC Device Server")
+        if self.tls_root is not None and self.address is None:
+            raise mistake("tls_root", self.tls_root, "must be left out, or an address given")
+        for one, other in (("tls_certificate", "tls_key"), ("tls_key", "tls_certificate")):
+            value = getattr(self, one)
+            if value is not None and (self.tls_root is None or getattr(self, other) is None):
+                raise mistake(one, value, f"needs tls_root and {other}")
         return self
 
 

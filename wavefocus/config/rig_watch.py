@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from acquisition.watch import Band
+from acquisition.quality.watch import Band
 from wavefocus.config.fields import Finite, NonNegative, Positive, Table, mistake
 from wavefocus.config.rig_recorder import AnalogInput
 

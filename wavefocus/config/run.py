@@ -166,6 +166,8 @@ class Quality(Table):
     poor_harmonic_db: Annotated[Finite, Field(le=0)] = -42.0
     speckle_step_mm: Annotated[NonNegative, Field(le=2)] = 0.1
     remeasure_pass: Annotated[Whole, Field(ge=0, le=10)] = 1
+    second_look: Switch = False
+    reference_db: Annotated[Positive, Field(le=20)] = 0.1
 
 
 class Drift(Table):

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from calibration.errors import InputError
-from rendering import paths, signals
-from rendering.scene import Output, Regularisation, Scene, Source
-from rendering.svg_path import SvgPath
-from rendering.text_path import TextPath
+from rendering.scene import paths, signals
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.svg_path import SvgPath
+from rendering.scene.text_path import TextPath
+from storage.errors import InputError
 from wavefocus.config.fields import (
     Finite,
     NonNegative,
@@ -178,13 +178,15 @@ class SceneConfig(Table):
     regularisation: RegularisationTable = RegularisationTable()
     output: OutputTable = OutputTable()
 
-    def build(self, file: Path) -> Scene:
+    def build(self, file: Path, *, allow_large: bool = False) -> Scene:
         """Make the scene that rendering works on.
 
         Parameters
         ----------
         file : Path
             The scene file: what it names is relative to its folder, and messages begin with it.
+        allow_large : bool
+            Whether it may be larger than the limits of `rendering.scene.scene_size`.
 
         Raises
         ------
@@ -197,7 +199,7 @@ class SceneConfig(Table):
             try:
                 built.append(
                     Source(
-                        path=_path(table.path, file, f"{key}.path"),
+                        path=_path(table.path, file, f"{key}.path", allow_large=allow_large),
                         signal=_signal(table.signal, file, f"{key}.signal"),
                         start_s=table.start_s,
                         speed_mm_s=table.speed_mm_s or 0.0,
@@ -214,26 +216,29 @@ class SceneConfig(Table):
             sources=tuple(built),
             regularisation=Regularisation(**self.regularisation.model_dump()),
             output=Output(**self.output.model_dump()),
+            allow_large=allow_large,
         )
 
 
-def load_scene(path: Path) -> Scene:
+def load_scene(path: Path, *, allow_large: bool = False) -> Scene:
     """Read a scene file with all that it names.
 
     Parameters
     ----------
     path : Path
         The scene file; paths in it are relative to its folder.
+    allow_large : bool
+        Whether it may be larger than the limits of `rendering.scene.scene_size`.
 
     Raises
     ------
     InputError
         Anything in the files is wrong.
     """
-    return validated(SceneConfig, read_toml(path), str(path)).build(path)
+    return validated(SceneConfig, read_toml(path), str(path)).build(path, allow_large=allow_large)
 
 
-def read_scene(text: str, path: Path) -> Scene:
+def read_scene(text: str, path: Path, *, allow_large: bool = False) -> Scene:
     """Make the scene of a text, as `load_scene` would of a file of that text.
 
     Parameters
@@ -242,13 +247,15 @@ def read_scene(text: str, path: Path) -> Scene:
         What the scene file holds, or would hold.
     path : Path
         The scene file, which need not exist; paths in it are relative to its folder.
+    allow_large : bool
+        As for `load_scene`.
 
     Raises
     ------
     InputError
         Anything in the text or in the files that it names is wrong.
     """
-    return validated(SceneConfig, parse_toml(text, str(path)), str(path)).build(path)
+    return validated(SceneConfig, parse_toml(text, str(path)), str(path)).build(path, allow_large=allow_large)
 
 
 def read_scene_tables(text: str, path: Path) -> dict[str, Any]:
@@ -269,7 +276,7 @@ def read_scene_tables(text: str, path: Path) -> dict[str, Any]:
     return validated(SceneConfig, parse_toml(text, str(path)), str(path)).model_dump()
 
 
-def _path(table: PathTable, file: Path, key: str) -> paths.Path:
+def _path(table: PathTable, file: Path, key: str, *, allow_large: bool) -> paths.Path:
     match table:
         case PointTable():
             return paths.Point(table.at_mm)
@@ -281,9 +288,9 @@ def _path(table: PathTable, file: Path, key: str) -> paths.Path:
             return paths.Polyline(table.points_mm, table.closed)
         case SvgTable():
             drawing = named_file(file, f"{key}.file", table.file)
-            return SvgPath(drawing, table.path_id, table.scale, table.origin_mm)
+            return SvgPath(drawing, table.path_id, table.scale, table.origin_mm, allow_large)
         case TextTable():
-            return TextPath(table.string, table.height_mm, table.centre_mm)
+            return TextPath(table.string, table.height_mm, table.centre_mm, allow_large)
 
 
 def _signal(table: SignalTable, file: Path, key: str) -> signals.Signal:

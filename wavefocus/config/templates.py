@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from importlib.resources import files
 from pathlib import Path
 
-from calibration.errors import InputError
+from storage.errors import InputError
+from storage.output_files import new_file
 from wavefocus.config.mistakes import printable
 
 
@@ -32,16 +34,16 @@ def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
     templates = files("wavefocus") / "templates"
     named = {"rig.toml": f"rig-{rig}.toml", "run.toml": "run.toml", "scene.toml": "scene.toml"}
     for name in named:
-        if (folder / name).exists():
+        if os.path.lexists(folder / name):
             there = printable(str(folder / name))
             raise InputError(f"{there}: is there already and is not overwritten; choose another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, template in named.items():
-            with (folder / name).open("x", encoding="utf-8", newline="\n") as file:
-                text = (templates / template).read_text(encoding="utf-8")
-                # Real instruments, emulated or not, take no orders from a run's [virtual] table.
-                file.write(text if rig == "virtual" else text.partition("\n[virtual]")[0])
+            text = (templates / template).read_text(encoding="utf-8")
+            # Real instruments, emulated or not, take no orders from a run's [virtual] table.
+            with new_file(folder / name) as temporary:
+                temporary.write_bytes((text if rig == "virtual" else text.partition("\n[virtual]")[0]).encode())
     except OSError as error:
         raise InputError(printable(f"{error.filename or folder}: cannot be written: {error.strerror}")) from None
     return tuple(folder / name for name in named)

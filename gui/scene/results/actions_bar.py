@@ -18,13 +18,14 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.actions import make_action, make_button
-from gui.chosen_files import choose_place
-from gui.desk import Desk
-from gui.path_field import PathField
 from gui.scene.results.rig_play import IDLE, STOPPING, RigPlay
 from gui.scene.results.saving import DRIVE, ENDINGS, MOVIE, WAV, Saving
-from gui.theme import Theme
+from gui.shell.actions import make_action, make_button
+from gui.shell.chosen_files import choose_place
+from gui.shell.desk import Desk
+from gui.shell.path_field import PathField
+from gui.shell.theme import Theme
+from gui.shell.which_rig import VIRTUAL
 
 # Word, what it saves, key, tooltip.
 _SAVES = (
@@ -51,7 +52,7 @@ class ActionsBar(QWidget):
         self._desk, self._saving, self._playing = desk, saving, playing
         self.save_asked: Callable[[str, Path], object] = lambda _kind, _path: None
         self.play_asked: Callable[[], object] = lambda: None
-        self.rig_field = PathField("Ri&g", ".toml", "rig file", desk.memory)
+        self.rig_field = PathField("Ri&g", ".toml", "rig file", desk.memory, words=(VIRTUAL,))
         self.rig_field.line.setToolTip("Rig file whose limits count and that plays the scene; virtual for the built-in")
         self.rig_field.line.setText(desk.memory.text("scene/rig"))
         self.gain = QDoubleSpinBox()
@@ -90,7 +91,7 @@ class ActionsBar(QWidget):
     def rig(self) -> str:
         """The rig file, or ``virtual``, as the command line takes it; empty where there is none."""
         text = self.rig_field.line.text().strip()
-        return text if text in ("", "virtual") else str(self.rig_field.path)
+        return text if text in ("", VIRTUAL) else str(self.rig_field.path)
 
     def show_ready(self, ready: bool) -> None:
         """Say whether there is a scene that can be rendered."""

@@ -13,13 +13,14 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gui.front_door import FrontDoor, RigLimits
 from gui.scene.results.messages import Done, Gone, Order, Plate, Request, Stop, Told
+from gui.shell.front_door import FrontDoor, RigLimits
 
 if TYPE_CHECKING:
-    from rendering.scene import Scene
+    from rendering.scene.model import Scene
 
-_ENDS_WITHIN_S = 2.0
+# A process that is killed is gone in an instant; where the system holds it up, the window does not wait for it.
+_ENDS_WITHIN_S = 0.2
 # A step that cannot be given up half way (a large bank's median level) is not waited for any longer than this.
 _STOPS_WITHIN_S = 3.0
 
@@ -47,14 +48,14 @@ class Calculation:
         """Of the process, None before the first scene and after it was ended."""
         return None if self._process is None else self._process.pid
 
-    def ask(self, text: str, place: Path, bank: Path, rig: Path | None) -> int:
+    def ask(self, text: str, place: Path, bank: Path, rig: Path | None, *, allow_large: bool = False) -> int:
         """Ask for a scene; the number that its answers bear. Raises OSError where no process can be started."""
         self.number += 1
         self._stops_at_s = 0.0
         if self._process is None or not self._process.is_alive():
             self._end()
             self._start()
-        self._send(Request(self.number, text, place, bank, rig))
+        self._send(Request(self.number, text, place, bank, rig, allow_large))
         return self.number
 
     def stop(self) -> None:
@@ -126,11 +127,8 @@ class Calculation:
         process, connection, reader = self._process, self._connection, self._reader
         self._process = self._connection = self._reader = None
         if process is not None:
-            process.terminate()
+            process.kill()  # it only calculates: nothing is lost
             process.join(_ENDS_WITHIN_S)
-            if process.is_alive():
-                process.kill()
-                process.join(_ENDS_WITHIN_S)
         if reader is not None and reader is not threading.current_thread():
             reader.join(_ENDS_WITHIN_S)
         if connection is not None:
@@ -149,5 +147,5 @@ def _serve(
 
 def _load_what_shows_results() -> None:
     """Load scipy in the thread that listens, before there is anything to show: its window must not wait for that."""
-    for module in ("gui.surface.raster", "rendering.decimation", "rendering.focus_figures"):
+    for module in ("gui.surface.raster", "rendering.field.decimation", "rendering.field.focus_figures"):
         import_module(module)

@@ -7,20 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.bank import Bank
-from calibration.drive_file import Drive
-from calibration.errors import InputError, WavefocusError
-from gui.front_door import RigLimits
 from gui.scene.results.drives import missing_rows, missing_words, render_while_edited, stricter, told_drive
 from gui.scene.results.foci import Snapshots, figures_of, look_at_foci
 from gui.scene.results.messages import Done, Failed, FieldBegun, FieldPart, Plate, Progress, Request, Told
 from gui.scene.results.plate import PlateBank
+from gui.shell.front_door import RigLimits
 from gui.surface.raster import raster_of
 from gui.surface.surface import surface_of
-from rendering.prediction import Prediction
-from rendering.scene import Scene
+from rendering.field.model import field_unit
+from rendering.field.prediction import Prediction
+from rendering.scene.model import Scene
+from storage.bank.reading import Bank
+from storage.drive_file import Drive
+from storage.errors import InputError, WavefocusError
 
-ReadScene = Callable[[str, Path], Scene]
+ReadScene = Callable[..., Scene]
 ReadRig = Callable[[Path], RigLimits]
 
 MOST_FIELD_BYTES = 192 * 2**20
@@ -43,7 +44,7 @@ class Calculator:
     check : callable
         Called often; what it raises ends the calculation. It may be told how long to wait for a newer order, in s.
     read_scene, read_rig : callable
-        As `gui.front_door.FrontDoor` has them.
+        As `gui.shell.front_door.FrontDoor` has them.
     most_field_bytes : int
         Of a longer field the beginning is predicted.
     """
@@ -92,7 +93,7 @@ class Calculator:
     def _calculate(self, request: Request, quiet_s: float) -> None:
         number = request.number
         self._tell(Progress(number, "scene", 0.0))
-        scene = self._read_scene(request.text, request.place)
+        scene = self._read_scene(request.text, request.place, request.allow_large)
         bank, anew = self._plate.open(request.bank)
         self._told_plate &= not anew
         if not self._told_plate:
@@ -144,7 +145,7 @@ class Calculator:
         ends_s = drive.start_s + samples / rate_hz
         time_s = looked.time_s(drive.sample_rate_hz)
         seen = time_s < ends_s
-        unit = bank.response_unit.removesuffix("/V")
+        unit = field_unit(bank)
         marks = tuple(time_s[seen].tolist())
         limit = float(looked.peak[seen].max(initial=0.0))
         finer = FINER if factor > 1 else 1
@@ -172,5 +173,5 @@ def _beginning_of(drive: Drive, samples: int, factor: int) -> Drive:
         return drive
     return Drive(
         drive.drive_v[:, :most], drive.sample_rate_hz, drive.start_s, drive.method, drive.scale, drive.omitted_bound,
-        drive.focus_sample, drive.focus_position, drive.focus_source,
+        drive.focus_sample, drive.focus_position, drive.focus_source, drive.drive_unit,
     )  # fmt: skip

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
-from calibration.bank import Bank
-from calibration.drive_file import Drive
-from calibration.errors import InputError
-from gui.front_door import RigLimits
 from gui.scene.results.messages import Driven
-from rendering.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
-from rendering.drive import render_with_report
-from rendering.green_source import read_row, refusal
-from rendering.live import LiveDrive
-from rendering.movie_frames import Foci
-from rendering.regularisation import row_weights, saturation_threshold
-from rendering.scene import Output, Scene, Source
-from rendering.scene_rows import scene_rows
+from gui.shell.front_door import RigLimits
+from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
+from rendering.drive.live import LiveDrive
+from rendering.drive.rendering import render_with_report
+from rendering.greens.regularisation import row_weights, saturation_threshold
+from rendering.greens.source import read_row, refusal
+from rendering.report.movie_frames import Foci
+from rendering.scene.model import Output, Scene, Source
+from rendering.scene.scene_rows import scene_rows
+from storage.bank.reading import Bank
+from storage.drive_file import Drive
+from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
@@ -140,6 +140,7 @@ def told_drive(
         paths_mm=[_path(source) for source in scene.sources],
         snap_mm=max(snaps),
         warnings=warnings,
+        unit=drive.drive_unit,
     )
 
 
@@ -194,7 +195,7 @@ def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> 
     there = sample < ends
     return Drive(
         drive_v, bank.sample_rate_hz, live.start_s, live.method, 1.0, math.inf, sample[there], position[there],
-        source[there],
+        source[there], bank.drive_unit,
     )  # fmt: skip
 
 

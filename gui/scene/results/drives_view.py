@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import QSize, Qt
-from PyQt5.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt5.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from gui.divided import side_by_side, stacked
 from gui.scene.results.messages import Driven
+from gui.shell.divided import side_by_side, stacked
+from gui.shell.theme import Theme
 from gui.surface.plot import Plot, Real, thinning_curve, whole_ticks
-from gui.theme import Theme
+from storage.units import quantity
 
 _STEP = 0.45  # the loudest trace fills so much of the distance to its neighbours, up and down
 _BAR = 0.36
@@ -31,6 +32,9 @@ class DrivesView(QWidget):
         self.actuator.setAccessibleName("Actuator that is emphasised")
         self.actuator.setToolTip("Actuator whose drive is emphasised, with its limit (V)")
         self.actuator.addItem("all actuators")
+        self.own_scale = QCheckBox("own scale")
+        self.own_scale.setAccessibleName("Each drive to its own peak")
+        self.own_scale.setToolTip("Draw each actuator's drive to its own peak, so that weak ones are seen, too")
         self.said = QLabel()
         self.said.setProperty("role", "faint")
         self.said.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
@@ -42,6 +46,7 @@ class DrivesView(QWidget):
         row = QHBoxLayout()
         row.setContentsMargins(4, 4, 4, 2)
         row.addWidget(self.actuator)
+        row.addWidget(self.own_scale)
         row.addWidget(self.said, stretch=1)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
@@ -49,6 +54,7 @@ class DrivesView(QWidget):
         column.addLayout(row)
         column.addWidget(both, stretch=1)
         self.actuator.currentIndexChanged.connect(self._draw)
+        self.own_scale.toggled.connect(self._draw)
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Small enough to share a tab with a picture."""
@@ -78,7 +84,8 @@ class DrivesView(QWidget):
         for plot in (self.traces, self.levels, self.gains):
             for side in ("left", "bottom"):
                 plot.getPlotItem().showAxis(side, self.driven is not None)
-        self.traces.show_driven(self.driven, chosen)
+        self.own_scale.setEnabled(chosen < 0)
+        self.traces.show_driven(self.driven, chosen, own_scale=self.own_scale.isChecked())
         for plot in (self.levels, self.gains):
             plot.getPlotItem().clear()
         if self.driven is None:
@@ -107,7 +114,7 @@ class _Traces(Plot):
             line.hide()
             plot.addItem(line)
 
-    def show_driven(self, driven: Driven | None, chosen: int) -> None:
+    def show_driven(self, driven: Driven | None, chosen: int, *, own_scale: bool = False) -> None:
         plot, theme = self.getPlotItem(), self.theme
         self._begun.setPen(pyqtgraph.mkPen(theme.faint, style=Qt.PenStyle.DotLine))
         self._begun.setVisible(driven is not None)
@@ -122,19 +129,24 @@ class _Traces(Plot):
         if chosen >= 0:
             self._show_curves(time_s, [volts[0]], 1.4)
             self._show_limit(limit_v)
-            plot.setLabel("left", f"actuator {chosen} (V)")
+            plot.setLabel("left", f"actuator {chosen} ({driven.unit})")
             plot.getAxis("left").setTicks(None)
             reach = _ROOM * max(largest, limit_v or 0.0, 1e-12)
             plot.setYRange(-reach, reach, padding=0.0)
-            told = f"largest {largest:.3g} V" + ("" if limit_v is None else f" of {limit_v:.3g} V (dashed)")
+            told = f"largest {quantity(f'{largest:.3g}', driven.unit)}"
+            if limit_v is not None:
+                told += f" of {quantity(f'{limit_v:.3g}', driven.unit)} (dashed)"
         else:
-            scale = np.float32(_STEP / (largest or 1.0))
-            self._show_curves(time_s, [number + scale * trace for number, trace in enumerate(volts)], 1.0)
+            peaks = np.abs(volts).max(axis=1, initial=0.0) if own_scale else np.full(len(volts), largest)
+            scales = np.float32(_STEP) / np.where(peaks > 0, peaks, 1.0).astype(np.float32)
+            self._show_curves(time_s, [one + scales[one] * trace for one, trace in enumerate(volts)], 1.0)
             self._show_limit(None)
             plot.setLabel("left", "actuator")
             plot.getAxis("left").setTicks([whole_ticks(len(volts)), []])
             plot.setYRange(-1.0, len(volts), padding=0.0)
-            told = f"a step is {largest / _STEP:.3g} V"
+            told = (
+                "each to its own peak" if own_scale else f"a step is {quantity(f'{largest / _STEP:.3g}', driven.unit)}"
+            )
         plot.setTitle(told, color=theme.text, size="9pt")
         # Whoever looks at a detail goes on looking at it while the scene is edited.
         ends = float(time_s[0]), float(time_s[-1])
@@ -175,6 +187,7 @@ class _Levels(Plot):
     def show_driven(self, driven: Driven, chosen: int) -> None:
         plot, theme = self.getPlotItem(), self.theme
         count = len(driven.peak_v)
+        plot.setLabel("left", f"level ({driven.unit})")
         colours = [theme.traces[1] if one == chosen else theme.traces[0] for one in range(count)]
         for values, filled in ((driven.peak_v, False), (driven.rms_v, True)):
             bars = pyqtgraph.BarGraphItem(

@@ -7,15 +7,16 @@ import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from gui.divided import stacked
 from gui.scene.results.instants import between
 from gui.scene.results.messages import Driven, FieldBegun, Plate
+from gui.shell.divided import stacked
+from gui.shell.theme import Theme
 from gui.surface.colour_bar import ColourBar
 from gui.surface.field_map import FieldMap
 from gui.surface.ground import Ground
 from gui.surface.plot import Plot, thinning_curve
 from gui.surface.time_slider import TimeSlider
-from gui.theme import Theme
+from storage.units import quantity
 
 Float32Array = NDArray[np.float32]
 
@@ -147,6 +148,8 @@ class FieldView(QWidget):
             top = float(np.abs(self.field[:: max(1, len(self.field) // 200)]).max(initial=0.0)) or 1.0
         top = (top or 1.0) * self.span.value() / 100.0
         prefix, self._factor = next((one for one in _PREFIXES if top * one[1] >= 0.1), _PREFIXES[-1])
+        if begun is not None and begun.unit == "1":  # which takes no prefix
+            prefix, self._factor = "", 1.0
         unit = "" if begun is None else f"{prefix}{begun.unit}"
         high = top * self._factor
         self.map.show_scale(-high if signed else 0.0, high, unit, signed=signed)
@@ -197,7 +200,7 @@ class _Waveform(Plot):
         self._now.show()
         plot.setLabel("left", begun.unit)
         largest = float(np.abs(response).max(initial=0.0))
-        plot.setTitle(f"{words}: largest {largest:.3g} {begun.unit}", color=theme.text, size="9pt")
+        plot.setTitle(f"{words}: largest {quantity(f'{largest:.3g}', begun.unit)}", color=theme.text, size="9pt")
         plot.setXRange(float(time_s[0]), float(time_s[-1]), padding=0.01)
         plot.setYRange(-1.1 * (largest or 1.0), 1.1 * (largest or 1.0), padding=0.0)
 

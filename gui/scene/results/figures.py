@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gui.scene.results.messages import Driven, FieldBegun, FocusFigures
-from rendering.coil_limits import RMS_WINDOW_S, dynamic_range_db
+from rendering.drive.coil_limits import RMS_WINDOW_S, dynamic_range_db
 
 Float64Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Figure:
 
 def drive_figures(driven: Driven) -> list[Figure]:
     """Figures that are known with the drives."""
-    from rendering.metrics import range_db  # scipy has been loaded by then, by the thread that listens
+    from rendering.field.metrics import range_db  # scipy has been loaded by then, by the thread that listens
 
     limiting, limits = driven.limiting, driven.limits
     decided = limiting.decided_by
@@ -58,16 +58,16 @@ def drive_figures(driven: Driven) -> list[Figure]:
             verdict=HELD if decided else GOOD,
         ),
         Figure(
-            "peak of the drives", _short(peak_v), "V",
+            "peak of the drives", _short(peak_v), driven.unit,
             f"Largest magnitude of any actuator's drive after scaling; actuator {loudest} has it. Its limit is"
             f" {limits.peak_key}.",
-            _limit(limits.peak_v, "V"), _verdict(limits.peak_v, decided == limits.peak_key),
+            _limit(limits.peak_v, driven.unit), _verdict(limits.peak_v, decided == limits.peak_key),
         ),
         Figure(
-            "rms of the drives", _short(rms_v), "V",
+            "rms of the drives", _short(rms_v), driven.unit,
             f"Largest rms of any actuator's drive over any {RMS_WINDOW_S:g} s, or over all of a shorter one, after"
             f" scaling; actuator {hottest} has it. Its limit is {limits.rms_key}.",
-            _limit(limits.rms_v, "V"), _verdict(limits.rms_v, decided == limits.rms_key),
+            _limit(limits.rms_v, driven.unit), _verdict(limits.rms_v, decided == limits.rms_key),
         ),
     ]  # fmt: skip
     if driven.resistance_ohm:
@@ -111,7 +111,7 @@ def drive_figures(driven: Driven) -> list[Figure]:
 
 def focus_figures(found: FocusFigures, begun: FieldBegun) -> list[Figure]:
     """Figures that are known with the field."""
-    from rendering.focus_figures import FOCUS_RADIUS_MM
+    from rendering.field.focus_figures import FOCUS_RADIUS_MM
 
     radius = f"{FOCUS_RADIUS_MM:g} mm"
     return [
@@ -145,7 +145,7 @@ def focus_figures(found: FocusFigures, begun: FieldBegun) -> list[Figure]:
 
 
 def _of(values: Float64Array, words: Callable[[float], str]) -> str:
-    from rendering.focus_figures import median_or_none
+    from rendering.field.focus_figures import median_or_none
 
     median = median_or_none(values)
     return "" if median is None else words(median)

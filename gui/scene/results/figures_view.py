@@ -9,7 +9,8 @@ from PyQt5.QtGui import QBrush, QColor
 from PyQt5.QtWidgets import QHeaderView, QLabel, QTableWidget, QTableWidgetItem, QVBoxLayout, QWidget
 
 from gui.scene.results.figures import HELD, Figure
-from gui.theme import LIGHT, Theme
+from gui.shell.theme import LIGHT, Theme
+from storage.units import quantity
 
 _TITLES = ("figure", "value", "limit", "verdict")
 
@@ -51,7 +52,7 @@ class FiguresView(QWidget):
         self.figures = list(figures)
         self.table.setRowCount(len(figures))
         for row, figure in enumerate(figures):
-            value = f"{figure.value} {figure.unit}".rstrip() if figure.value else "—"
+            value = quantity(figure.value, figure.unit) if figure.value else "—"
             cells = (figure.name, value, figure.limit, figure.verdict)
             for column, text in enumerate(cells):
                 item = QTableWidgetItem(text)

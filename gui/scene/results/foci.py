@@ -9,16 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import Bank
-from calibration.drive_file import Drive
-from calibration.errors import InputError
 from gui.scene.results.instants import between
 from gui.scene.results.messages import FocusFigures
-from rendering.crosstalk import PathResponses
-from rendering.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, focus_instants
-from rendering.metrics import artefact_level_db, focal_width_mm, focus_peak, grid_spacing_mm
-from rendering.prediction import Prediction
-from rendering.scene import Scene
+from rendering.field.crosstalk import PathResponses
+from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, focus_instants
+from rendering.field.metrics import artefact_level_db, focal_width_mm, focus_peak, grid_spacing_mm
+from rendering.field.prediction import Prediction
+from rendering.scene.model import Scene
+from storage.bank.reading import Bank
+from storage.drive_file import Drive
+from storage.errors import InputError
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]

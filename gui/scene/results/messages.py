@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from gui.surface.raster import Raster
-    from rendering.coil_limits import DriveLimits, Limiting
+    from rendering.drive.coil_limits import DriveLimits, Limiting
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -32,6 +32,8 @@ class Request:
         The bank.
     rig : Path or None
         A rig file whose limits count too.
+    allow_large : bool
+        Whether the scene may be larger than scenes usually are.
     """
 
     number: int
@@ -39,6 +41,7 @@ class Request:
     place: Path
     bank: Path
     rig: Path | None
+    allow_large: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +130,8 @@ class Driven:
         Largest distance of a path point from its position.
     warnings : tuple of str
         What a person should know.
+    unit : str
+        Unit of the drives, that of the bank.
     """
 
     number: int
@@ -149,6 +154,7 @@ class Driven:
     paths_mm: list[Float64Array]
     snap_mm: float
     warnings: tuple[str, ...]
+    unit: str = "V"
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,6 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.desk import Desk
 from gui.scene.document import NOTHING_DRAWN, SceneDocument
 from gui.scene.results.actions_bar import ActionsBar
 from gui.scene.results.calculation import Calculation
@@ -41,8 +40,9 @@ from gui.scene.results.messages import (
 )
 from gui.scene.results.rig_play import RigPlay
 from gui.scene.results.saving import Saving
-from gui.theme import Theme
-from gui.which_rig import names_virtual_rig
+from gui.shell.desk import Desk
+from gui.shell.theme import Theme
+from gui.shell.which_rig import names_virtual_rig
 
 _FINDINGS_PER_TICK = 8
 # A movie needs more frames than the field has samples while it is edited.
@@ -201,7 +201,13 @@ class ResultsPanel(QWidget):
             self._say(NO_BANK if document.bank is None else NOTHING_DRAWN)
             return
         try:
-            self.calculation.ask(document.toml(), document.place, document.bank, Path(rig) if rig else None)
+            self.calculation.ask(
+                document.toml(),
+                document.place,
+                document.bank,
+                Path(rig) if rig else None,
+                allow_large=document.allow_large,
+            )
         except OSError as failure:
             self._desk.tell_failure(failure)
             return

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import Bank, open_bank
-from calibration.errors import InputError
-from rendering.decimation import LARGEST_FACTOR, PASSED
-from rendering.field import measured_positions
-from rendering.regularisation import saturation_threshold
-from rendering.row_transforms import BankSpectra
-from rendering.scene import Regularisation
+from rendering.drive.row_transforms import BankSpectra
+from rendering.field.decimation import LARGEST_FACTOR, PASSED
+from rendering.field.model import measured_positions
+from rendering.greens.regularisation import saturation_threshold
+from rendering.scene.model import Regularisation
+from storage.bank.reading import Bank, open_bank
+from storage.errors import InputError
 
 Int64Array = NDArray[np.int64]
 
@@ -53,6 +53,11 @@ class PlateBank:
         before = None if self._identity is None else self._identity[0]
         self.close()
         bank = open_bank(path)
+        try:
+            bank.require_sound()
+        except InputError:
+            bank.close()
+            raise
         self._bank, self._identity = bank, identity
         attempts = bank.quality.get("attempts")
         content = bank.status.tobytes(), b"" if attempts is None else np.asarray(attempts).tobytes()

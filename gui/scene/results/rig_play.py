@@ -5,21 +5,21 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from PyQt5.QtCore import QObject, QProcess, QProcessEnvironment, QTimer, pyqtSignal
+from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
 from acquisition.durations import hours
-from gui.desk import Desk, sentence_of
+from gui.rig.lines_process import LinesProcess, Told
 from gui.scene.document import SceneDocument
 from gui.scene.results.scene_job import CANCELLED, SceneJob
-from gui.which_rig import names_virtual_rig
+from gui.shell.desk import Desk, sentence_of
+from gui.shell.which_rig import names_virtual_rig
 
 IDLE, RENDERING, OPENING, PLAYING, STOPPING = "silent", "rendering", "opening the rig", "playing", "stopping"
 _STOPPED_BY_USER = 130
 # Muting takes a moment; a process that does not end by itself is asked by a signal, and then ended. One that has not
 # opened the rig yet ends, silent, when it gets to where it would.
 _PATIENCE_MS, _OPENS_WITHIN_MS = 4000, 30_000
-_CLOSES_WITHIN_MS = 10_000
-_TICK_MS = 200
+_TICK_MS = 100
 
 
 class RigPlay(QObject):
@@ -41,8 +41,7 @@ class RigPlay(QObject):
         super().__init__(parent)
         self._desk, self._document = desk, document
         self._job: SceneJob | None = None
-        self._process: QProcess | None = None
-        self._said = ""
+        self._process: LinesProcess | None = None
         self._began_s = 0.0
         self._lasts_s = 0.0
         self._rig = ""
@@ -52,7 +51,7 @@ class RigPlay(QObject):
         self._patience.timeout.connect(self._insist)
         self._tick = QTimer(self)
         self._tick.setInterval(_TICK_MS)
-        self._tick.timeout.connect(self.changed)
+        self._tick.timeout.connect(self._look)
 
     @property
     def words(self) -> str:
@@ -101,19 +100,13 @@ class RigPlay(QObject):
         elif self._process is not None and self.state in (OPENING, PLAYING):
             self._patience.start(_PATIENCE_MS if self.state == PLAYING else _OPENS_WITHIN_MS)
             self._enter(STOPPING)
-            self._process.closeWriteChannel()
+            self._process.end()
 
     def close(self) -> None:
-        """The window closes: fall silent, and wait until that is so."""
+        """The window closes: the process falls silent and ends by itself, and nobody waits for it."""
         process, self._process = self._process, None
         if process is not None:
-            process.finished.disconnect()
-            process.closeWriteChannel()
-            if not process.waitForFinished(_CLOSES_WITHIN_MS):
-                process.terminate()
-                if not process.waitForFinished(_PATIENCE_MS):
-                    process.kill()
-                    process.waitForFinished(_PATIENCE_MS)
+            process.let_go()
         if self._job is not None:
             self._job.cancel()
             self._job.close()
@@ -131,36 +124,35 @@ class RigPlay(QObject):
                 self._desk.messages.fault(f"nothing is played: {sentence or 'rendering ended without a word'}")
             self._over()
             return
-        self._said = ""
-        process = QProcess(self)
-        environment = QProcessEnvironment.systemEnvironment()
-        environment.insert("PYTHONIOENCODING", "utf-8")
-        environment.insert("PYTHONUNBUFFERED", "1")
-        process.setProcessEnvironment(environment)
-        process.readyReadStandardError.connect(self._heard)
-        process.finished.connect(self._finished)
-        process.errorOccurred.connect(self._failed)
-        self._process = process
-        self._enter(OPENING)
-        command = self._desk.front.command
-        process.start(command[0], [*command[1:], *arguments])
-
-    def _heard(self) -> None:
+        self._process = LinesProcess.started(self._desk, arguments, "nothing is played")
         if self._process is None:
+            self._over()
             return
-        self._said += bytes(self._process.readAllStandardError()).decode("utf-8", "replace")
-        if self.state == OPENING and " actuators, at most " in self._said:
+        self._tick.start()
+        self._enter(OPENING)
+
+    def _look(self) -> None:
+        """See what the process says, and whether it has ended."""
+        process = self._process
+        if process is None:
+            return
+        over = process.hand_over(self._received)
+        if over:
+            self._finished(process)
+        else:
+            self.changed.emit()
+
+    def _received(self, line: Told) -> None:
+        if self.state == OPENING and line.get("event") == "playing":
             self._began_s = time.monotonic()
-            self._tick.start()
             self._enter(PLAYING)
 
-    def _finished(self, code: int, how: QProcess.ExitStatus) -> None:
-        self._heard()
-        lines = [line.strip() for line in self._said.splitlines() if line.strip()]
-        sentence = lines[-1].removeprefix("wavefocus: ") if lines else ""
+    def _finished(self, process: LinesProcess) -> None:
+        code = process.exit_code
+        sentence = process.said[-1].removeprefix("wavefocus: ") if process.said else ""
         if self._job is not None:
             sentence = sentence.replace(str(self._job.drive_file), "the scene")
-        if how != QProcess.ExitStatus.NormalExit:
+        if code is None or code < 0:
             self._desk.messages.fault("the process that played was ended by force; look whether the rig is silent")
         elif code in (0, _STOPPED_BY_USER):
             self._desk.messages.note(sentence or "played; the outputs are muted")
@@ -168,15 +160,9 @@ class RigPlay(QObject):
             self._desk.messages.fault(sentence or f"playing ended with exit code {code}")
         self._over()
 
-    def _failed(self, error: QProcess.ProcessError) -> None:
-        if error == QProcess.ProcessError.FailedToStart and self._process is not None:
-            said = self._process.errorString()
-            self._desk.messages.fault(f"{self._process.program()} cannot be started: {said}; nothing is played")
-            self._over()
-
     def _insist(self) -> None:
         if self._process is not None and self.state == STOPPING:
-            self._process.terminate()
+            self._process.interrupt()
             QTimer.singleShot(_PATIENCE_MS, self._force)
 
     def _force(self) -> None:
@@ -186,9 +172,7 @@ class RigPlay(QObject):
     def _over(self) -> None:
         self._patience.stop()
         self._tick.stop()
-        if self._process is not None:
-            self._process.deleteLater()
-            self._process = None
+        self._process = None
         if self._job is not None:
             self._job.close()
             self._job = None

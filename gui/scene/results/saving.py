@@ -7,9 +7,9 @@ from pathlib import Path
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from gui.desk import Desk, sentence_of
 from gui.scene.document import SceneDocument
 from gui.scene.results.scene_job import CANCELLED, SceneJob
+from gui.shell.desk import Desk, sentence_of
 
 DRIVE, WAV, MOVIE = "drive", "WAV", "movie"
 ENDINGS = {DRIVE: ".h5", WAV: ".wav", MOVIE: ".gif"}

@@ -6,10 +6,10 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from gui.desk import Desk
-from gui.errand import Answer, Errand
+from gui.process.command_process import Answer, Errand
 from gui.scene.document import SceneDocument
 from gui.scene.toml_text import scene_toml
+from gui.shell.desk import Desk
 
 CANCELLED = -1
 _DRIVE, _FIELD = "drive.h5", "field.h5"
@@ -40,7 +40,7 @@ class SceneJob:
         self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-scene-", ignore_cleanup_errors=True)
         self._named = document.path.name if document.path else "the scene"
         self._bank = str(document.bank)
-        self._rig = ["--rig", rig] if rig else []
+        self._rig = [*(["--rig", rig] if rig else []), *(["--allow-large"] if document.allow_large else [])]
         self._errand: Errand | None = None
         self._cancelled = False
         if document.path is not None and document.saved:
@@ -59,20 +59,23 @@ class SceneJob:
         """The predicted field."""
         return Path(self._folder.name) / _FIELD
 
+    # Files of the job's own folder, and files whose replacement was confirmed in the dialog, are replaced.
+
     def render(self, out: Path | None = None, wav: Path | None = None) -> list[str]:
         """The command that renders the scene."""
         sound = [] if wav is None else ["--wav", str(wav)]
         into = str(out or self.drive_file)
-        return ["render", str(self.scene_file), "--bank", self._bank, "--out", into, *sound, *self._rig]
+        return ["render", str(self.scene_file), "--bank", self._bank, "--out", into, *sound, *self._rig, "--force"]
 
     def predict(self, rate_hz: float | None) -> list[str]:
         """The command that predicts the field of the drive, at a lower rate where one is given."""
         rate = [] if rate_hz is None else ["--rate", repr(rate_hz)]
-        return ["predict", str(self.drive_file), "--bank", self._bank, "--out", str(self.field_file), *rate]
+        return ["predict", str(self.drive_file), "--bank", self._bank, "--out", str(self.field_file), *rate, "--force"]
 
     def movie(self, out: Path) -> list[str]:
         """The command that draws the field."""
-        return ["movie", str(self.field_file), "--bank", self._bank, "--drive", str(self.drive_file), "--out", str(out)]
+        files = [str(self.field_file), "--bank", self._bank, "--drive", str(self.drive_file)]
+        return ["movie", *files, "--out", str(out), "--force"]
 
     def run(self, commands: Sequence[tuple[str, Sequence[str]]], done: Callable[[int, str], object]) -> None:
         """Run commands, each with words for it, as long as they succeed; `done` gets the last code and sentence."""

@@ -12,9 +12,9 @@ import traceback
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
-from calibration.errors import InputError
 from gui.scene.results.calculator import Calculator, ReadRig, ReadScene, SupersededError
 from gui.scene.results.messages import Broken, Done, Failed, Order, Progress, Request, Told
+from storage.errors import InputError
 
 QUIET_S = 0.12
 LOOKS_EVERY_S = 1.0

@@ -11,9 +11,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from calibration.bank import Bank, open_bank
-from calibration.errors import InputError
-from calibration.raw_file import open_raw
+from storage.bank.reading import Bank, open_bank
+from storage.errors import InputError
+from storage.raw.reading import open_raw
 from tests.system.crash.power_cuts import Image
 from tests.system.crash.processes import Ended, HungError, Order, Processes
 

@@ -6,7 +6,7 @@ import io
 from pathlib import Path
 from typing import ClassVar
 
-from calibration.durable import PosixFile
+from storage.durable import PosixFile
 from tests.system.crash.power_cuts import Call, Kind
 
 INODE = 1

@@ -1,0 +1,1 @@
+"""The doctor: every instrument examined."""

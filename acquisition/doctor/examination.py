@@ -1,0 +1,319 @@
+"""The doctor: every instrument opened, identified and exercised, none of them able to hide what the others say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NoReturn, Protocol, runtime_checkable
+
+import numpy as np
+
+from acquisition.doctor.findings import Act, Finding, Findings
+from acquisition.doctor.sound import Told, check_loopback, check_response, check_silence
+from acquisition.engine.setup import Setup
+from calibration.rig.mirror_map import MirrorMap
+from drivers.errors import InstrumentLostError
+from drivers.identity import DeviceIdentity
+from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder
+
+# Longest waits, on top of what a question takes by its nature.
+OPEN_S, ANSWER_S = 60.0, 30.0
+SETTLE_S = 5.0
+# A mirror that reads back and stands further off than this does not meet its positions: half a millimetre at 1 m.
+MOST_ASTRAY_MRAD = 0.5
+WEAK_LIGHT = 0.2
+
+
+@runtime_checkable
+class ReadsBack(Protocol):
+    """A mirror that can say where it stands."""
+
+    def where_mrad(self) -> tuple[float, float] | None:
+        """Optical angles in mrad; None where this model cannot say."""
+        ...
+
+
+class VibrometerFacts(Protocol):
+    """What is known of the vibrometer."""
+
+    @property
+    def sensitivity_m_s_per_v(self) -> float:
+        """Its sensitivity."""
+        ...
+
+    @property
+    def identity(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def signal_level(self) -> float | None:
+        """Strength of the reflected light, 0 to 1, where it says so."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Patient:
+    """A rig to examine: how each instrument is opened, and how they belong together.
+
+    Parameters
+    ----------
+    clock : Clock
+        The time that the instruments live by.
+    mirror, recorder, player, vibrometer : callable
+        Open the instrument, or raise InstrumentError.
+    mirror_map : MirrorMap
+        From surface millimetres to mirror angles.
+    corners_mm : sequence of (float, float)
+        Places on the surface that the mirror is sent to.
+    limit_mrad : float
+        Largest angle of the mirror.
+    actuator_channels : tuple of int
+        Player channel of each actuator.
+    loopback_channel : int
+        Player channel that is looped back.
+    range_v : tuple of float
+        Input ranges of (reference, response).
+    reference_gain, inter_channel_delay_s, pre_roll_s, post_roll_s
+        As of `Setup`.
+    amplitude_v : float
+        Peak of what is played, well within the limits.
+    sample_rate_hz : float
+        Rate of the records.
+    """
+
+    clock: Clock
+    mirror: Callable[[], Mirror]
+    recorder: Callable[[], Recorder]
+    player: Callable[[], Player]
+    vibrometer: Callable[[], VibrometerFacts]
+    mirror_map: MirrorMap
+    corners_mm: Sequence[tuple[float, float]]
+    limit_mrad: float
+    actuator_channels: tuple[int, ...]
+    loopback_channel: int
+    range_v: tuple[float, float]
+    reference_gain: float
+    inter_channel_delay_s: float
+    pre_roll_s: float
+    post_roll_s: float
+    amplitude_v: float
+    sample_rate_hz: float
+
+
+def examine(patient: Patient, publish: Callable[[Finding], None], *, play: bool) -> dict[str, DeviceIdentity]:
+    """Open, identify and exercise every instrument, and put it to rest.
+
+    Parameters
+    ----------
+    patient : Patient
+        The rig.
+    publish : callable
+        Gets every finding as it is made.
+    play : bool
+        Whether anything may sound.
+
+    Returns
+    -------
+    dict from role to DeviceIdentity
+        Of the instruments that answered.
+    """
+    examination = _Examination(patient, Findings(publish), play)
+    examination.run()
+    return examination.identities
+
+
+@dataclass(frozen=True, slots=True)
+class _Visit:
+    """Where the mirror stood after a move, against where it was sent; None where it cannot say."""
+
+    astray_mrad: float | None
+
+
+class _Examination:
+    def __init__(self, patient: Patient, findings: Findings, play: bool) -> None:
+        self._patient, self._findings, self._play = patient, findings, play
+        self._mirror: Mirror | None = None
+        self._recorder: Recorder | None = None
+        self._player: Player | None = None
+        self.identities: dict[str, DeviceIdentity] = {}
+        self._sensitivity = 1.0
+        self._points = False
+
+    def run(self) -> None:
+        try:
+            self._open()
+            self._points = self._check_mirror()
+            self._check_player()
+            self._check_sound()
+        finally:
+            self._put_to_rest()
+
+    def _open(self) -> None:
+        """Open and identify; whoever fails is left out."""
+        patient, findings = self._patient, self._findings
+        facts = findings.ask("vibrometer", "opening", patient.vibrometer, OPEN_S)
+        if facts is not None:
+            self._sensitivity = facts.sensitivity_m_s_per_v
+            findings.add("vibrometer", "identity", "ok", f"{facts.identity}, {self._sensitivity:g} m/s per V")
+            self._check_light(facts.signal_level)
+        self._mirror = findings.ask("mirror", "opening", patient.mirror, OPEN_S)
+        self._recorder = findings.ask("recorder", "opening", patient.recorder, OPEN_S)
+        self._player = findings.ask("player", "opening", patient.player, OPEN_S)
+        for name, role in (("mirror", self._mirror), ("recorder", self._recorder), ("player", self._player)):
+            if role is None:
+                continue
+            sentence = findings.ask(name, "identity", role.identify, ANSWER_S)
+            if sentence is not None:
+                findings.add(name, "identity", "ok", sentence)
+                self.identities[name] = role.identity
+
+    def _check_light(self, level: float | None) -> None:
+        if level is None:
+            return
+        weak = level < WEAK_LIGHT
+        remedy = "focus the laser, clean its window, put reflective film on the surface" if weak else ""
+        self._findings.add("vibrometer", "signal level", "warn" if weak else "ok", f"{level:.0%} of full", remedy)
+
+    def _check_mirror(self) -> bool:
+        """Send the mirror to the corners of the surface and back to its middle; True where it went there."""
+        patient, findings, mirror = self._patient, self._findings, self._mirror
+        if mirror is None:
+            findings.skip("mirror", "corners", "the mirror is not there")
+            return False
+        x_mrad, y_mrad = patient.mirror_map.angles_mrad(*np.array([*patient.corners_mm, (0.0, 0.0)]).T)
+        angles = [(float(x), float(y)) for x, y in zip(x_mrad, y_mrad, strict=True)]
+        reach_mrad = max(max(map(abs, pair)) for pair in angles)
+        if reach_mrad > patient.limit_mrad:
+            what = f"the surface needs {reach_mrad:.0f} mrad, mirror.limit_mrad is {patient.limit_mrad:g}"
+            remedy = "raise the limit if the mirror allows it, or move the mirror back"
+            findings.add("mirror", "corners", "fail", what, remedy, Act("edit-rig", "mirror.limit_mrad"))
+            return False
+        astray: list[float] = []
+        for at_mrad in angles:
+            visit = findings.ask("mirror", "corners", partial(_visit, mirror, at_mrad), OPEN_S)
+            if visit is None:
+                return False
+            if visit.astray_mrad is not None:
+                astray.append(visit.astray_mrad)
+        what = f"{len(angles) - 1} corners and the middle reached, "
+        what += f"read back within {max(astray):.3f} mrad" if astray else "not read back: this mirror cannot say"
+        if astray and max(astray) > MOST_ASTRAY_MRAD:
+            remedy = "see that nothing holds the mirror, and that its units are those of the rig file"
+            findings.add("mirror", "corners", "fail", what, remedy)
+            return False
+        findings.add("mirror", "corners", "ok", what)
+        return True
+
+    def _check_player(self) -> None:
+        player, patient = self._player, self._patient
+        if player is None:
+            self._findings.skip("player", "outputs", "the player is not there")
+            return
+        needed = 1 + max((*patient.actuator_channels, patient.loopback_channel))
+        if player.channels >= needed:
+            self._findings.add("player", "outputs", "ok", f"{player.channels}, {needed} needed")
+            return
+        remedy = "choose the interface with enough outputs, or correct player.channels"
+        what = f"it has {player.channels}, {needed} are wired"
+        self._findings.add("player", "outputs", "fail", what, remedy, Act("edit-rig", "player.channels"))
+
+    def _check_sound(self) -> None:
+        """Records of silence, of the loopback and of actuators, as far as the instruments for them are there."""
+        recorder, player = self._recorder, self._player
+        if recorder is None:
+            self._findings.skip("recorder", "record", "the recorder is not there")
+        else:
+            patient = self._patient
+            silence = partial(check_silence, recorder, patient.sample_rate_hz, patient.range_v)
+            if self._tell("recorder", "record", silence) and player is not None and self._play:
+                self._check_playing(recorder, player)
+                return
+        why = "the recorder gave no record"
+        if player is None:
+            why = "the player is not there"
+        elif not self._play:
+            why = "nothing was to be played"
+        self._findings.skip("player", "loopback", why)
+        self._findings.skip("vibrometer", "response", why)
+
+    def _check_playing(self, recorder: Recorder, player: Player) -> None:
+        patient = self._patient
+        setup = Setup(
+            instruments=Instruments(self._mirror or _NoMirror(), recorder, player, patient.clock),
+            mirror_map=patient.mirror_map,
+            actuator_channels=patient.actuator_channels,
+            loopback_channel=patient.loopback_channel,
+            range_v=patient.range_v,
+            response_per_volt=self._sensitivity,
+            reference_gain=patient.reference_gain,
+            inter_channel_delay_s=patient.inter_channel_delay_s,
+            pre_roll_s=patient.pre_roll_s,
+            post_roll_s=patient.post_roll_s,
+        )
+        looped = partial(check_loopback, setup, patient.amplitude_v, patient.sample_rate_hz)
+        if not self._tell("player", "loopback", looped):
+            self._findings.skip("vibrometer", "response", "without a loopback nothing can be told")
+        elif not self._points:
+            self._findings.skip("vibrometer", "response", "the mirror does not point, so the beam may be anywhere")
+        else:
+            self._tell(
+                "vibrometer", "response", partial(check_response, setup, patient.amplitude_v, patient.sample_rate_hz)
+            )
+
+    def _tell(self, instrument: str, check: str, listen: Callable[[], list[Told]]) -> bool:
+        """Tell what was heard; True where there is nothing that fails."""
+        heard = self._findings.ask(instrument, check, listen, OPEN_S)
+        for told in heard or ():
+            self._findings.add(instrument, *told)
+        return heard is not None and all(told.verdict != "fail" for told in heard)
+
+    def _put_to_rest(self) -> None:
+        """Mute, park and release whatever is open; only what fails is told."""
+        steps: list[tuple[str, Callable[[], None]]] = []
+        if self._player is not None:
+            steps += [("player", self._player.mute), ("player", self._player.close)]
+        if self._recorder is not None:
+            steps += [("recorder", self._recorder.abort), ("recorder", self._recorder.close)]
+        if self._mirror is not None:
+            steps += [("mirror", self._mirror.park), ("mirror", self._mirror.close)]
+        for name, step in steps:
+            self._findings.ask(name, "putting it to rest", step, ANSWER_S)
+
+
+def _visit(mirror: Mirror, at_mrad: tuple[float, float]) -> _Visit:
+    """Send the mirror somewhere, wait, and ask where it stands."""
+    mirror.move_to(*at_mrad)
+    mirror.wait_settled(SETTLE_S)
+    there = mirror.where_mrad() if isinstance(mirror, ReadsBack) else None
+    return _Visit(None if there is None else max(abs(a - b) for a, b in zip(there, at_mrad, strict=True)))
+
+
+class _NoMirror:
+    """The mirror of a rig whose mirror is not there: what needs it was skipped, so nobody asks it."""
+
+    def _refuse(self, doing: str) -> NoReturn:
+        raise InstrumentLostError("mirror", doing, "it is not there", "see what was said of opening it")
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        self._refuse("identifying")
+
+    def identify(self) -> str:
+        self._refuse("identifying")
+
+    def move_to(self, x_mrad: float, y_mrad: float) -> None:
+        self._refuse("moving")
+
+    def wait_settled(self, timeout_s: float) -> None:
+        self._refuse("settling")
+
+    def park(self) -> None:
+        self._refuse("parking")
+
+    def reconnect(self) -> None:
+        self._refuse("reconnecting")
+
+    def close(self) -> None:
+        pass

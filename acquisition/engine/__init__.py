@@ -1,0 +1,1 @@
+"""The campaign engine: attempts, records, recovery, suspension, events."""

@@ -1,0 +1,209 @@
+"""One attempt at a position: what was recorded, what it is worth, and what of it goes into the bank."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.engine.raw_keeping import keep_recordings
+from acquisition.quality.agreement import Row, in_band
+from acquisition.quality.judgement import Judgement, judge
+from acquisition.quality.limits import QualityLimits
+from acquisition.quality.point_status import Status
+from acquisition.schedule.plan import Plan
+from calibration.clock.timing import ReferenceMissingError
+from calibration.estimator.position import PositionEstimator
+from calibration.estimator.sequential import Estimate
+from drivers.protocols import Recording
+from storage.bank.ledger import PointRecord
+from storage.bank.writer import BankWriter
+from storage.raw.writer import RawWriter
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """A try at a position: `number` counts all tries ever, `of_session` those of this session.
+
+    `moved_mm` says how far beside the position the mirror points, `response_range_v` which input range the response
+    has; None for the configured one.
+    """
+
+    position: int
+    number: int
+    of_session: int
+    moved_mm: tuple[float, float] = (0.0, 0.0)
+    response_range_v: float | None = None
+
+    def next(self) -> Attempt:
+        """The try after this one."""
+        return replace(self, number=self.number + 1, of_session=self.of_session + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """The recordings of an attempt, one per actuator; none and a `fault` when an instrument failed."""
+
+    attempt: Attempt
+    recordings: tuple[Recording, ...]
+    fault: str
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptResult:
+    """An attempt estimated and judged.
+
+    `final` says that no further attempt follows, `committed` that the bank holds it. `recordings` are what the
+    estimate is of.
+    """
+
+    attempt: Attempt
+    estimate: Estimate | None
+    judgement: Judgement
+    final: bool = False
+    committed: bool = False
+    recordings: tuple[Recording, ...] = ()
+
+    @property
+    def rank(self) -> tuple[bool, bool, bool, float]:
+        """Sorts attempts from best to worst: valid ones, then usable ones, then those in range, then by score."""
+        over_range = bool(self.judgement.status & Status.OVER_RANGE)
+        return (not self.judgement.good, self.estimate is None, over_range, self.judgement.score)
+
+    @property
+    def defect_names(self) -> tuple[str, ...]:
+        """Names of all that is wrong with it."""
+        return tuple(defect.name for defect in self.judgement.defects)
+
+    @property
+    def median_snr_db(self) -> float:
+        """Median signal-to-noise ratio over actuators, NaN without an estimate."""
+        return float("nan") if self.estimate is None else float(np.median(self.estimate.snr_db))
+
+    @property
+    def best_heard_residual_db(self) -> float:
+        """Residual of the best-heard actuator, NaN without an estimate."""
+        if self.estimate is None:
+            return float("nan")
+        return float(self.estimate.residual_db[int(np.argmax(self.estimate.snr_db))])
+
+    @property
+    def clock_ppm(self) -> float:
+        """Median clock ratio between recorder and player, as its distance from 1 in ppm."""
+        if self.estimate is None:
+            return float("nan")
+        return float(np.median(self.estimate.clock_ratio) - 1.0) * 1e6
+
+    @property
+    def start_offset_samples(self) -> float:
+        """Median start offset of the player within the records, in samples."""
+        return float("nan") if self.estimate is None else float(np.median(self.estimate.offset_samples))
+
+
+def evaluate(
+    recorded: Recorded,
+    estimator: PositionEstimator,
+    range_v: tuple[float, float],
+    limits: QualityLimits,
+    distance_mm: NDArray[np.float64] | None = None,
+    before_db: float | None = None,
+) -> AttemptResult:
+    """Estimate the Green's functions of an attempt and judge them.
+
+    An attempt without recordings, or whose reference cannot be found, is judged
+    ``Status.FAILED``: nothing of it can be used.
+
+    Parameters
+    ----------
+    recorded : Recorded
+        The attempt's recordings.
+    estimator : PositionEstimator
+        What they become.
+    range_v : tuple of float
+        Configured input ranges in volts of (reference, response); an attempt may have had a larger one.
+    limits : QualityLimits
+        When the position is good enough.
+    distance_mm : float64 array, shape (actuators,), optional
+        From the actuators to the position.
+    before_db : float, optional
+        Level of the reference at the positions before, as of `acquisition.quality.judgement.judge`.
+    """
+    if recorded.attempt.response_range_v is not None:
+        range_v = (range_v[0], recorded.attempt.response_range_v)
+    if not recorded.recordings:
+        return AttemptResult(recorded.attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
+    reference_v = np.stack([one.volts[0] for one in recorded.recordings])
+    response_v = np.stack([one.volts[1] for one in recorded.recordings])
+    try:
+        estimate = estimator.estimate(reference_v, response_v, range_v=range_v)
+    except ReferenceMissingError as missing:
+        judgement = Judgement(Status.FAILED, str(missing), np.inf)
+        return AttemptResult(recorded.attempt, None, judgement, recordings=recorded.recordings)
+    over_range = any(any(one.over_range) for one in recorded.recordings)
+    judgement = judge(estimate, over_range, limits, distance_mm, before_db)
+    return AttemptResult(recorded.attempt, estimate, judgement, recordings=recorded.recordings)
+
+
+def row_of(result: AttemptResult, plan: Plan) -> Row | None:
+    """What an attempt would put into the bank, to be compared; None where it has no estimate."""
+    if result.estimate is None:
+        return None
+    spectrum = in_band(result.estimate.green, plan.excitation.sample_rate_hz, plan.excitation.band_hz)
+    return Row(spectrum, result.estimate.snr_db, math.hypot(*result.attempt.moved_mm))
+
+
+def commit_attempt(
+    bank: BankWriter,
+    result: AttemptResult,
+    attempts: int,
+    raw: RawWriter | None = None,
+    *,
+    count_anyway: bool = False,
+) -> AttemptResult:
+    """Commit the best attempt at a position, unless the bank already holds a better one.
+
+    Parameters
+    ----------
+    bank : BankWriter
+        Open for writing.
+    result : AttemptResult
+        The best attempt of this session.
+    attempts : int
+        Tries at this position so far, for the bank's ``attempts``.
+    raw : RawWriter, optional
+        Where its recordings are kept, before the bank's row.
+    count_anyway : bool
+        Let the bank count the tries although it keeps what it has, so that a pass is known to be over.
+
+    Returns
+    -------
+    AttemptResult
+        `result` without its recordings, final, and saying whether it was committed.
+    """
+    position = result.attempt.position
+    held = Status(int(bank.status[position]))
+    holds_data = bool(held & (Status.VALID | Status.OVER_RANGE | Status.POOR_SIGNAL))
+    if holds_data and not result.judgement.good:
+        if count_anyway:
+            bank.count_attempts(position, attempts)
+        return replace(result, final=True, committed=False, recordings=())
+    actuators, taps = len(bank.header.actuator_mm), bank.header.taps
+    nothing = np.full(actuators, np.nan, np.float32)
+    estimate = result.estimate
+    record = PointRecord(
+        status=int(result.judgement.status),
+        attempts=attempts,
+        snr_db=nothing if estimate is None else estimate.snr_db,
+        residual_db=nothing if estimate is None else estimate.residual_db,
+        coherence=nothing if estimate is None else estimate.coherence,
+        peak_v=nothing if estimate is None else estimate.peak_v,
+        moved_mm=math.hypot(*result.attempt.moved_mm),
+        reference_db=float("nan") if estimate is None else float(np.median(estimate.reference_db)),
+    )
+    green = np.zeros((actuators, taps), np.float32) if estimate is None else estimate.green
+    if raw is not None and result.recordings:
+        keep_recordings(raw, position, result.recordings)
+    bank.commit(position, green, record)
+    return replace(result, final=True, committed=True, recordings=())

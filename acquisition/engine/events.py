@@ -1,0 +1,244 @@
+"""What the engine tells: typed, immutable events; command line, log, window and ``--json`` subscribe."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+
+
+class State(StrEnum):
+    """Where a campaign stands; which follows which is in `acquisition.engine.states`."""
+
+    IDLE = "idle"
+    RUNNING = "running"
+    PAUSING = "pausing"
+    PAUSED = "paused"
+    SUSPENDED = "suspended"
+    RECOVERING = "recovering"
+    STOPPING = "stopping"
+    STOPPED = "stopped"
+    FINISHED = "finished"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened, at `time_s` seconds on the rig's clock since the session began."""
+
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class StateChanged(Event):
+    """The campaign entered `state`; `reason` says why in words."""
+
+    state: State
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class SessionStarted(Event):
+    """A session of the campaign begins: `done` of `positions` are committed, `to_do` are left."""
+
+    bank: str
+    positions: int
+    actuators: int
+    done: int
+    to_do: int
+    planned_s: float
+    instruments: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduleSettled(Event):
+    """A trial before the first session has settled how positions are measured; `time_s` is how long it took.
+
+    `candidates` are name, groups (0: one actuator after the other), level, seconds of the whole campaign and error
+    of each schedule that was tried at `position`, the one that was asked for first.
+    """
+
+    position: int
+    chosen: str
+    reason: str
+    hours: float
+    candidates: tuple[dict[str, object], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PositionStarted(Event):
+    """The first record of a position begins."""
+
+    position: int
+    attempt: int
+    x_mm: float
+    y_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class RecordTaken(Event):
+    """A record of a position is in: `record` of `records`, counted from 1; not where a position has only one."""
+
+    position: int
+    attempt: int
+    record: int
+    records: int
+
+
+@dataclass(frozen=True, slots=True)
+class PositionCommitted(Event):
+    """A position is durably in the bank, with the contract's status bits and its quality.
+
+    Where it is not valid, `reason` says why and `defects` names it. `response_range_v` is the input range where it
+    is not the configured one, `moved_mm` how far beside the position the laser was.
+    """
+
+    position: int
+    status: int
+    attempts: int
+    snr_db: float
+    residual_db: float
+    clock_ppm: float
+    start_offset_samples: float
+    reason: str = ""
+    defects: tuple[str, ...] = ()
+    response_range_v: float | None = None
+    moved_mm: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class PositionRepeated(Event):
+    """An attempt was not good enough and the position is measured again.
+
+    `defects` names what was wrong, `response_range_v` and `moved_mm` say what is tried, as of `PositionCommitted`.
+    """
+
+    position: int
+    attempt: int
+    reason: str
+    defects: tuple[str, ...] = ()
+    response_range_v: float | None = None
+    moved_mm: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class PositionKept(Event):
+    """A new attempt was no better than what the bank holds, which therefore stays."""
+
+    position: int
+    attempt: int
+    reason: str
+    defects: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PassStarted(Event):
+    """All that is not valid is measured again: these `positions` of the bank."""
+
+    positions: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Progress(Event):
+    """How far the campaign is; times by the rig's clock, those that begin with ``wall`` by the wall's.
+
+    What remains follows from the latest positions, with their repeats and with the sentinel's measurements to come.
+    """
+
+    done: int
+    total: int
+    elapsed_s: float
+    remaining_s: float
+    wall_remaining_s: float
+    positions_per_hour: float
+    wall_positions_per_hour: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Fault(Event):
+    """An instrument failed; `retried` says whether the engine tries again by itself.
+
+    `position` and `attempt` are None where no position was being measured.
+    """
+
+    instrument: str
+    operation: str
+    cause: str
+    remedy: str
+    position: int | None
+    attempt: int | None
+    retried: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ReconnectTried(Event):
+    """A lost instrument was asked for a fresh connection.
+
+    `number` counts the tries since it last did its work; `connected` says whether this one succeeded and
+    `outcome` what happened. `next_try_s` and `gives_up_s` are the seconds until the next try and until the
+    campaign gives up; None once it is connected, `next_try_s` also when this was the last try.
+    """
+
+    role: str
+    instrument: str
+    number: int
+    connected: bool
+    outcome: str
+    next_try_s: float | None
+    gives_up_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Drift(Event):
+    """The sentinel position measured again: what changed since it was first measured.
+
+    `occasion` is ``"resume"``, ``"run"`` or ``"repeat"`` (of a stop during a run, to be sure), `cause` what figures
+    that are not steady come from, and `suspect` the positions measured since the last steady measurement, where the
+    verdict is to stop.
+    """
+
+    position: int
+    level_db: float
+    delay_samples: float
+    correlation: float
+    verdict: str
+    occasion: str
+    cause: str
+    suspect: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionsSeen(Event):
+    """What is known of the watched conditions while the campaign is suspended; `back` says whether all are back."""
+
+    values: dict[str, float]
+    back: bool
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class SessionEnded(Event):
+    """The session is over; `counts` are positions per status word."""
+
+    state: State
+    done: int
+    total: int
+    counts: dict[str, int]
+
+
+Subscriber = Callable[[Event], None]
+
+
+def event_record(event: Event) -> dict[str, object]:
+    """One event as a JSON-ready mapping, ``event`` naming its kind in snake case.
+
+    Figures that are not finite become ``None``: JSON has no NaN.
+    """
+    kind = re.sub(r"(?<!^)(?=[A-Z])", "_", type(event).__name__).lower()
+    fields = {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in asdict(event).items()
+    }
+    return {"event": kind, **fields}

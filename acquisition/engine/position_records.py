@@ -1,0 +1,105 @@
+"""The records of a position: point, play, record, and take again what a passing fault voided."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from acquisition.engine.attempt import Attempt
+from acquisition.engine.measuring import Play
+from acquisition.engine.pointing import point_at, start_move
+from acquisition.engine.record import take_record
+from acquisition.engine.session import Session
+from acquisition.engine.setup import Setup
+from acquisition.schedule.plan import Plan
+from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.protocols import Recording, Take
+
+# A record is repeated so often before the whole attempt is given up for a passing fault.
+RECORD_REPEATS = 2
+
+
+class PositionRecords:
+    """Takes the records of positions.
+
+    Parameters
+    ----------
+    plan : Plan
+        Where the positions are, at which rate.
+    setup : Setup
+        With what.
+    plays : tuple of Play
+        What each record of a position plays.
+    session : Session
+        Told of faults.
+    """
+
+    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], session: Session) -> None:
+        self._plan = plan
+        self._setup = setup
+        self.plays = plays
+        self._session = session
+
+    def take(self, attempt: Attempt, purpose: str, between: Callable[[], None]) -> tuple[Recording, ...]:
+        """Point at a position and take all its records.
+
+        Parameters
+        ----------
+        attempt : Attempt
+            Which position, and which try at it.
+        purpose : str
+            ``"capture"`` or ``"sentinel"``, for the instruments' logs.
+        between : callable
+            Called after each record.
+
+        Raises
+        ------
+        InstrumentError
+            Of the instrument that failed; a passing fault only when repeated records did not cure it.
+        """
+        point_at(self._setup, *self._place_mm(attempt))
+        recordings: list[Recording] = []
+        for number, play in enumerate(self.plays, 1):
+            take = Take(attempt.position, attempt.number, play.actuator, purpose)
+            recordings.append(self._record(play, take, attempt))
+            if purpose == "capture":
+                self._session.record_taken(attempt, number, len(self.plays))
+            between()
+        return tuple(recordings)
+
+    def probe(self, attempt: Attempt) -> Recording:
+        """Point at a position and take one record, to see how things stand; it goes nowhere.
+
+        Raises
+        ------
+        InstrumentError
+            As :meth:`take` does.
+        """
+        point_at(self._setup, *self._place_mm(attempt))
+        play = self.plays[0]
+        return self._record(play, Take(attempt.position, attempt.number, play.actuator, "probe"), attempt)
+
+    def set_out_for(self, attempt: Attempt) -> None:
+        """Let the mirror set out for a position; when it fails, pointing there will meet that again."""
+        try:
+            start_move(self._setup, *self._place_mm(attempt))
+        except InstrumentError as fault:
+            self._session.fault(fault, attempt, retried=True)
+
+    def _place_mm(self, attempt: Attempt) -> tuple[float, float]:
+        """Where the beam goes for an attempt."""
+        x_mm, y_mm = self._plan.position_mm[attempt.position]
+        return float(x_mm) + attempt.moved_mm[0], float(y_mm) + attempt.moved_mm[1]
+
+    def _record(self, play: Play, take: Take, attempt: Attempt) -> Recording:
+        """Take one record, and take it again after a passing fault: an underflow voids a record, not a position."""
+        rate_hz = self._plan.excitation.sample_rate_hz
+        setup = self._setup
+        if attempt.response_range_v is not None:
+            setup = replace(setup, range_v=(setup.range_v[0], attempt.response_range_v))
+        for _ in range(RECORD_REPEATS):
+            try:
+                return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))
+            except TransientInstrumentError as fault:
+                self._session.fault(fault, attempt, retried=True)
+        return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))

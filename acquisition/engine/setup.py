@@ -1,0 +1,107 @@
+"""A rig as the engine sees it: instruments, wiring and calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from acquisition.quality.watch import NOTHING_WATCHED, Watch
+from calibration.rig.mirror_map import MirrorMap
+from drivers.protocols import Instruments
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """The instruments of a rig, how they are wired and how they are calibrated.
+
+    Parameters
+    ----------
+    instruments : Instruments
+        Mirror, recorder, player and the clock they live by.
+    mirror_map : MirrorMap
+        From surface millimetres to mirror angles.
+    actuator_channels : tuple of int
+        Player channel of each actuator, in the bank's order of actuators.
+    loopback_channel : int
+        Player channel that is wired to the recorder's reference input.
+    range_v : tuple of float
+        Input ranges in volts of (reference, response).
+    response_per_volt : float
+        Response unit per DAQ volt, by default (m/s)/V: the vibrometer's sensitivity.
+    reference_gain : float
+        DAQ volts on the reference channel per volt of drive.
+    inter_channel_delay_s : float
+        How much later the response channel is sampled than the reference channel.
+    vibrometer_latency_s : float
+        How much later the vibrometer's voltage is than the velocity that it stands for.
+    pre_roll_s, post_roll_s : float
+        Recording before the player starts, and after it should have ended; the
+        post-roll covers the player's unknown latency.
+    settle_timeout_s : float
+        Longest wait for the mirror to stand still.
+    recovery_s : float
+        How long a lost instrument is waited for before the session ends, >= 0.
+    watch : Watch
+        Conditions under which measuring makes sense.
+    response_ranges_v : tuple of float
+        Input ranges that the response may be measured with when it is over the configured one; none, if unknown.
+    """
+
+    instruments: Instruments
+    mirror_map: MirrorMap
+    actuator_channels: tuple[int, ...]
+    loopback_channel: int
+    range_v: tuple[float, float]
+    response_per_volt: float
+    reference_gain: float = 1.0
+    inter_channel_delay_s: float = 0.0
+    vibrometer_latency_s: float = 0.0
+    pre_roll_s: float = 0.02
+    post_roll_s: float = 0.1
+    settle_timeout_s: float = 5.0
+    recovery_s: float = 600.0
+    watch: Watch = NOTHING_WATCHED
+    response_ranges_v: tuple[float, ...] = ()
+
+    @property
+    def response_delay_s(self) -> float:
+        """How much later than the reference the surface is, as the response channel shows it."""
+        return self.inter_channel_delay_s - self.vibrometer_latency_s
+
+    @property
+    def widest_response_v(self) -> float:
+        """Largest input range that the response may be measured with."""
+        return max((self.range_v[1], *self.response_ranges_v))
+
+    def close(self) -> None:
+        """Mute the player, park the mirror and release every instrument, whatever fails on the way.
+
+        Raises
+        ------
+        ExceptionGroup
+            Of all that failed, after everything was tried.
+        KeyboardInterrupt
+            An impatient Ctrl-C; it cut one step short, and the others were tried.
+        """
+        failures: list[Exception] = []
+        interrupt: KeyboardInterrupt | None = None
+        roles = self.instruments
+        for step in (
+            roles.player.mute,
+            roles.recorder.abort,
+            roles.mirror.park,
+            roles.player.close,
+            roles.recorder.close,
+            roles.mirror.close,
+        ):
+            try:
+                step()
+            except Exception as failure:
+                failures.append(failure)
+            except KeyboardInterrupt as impatience:
+                interrupt = impatience
+        if interrupt is not None:
+            for also in failures:
+                interrupt.add_note(str(also))
+            raise interrupt
+        if failures:
+            raise ExceptionGroup("the instruments could not all be put to rest", failures)

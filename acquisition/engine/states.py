@@ -1,0 +1,112 @@
+"""The state of a session: which follows which, and how long the session has been at it."""
+
+from __future__ import annotations
+
+import time
+
+from acquisition.engine.events import State, StateChanged, Subscriber
+from drivers.protocols import Clock
+
+# Which state may follow which; anything else is a defect. Recovering and suspended return to where they came
+# from. What ends a session has nothing after it.
+FOLLOWS: dict[State, frozenset[State]] = {
+    State.IDLE: frozenset({State.RUNNING, State.RECOVERING, State.STOPPED, State.FAILED}),
+    State.RUNNING: frozenset(
+        {
+            State.PAUSING,
+            State.SUSPENDED,
+            State.RECOVERING,
+            State.STOPPING,
+            State.STOPPED,
+            State.FINISHED,
+            State.FAILED,
+        }
+    ),
+    # The position under way is finished first; with the last one there is nothing left to pause.
+    State.PAUSING: frozenset(
+        {
+            State.PAUSED,
+            State.RUNNING,
+            State.SUSPENDED,
+            State.RECOVERING,
+            State.STOPPING,
+            State.STOPPED,
+            State.FINISHED,
+            State.FAILED,
+        }
+    ),
+    State.PAUSED: frozenset({State.RUNNING, State.STOPPED, State.FAILED}),
+    State.SUSPENDED: frozenset({State.RUNNING, State.PAUSED, State.RECOVERING, State.STOPPED, State.FAILED}),
+    State.RECOVERING: frozenset(
+        {
+            State.IDLE,
+            State.RUNNING,
+            State.PAUSING,
+            State.SUSPENDED,
+            State.STOPPING,
+            State.STOPPED,
+            State.FAILED,
+        }
+    ),
+    State.STOPPING: frozenset({State.RECOVERING, State.STOPPED, State.FINISHED, State.FAILED}),
+    State.STOPPED: frozenset(),
+    State.FINISHED: frozenset(),
+    State.FAILED: frozenset(),
+}
+
+# Time spent in these says nothing of how long the other positions will take.
+AWAY = frozenset({State.PAUSED, State.SUSPENDED, State.RECOVERING})
+
+
+class IllegalStateError(RuntimeError):
+    """A state that cannot follow the present one: a defect of the program, not of an instrument."""
+
+
+class Lifecycle:
+    """Where a session stands, told by an event at each change.
+
+    Parameters
+    ----------
+    clock : Clock
+        The rig's clock; times count from now.
+    publish : callable
+        Receives every event.
+    """
+
+    def __init__(self, clock: Clock, publish: Subscriber) -> None:
+        self._clock = clock
+        self._publish = publish
+        self._started_s, self._started_wall_s = clock.now_s(), time.monotonic()
+        self._away_since: tuple[float, float] | None = None
+        self._away_s = self._away_wall_s = 0.0
+        self.state, self.reason = State.IDLE, ""
+
+    def enter(self, state: State, reason: str) -> None:
+        """Change the state and tell why.
+
+        Raises
+        ------
+        IllegalStateError
+            The table above does not have this change.
+        """
+        if state not in FOLLOWS[self.state]:
+            raise IllegalStateError(f"{state} cannot follow {self.state}")
+        if self._away_since is not None:
+            self._away_s += self.time_s() - self._away_since[0]
+            self._away_wall_s += self._wall_s() - self._away_since[1]
+            self._away_since = None
+        if state in AWAY:
+            self._away_since = self.time_s(), self._wall_s()
+        self.state, self.reason = state, reason
+        self._publish(StateChanged(self.time_s(), state, reason))
+
+    def time_s(self) -> float:
+        """Seconds on the rig's clock since the session began."""
+        return self._clock.now_s() - self._started_s
+
+    def working_s(self) -> tuple[float, float]:
+        """Seconds on the rig's and on the wall's clock that were not spent paused, suspended or recovering."""
+        return self.time_s() - self._away_s, self._wall_s() - self._away_wall_s
+
+    def _wall_s(self) -> float:
+        return time.monotonic() - self._started_wall_s

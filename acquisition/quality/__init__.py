@@ -1,0 +1,1 @@
+"""Point quality: defects, limits, drift, watched conditions."""

@@ -1,0 +1,265 @@
+"""Defects by their names: from a record's figures to what is wrong with it and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.estimator.sequential import Estimate
+
+MAINS_HZ = (50.0, 60.0)
+# A line belongs to the mains where it is this close to a multiple; their frequency itself strays by 0.2 Hz.
+MAINS_TOLERANCE_HZ = 0.7
+# The fit bends to what every sweep leaves alike, so that its error is this much above what is left.
+BENT_DB = 15.0
+# A record is silent when it has less than this while several farther actuators are heard this well.
+SILENT_SNR_DB = 6.0
+HEARD_SNR_DB = 20.0
+FARTHER_HEARD = 3
+# Without light the vibrometer is louder than this times the usual noise.
+LOUD_NOISE = 2.0
+# A record that leaves nearly all of itself unexplained, and far more than the quietest, is no response at all.
+NOISE_ALONE_DB = -3.0
+# Name of the defect that is the reference's, not the response's.
+REFERENCE_LEVEL = "reference level"
+
+
+class Cure(IntEnum):
+    """What can help against a defect, the least hopeful last; `AGAIN` never moves aside, `REPEAT` at the second try."""
+
+    AGAIN = 0
+    RANGE = 1
+    REPEAT = 2
+    MOVE = 3
+    NOTHING = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Defect:
+    """One thing that is wrong with an attempt at a position.
+
+    Parameters
+    ----------
+    name : str
+        Its name, the same in events, log and documentation: ``"hum"``, ``"lost sample"``.
+    actuators : tuple of int
+        Whose records show it, the worst first.
+    sentence : str
+        What was seen and what to do about it.
+    cure : Cure
+        What the engine can try by itself.
+    over_range : bool
+        Whether something was at the end of its range.
+    """
+
+    name: str
+    actuators: tuple[int, ...]
+    sentence: str
+    cure: Cure
+    over_range: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class DefectLimits:
+    """From where on a defect counts.
+
+    Parameters
+    ----------
+    residual_db : float
+        Energy of a defect in the record's residual, in dB of the response.
+    harmonic_db : float
+        Third harmonic in dB of the fundamental.
+    """
+
+    residual_db: float
+    harmonic_db: float
+
+
+def dead_records(estimate: Estimate) -> NDArray[np.bool_]:
+    """Records whose response channel is constant."""
+    return np.asarray(estimate.defects["dead"] == 1)
+
+
+def named_defects(
+    estimate: Estimate, limits: DefectLimits, distance_mm: NDArray[np.float64] | None
+) -> tuple[Defect, ...]:
+    """Name what the figures of an attempt's records show.
+
+    Of one record the defect that explains the others is named alone: a lost sample also leaves a burst.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Figures of all records of the attempt.
+    limits : DefectLimits
+        From where on they count.
+    distance_mm : float64 array, shape (actuators,), optional
+        From the actuators to the position; NaN where unknown.
+
+    Returns
+    -------
+    tuple of Defect
+        The surest first; none for a clean attempt.
+    """
+    figures = estimate.defects
+    dead = dead_records(estimate)
+    unnamed = ~dead
+    found: list[Defect] = list(_dead(dead))
+    for name, limit_db, shows in (
+        ("slip_db", limits.residual_db, _slips),
+        ("tail_db", limits.residual_db, _tails),
+        ("burst_db", limits.residual_db, _bursts),
+        ("line_db", limits.residual_db, _lines),
+        ("harmonic_db", limits.harmonic_db, _harmonics),
+        ("cut_db", limits.residual_db - BENT_DB, _cut_peaks),
+        ("step_db", limits.residual_db, _steps),
+    ):
+        beyond = np.flatnonzero(unnamed & (figures[name] > limit_db))
+        if beyond.size:
+            found.append(shows(estimate, beyond[np.argsort(-figures[name][beyond])]))
+            unnamed[beyond] = False
+    silent = unnamed & _silent(estimate, distance_mm)
+    if np.any(silent):
+        found.append(_not_heard(np.flatnonzero(silent)))
+    return tuple(found)
+
+
+def records_named(defects: Sequence[Defect], actuators: int) -> NDArray[np.bool_]:
+    """Which records have a name for what is wrong with them."""
+    named = np.zeros(actuators, dtype=bool)
+    for defect in defects:
+        named[list(defect.actuators)] = True
+    return named
+
+
+def _dead(dead: NDArray[np.bool_]) -> Iterator[Defect]:
+    if np.any(dead):
+        yield Defect(
+            "dead channel",
+            tuple(np.flatnonzero(dead).tolist()),
+            f"the response channel is constant in {listed(np.flatnonzero(dead))}: check the cable from the "
+            "vibrometer to the response input, and that it is on",
+            Cure.REPEAT,
+        )
+
+
+def _slips(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
+    jump = float(estimate.defects["slip_samples"][worst[0]])
+    return Defect(
+        "lost sample",
+        tuple(worst.tolist()),
+        f"the response jumps by {jump:+.1f} samples against the reference within {listed(worst)}: one channel "
+        "lost or doubled a sample; if it stays, use another USB port, without a hub, or a lower rate",
+        Cure.REPEAT,
+    )
+
+
+def _bursts(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
+    level_db, when_s = (float(estimate.defects[name][worst[0]]) for name in ("burst_db", "burst_s"))
+    return Defect(
+        "dropout",
+        tuple(worst.tolist()),
+        f"a burst of {level_db:.0f} dB at {when_s:.3f} s in {listed(worst)}: speckle took the light away or "
+        "something knocked; if it stays, focus the laser or treat the surface",
+        Cure.MOVE if worst.size > 1 else Cure.REPEAT,
+    )
+
+
+def _lines(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
+    level_db, line_hz = (float(estimate.defects[name][worst[0]]) for name in ("line_db", "line_hz"))
+    mains = next((base for base in MAINS_HZ if _is_multiple(line_hz, base)), None)
+    if mains is None:
+        words = f"a tone at {line_hz:.1f} Hz, {level_db:.1f} dB of the response in {listed(worst)}"
+        return Defect("tone", tuple(worst.tolist()), f"{words}: find the fan, motor or supply that hums", Cure.NOTHING)
+    multiple = round(line_hz / mains)
+    harmonic = f" ({multiple} times {mains:g} Hz)" if multiple > 1 else ""
+    return Defect(
+        "hum",
+        tuple(worst.tolist()),
+        f"hum at {multiple * mains:g} Hz{harmonic}, {level_db:.1f} dB of the response in {listed(worst)}: check the "
+        "ground loop of the vibrometer's output cable",
+        Cure.NOTHING,
+    )
+
+
+def _harmonics(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
+    level_db = float(estimate.defects["harmonic_db"][worst[0]])
+    return Defect(
+        "clipping",
+        tuple(worst.tolist()),
+        f"clipped or distorted: third harmonic at {level_db:.0f} dB at the loudest moment of {listed(worst)}: lower "
+        "sweep.amplitude_v or choose a wider range at the vibrometer",
+        Cure.RANGE,
+        over_range=True,
+    )
+
+
+def _cut_peaks(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
+    level_db, when_s = (float(estimate.defects[name][worst[0]]) for name in ("cut_db", "cut_s"))
+    return Defect(
+        "clipping",
+        tuple(worst.tolist()),
+        f"clipped or distorted: every sweep leaves the same {level_db:.0f} dB at {when_s:.3f} s in {listed(worst)}: "
+        "lower sweep.amplitude_v or choose a wider range at the vibrometer",
+        Cure.RANGE,
+        over_range=True,
+    )
+
+
+def _steps(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
+    level_db = float(estimate.defects["step_level_db"][worst[0]])
+    return Defect(
+        "level step",
+        tuple(worst.tolist()),
+        f"one sweep of {listed(worst)} is {level_db:+.2f} dB from the others: the vibrometer's range or focus, or a "
+        "contact changed meanwhile",
+        Cure.REPEAT,
+    )
+
+
+def _tails(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
+    level_db = float(estimate.defects["tail_db"][worst[0]])
+    return Defect(
+        "tail",
+        tuple(worst.tolist()),
+        f"the response is longer than its taps: {level_db:.0f} dB come after the last one in {listed(worst)}: raise "
+        "capture.taps and decay_s in a new bank",
+        Cure.NOTHING,
+    )
+
+
+def _not_heard(which: NDArray[np.intp]) -> Defect:
+    return Defect(
+        "silent",
+        tuple(which.tolist()),
+        f"{listed(which)} is noise alone though actuators farther away are heard: check that output's cable, "
+        "amplifier channel and actuator",
+        Cure.NOTHING,
+    )
+
+
+def _silent(estimate: Estimate, distance_mm: NDArray[np.float64] | None) -> NDArray[np.bool_]:
+    """Records without a response where several farther actuators have a good one."""
+    if distance_mm is None:
+        return np.zeros(estimate.snr_db.size, dtype=bool)
+    heard = np.sort(distance_mm[(estimate.snr_db > HEARD_SNR_DB) & np.isfinite(distance_mm)])
+    if heard.size < FARTHER_HEARD:
+        return np.zeros(estimate.snr_db.size, dtype=bool)
+    with_light = estimate.noise_v < LOUD_NOISE * np.median(estimate.noise_v)
+    return np.asarray((estimate.snr_db < SILENT_SNR_DB) & (distance_mm < heard[-FARTHER_HEARD]) & with_light)
+
+
+def _is_multiple(line_hz: float, base_hz: float) -> bool:
+    multiple = round(line_hz / base_hz)
+    return multiple >= 1 and abs(line_hz - multiple * base_hz) < MAINS_TOLERANCE_HZ
+
+
+def listed(which: NDArray[np.intp]) -> str:
+    """The records for a sentence, the first of them by name."""
+    others = which.size - 1
+    first = f"actuator {int(which[0])}'s record"
+    return first if not others else f"{first} and {others} more" if others > 1 else f"{first} and one more"

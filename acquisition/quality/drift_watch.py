@@ -1,0 +1,176 @@
+"""The sentinel position, measured again every so often: one bank holds one plate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from acquisition.engine.attempt import Attempt, AttemptResult, Recorded
+from acquisition.engine.errors import DriftError
+from acquisition.engine.position_records import PositionRecords
+from acquisition.engine.recovery import Recovery
+from acquisition.engine.session import Session
+from acquisition.engine.states import Lifecycle
+from acquisition.quality.defects import REFERENCE_LEVEL
+from acquisition.quality.sentinel import DriftFigures, compare_sentinel
+from acquisition.schedule.plan import Plan, sentinel_of
+from acquisition.schedule.row_ranges import row_ranges
+from drivers.errors import TransientInstrumentError
+from storage.bank.writer import BankWriter
+
+
+class DriftWatch:
+    """Measures the sentinel position and compares it with what the bank holds.
+
+    Parameters
+    ----------
+    plan : Plan
+        Which positions, in which order, and how far the sentinel may drift.
+    bank : BankWriter
+        What was measured first.
+    life : Lifecycle
+        Tells the time.
+    session : Session
+        Told what was found.
+    records : PositionRecords
+        Takes the records.
+    recovery : Recovery
+        Brings lost instruments back.
+    evaluate : callable
+        From recordings to a judged estimate.
+
+    Attributes
+    ----------
+    accept_drift : bool
+        Go on although it has changed; it is told all the same.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        bank: BankWriter,
+        life: Lifecycle,
+        session: Session,
+        records: PositionRecords,
+        recovery: Recovery,
+        evaluate: Callable[[Recorded], AttemptResult],
+    ) -> None:
+        self._plan = plan
+        self._bank = bank
+        self._life = life
+        self._session = session
+        self._records = records
+        self._recovery = recovery
+        self._evaluate = evaluate
+        self._since: list[int] = []
+        self._recorded = 0
+        self._looked_s = life.time_s()
+        self.accept_drift = False
+
+    def recorded(self) -> None:
+        """Note that a position was recorded."""
+        self._recorded += 1
+
+    def committed(self, position: int) -> None:
+        """Note a position that was committed: the next measurement of the sentinel vouches for it, or does not."""
+        self._since.append(position)
+
+    @property
+    def due(self) -> bool:
+        """Whether the sentinel should be measured before the next position."""
+        limits = self._plan.drift
+        late = self._life.time_s() - self._looked_s >= limits.every_s
+        return self._recorded > 0 and (self._recorded >= limits.every_positions or late)
+
+    def check(self) -> None:
+        """Measure the sentinel again before a session adds anything, if there is one.
+
+        Raises
+        ------
+        DriftError
+            The sentinel position is not what the bank holds, or cannot be measured; nothing was added.
+        InstrumentError
+            An instrument failed for good.
+        """
+        position = sentinel_of(self._plan, self._bank.status)
+        if position is None:
+            return
+        figures = self._figures(Attempt(position, 1, 1))
+        self._session.drift(position, figures, "resume")
+        if figures.verdict(self._plan.drift) == "stop" and not self.accept_drift:
+            raise DriftError(
+                f"sentinel position {position} is not what the bank holds ({figures.cause(self._plan.drift)}): "
+                f"{figures}; nothing was added; put it right and resume, start a new bank, or go on with --accept-drift"
+            )
+
+    def check_again(self) -> None:
+        """Measure the sentinel again during a session, and once more before it is believed that it has changed.
+
+        Raises
+        ------
+        DriftError
+            It has; the positions measured since it was last as it should be are named.
+        InstrumentError
+            An instrument failed for good.
+        """
+        position = sentinel_of(self._plan, self._bank.status)
+        if position is None:
+            self._begin_anew()
+            return
+        limits, first = self._plan.drift, Attempt(position, 1, 1)
+        figures = self._figures(first)
+        stops = figures.verdict(limits) == "stop"
+        if stops and not self.accept_drift:
+            self._session.drift(position, figures, "run")
+            figures = self._figures(Attempt(position, 2, 1))
+            stops = figures.verdict(limits) == "stop"
+            suspect = tuple(self._since) if stops else ()
+            self._session.drift(position, figures, "repeat", suspect=suspect)
+        else:
+            self._session.drift(position, figures, "run")
+        if stops and not self.accept_drift:
+            rows = row_ranges(self._since)
+            raise DriftError(
+                f"sentinel position {position} has changed during the run ({figures.cause(limits)}): {figures}; "
+                f"positions {rows}, measured since it was last steady, are in the bank but suspect; put it right, "
+                f"then wavefocus remeasure {self._bank.path} --positions {rows} and resume, or go on with "
+                "--accept-drift"
+            )
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._since.clear()
+        self._recorded = 0
+        self._looked_s = self._life.time_s()
+
+    def _figures(self, attempt: Attempt) -> DriftFigures:
+        result = self._measure(attempt)
+        self._session.sentinel_done()
+        if result.estimate is None or _useless(result):
+            raise DriftError(
+                f"sentinel position {attempt.position} could not be measured: {result.judgement.reason}; "
+                "check cables and laser, then resume"
+            )
+        return compare_sentinel(self._bank.green(attempt.position), result.estimate.green)
+
+    def _measure(self, attempt: Attempt) -> AttemptResult:
+        """Measure the sentinel position, again after passing faults as any other."""
+        try:
+            recordings = self._recovery.until_done(
+                lambda: self._records.take(attempt, "sentinel", lambda: None), attempt.position, attempt.number
+            )
+        except TransientInstrumentError as fault:
+            retried = attempt.of_session < self._plan.quality.max_attempts
+            self._session.fault(fault, attempt, retried=retried)
+            if not retried:
+                raise
+            self._recovery.renew_if_repeated(fault)
+            return self._measure(attempt.next())
+        result = self._evaluate(Recorded(attempt, recordings, ""))
+        if _useless(result) and attempt.of_session < self._plan.quality.max_attempts:
+            return self._measure(attempt.next())
+        return result
+
+
+def _useless(result: AttemptResult) -> bool:
+    """Whether a measurement says nothing of the plate: no estimate, or a reference that is not as it was."""
+    return result.estimate is None or REFERENCE_LEVEL in result.defect_names

@@ -1,0 +1,200 @@
+"""Point quality: from the estimator's figures to the bank's status bits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.quality.agreement import Difference
+from acquisition.quality.defects import (
+    NOISE_ALONE_DB,
+    REFERENCE_LEVEL,
+    Cure,
+    Defect,
+    DefectLimits,
+    dead_records,
+    listed,
+    named_defects,
+    records_named,
+)
+from acquisition.quality.limits import QualityLimits
+from acquisition.quality.point_status import Status
+from calibration.estimator.sequential import Estimate
+
+# The bands of calibration and campaign differ, and with them what coupling capacitors take of the reference's level.
+CALIBRATION_SPARE = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What an attempt is worth: status bits, the reason in words, a score (lower is better), and all its defects."""
+
+    status: Status
+    reason: str
+    score: float
+    defects: tuple[Defect, ...] = ()
+
+    @property
+    def good(self) -> bool:
+        """Whether the attempt is valid."""
+        return self.status == Status.VALID
+
+    @property
+    def cure(self) -> Cure:
+        """What may help: nothing where one defect is left that no repeat takes away."""
+        return max((defect.cure for defect in self.defects), default=Cure.REPEAT)
+
+
+def judge(
+    estimate: Estimate,
+    over_range: bool,
+    limits: QualityLimits,
+    distance_mm: NDArray[np.float64] | None = None,
+    before_db: float | None = None,
+    *,
+    calibrated: bool = True,
+) -> Judgement:
+    """Judge one attempt at a position.
+
+    A figure that is not a number never counts as good: a record without signal-to-noise ratio or residual makes
+    the position poor. Figures that compare sweeps may be unknown, for a single sweep has none.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Figures of all records of the attempt.
+    over_range : bool
+        Whether any record reached the end of the converter's range.
+    limits : QualityLimits
+        When the position is good enough.
+    distance_mm : float64 array, shape (actuators,), optional
+        From the actuators to the position; where given, an actuator that is not heard is told from a far one.
+    before_db : float, optional
+        Level of the reference at the positions before, in dB of its calibration; by default the median of this
+        attempt's records stands for it.
+    calibrated : bool
+        Whether it is known what was played, so that the level of the reference has a calibration to be held against.
+
+    Returns
+    -------
+    Judgement
+        ``Status.VALID`` alone, or the bits of all that is wrong.
+    """
+    dead = dead_records(estimate)
+    known = np.isfinite(estimate.snr_db) & np.isfinite(estimate.residual_db) & np.isfinite(estimate.noise_v)
+    excess_db = _excess_db(estimate, known & ~dead)
+    score = float(np.max(np.where(known, excess_db, np.inf)))
+    defects = list(_over_range(estimate, over_range))
+    defects += named_defects(estimate, DefectLimits(limits.poor_residual_db, limits.poor_harmonic_db), distance_mm)
+    named = records_named(defects, dead.size)
+    defects += _unknown(~known)
+    defects += _unexplained(estimate, excess_db, known & ~dead & ~named, limits)
+    defects += _low_signal(estimate, known & ~dead, limits)
+    defects += _reference_level(estimate, before_db, limits, calibrated=calibrated)
+    if not defects:
+        return Judgement(Status.VALID, "", score)
+    status = Status.NOT_MEASURED
+    for defect in defects:
+        status |= Status.OVER_RANGE if defect.over_range else Status.POOR_SIGNAL
+    if np.all(dead):
+        status = Status.FAILED
+    return Judgement(status, "; ".join(defect.sentence for defect in defects), score, tuple(defects))
+
+
+def differing(apart: Difference, score: float) -> Judgement:
+    """An attempt that is good by itself and not what the bank holds of the position."""
+    sentence = (
+        f"it is not what the bank holds: {apart}; to have such a row replaced, where two attempts agree, name the "
+        "position to wavefocus remeasure with --replace"
+    )
+    return Judgement(Status.POOR_SIGNAL, sentence, score, (Defect("differs", apart.actuators, sentence, Cure.AGAIN),))
+
+
+def _excess_db(estimate: Estimate, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Residual of each record in volts above that of the quietest usable one."""
+    noise_v = np.maximum(estimate.noise_v.astype(np.float64), np.finfo(np.float32).tiny)
+    quietest = np.min(noise_v[usable]) if np.any(usable) else 1.0
+    return np.asarray(20.0 * np.log10(noise_v / quietest))
+
+
+def _over_range(estimate: Estimate, over_range: bool) -> list[Defect]:
+    clipped = np.flatnonzero(estimate.clip_count)
+    if not (over_range or clipped.size):
+        return []
+    worst = tuple(clipped[np.argsort(-estimate.clip_count[clipped])].tolist())
+    who = f"actuator {worst[0]}'s record" if worst else "a record"
+    sentence = (
+        f"{who} reached the end of the input range, or is cut flat below it: where no larger range helps, lower "
+        "sweep.amplitude_v or choose a wider range at the vibrometer"
+    )
+    return [Defect("over-range", worst, sentence, Cure.RANGE, over_range=True)]
+
+
+def _unknown(unknown: NDArray[np.bool_]) -> list[Defect]:
+    if not np.any(unknown):
+        return []
+    which = tuple(np.flatnonzero(unknown).tolist())
+    sentence = f"the figures of actuator {which[0]}'s record are not numbers"
+    return [Defect("no figures", which, sentence, Cure.REPEAT)]
+
+
+def _unexplained(
+    estimate: Estimate, excess_db: NDArray[np.float64], unnamed: NDArray[np.bool_], limits: QualityLimits
+) -> list[Defect]:
+    """Records that are bad without telling why."""
+    suspect = unnamed & (excess_db > limits.excess_noise_db) & (estimate.residual_db > limits.poor_residual_db)
+    if not np.any(suspect):
+        return []
+    which = np.flatnonzero(suspect)
+    which = which[np.argsort(-excess_db[which])]
+    worst = int(which[0])
+    if estimate.residual_db[worst] > NOISE_ALONE_DB:
+        sentence = (
+            f"actuator {worst}'s record is noise alone, {excess_db[worst]:.1f} dB above the position's quietest "
+            "record: no light came back to the vibrometer, or its cable is loose"
+        )
+        return [Defect("lost record", tuple(which.tolist()), sentence, Cure.MOVE)]
+    sentence = (
+        f"actuator {worst} leaves {estimate.residual_db[worst]:.1f} dB unexplained, "
+        f"{excess_db[worst]:.1f} dB above the position's quietest record"
+    )
+    return [Defect("unexplained", tuple(which.tolist()), sentence, Cure.MOVE if which.size > 1 else Cure.REPEAT)]
+
+
+def _reference_level(
+    estimate: Estimate, before_db: float | None, limits: QualityLimits, *, calibrated: bool
+) -> list[Defect]:
+    """Records whose reference is not as loud as it was: their Green's functions would be wrong by as much."""
+    levels_db = estimate.reference_db.astype(np.float64)
+    if not np.any(np.isfinite(levels_db)):
+        return []
+    before_db = float(np.nanmedian(levels_db)) if before_db is None else before_db
+    # In units of what is allowed; not looked at is not judged.
+    from_calibration = calibrated * np.nan_to_num(np.abs(levels_db)) / (CALIBRATION_SPARE * limits.reference_db)
+    from_before = np.nan_to_num(np.abs(levels_db - before_db)) / limits.reference_db
+    worst_first = np.argsort(-np.maximum(from_calibration, from_before), kind="stable")
+    which = worst_first[np.maximum(from_calibration, from_before)[worst_first] > 1.0]
+    if not which.size:
+        return []
+    worst = int(which[0])
+    beyond = from_calibration[worst] > 1.0
+    than, off_db = ("its calibration", levels_db[worst]) if beyond else ("before", levels_db[worst] - before_db)
+    steady = "; if it is so in every record, wavefocus calibrate, or correct recorder.reference_gain"
+    sentence = (
+        f"the reference is {abs(off_db):.2f} dB {'below' if off_db < 0 else 'above'} {than} in "
+        f"{listed(which)}: check the loopback cable, the output's level and the input range"
+        f"{steady if beyond else ''}"
+    )
+    return [Defect(REFERENCE_LEVEL, tuple(which.tolist()), sentence, Cure.AGAIN)]
+
+
+def _low_signal(estimate: Estimate, usable: NDArray[np.bool_], limits: QualityLimits) -> list[Defect]:
+    if not np.any(usable):
+        return []
+    best_db = float(np.max(estimate.snr_db[usable]))
+    if best_db >= limits.poor_snr_db:
+        return []
+    sentence = f"the best record has {best_db:.1f} dB signal-to-noise ratio"
+    return [Defect("low signal", tuple(np.flatnonzero(usable).tolist()), sentence, Cure.MOVE)]

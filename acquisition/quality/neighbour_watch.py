@@ -1,0 +1,130 @@
+"""Positions against their neighbours: what a position's own records cannot show."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.quality.defects import Cure, Defect
+from acquisition.quality.judgement import Judgement
+from acquisition.quality.point_status import Status
+from acquisition.schedule.plan import Plan
+from calibration.neighbours.judge import Difference, NeighbourJudge, RowSpectra
+from storage.bank.writer import BankWriter
+
+NEIGHBOURHOOD = 250
+"""So many nearest positions are enough to judge one."""
+SAME = 0.25
+"""Two measurements agree when they differ by this part of what both differ by from their neighbours."""
+
+
+_SENTENCE = "no neighbour can judge it: a second measurement must agree with it"
+_UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (Defect("unconfirmed", (), _SENTENCE, Cure.AGAIN),))
+
+
+class NeighbourWatch:
+    """Judges what the bank holds, and a repeat before it is committed.
+
+    Rows of earlier rounds alone are predicted from, so that the verdict on a repeat does not depend on which other
+    repeats came before it, or on whether the session was interrupted between them.
+
+    Parameters
+    ----------
+    plan : Plan
+        Where positions and actuators are.
+    bank : BankWriter
+        Open for writing.
+    """
+
+    def __init__(self, plan: Plan, bank: BankWriter) -> None:
+        self._plan = plan
+        self._bank = bank
+
+    def differing(self, covered: NDArray[np.int64]) -> dict[int, Judgement]:
+        """Judge rows of the bank that had no repeat in a pass yet.
+
+        Parameters
+        ----------
+        covered : int64 array
+            Positions to judge, in the order of measurement.
+
+        Returns
+        -------
+        dict of int to Judgement
+            Valid positions that differ from their neighbours, in that order; and, where the plan wants a second look,
+            those that their neighbours cannot judge.
+        """
+        usable = self._usable()
+        differences, judged = self._differences(np.flatnonzero(usable), {})
+        found: dict[int, Judgement] = {}
+        for position in covered[usable[covered]].tolist():
+            if position in differences:
+                found[position] = _judgement(differences[position])
+            elif self._plan.quality.second_look and self._plan.quality.remeasure_pass and position not in judged:
+                found[position] = _UNCONFIRMED
+        return found
+
+    def judge(self, position: int, green: NDArray[np.float32], before: Judgement) -> Judgement:
+        """Judge a repeat that is good by its own records.
+
+        Where it differs from its neighbours without a cause in level, time, wiring or place, and what the bank holds
+        differs in the same way, it is the plate that differs there: the repeat is good.
+
+        Parameters
+        ----------
+        position : int
+            Bank row.
+        green : float32 array, shape (actuators, taps)
+            The repeat.
+        before : Judgement
+            By its own records.
+        """
+        usable = self._usable()
+        usable[position] = True
+        rows = np.flatnonzero(usable)
+        apart_mm = np.hypot(*(self._plan.position_mm[rows] - self._plan.position_mm[position]).T)
+        rows = np.sort(rows[np.argsort(apart_mm, kind="stable")[:NEIGHBOURHOOD]])
+        differences = self._differences(rows, {position: green})[0].get(position, ())
+        if not differences:
+            return before
+        held = self._bank.green(position)
+        if all(one.kind == "other" and _same(held, green, one) for one in differences):
+            return before
+        return _judgement(differences)
+
+    def _usable(self) -> NDArray[np.bool_]:
+        return np.asarray(
+            (self._bank.status == Status.VALID) & (self._bank.attempts <= self._plan.quality.max_attempts)
+        )
+
+    def _differences(
+        self, rows: NDArray[np.int64], instead: dict[int, NDArray[np.float32]]
+    ) -> tuple[dict[int, tuple[Difference, ...]], frozenset[int]]:
+        """What differs, and the positions all of whose rows could be judged."""
+        header = self._bank.header
+        spectra = RowSpectra(len(rows), self._plan.actuators, self._plan.taps, header.sample_rate_hz, header.band_hz)
+        for number, row in enumerate(rows.tolist()):
+            spectra.set(number, instead[row] if row in instead else self._bank.green(row))
+        judge = NeighbourJudge(
+            self._plan.position_mm[rows], self._plan.actuator_mm, spectra, np.ones(len(rows), dtype=bool)
+        )
+        found: dict[int, tuple[Difference, ...]] = {}
+        verdict = judge.find()
+        for one in verdict.differences:
+            row = int(rows[one.position])
+            found[row] = (*found.get(row, ()), one)
+        return found, frozenset(rows[verdict.judged.all(axis=1)].tolist())
+
+
+def _judgement(differences: tuple[Difference, ...]) -> Judgement:
+    """Poor, naming what differs."""
+    defects = tuple(Defect(f"neighbour {one.kind}", one.actuators, one.sentence, Cure.REPEAT) for one in differences)
+    score = max(one.relative for one in differences)
+    return Judgement(Status.POOR_SIGNAL, "; ".join(defect.sentence for defect in defects), score, defects)
+
+
+def _same(held: NDArray[np.float32], green: NDArray[np.float32], difference: Difference) -> bool:
+    """Whether two measurements agree in the rows that differ from the neighbours."""
+    rows = list(difference.actuators)
+    apart = float(np.linalg.norm(held[rows].astype(np.float64) - green[rows]))
+    return apart <= SAME * difference.relative * float(np.linalg.norm(held[rows].astype(np.float64)))

@@ -1,0 +1,215 @@
+"""Where the laser measures: positions on a stadium-shaped surface.
+
+A stadium is a rectangle with a half disk at either end, symmetric about the origin, its long side along x.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from acquisition.text_file import read_text
+from storage.errors import InputError
+
+MOST_POSITIONS = 1_000_000
+"""A bound against slips of the decimal point: a million positions take years to measure."""
+
+EDGE_TOLERANCE_MM = 1e-6
+"""A point this far outside still counts as on the outline: a nanometre is rounding, not geometry."""
+
+
+Lattice = Literal["square", "hexagonal"]
+
+
+def stadium_grid(
+    length_mm: float, width_mm: float, margin_mm: float, spacing_mm: float, lattice: Lattice = "square"
+) -> NDArray[np.float64]:
+    """Place a grid on a stadium, in serpentine order from the bottom row up.
+
+    Columns lie at ``(i + 1/2) * spacing_mm`` and rows at ``j * spacing_mm``, i and j whole numbers, wherever
+    that is inside the stadium inset by the margin. On a hexagonal grid rows are closer by a factor of
+    ``sqrt(3) / 2``, and every other one is moved by half a spacing, so that all six neighbours of a position are
+    equally far. Even rows, counted from the bottom, run to the right and odd rows to the left, so that the
+    mirror moves by one spacing at a time.
+
+    Parameters
+    ----------
+    length_mm, width_mm : float
+        Outer size of the surface in millimetres, ``length_mm >= width_mm > 0``.
+    margin_mm : float
+        Distance kept from the outline in millimetres, >= 0.
+    spacing_mm : float
+        Distance of neighbouring positions in millimetres, > 0.
+    lattice : {"square", "hexagonal"}
+        Kind of grid.
+
+    Returns
+    -------
+    float64 array, shape (positions, 2)
+        x and y in millimetres.
+
+    Raises
+    ------
+    InputError
+        No position is left inside the margin, or there would be more than `MOST_POSITIONS`.
+    """
+    half_straight_mm = (length_mm - width_mm) / 2
+    radius_mm = width_mm / 2 - margin_mm
+    if radius_mm <= 0:
+        raise InputError(
+            f"margin_mm = {margin_mm:g}: leaves no position on a surface of {length_mm:g} x {width_mm:g} mm; "
+            f"must be below {width_mm / 2:g}"
+        )
+    area_mm2 = 4 * half_straight_mm * radius_mm + math.pi * radius_mm**2
+    if area_mm2 / spacing_mm > MOST_POSITIONS * spacing_mm:
+        raise InputError(
+            f"spacing_mm = {spacing_mm:g}: gives more than {MOST_POSITIONS:,} positions; "
+            f"must be at least {math.sqrt(area_mm2 / MOST_POSITIONS):.2g} on this surface"
+        )
+    row_spacing_mm = spacing_mm * (1.0 if lattice == "square" else math.sqrt(0.75))
+    columns = math.ceil((half_straight_mm + radius_mm) / spacing_mm)
+    rows = math.floor((radius_mm + EDGE_TOLERANCE_MM) / row_spacing_mm)
+    column_mm = (np.arange(-columns, columns) + 0.5) * spacing_mm
+    row = np.arange(-rows, rows + 1)
+    x_mm, y_mm = np.meshgrid(column_mm, row * row_spacing_mm)
+    if lattice == "hexagonal":
+        x_mm[row % 2 == 1] -= spacing_mm / 2
+    x_mm[1::2] = x_mm[1::2, ::-1]
+    position_mm = np.column_stack([x_mm.ravel(), y_mm.ravel()])
+    position_mm = position_mm[inside_stadium(position_mm, length_mm, width_mm, margin_mm)]
+    if not len(position_mm):
+        raise InputError(
+            f"spacing_mm = {spacing_mm:g}: leaves no position inside the margin of {margin_mm:g} mm; "
+            f"must be at most {2 * (half_straight_mm + radius_mm):g} on this surface"
+        )
+    return position_mm
+
+
+def inside_stadium(
+    points_mm: ArrayLike, length_mm: float, width_mm: float, margin_mm: float = 0.0
+) -> NDArray[np.bool_]:
+    """Tell which points lie on a stadium inset by a margin, its edge included.
+
+    Parameters
+    ----------
+    points_mm : array-like, shape (..., 2)
+        x and y in millimetres.
+    length_mm, width_mm : float
+        Outer size of the stadium in millimetres, ``length_mm >= width_mm > 0``.
+    margin_mm : float
+        Inset in millimetres, >= 0.
+
+    Returns
+    -------
+    bool array, shape (...)
+        False also where a coordinate is NaN.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    half_straight_mm = (length_mm - width_mm) / 2
+    radius_mm = width_mm / 2 - margin_mm + EDGE_TOLERANCE_MM
+    beyond_mm = np.maximum(np.abs(points[..., 0]) - half_straight_mm, 0.0)
+    inside: NDArray[np.bool_] = np.hypot(beyond_mm, points[..., 1]) <= radius_mm
+    return inside
+
+
+def stadium_rim(length_mm: float, width_mm: float, inset_mm: float, count: int) -> NDArray[np.float64]:
+    """Space points equally by arc length on a stadium's rim, moved inwards.
+
+    Parameters
+    ----------
+    length_mm, width_mm : float
+        Outer size of the stadium in millimetres, ``length_mm >= width_mm > 2 * inset_mm``.
+    inset_mm : float
+        Distance from the outline in millimetres, >= 0.
+    count : int
+        Number of points, > 0.
+
+    Returns
+    -------
+    float64 array, shape (count, 2)
+        x and y in millimetres; the first point at the middle of the right end, then anticlockwise.
+    """
+    half_mm = (length_mm - width_mm) / 2
+    radius_mm = width_mm / 2 - inset_mm
+    quarter_mm = math.pi / 2 * radius_mm
+    perimeter_mm = 4 * half_mm + 4 * quarter_mm
+    arc_mm = np.arange(count) * perimeter_mm / count
+    # The lower half mirrors the upper one, the left quarter mirrors the right one: one quarter is enough.
+    upper = arc_mm <= perimeter_mm / 2
+    from_right_mm = np.where(upper, arc_mm, perimeter_mm - arc_mm)
+    right = from_right_mm <= perimeter_mm / 4
+    along_mm = np.where(right, from_right_mm, perimeter_mm / 2 - from_right_mm)
+    angle = np.minimum(along_mm / radius_mm, math.pi / 2)
+    straight_mm = np.maximum(along_mm - quarter_mm, 0.0)
+    x_mm = half_mm + radius_mm * np.cos(angle) - straight_mm
+    y_mm = radius_mm * np.sin(angle)
+    return np.column_stack([np.where(right, x_mm, -x_mm), np.where(upper, y_mm, -y_mm)])
+
+
+def read_positions_file(path: Path, length_mm: float, width_mm: float) -> NDArray[np.float64]:
+    """Read positions from a CSV file with the header ``x_mm,y_mm``, in the order of its lines.
+
+    Blank lines and lines that start with ``#`` are passed over.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    length_mm, width_mm : float
+        Outer size of the surface in millimetres; every position must lie on it.
+
+    Returns
+    -------
+    float64 array, shape (positions, 2)
+        x and y in millimetres.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a line is not two finite numbers, lies outside the surface or repeats
+        another line; the message names file and line.
+    """
+    rows = [
+        (number, line)
+        for number, line in enumerate(read_text(path).splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not rows or [cell.strip() for cell in rows[0][1].split(",")] != ["x_mm", "y_mm"]:
+        number = rows[0][0] if rows else 1
+        raise InputError(f"{path}: line {number}: must be the header x_mm,y_mm")
+    if len(rows) == 1:
+        raise InputError(f"{path}: holds no position; must have at least one line after the header")
+    if len(rows) - 1 > MOST_POSITIONS:
+        raise InputError(f"{path}: has {len(rows) - 1:,} positions; at most {MOST_POSITIONS:,} are allowed")
+    line_of: dict[tuple[float, float], int] = {}
+    for number, line in rows[1:]:
+        point = _point(path, number, line)
+        if point in line_of:
+            raise InputError(f"{path}: line {number}: ({point[0]:g}, {point[1]:g}) mm repeats line {line_of[point]}")
+        line_of[point] = number
+    position_mm = np.array(list(line_of), dtype=np.float64)
+    outside = np.flatnonzero(~inside_stadium(position_mm, length_mm, width_mm))
+    if len(outside):
+        number = rows[1 + int(outside[0])][0]
+        x_mm, y_mm = position_mm[outside[0]]
+        raise InputError(
+            f"{path}: line {number}: ({x_mm:g}, {y_mm:g}) mm lies outside the surface; "
+            f"must be on the stadium of {length_mm:g} x {width_mm:g} mm about the origin"
+        )
+    return position_mm
+
+
+def _point(path: Path, number: int, line: str) -> tuple[float, float]:
+    allowed = "must be two finite numbers in mm with a comma between and a decimal point, such as -2.0,4.0"
+    shown = line.strip()[:40]
+    try:
+        x_mm, y_mm = (float(cell) for cell in line.split(","))
+    except ValueError:
+        raise InputError(f"{path}: line {number}: {shown!r}: {allowed}") from None
+    if not (math.isfinite(x_mm) and math.isfinite(y_mm)):
+        raise InputError(f"{path}: line {number}: {shown!r}: {allowed}")
+    return x_mm + 0.0, y_mm + 0.0  # + 0.0 turns -0 into 0, so that equal positions hash equally

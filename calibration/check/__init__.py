@@ -1,0 +1,1 @@
+"""Checks of finished files: checksums, physical sanity, rows against their neighbours."""

@@ -1,0 +1,239 @@
+"""What can be wrong with a bank: checksums of every row, and physical sanity of what they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.blas import one_blas_thread
+from calibration.neighbours.judge import NeighbourJudge, RowSpectra
+from storage import hdf5_digest, hdf5_safety
+from storage.bank.layout import JOURNAL, LATER, LEDGER, has_ledger
+from storage.bank.ledger import QUALITY_NAMES, VALID, decode_journal, decode_rows
+from storage.bank.owner import bank_owner, owner_path
+from storage.bank.reading import Bank, open_bank
+from storage.errors import InputError
+
+# A response this far from the median of all valid positions is no neighbour of them: ten times in amplitude.
+_RMS_OUTLIER = 10.0
+# An actuator this far below the median of the others moves nothing: -40 dB.
+_DEAD_ACTUATOR = 0.01
+# The last tenth of the taps against the strongest tenth, in energy: -40 dB.
+_TAIL_DB = -40.0
+_TENTHS = 10
+# Fewer positions are no grid.
+_NEIGHBOURHOOD = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong with a bank.
+
+    Parameters
+    ----------
+    position : int or None
+        The position it is about; None for the whole bank.
+    actuator : int or None
+        The actuator it is about; None for all of them.
+    message : str
+        What is wrong, as one sentence.
+    severity : str
+        ``"error"`` when the data cannot be trusted, ``"warning"`` when a person should look, ``"note"`` for the
+        extent of the check itself.
+    """
+
+    position: int | None
+    actuator: int | None
+    message: str
+    severity: Literal["error", "warning", "note"] = "error"
+
+
+def check_bank(path: str | Path) -> list[Finding]:
+    """Check every row of a bank.
+
+    Parameters
+    ----------
+    path : str or Path
+        A bank of this program or of another; while a run is on, what is just being written is not held
+        against it.
+
+    Returns
+    -------
+    list of Finding
+        Empty when all is well.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be opened as a bank at all.
+    """
+    path = Path(path)
+    with open_bank(path) as bank, one_blas_thread():
+        findings = list(_bookkeeping(path)) if bank_owner(path) is None else []
+        findings += _check_positions(bank)
+        findings += _check_moved(bank)
+        findings += _check_rows(bank)
+    return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
+
+
+def _bookkeeping(path: Path) -> Iterator[Finding]:
+    """Check that what is derived from the ledger agrees with it, and that no crash waits to be repaired."""
+    with hdf5_safety.opened(path) as file:
+        if not has_ledger(file):
+            return
+        hdf5_digest.require_contents(file, path, LATER)
+        # Only a writer that did not come to its end leaves its name; what it cut off is no damage.
+        cut_off: Literal["error", "warning"] = "warning" if owner_path(path).exists() else "error"
+        journal = file[JOURNAL][...].tobytes()
+        if journal.count(0) != len(journal):
+            whole = decode_journal(journal, *file["/green"].shape[1:]) is not None
+            half = "a replacement was cut off; opening the bank to resume finishes it"
+            torn = "the journal is damaged, or a crash cut it off; opening the bank to resume clears it"
+            yield Finding(None, None, half if whole else torn, "warning" if whole else cut_off)
+        actuators, taps = file["/green"].shape[1:]
+        rows = bytearray(file[LEDGER][...].tobytes())
+        replacing = decode_journal(journal, actuators, taps)
+        if replacing:  # the journal says what the ledger will say once it is finished
+            start = replacing[0] * len(replacing[2])
+            rows[start : start + len(replacing[2])] = replacing[2]
+        ledger = decode_rows(rows, actuators, taps)
+        for position in np.flatnonzero(ledger.damaged):
+            message = f"the ledger row of position {position} is damaged; it has to be measured again"
+            yield Finding(int(position), None, message)
+        for position in np.flatnonzero(ledger.empty):
+            if file["/green"][position].any():
+                message = (
+                    f"position {position} holds values and its ledger row is empty; a crash cut it off, or it is "
+                    "damaged; resume measures it again"
+                )
+                yield Finding(int(position), None, message, cut_off)
+        differs = file["/status"][...] != ledger.status
+        for name in QUALITY_NAMES:
+            if not hdf5_safety.has(file, f"/quality/{name}"):
+                continue  # a bank of the first edition
+            # Bit by bit, so that NaN is as good as any other value.
+            noted, held = (
+                np.ascontiguousarray(one, "<f4") for one in (file[f"/quality/{name}"][...], ledger.quality[name])
+            )
+            same = noted.view("<u4") == held.view("<u4")
+            differs |= ~same.reshape(len(same), -1).all(axis=1)
+        for position in np.flatnonzero(differs & ~ledger.damaged):
+            message = (
+                f"/status or /quality of position {position} differ from the ledger;"
+                " opening the bank to resume rebuilds them"
+            )
+            yield Finding(int(position), None, message, cut_off)
+
+
+def _check_positions(bank: Bank) -> Iterator[Finding]:
+    _, first, group = np.unique(bank.position_mm, axis=0, return_index=True, return_inverse=True)
+    for position, original in enumerate(first[group.reshape(-1)]):
+        if position != original:
+            x, y = bank.position_mm[position]
+            message = f"position {position} lies at ({x:g}, {y:g}) mm like position {original}"
+            yield Finding(position, None, message, "warning")
+
+
+def _check_moved(bank: Bank) -> Iterator[Finding]:
+    """One warning for all rows that were measured beside their position."""
+    moved_mm = bank.quality["moved_mm"]
+    moved = np.flatnonzero(moved_mm > 0)
+    if len(moved):
+        farthest = int(np.nanargmax(moved_mm))
+        message = (
+            f"{len(moved)} positions were measured beside their place, where there was light: position {farthest} by "
+            f"{moved_mm[farthest]:.2g} mm; /quality/moved_mm has all of them"
+        )
+        yield Finding(farthest, None, message, "warning")
+
+
+def _check_rows(bank: Bank) -> Iterator[Finding]:
+    status = _status_or_none(bank)
+    rms = np.full((bank.positions, bank.actuators), np.nan)
+    tail_db = np.full(bank.positions, -np.inf)
+    spectra = RowSpectra(bank.positions, bank.actuators, bank.taps, bank.sample_rate_hz, bank.band_hz)
+    for position in range(bank.positions):
+        try:
+            green = bank.green(position)
+        except InputError as error:
+            yield Finding(position, None, str(error).removeprefix(f"{bank.path}: "))
+            continue
+        if status is not None and not status[position] & VALID:
+            continue
+        # energy of each actuator in each tenth of the taps, float64 so that nothing overflows
+        energy = np.square(green, dtype=np.float64)
+        rms[position] = np.sqrt(energy.mean(axis=1))
+        tail_db[position] = _tail_db(energy.sum(axis=0))
+        spectra.set(position, green)
+    yield from _check_tails(tail_db)
+    yield from _check_levels(rms, certain=status is not None)
+    yield from _check_neighbours(bank, spectra, np.isfinite(rms).all(axis=1))
+
+
+def _status_or_none(bank: Bank) -> NDArray[np.uint8] | None:
+    """Return the status, or None where it can only be guessed from rows that are not readable."""
+    try:
+        return bank.status
+    except InputError:
+        return None
+
+
+def _tail_db(energy: NDArray[np.float64]) -> float:
+    """Energy of the last tenth of the taps against the strongest tenth, in dB."""
+    if len(energy) < _TENTHS:
+        return -np.inf
+    tenths = np.array([part.mean() for part in np.array_split(energy, _TENTHS)])
+    return float(10 * np.log10(tenths[-1] / tenths.max())) if tenths[-1] > 0 else -np.inf
+
+
+def _check_tails(tail_db: NDArray[np.float64]) -> Iterator[Finding]:
+    """One warning for all positions: where one response is too long or too noisy, its neighbours are too."""
+    long = np.flatnonzero(tail_db > _TAIL_DB)
+    if len(long):
+        worst = int(np.argmax(tail_db))
+        message = (
+            f"the responses of {len(long)} of {len(tail_db)} positions are less than {-_TAIL_DB:.0f} dB down in their"
+            f" last tenth, position {worst} only {-tail_db[worst]:.0f} dB; they are noisy or longer than the taps kept"
+        )
+        yield Finding(worst, None, message, "warning")
+
+
+def _check_levels(rms: NDArray[np.float64], *, certain: bool) -> Iterator[Finding]:
+    """Check each position against the median of all, each actuator against the median of the others."""
+    rows = np.sqrt(np.square(rms).mean(axis=1))
+    measured = np.flatnonzero(np.isfinite(rows))
+    if not len(measured):
+        return
+    typical = float(np.median(rows[measured]))
+    for position in measured:
+        if rows[position] == 0 and certain:
+            yield Finding(int(position), None, f"position {position} is marked valid and holds only zeros")
+        elif typical > 0 and not 1 / _RMS_OUTLIER <= rows[position] / typical <= _RMS_OUTLIER:
+            level = 20 * np.log10(rows[position] / typical) if rows[position] else -np.inf
+            message = f"the response of position {position} is {level:+.0f} dB from the median of all positions"
+            yield Finding(int(position), None, message, "warning")
+    levels = np.median(rms[measured], axis=0)
+    for actuator, level in enumerate(levels):
+        if level < _DEAD_ACTUATOR * np.median(levels):
+            message = f"actuator {actuator} gives less than a hundredth of the others' response; is it connected?"
+            yield Finding(None, actuator, message, "warning")
+
+
+def _check_neighbours(bank: Bank, spectra: RowSpectra, measured: NDArray[np.bool_]) -> Iterator[Finding]:
+    """Check each row against what the rows of its neighbours predict of it."""
+    verdict = NeighbourJudge(bank.position_mm, bank.actuator_mm, spectra, measured).find()
+    for one in verdict.differences:
+        actuator = one.actuators[0] if len(one.actuators) == 1 else None
+        yield Finding(one.position, actuator, f"position {one.position}: {one.sentence}")
+    there, judged = int(measured.sum()) * bank.actuators, int(verdict.judged.sum())
+    if measured.sum() >= _NEIGHBOURHOOD and judged < there:
+        message = (
+            f"{there - judged} of {there} Green's functions were not judged against their neighbours: too noisy, or the"
+            " positions are too far apart"
+        )
+        yield Finding(None, None, message, "note")

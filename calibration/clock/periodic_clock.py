@@ -1,0 +1,214 @@
+"""Where a record begins in a periodic signal, and how the clocks that played and recorded it are related."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from calibration.clock.czt import fourier_sum, ring_signal
+from calibration.clock.decimation import Thinned, Thinning
+from calibration.clock.timing import CORNERS
+
+Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
+
+# The search steps through the clock ratios so that the signal turns this far at most, in radians, at the ends
+# of the record and the top of the band.
+SEARCH_TURN = 0.6
+# The search ends where this share of the reference is explained; else the best of all that was tried counts.
+FOUND_SHARE = 0.97
+MOST_STEPS = 8
+# What the coupling capacitors left out is computed anew while a step moves the samples by more than this.
+FAR_SAMPLES = 0.1
+# Gauss-Newton has ended when no sample moves by more.
+ENOUGH_SAMPLES = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class RingFit:
+    """The recording is ``gain * base((n - offset) / ratio)`` at its sample n, coupling capacitors apart.
+
+    Parameters
+    ----------
+    offset_samples : float
+        DAQ sample at which a period starts, of those the one nearest to the first sample.
+    ratio : float
+        DAQ rate over playback rate.
+    gain : float
+        Recorded volts per volt of the base signal; negative when the wires are crossed.
+    explained : float
+        Share of the recording's energy in band that this explains, 0 to 1.
+    coupling : float64 array, shape (parts,)
+        Shares of the signal below each corner frequency, and of the signal a quarter turn late.
+    """
+
+    offset_samples: float
+    ratio: float
+    gain: float
+    explained: float
+    coupling: Float64Array
+
+
+class RingClock:
+    """Fits the clock of records of one periodic signal.
+
+    Parameters
+    ----------
+    spectrum : complex128 array, shape (bins,)
+        Discrete Fourier transform of one period on the playback clock, bins 0 and on; what is left out is not
+        looked at.
+    period : int
+        Samples of the period on the playback clock.
+    max_ppm : float
+        Largest clock skew in parts per million.
+    any_phase : bool
+        Whether all frequencies may be turned by one angle, small beside a right one.
+    counted : bool array, shape (period,), optional
+        Which samples of the period count for the fit; all, if absent.
+    """
+
+    def __init__(
+        self,
+        spectrum: Complex128Array,
+        period: int,
+        max_ppm: float,
+        *,
+        any_phase: bool = False,
+        counted: NDArray[np.bool_] | None = None,
+    ) -> None:
+        self._counted = counted
+        self._period, self._max_ppm, self._whole = period, max_ppm, spectrum
+        power = np.abs(spectrum) ** 2
+        below = np.cumsum(power)
+        self._first = max(int(np.searchsorted(below, 1e-6 * below[-1])), 1)
+        self._spectrum = spectrum[self._first :]
+        bins = np.arange(self._first, spectrum.size)
+        self._highest = spectrum.size / period
+        self._amplitudes = self._spectrum * 2 / period
+        lowest = max(int(np.searchsorted(below, 0.01 * below[-1])), 1)
+        self._slope = 2j * np.pi * bins / period
+        # Corner frequencies in bins.
+        corners = lowest * np.array(CORNERS)
+        self._all_coupling = 1 / (1 + 1j * np.arange(spectrum.size) / corners[:, None])
+        if any_phase:
+            self._all_coupling = np.concatenate([self._all_coupling, np.full((1, spectrum.size), -1j)])
+        self._coupling = self._all_coupling[:, self._first :]
+
+    def coupled(self, fit: RingFit) -> Complex128Array:
+        """Spectrum of the base signal (bins,) as the reference channel carries it, but for the offset."""
+        return np.asarray(self._whole * (fit.gain + fit.coupling @ self._all_coupling))
+
+    def fit(self, thinned: Thinned, thinning: Thinning, expected: float = 1.0, *, search: bool = True) -> RingFit:
+        """Find offset and ratio, first near the expected ratio, then further and further away.
+
+        Parameters
+        ----------
+        thinned : Thinned
+            One recording of the reference.
+        thinning : Thinning
+            How it was thinned.
+        expected : float
+            Clock ratio that is tried first.
+        search : bool
+            Whether others are tried after it.
+
+        Returns
+        -------
+        RingFit
+            The best there is; its `explained` tells whether it is good.
+        """
+        inside = thinned.inside
+        values = thinned.values[0, inside].astype(np.float64)
+        place = thinned.first + thinning.step * np.arange(inside.start, inside.stop)
+        # One period is enough to begin with, and lets the search take wider steps.
+        short = math.ceil(self._period / thinning.step)
+        short = values.size if values.size < 1.5 * short else short
+        step = 2 * SEARCH_TURN / (math.pi * self._highest * (place[short - 1] - place[0]))
+        best: RingFit | None = None
+        for turn in range(2 * math.ceil(1e-6 * self._max_ppm / step) + 1 if search else 1):
+            ratio = expected + (turn // 2 + turn % 2) * (1 if turn % 2 else -1) * step
+            if turn and abs(ratio - 1) > 1e-6 * self._max_ppm + step:
+                continue
+            start = self._offset(values[:short], place[:short], ratio)
+            found = self._gauss_newton(values[:short], place[:short], start, ratio)
+            if best is None or found.explained > best.explained:
+                best = found
+            if best.explained > FOUND_SHARE:
+                break
+        assert best is not None
+        if values.size > short:
+            best = self._gauss_newton(values, place, best.offset_samples, best.ratio)
+        return best
+
+    def _offset(self, values: Float64Array, place: NDArray[np.int64], ratio: float) -> float:
+        """Offset in samples to about one, from the envelope of the cross-correlation on the ring."""
+        step = int(place[1] - place[0])
+        turn = 2 * np.pi / (self._period * ratio)
+        sums = fourier_sum(values, turn * step, self._first, self._spectrum.size)
+        sums = sums * np.exp(-1j * turn * place[0] * (self._first + np.arange(sums.size)))
+        length = scipy.fft.next_fast_len(2 * self._spectrum.size)
+        envelope = np.abs(scipy.fft.ifft(sums * self._spectrum.conj(), length))
+        top = int(np.argmax(envelope))
+        before, at, after = (envelope[(top + side) % length] for side in (-1, 0, 1))
+        bend = min(before - 2 * at + after, -1e-300)
+        late = (top + 0.5 * (before - after) / bend) / length * self._period
+        return float((late - self._period if late > self._period / 2 else late) * ratio)
+
+    def _gauss_newton(self, values: Float64Array, place: NDArray[np.int64], offset: float, ratio: float) -> RingFit:
+        if self._counted is not None:
+            values = values * self._counts(place, offset, ratio)
+        energy = float(values @ values)
+        middle = 0.5 * (place[0] + place[-1])
+        lever = (place - middle) / max(place[-1] - middle, 1.0)
+        ones = np.ones_like(values)
+        coupled = np.zeros((0, values.size))
+        gain, explained, coupling, far = 0.0, 0.0, np.zeros(len(self._coupling)), True
+        for step in range(MOST_STEPS):
+            waves = [self._amplitudes, self._amplitudes * self._slope]
+            if far:
+                waves += list(self._amplitudes * self._coupling)
+            heard = self._heard(np.stack(waves), place, offset, ratio)
+            if far:
+                coupled = heard[2:]
+            model = np.concatenate([heard[:2], (heard[1] * lever)[None], coupled, ones[None]])
+            if self._counted is not None:
+                model *= self._counts(place, offset, ratio)
+            size = np.sqrt(np.square(model).sum(axis=1)) + 1e-300
+            model /= size[:, None]
+            gram, matched = model @ model.T, model @ values
+            shares = np.linalg.lstsq(gram, matched, rcond=1e-10)[0]
+            explained = float(matched @ shares / (energy + 1e-300))
+            shares = shares / size
+            gain, coupling = float(shares[0]), shares[3:-1]
+            if gain == 0 or not np.isfinite(shares).all():
+                break
+            # base(theta + moved) = base + base' * moved, theta = (n - offset) / ratio
+            moved, stretched = shares[1] / gain, shares[2] / gain
+            limit = 0.25 / self._highest
+            moved, stretched = (float(np.clip(one, -limit, limit)) for one in (moved, stretched))
+            slope = 1 / ratio + stretched / max(place[-1] - middle, 1.0)
+            at_middle = (middle - offset) / ratio + moved
+            ratio = 1 / slope
+            offset = middle - at_middle * ratio
+            far = abs(moved) + abs(stretched) > FAR_SAMPLES
+            if step and abs(moved) + abs(stretched) < ENOUGH_SAMPLES:
+                break
+        period = self._period * ratio
+        return RingFit(offset - period * round(offset / period), ratio, gain, explained, coupling)
+
+    def _counts(self, place: NDArray[np.int64], offset: float, ratio: float) -> NDArray[np.bool_]:
+        assert self._counted is not None
+        return np.asarray(self._counted[np.round((place - offset) / ratio).astype(np.int64) % self._period])
+
+    def _heard(
+        self, amplitudes: Complex128Array, place: NDArray[np.int64], offset: float, ratio: float
+    ) -> Float64Array:
+        """Ring signals (rows, values) at places of the recording."""
+        turn = 2 * np.pi / (self._period * ratio)
+        bins = self._first + np.arange(amplitudes.shape[1])
+        moved = amplitudes * np.exp(1j * turn * (place[0] - offset) * bins)
+        return ring_signal(moved, turn * float(place[1] - place[0]), self._first, place.size)

@@ -1,0 +1,279 @@
+"""Where each sweep lies in a record, and its spectrum, from the reference channel alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from calibration.clock.band_spectrum import BandSpectrum
+from calibration.clock.timing import CORNERS, ReferenceMissingError, check_inside
+from calibration.excitation.sweeps import Sweeps
+from storage.errors import InputError
+
+# Bins whose nominal energy is below this share of the median in band carry noise only.
+LEAST_POWER = 1e-3
+# Reference energy in the band that the nominal sweep leaves unexplained.
+REFERENCE_LIMIT = 10**-1.5
+# Repeats that are not evenly spaced mean that the player slipped; then each sweep's own stretch counts. Two
+# are always even, and are held against their own stretch instead.
+SLIP_SAMPLES = 0.05
+SLIP_PPM = 25.0
+# A segment may begin this many samples off its sweep before it is cut anew.
+MISPLACED_SAMPLES = 4.0
+GUARD_SAMPLES = 8
+# The clock is known far better than needed, so that every eighth bin is enough for it.
+THIN = 8
+# Sweeps go upwards when the mean delay rises over so many parts of the band.
+DELAY_PARTS = 8
+# Where a clock skew turns the ends of the band by more than this against its middle, in radians, phases wrap and the
+# skew is searched for in such steps.
+WRAP_TURN = 1.5
+# A segment begins near its sweep, so that fewer bins tell by how much: modulo the period over this.
+SEGMENT_THIN = 8
+# The first guess of the start may be wrong by samples; it is taken from a recording thinned this close to aliasing.
+GUESS_BANDS = 2.2
+
+
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """The sweeps of a batch of records.
+
+    Parameters
+    ----------
+    starts : int64 array, shape (records, averages)
+        First sample of each sweep's segment of one period.
+    spectra : complex64 array, shape (records, averages, bins)
+        Spectra of the reference's segments in the bins of the band.
+    offset_samples, ratio : float64 array, shape (records,)
+        As in `calibration.clock.timing.ClockFit`.
+    """
+
+    starts: NDArray[np.int64]
+    spectra: NDArray[np.complex64]
+    offset_samples: NDArray[np.float64]
+    ratio: NDArray[np.float64]
+
+
+class RepeatFinder:
+    """Cut records into repeats of one nominal sweep and tell the clocks' ratio from their phases.
+
+    A linear sweep makes the phase of segment over nominal spectrum a sum of known curves: the frequency
+    (delay), the frequency times the nominal group delay (stretch by the clock ratio)
+
+    Parameters
+    ----------
+    excitation : Sweeps
+        What was played.
+    room_samples : int
+        Silence to spare after a response of L taps.
+    max_ppm : float
+        Largest clock skew in parts per million.
+    """
+
+    def __init__(self, excitation: Sweeps, room_samples: int, max_ppm: float) -> None:
+        base = excitation.base_v()
+        self.period = base.size
+        self.averages = excitation.averages
+        self.max_ppm = max_ppm
+        self._guard = min(GUARD_SAMPLES, room_samples // 2)
+        # The end of the last silence may lie behind the record's: nothing sounds there.
+        self._least = self.averages * base.size - room_samples - GUARD_SAMPLES
+        nominal = scipy.fft.rfft(base)
+        slope = -1j * scipy.fft.rfft(np.arange(base.size) * base)
+        power = np.abs(nominal) ** 2
+        hertz = np.arange(nominal.size) * excitation.sample_rate_hz / base.size
+        in_band = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
+        self.median_power = float(np.median(power[in_band]))
+        enough = np.flatnonzero(power > LEAST_POWER * self.median_power)
+        enough = enough[(enough > 0) & (enough < base.size / 2)]
+        self.bins = slice(int(enough[0]), int(enough[-1]) + 1)
+        self._spectrum = BandSpectrum(base.size, self.bins)
+        most = max(1, int(base.size / (GUESS_BANDS * self.bins.stop)))
+        self._guess_thinning = max(step for step in range(1, most + 1) if base.size % step == 0)
+        self.omega = 2 * np.pi * np.arange(nominal.size)[self.bins] / base.size
+        self.power = power[self.bins]
+        self._nominal = nominal[self.bins].astype(np.complex64)
+        self._omega32 = self.omega[::THIN].astype(np.float32)
+        stretch = self.omega * np.imag(slope[self.bins] / nominal[self.bins])
+        # Whether higher frequencies come later, eighth of the band by eighth: so that bins tell of time.
+        delays = [part.mean() for part in np.array_split(-stretch / self.omega, DELAY_PARTS)]
+        self.delay_rises = bool(np.all(np.diff(delays) > 0))
+        # Coupling capacitors turn low frequencies; unmodelled, a corner of 2 Hz passes for 20 ppm.
+        lowest = 2 * np.pi * excitation.start_hz / excitation.sample_rate_hz
+        turns = [np.arctan(share * lowest / self.omega) for share in CORNERS]
+        curves = np.stack([-self.omega, stretch, *turns])[:, ::THIN]
+        weighted = curves * self.power[::THIN]
+        self._curves = curves.astype(np.float32)
+        # How far a stretch bends the phases beyond any delay.
+        line = np.polyfit(self.omega, stretch, 1, w=np.sqrt(self.power))
+        bend = float(np.ptp(stretch - np.polyval(line, self.omega))) + 1e-30
+        steps = math.floor(1e-6 * max_ppm * bend / WRAP_TURN)
+        self._tried = WRAP_TURN / bend * np.array(sorted(range(-steps, steps + 1), key=abs))
+        self._solve = np.linalg.solve(weighted @ curves.T, weighted).T
+
+    def find(self, reference: NDArray[np.float32], first_record: int = 0) -> Repeats:
+        """Find the repeats in reference recordings.
+
+        Parameters
+        ----------
+        reference : float32 array, shape (records, samples)
+            Reference channel in volts.
+        first_record : int
+            Number of the first record, for messages.
+
+        Returns
+        -------
+        Repeats
+
+        Raises
+        ------
+        ReferenceMissingError
+            A record in which the signal is absent, too noisy, or not entirely inside.
+        """
+        records, samples = reference.shape
+        if samples < max(self._least, self.period):
+            raise InputError(
+                f"records have {samples} samples; allowed is at least {max(self._least, self.period)}, "
+                f"{self.averages} sweeps with their responses"
+            )
+        first = np.floor(self._first_guess(reference)).astype(np.int64) - self._guard
+        starts = self._limited(first[:, None] + self.period * np.arange(self.averages), samples)
+        spectra = self.segment_spectra(reference, starts)
+        near = np.zeros(records)
+        delay, stretch, explained = self._phase_fit(spectra, near)
+        wrapped = np.flatnonzero(~(explained > 1 - REFERENCE_LIMIT)) if self._tried.size > 1 else np.zeros(0, np.int64)
+        if wrapped.size:
+            near[wrapped] = self._searched_stretch(spectra[wrapped, 0])
+            delay[wrapped], stretch[wrapped], explained[wrapped] = self._phase_fit(spectra[wrapped], near[wrapped])
+        misplaced = np.abs(delay - self._guard).max(axis=1) > MISPLACED_SAMPLES
+        misplaced &= explained > 1 - REFERENCE_LIMIT
+        if misplaced.any():
+            place = np.floor(starts + delay).astype(np.int64)[misplaced] - self._guard
+            starts[misplaced] = self._limited(place, samples)
+            spectra[misplaced] = self.segment_spectra(reference[misplaced], starts[misplaced])
+            delay[misplaced], stretch[misplaced], explained[misplaced] = self._phase_fit(
+                spectra[misplaced], near[misplaced]
+            )
+        offset, ratio = self._clock(starts + delay, stretch)
+        for record in range(records):
+            if not explained[record] > 1 - REFERENCE_LIMIT or abs(ratio[record] - 1) > 1.01e-6 * self.max_ppm:
+                raise ReferenceMissingError(
+                    f"the reference of record {first_record + record} does not carry the sweep (explained "
+                    f"{100 * explained[record]:.0f} % in band, allowed "
+                    f"{100 - 100 * REFERENCE_LIMIT:.0f} % or more; "
+                    f"clock skew {1e6 * (ratio[record] - 1):.1f} ppm, allowed {self.max_ppm:g} ppm); "
+                    "check the loopback"
+                )
+            check_inside(
+                offset[record],
+                ratio[record],
+                self._least,
+                samples,
+                f"the reference of record {first_record + record}",
+            )
+        return Repeats(starts, spectra, offset, ratio)
+
+    def segment_spectra(self, recording: NDArray[np.float32], starts: NDArray[np.int64]) -> NDArray[np.complex64]:
+        """Spectra (records, averages, bins) of the segments of one period at `starts` (records, averages)."""
+        return self._spectrum(recording, starts)
+
+    def _first_guess(self, reference: NDArray[np.float32]) -> NDArray[np.float64]:
+        records, samples = reference.shape
+        folded = np.zeros((records, self.period // self._guess_thinning), dtype=np.float32)
+        for begin in range(0, samples, self.period):
+            piece = reference[:, begin : begin + self.period : self._guess_thinning]
+            folded[:, : piece.shape[1]] += piece
+        guess = self._coarse_delay(scipy.fft.rfft(folded, overwrite_x=True)[:, self.bins])
+        length = self._least
+        # The fold tells the start but for whole periods; the one with most energy inside is meant.
+        for record in range(records):
+            starts = np.arange(guess[record] - self.period, samples - length + self.period / 2, self.period)
+            inside = starts[(starts > -GUARD_SAMPLES) & (starts + length < samples + GUARD_SAMPLES)]
+            if inside.size > 1:
+                energy = [np.square(reference[record, max(int(s), 0) : int(s) + length]).sum() for s in inside]
+                guess[record] = inside[int(np.argmax(energy))]
+            elif inside.size == 1:
+                guess[record] = inside[0]
+        return guess
+
+    def _limited(self, starts: NDArray[np.int64], samples: int) -> NDArray[np.int64]:
+        return np.clip(starts, 0, samples - self.period)
+
+    def _coarse_delay(
+        self, spectra: NDArray[np.complex64], thin: int = 1, taken: NDArray[np.complex64] | None = None
+    ) -> NDArray[np.float64]:
+        """Delay in samples, 0 to the period over `thin`, from the envelope of the cross-correlation."""
+        length = scipy.fft.next_fast_len(2 * -(-self.omega.size // thin))
+        cross = spectra[..., ::thin] * self._nominal[::thin].conj()
+        if taken is not None:
+            cross *= taken
+        correlation = scipy.fft.ifft(cross, length, overwrite_x=True)
+        # The square has its top where the envelope has it, at a tenth of the cost.
+        envelope = np.square(correlation.real) + np.square(correlation.imag)
+        top = np.argmax(envelope, axis=-1)[..., None]
+        around = [
+            np.take_along_axis(envelope, (top + step) % length, -1)[..., 0].astype(np.float64) for step in (-1, 0, 1)
+        ]
+        bend = around[0] - 2 * around[1] + around[2]
+        peak = np.where(bend < 0, (around[0] - around[2]) / (2 * np.where(bend < 0, bend, 1.0)), 0.0)
+        return np.asarray((top[..., 0] + peak) % length * (self.period / (thin * length)))
+
+    def _searched_stretch(self, spectra: NDArray[np.complex64]) -> NDArray[np.float64]:
+        """The stretch, of those tried, at which each segment (records, bins) correlates best with its sweep."""
+        cross = spectra[:, ::THIN] * self._nominal[::THIN].conj()
+        length = scipy.fft.next_fast_len(2 * cross.shape[1])
+        best, highest = np.zeros(len(spectra)), np.zeros(len(spectra))
+        for tried in self._tried.tolist():
+            turned = scipy.fft.ifft(cross * np.exp(np.float32(-tried) * 1j * self._curves[1]), length, overwrite_x=True)
+            top = np.abs(turned).max(axis=1)
+            better = top > highest
+            best[better], highest[better] = tried, top[better]
+        return best
+
+    def _phase_fit(
+        self, spectra: NDArray[np.complex64], near: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Delay in samples and stretch of each segment, and the share of a record's energy they explain.
+
+        `near` (records,) is a stretch of each record's segments that is taken out before.
+        """
+        taken = None
+        if near.any():
+            taken = np.exp(-1j * near.astype(np.float32)[:, None, None] * self._curves[1])
+        coarse = self._coarse_delay(spectra, SEGMENT_THIN, taken)
+        span = self.period / SEGMENT_THIN
+        coarse = np.where(coarse > span / 2, coarse - span, coarse)
+        thinned = spectra[..., ::THIN]
+        cross = thinned * self._nominal[::THIN].conj()
+        if taken is not None:
+            cross *= taken
+        cross *= np.exp(1j * self._omega32 * coarse[..., None].astype(np.float32))
+        # Crossed wires turn every phase by half a turn.
+        cross *= np.where(cross.real.sum(axis=-1, keepdims=True) < 0, -1, 1).astype(np.float32)
+        fitted = np.angle(cross) @ self._solve
+        turn = np.exp(-1j * (fitted.astype(np.float32) @ self._curves))
+        matched = (cross * turn).real.sum(axis=-1).astype(np.float64)
+        energy = (np.square(thinned.real) + np.square(thinned.imag)).sum(axis=-1).astype(np.float64)
+        share = matched**2 / np.maximum(energy * self.power[::THIN].sum(), 1e-300)
+        return coarse + fitted[..., 0], fitted[..., 1] + near[:, None], share.min(axis=-1)
+
+    def _clock(
+        self, place: NDArray[np.float64], stretch: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        own = 1 + stretch.mean(axis=1)
+        if self.averages == 1:
+            return place[:, 0], own
+        nominal = self.period * np.arange(self.averages)
+        lever = nominal - nominal.mean()
+        spaced = place @ lever / (lever @ lever)
+        late = place - spaced[:, None] * nominal
+        start = late.mean(axis=1)
+        if self.averages == 2:
+            slipped = np.abs(spaced - own) > 1e-6 * SLIP_PPM
+        else:
+            slipped = np.abs(late - start[:, None]).max(axis=1) > SLIP_SAMPLES
+        return np.where(slipped, place[:, 0], start), np.where(slipped, own, spaced)

@@ -1,0 +1,395 @@
+"""Looks through what a fit leaves unexplained for what chance cannot leave there."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.special import gammainccinv
+
+from calibration.defects.figures import DEFECTS
+from calibration.defects.harmonics import ThirdHarmonic
+
+Complex64Array = NDArray[np.complex64]
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+
+# Speckle takes the signal away for milliseconds.
+BURST_S = 0.005
+# Among some 1e9 windows and bins of a night none is this far above the floor by chance.
+CHANCE = 1e-12
+# Clean records of the virtual rig stay 3 dB below the limit that chance alone would set; so do these.
+SPARE_DB = 3.0
+# A jump of the delay must explain this many times its share of the differences between sweeps; by chance (chi
+# squared, one degree of freedom) it is 18 at most in 40,000 records.
+SLIP_SIGNIFICANCE = 60.0
+# So must a change of level. The noise that is not white raises what chance explains.
+STEP_SIGNIFICANCE = 100.0
+# Parts of a sweep of which each tells the delay between the channels for itself.
+SLIP_PARTS = 8
+# Samples are lost one by one, so a jump is a whole number of them, but for one within a part.
+SLIP_TOLERANCE = 0.3
+# Mean of the residual just after L taps over its floor much later.
+TAIL_OVER_FLOOR_DB = 5.0
+# So much of what is unexplained must lie there, and be so much more than what differs between the sweeps.
+TAIL_SHARE = 0.3
+TAIL_OVER_NOISE = 3.0
+# Delays at the end of the ring belong to what comes too early, and to the window's leakage.
+RING_SHARE = 0.95
+# What every sweep leaves at one place is alike in all of them but for the noise.
+ALIKE_DB = 6.0
+# A channel is constant when its energy in band is this small beside its largest sample's.
+DEAD_SHARE = 1e-6
+# What raises a record's residual by a quarter gets a closer look: in a clean one of the default run it is 13 % at
+# most. Of very few records each does, for there is none to compare with.
+SUSPICIOUS = 1.25
+LEAST_RECORDS = 3
+# A tone below this share of the residual raises it by less than 1 dB.
+LINE_SHARE = 0.1
+# Harmonics are looked for where the response is 28 dB above what its sweeps differ by.
+LOUD = 10**2.8
+# A tone beyond the band that is so many times all that is left in it is what leaks into it.
+LEAKS = 3.0
+# Residuals below -75 dB of the response are left alone.
+MATTERS = 10**-7.5
+FLOOR = 1e-30
+
+
+class DefectFinder:
+    """Finds bursts, slips, lines, tails and harmonics in the residuals of sequential records.
+
+    The residual of each sweep is its spectrum minus what the fitted response makes of its reference. White noise
+    leaves it even in time and in frequency, and makes it the same in no two sweeps; each defect breaks one of
+    these, in a way of its own.
+
+    Parameters
+    ----------
+    omega : float64 array, shape (bins,)
+        Frequencies in radians per sample, of adjacent bins.
+    first_bin : int
+        Number of the first of them.
+    period : int
+        Samples of a sweep with its silence.
+    averages : int
+        Sweeps in a record.
+    sample_rate_hz : float
+        Rate in Hz, > 0.
+    taps : int
+        Length L of the response.
+    freedom : float
+        Share of white noise that the fit leaves unexplained, 0 to 1.
+    delay_rises : bool
+        Whether the sweep goes upwards, so that higher bins come later.
+    """
+
+    def __init__(
+        self,
+        omega: Float64Array,
+        first_bin: int,
+        period: int,
+        averages: int,
+        sample_rate_hz: float,
+        taps: int,
+        *,
+        freedom: float,
+        delay_rises: bool,
+    ) -> None:
+        self._freedom = freedom
+        self._omega = omega.astype(np.float32)
+        self._averages = averages
+        self._rate_hz = sample_rate_hz
+        self._bin_hz = sample_rate_hz / period
+        self._first_bin = first_bin
+        self._length = scipy.fft.next_fast_len(omega.size)
+        self._cell = period / self._length  # samples per cell of the residual's envelope
+        self._window = min(max(1, round(BURST_S * sample_rate_hz / self._cell)), self._length)
+        # Over the median of a sum of so many exponentially distributed energies; what the mean transfer takes
+        # from the residual makes the true limit lower.
+        self._burst_limit = _chance_limit(self._window)
+        self._cut_limit = _chance_limit(self._window * averages)
+        self._line_limit = _chance_limit(averages)
+        self._parts = np.linspace(0, omega.size, (SLIP_PARTS if delay_rises else 1) + 1).astype(int)[:-1]
+        self._jumps = _jumps(averages, self._parts.size)
+        self._harmonic = ThirdHarmonic(sample_rate_hz, period)
+        after = int(np.ceil(taps / self._cell)) + 1
+        third = (int(RING_SHARE * self._length) - after) // 3
+        self._tail = slice(after, after + third)
+        self._late = slice(after + 2 * third, after + 3 * third)
+
+    def find(
+        self,
+        *,
+        response_v: Float32Array,
+        loudest: NDArray[np.int64],
+        peak_v: Float32Array,
+        heard: Complex64Array,
+        heard_power: Float32Array,
+        answered_energy: Float64Array,
+        differing: Complex64Array | None,
+        differing_power: Float32Array | None,
+        transfer: Complex64Array,
+        missed: Complex64Array,
+        whitened: Complex64Array,
+        outside: Float32Array,
+        first_outside: int,
+    ) -> NDArray[np.void]:
+        """Look through a batch of records.
+
+        Parameters
+        ----------
+        response_v : float32 array, shape (records, samples)
+            Response channel in volts.
+        loudest : int64 array, shape (records,)
+            Sample of its largest magnitude.
+        peak_v : float32 array, shape (records,)
+            That magnitude in volts.
+        heard : complex64 array, shape (records, averages, bins)
+            Spectra of the sweeps on the reference channel.
+        heard_power : float32 array, shape (records, bins)
+            Their energy, all sweeps together.
+        answered_energy : float64 array, shape (records,)
+            Energy of the sweeps on the response channel, in the same bins.
+        differing : complex64 array, shape (records, averages, bins), optional
+            What one mean transfer function leaves of the response; None for a single sweep.
+        differing_power : float32 array, shape (records, bins), optional
+            Its energy, all sweeps together.
+        transfer, missed : complex64 array, shape (records, bins)
+            That mean transfer function, and what of it the FIR of L taps leaves unexplained.
+        whitened : complex64 array, shape (records, bins)
+            `missed` as the fit sees it: white noise is even in it.
+        outside : float32 array, shape (records, more bins)
+            What is left of the sweeps beyond the band, 0 in it.
+        first_outside : int
+            Number of the first of these bins.
+
+        Returns
+        -------
+        structured array, shape (records,)
+            As `calibration.defects.figures.DEFECTS` has it.
+        """
+        whole = np.maximum(answered_energy, FLOOR)
+        defects = np.zeros(len(missed), DEFECTS)
+        for name in ("burst_db", "cut_db", "slip_db", "line_db", "tail_db", "step_db", "harmonic_db"):
+            defects[name] = -np.inf
+        defects["dead"] = answered_energy <= DEAD_SHARE * np.square(peak_v, dtype=np.float64)
+        unexplained = _energy(missed) * heard_power
+        power = unexplained if differing_power is None else unexplained + differing_power
+        self._lines(power, whole, defects)
+        # What is cut where the response stays loud for long bends the fit and leaves nothing.
+        left = unexplained if differing_power is None else differing_power
+        loud = np.flatnonzero(whole > LOUD * left.sum(axis=1, dtype=np.float64))
+        defects["harmonic_db"][loud] = self._harmonic(response_v, loudest, loud)
+        look = np.flatnonzero(self._suspicious(unexplained, differing_power, whole))
+        if not look.size:
+            return defects
+        beyond = self._hum_beyond(outside, first_outside, power, whole, defects)
+        look = look[~beyond[look]]
+        if not look.size:
+            return defects
+        closer = defects[look]
+        residual = missed[look, None] * heard[look]
+        if differing is not None:
+            residual += differing[look]
+            self._slips(differing[look], heard[look], transfer[look], whole[look], closer)
+            self._steps(differing[look], heard[look], transfer[look], whole[look], closer)
+        else:
+            closer["slip_db"] = closer["cut_db"] = closer["step_db"] = np.nan
+        self._bursts(residual, whole[look], closer)
+        noise = None
+        if differing_power is not None:
+            noise = differing_power[look].sum(axis=1, dtype=np.float64) / (self._averages - 1)
+        self._tails(whitened[look], unexplained[look], noise, whole[look], closer)
+        defects[look] = closer
+        return defects
+
+    def _suspicious(
+        self, unexplained: Float32Array, differing_power: Float32Array | None, whole: Float64Array
+    ) -> NDArray[np.bool_]:
+        """Which records are worth a closer look.
+
+        In all others the fit leaves no more than the sweeps differ by, and they differ by no more than in the
+        quietest record: whatever is wrong there is less than a third of the noise. Or else it is too little
+        beside the response to matter.
+        """
+        left = unexplained.sum(axis=1, dtype=np.float64)
+        if differing_power is None:
+            return np.asarray(left > MATTERS * whole)
+        differing = differing_power.sum(axis=1, dtype=np.float64)
+        matters = left + differing > MATTERS * whole
+        if len(whole) < LEAST_RECORDS:
+            return np.asarray(matters)
+        noise = differing / (self._averages - 1)
+        heard = noise[noise > FLOOR]
+        quietest = heard.min() if heard.size else 0.0
+        return np.asarray(matters & ((left > SUSPICIOUS * self._freedom * noise) | (noise > SUSPICIOUS * quietest)))
+
+    def _bursts(self, residual: Complex64Array, whole: Float64Array, defects: NDArray[np.void]) -> None:
+        """Where in time the residual stands out, in one sweep or in all of them alike."""
+        envelope = _energy(scipy.fft.ifft(residual, self._length, axis=-1))
+        within = _moving_sum(envelope, self._window)
+        rows = np.arange(len(residual))
+        # In energy of the residual's spectrum, as `whole` is.
+        scale = float(self._length)
+        cut = np.zeros(within.shape[::2], dtype=bool)
+        if self._averages > 1:
+            together = within.sum(axis=1)
+            place = together.argmax(axis=1)
+            each = within[rows, :, place]
+            strongest = together[rows, place]
+            found = strongest > self._cut_limit * _median(together[:, :: 3 * self._window])
+            found &= each.min(axis=1) > 10 ** (-0.1 * ALIKE_DB) * each.max(axis=1)
+            defects["cut_db"] = np.where(found, _db(strongest * scale, whole), -np.inf)
+            defects["cut_s"] = (place + 0.5 * self._window) * self._cell / self._rate_hz
+            cut = found[:, None] & (np.abs(np.arange(within.shape[2]) - place[:, None]) <= 2 * self._window)
+        floor = _median(within[..., :: 3 * self._window])
+        within = np.where(cut[:, None], np.float32(0), within)
+        place = within.argmax(axis=-1)
+        height = np.take_along_axis(within, place[..., None], -1)[..., 0]
+        sweep = height.argmax(axis=1)
+        strongest, at = height[rows, sweep], place[rows, sweep]
+        found = strongest > self._burst_limit * floor
+        defects["burst_db"] = np.where(found, _db(strongest * scale, whole), -np.inf)
+        defects["burst_s"] = (sweep * self._length + at + 0.5 * self._window) * self._cell / self._rate_hz
+
+    def _lines(self, power: Float32Array, whole: Float64Array, defects: NDArray[np.void]) -> None:
+        """Where in frequency the residual stands out; `power` is that of all sweeps together."""
+        floor = _median(power[:, ::3])
+        total = power.sum(axis=1)
+        highest_power = power.max(axis=1)
+        for record in np.flatnonzero((highest_power > self._line_limit * floor) & (highest_power > LINE_SHARE * total)):
+            highest = int(power[record].argmax())
+            # A tone between two bins shows in both.
+            around = power[record, max(highest - 1, 0) : highest + 2].sum(dtype=np.float64)
+            defects["line_db"][record] = _db(around, whole[record])
+            defects["line_hz"][record] = (self._first_bin + highest) * self._bin_hz
+
+    def _hum_beyond(
+        self,
+        outside: Float32Array,
+        first_outside: int,
+        power: Float32Array,
+        whole: Float64Array,
+        defects: NDArray[np.void],
+    ) -> NDArray[np.bool_]:
+        """Which records hum beyond the band so loudly that this explains what is left in it: a tone leaks there."""
+        rows = np.arange(len(outside))
+        left = power.sum(axis=1, dtype=np.float64)
+        highest = outside.argmax(axis=1)
+        leaks = outside[rows, highest] > LEAKS * left
+        defects["line_db"][leaks] = _db(left[leaks], whole[leaks])
+        defects["line_hz"][leaks] = (first_outside + highest[leaks]) * self._bin_hz
+        return np.asarray(leaks)
+
+    def _slips(
+        self,
+        differing: Complex64Array,
+        heard: Complex64Array,
+        transfer: Complex64Array,
+        whole: Float64Array,
+        defects: NDArray[np.void],
+    ) -> None:
+        """Whether the differences between the sweeps are those of a delay that jumps once."""
+        records = len(differing)
+        later = (np.complex64(-1j) * self._omega * transfer)[:, None] * heard  # what one sample of delay adds
+        strength = np.add.reduceat(_energy(later), self._parts, axis=-1).reshape(records, -1).astype(np.float64)
+        np.conjugate(later, out=later)
+        later *= differing
+        matched = np.add.reduceat(later.real, self._parts, axis=-1).reshape(records, -1).astype(np.float64)
+        projected = matched @ self._jumps.T
+        norm = np.maximum(strength @ np.square(self._jumps).T, FLOOR)
+        explained = np.square(projected) / norm
+        best = explained.argmax(axis=1)
+        rows = np.arange(records)
+        gained, jump = explained[rows, best], projected[rows, best] / norm[rows, best]
+        spread = np.maximum(_energy(differing).sum(axis=(1, 2), dtype=np.float64), FLOOR)
+        freedom = 2 * self._omega.size * (self._averages - 1)
+        whole_samples = np.rint(jump)
+        found = gained * freedom > SLIP_SIGNIFICANCE * spread
+        found &= (whole_samples != 0) & (np.abs(jump - whole_samples) < SLIP_TOLERANCE * np.abs(whole_samples))
+        defects["slip_db"] = np.where(found, _db(gained, whole), -np.inf)
+        defects["slip_samples"] = jump
+
+    def _steps(
+        self,
+        differing: Complex64Array,
+        heard: Complex64Array,
+        transfer: Complex64Array,
+        whole: Float64Array,
+        defects: NDArray[np.void],
+    ) -> None:
+        """Whether the differences between the sweeps are those of their level."""
+        mean = transfer[:, None] * heard
+        strength = np.maximum(_energy(mean).sum(axis=-1).astype(np.float64), FLOOR)
+        over = (mean.conj() * differing).real.sum(axis=-1).astype(np.float64) / strength
+        gained = np.square(over) * strength
+        spread = np.maximum(_energy(differing).sum(axis=-1).astype(np.float64) - gained, FLOOR)
+        freedom = 2 * self._omega.size
+        # Something that happens in one sweep is no level of it: then the others differ less.
+        found = gained.max(axis=1) * freedom > STEP_SIGNIFICANCE * spread.max(axis=1)
+        defects["step_db"] = np.where(found, _db(gained.sum(axis=1), whole), -np.inf)
+        farthest = np.abs(over).argmax(axis=1)[:, None]
+        level = np.take_along_axis(over, farthest, 1)[:, 0]
+        others = (over.sum(axis=1) - level) / max(self._averages - 1, 1)
+        defects["step_level_db"] = 20 * np.log10(np.maximum(1 + level, 1e-3) / np.maximum(1 + others, 1e-3))
+
+    def _tails(
+        self,
+        whitened: Complex64Array,
+        unexplained: Float32Array,
+        noise: Float64Array | None,
+        whole: Float64Array,
+        defects: NDArray[np.void],
+    ) -> None:
+        """Whether there is more response just after L taps than much later."""
+        if self._late.stop - self._late.start < 8:
+            return
+        delays = _energy(scipy.fft.ifft(whitened, self._length, axis=-1))
+        floor = _median(delays[:, self._late]) / np.log(2)
+        over = delays[:, self._tail].mean(axis=1) / np.maximum(floor, FLOOR)
+        total = np.maximum(delays.sum(axis=1), FLOOR)
+        share = np.maximum(delays[:, self._tail].sum(axis=1) - floor * (self._tail.stop - self._tail.start), 0) / total
+        found = (over > 10 ** (0.1 * TAIL_OVER_FLOOR_DB)) & (share > TAIL_SHARE)
+        if noise is not None:
+            # A passing event also spreads over all delays, but differs from sweep to sweep as much.
+            found &= unexplained.sum(axis=1, dtype=np.float64) > TAIL_OVER_NOISE * self._freedom * noise
+        defects["tail_db"] = np.where(found, _db(share * unexplained.sum(axis=1, dtype=np.float64), whole), -np.inf)
+
+
+def _chance_limit(terms: int) -> float:
+    """How far the largest sum of `terms` exponentially distributed energies may be above the median one."""
+    return float(gammainccinv(terms, CHANCE) / gammainccinv(terms, 0.5)) * 10 ** (0.1 * SPARE_DB)
+
+
+def _jumps(averages: int, parts: int) -> Float64Array:
+    """Each jump between two neighbouring parts, less what the mean over the sweeps takes of it."""
+    time = np.arange(averages * parts)
+    steps = (time >= np.arange(1, max(2, time.size))[:, None]).astype(np.float64).reshape(-1, averages, parts)
+    return np.asarray((steps - steps.mean(axis=1, keepdims=True)).reshape(-1, time.size))
+
+
+def _moving_sum(values: Float32Array, window: int) -> Float32Array:
+    if window <= 8:
+        count = values.shape[-1] - window + 1
+        total = values[..., :count].copy()
+        for shift in range(1, window):
+            total += values[..., shift : shift + count]
+        return total
+    running = np.cumsum(values, axis=-1, dtype=np.float64)
+    within = running[..., window - 1 :].copy()
+    within[..., 1:] -= running[..., :-window]
+    return within.astype(np.float32)
+
+
+def _median(values: Float32Array) -> Float32Array:
+    """Median of each row, all but its first axis taken as one."""
+    rows = values.reshape(values.shape[0], -1)
+    middle = rows.shape[1] // 2
+    return np.asarray(np.partition(rows, middle, axis=1)[:, middle])
+
+
+def _energy(values: Complex64Array) -> Float32Array:
+    return np.square(values.real) + np.square(values.imag)
+
+
+def _db(part: NDArray[np.floating], whole: Float64Array) -> Float64Array:
+    return np.asarray(10 * np.log10(np.maximum(part, FLOOR) / whole))

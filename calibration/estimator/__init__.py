@@ -1,0 +1,1 @@
+"""Records into Green's functions."""

@@ -1,0 +1,183 @@
+"""Least squares for a causal FIR of L taps from a response spectrum in a band, as one low-rank operator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+Float64Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+# Clock ratios at which the solution is exact; between them a polynomial, good to -110 dB for 0.2 s of 500 Hz.
+NODES = 5
+# Directions weaker than this share of the ridge would be damped to 1 % of themselves: left out.
+CUT = 1e-2
+# Directions that magnify noise more than threefold, and how much above it (in energy) they must stand.
+WEAK = 0.3
+GARROTE = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class CausalSolution:
+    """Causal FIRs of a batch of spectra, and what they leave.
+
+    Parameters
+    ----------
+    green : float32 array, shape (records, taps)
+        On the playback clock.
+    whole, left : float64 array, shape (records,)
+        Energy of the whitened data, and what the FIR leaves of it.
+    variance : float64 array, shape (records,)
+        Variance of the noise on one element of the whitened data.
+    whitened, missed : complex64 array, shape (records, bins)
+        What the FIR leaves of the data, whitened and with the weight taken off.
+    """
+
+    green: Float32Array
+    whole: Float64Array
+    left: Float64Array
+    variance: Float64Array
+    whitened: NDArray[np.complex64]
+    missed: NDArray[np.complex64]
+
+
+class CausalFit:
+    """Solve ``min_g sum_k power_k |H_k - sum_n g_n exp(-j ratio w_k n)|^2 + ridge |g|^2`` for many H at once.
+
+    With power the nominal drive's, this is the maximum-likelihood fit for white noise on the response. The
+    matrix has about 2 * band * response length directions; an SVD keeps those. H lives on the DAQ clock, g on
+    the playback clock: `ratio` between them enters the matrix, whose solution is made at a few ratios and
+    interpolated, so that every record is fitted at its own.
+
+    Parameters
+    ----------
+    omega : float64 array, shape (bins,)
+        Frequencies in radians per DAQ sample, ascending, spaced by ``2 pi / period``.
+    power : float64 array, shape (bins,)
+        Squared magnitude of the nominal drive's spectrum, relative to its median in band.
+    period : int
+        Samples of the period.
+    taps : int
+        Length L of the FIR.
+    ridge : float
+        Penalty relative to the median power in band.
+    max_ppm : float
+        Largest clock skew in parts per million, > 0.
+    """
+
+    def __init__(
+        self, omega: Float64Array, power: Float64Array, period: int, taps: int, ridge: float, max_ppm: float
+    ) -> None:
+        weight = np.sqrt(2 * power / period)
+        delay = np.arange(taps)
+        matrix = _stacked(weight[:, None] * np.exp(-1j * omega[:, None] * delay))
+        left, singular, right = _dominant_svd(matrix, period, np.sqrt(CUT * ridge))
+        self.rank = singular.size
+        self._weak = np.flatnonzero(singular < WEAK)
+        self.elements = matrix.shape[0]
+        self._weight = weight.astype(np.float32)
+        self._left = left.astype(np.float32)
+        self._left_transposed = np.ascontiguousarray(self._left.T)
+        self._right = np.ascontiguousarray(right.astype(np.float32))
+        self._nodes = 1e-6 * max_ppm * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+        solutions = []
+        for skew in self._nodes:
+            skewed = _stacked(weight[:, None] * np.exp(-1j * (1 + skew) * omega[:, None] * delay)) @ right.T
+            gram = skewed.T @ skewed
+            gram[np.diag_indices_from(gram)] += ridge
+            solutions.append(scipy.linalg.solve(gram, skewed.T @ left, assume_a="pos").T)
+        self._solutions = np.concatenate(solutions).astype(np.float32)
+
+    def solve(self, spectrum: NDArray[np.complex64], skew: Float64Array) -> CausalSolution:
+        """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,)."""
+        data = self.whitened(spectrum)
+        coefficients = self.coefficients(data)
+        unexplained = self.unexplained(data, coefficients)
+        left = np.square(unexplained).sum(axis=1, dtype=np.float64)
+        # The FIR's own freedom swallows its share of the noise.
+        variance = left / max(self.elements - self.rank, 1)
+        whitened, missed = self.spectra(unexplained)
+        return CausalSolution(
+            green=self.taps(self.denoised(coefficients, variance), skew),
+            whole=np.square(data).sum(axis=1, dtype=np.float64),
+            left=left,
+            variance=variance,
+            whitened=whitened,
+            missed=missed,
+        )
+
+    def whitened(self, spectrum: NDArray[np.complex64]) -> Float32Array:
+        """Spectrum (records, bins) as real rows (records, 2 * bins) in which white noise is even."""
+        weighted = spectrum * self._weight
+        return np.concatenate([weighted.real, weighted.imag], axis=1)
+
+    def coefficients(self, data: Float32Array) -> Float32Array:
+        """Coefficients (records, rank) of whitened data in the space of causal responses."""
+        return data @ self._left
+
+    def denoised(self, coefficients: Float32Array, variance: Float64Array) -> Float32Array:
+        """Coefficients without what noise of `variance` (records,) alone could have put in weak directions.
+
+        A direction that the sweep hardly excites, at the band's very edge, gives its noise back magnified by
+        the inverse of its singular value. Where the data do not speak for it, it is better left at zero: the
+        non-negative garrote (Breiman 1995). Strong directions pass untouched, so the fit stays linear there.
+        """
+        kept = np.square(coefficients)
+        weak = self._weak
+        spoken = kept[:, weak]
+        noise = (GARROTE * variance).astype(np.float32)[:, None]
+        shrunk = coefficients.copy()
+        shrunk[:, weak] *= np.maximum(1 - noise / np.maximum(spoken, np.float32(1e-30)), 0)
+        return shrunk
+
+    def unexplained(self, data: Float32Array, coefficients: Float32Array) -> Float32Array:
+        """What no causal FIR of L taps explains of whitened data, (records, 2 * bins)."""
+        # Explicitly, since the difference of the two energies cancels to nothing in float32.
+        return data - coefficients @ self._left_transposed
+
+    def spectra(self, rows: Float32Array) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
+        """Whitened rows (records, 2 * bins) as complex spectra (records, bins), and those with the weight taken off."""
+        bins = self._weight.size
+        whitened = np.empty((rows.shape[0], bins), dtype=np.complex64)
+        whitened.real, whitened.imag = rows[:, :bins], rows[:, bins:]
+        return whitened, whitened / self._weight
+
+    def taps(self, coefficients: Float32Array, skew: Float64Array) -> Float32Array:
+        """FIRs (records, L) on the playback clock; `skew` (records,) is each record's clock ratio minus 1."""
+        difference = skew[:, None] - self._nodes
+        lagrange = np.ones_like(difference)
+        for i in range(self._nodes.size):
+            for j in range(self._nodes.size):
+                if i != j:
+                    lagrange[:, i] *= difference[:, j] / (self._nodes[i] - self._nodes[j])
+        spread = (lagrange.astype(np.float32)[:, :, None] * coefficients[:, None, :]).reshape(coefficients.shape[0], -1)
+        return np.asarray((spread @ self._solutions) @ self._right)
+
+
+def _stacked(matrix: NDArray[np.complex128]) -> Float64Array:
+    return np.concatenate([matrix.real, matrix.imag])
+
+
+def _dominant_svd(
+    matrix: Float64Array, period: int, smallest: float
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Singular triplets above `smallest`, by subspace iteration (Halko et al. 2011, algorithm 4.4).
+
+    Singular values of a time- and band-limited matrix fall off a cliff, so two iterations are exact.
+    """
+    rows, taps = matrix.shape
+    most = min(rows, taps)
+    wanted = min(most, int(rows * taps / period) + 48)
+    while True:
+        start = np.random.default_rng(0).standard_normal((taps, wanted))
+        basis = np.linalg.qr(matrix @ start)[0]
+        for _ in range(2):
+            basis = np.linalg.qr(matrix @ (matrix.T @ basis))[0]
+        inner, singular, right = scipy.linalg.svd(basis.T @ matrix, full_matrices=False, check_finite=False)
+        if singular[-1] < smallest or wanted == most:
+            keep = singular >= smallest
+            return basis @ inner[:, keep], singular[keep], right[keep]
+        wanted = min(most, wanted + wanted // 2)

@@ -1,0 +1,265 @@
+"""Least squares for the causal FIRs of all actuators that play in one record, each with its own delay."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from calibration.estimator.causal_basis import causal_basis
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+Complex64Array = NDArray[np.complex64]
+
+# Directions weaker than this share of the ridge would be damped to 1 % of themselves: left out.
+CUT = 1e-2
+# Directions weaker than this, in amplitude, are left at zero where noise alone explains them, as in `causal_fit`:
+# noise of so many times its variance.
+WEAK = 0.1
+GARROTE = 3.0
+# Conjugate gradients end at this relative residual; they need about ten steps, a fuller record more.
+ENOUGH = 3e-5
+MOST_STEPS = 100
+# Random signs that measure the freedom of a fit that is only known by its solutions.
+PROBES = 4
+
+
+# A joint fit keeps its directions in memory: this much, and no more.
+MOST_JOINT_BYTES = 1 << 30
+
+
+def joint_bytes(period: int, band_cycles: float, taps: int) -> int:
+    """Bytes that a joint fit on a ring of `period` samples takes, for a band so many cycles per sample wide."""
+    rank = min(taps, 2 * band_cycles * taps + 48)
+    bins = band_cycles * period
+    return int(rank * (4 * 8 * taps + 2 * 16 * bins))
+
+
+@dataclass(frozen=True, slots=True)
+class JointSolution:
+    """What a record says of each of its slots.
+
+    Parameters
+    ----------
+    green : float32 array, shape (slots, taps)
+        FIRs, from the base signal to the response.
+    energy : float64 array, shape (slots,)
+        Energy that each slot's FIR explains of the whitened data.
+    unexplained : float
+        Energy that they leave.
+    variance : float
+        Variance of the noise on one element of the whitened data.
+    left : complex64 array, shape (bins,)
+        What they leave of the whitened data.
+    """
+
+    green: Float32Array
+    energy: Float64Array
+    unexplained: float
+    variance: float
+    left: Complex64Array
+
+
+class JointFit:
+    """Solve ``min sum_k power_k |H_k - sum_i exp(-j w_k delay_i) sum_n g_i[n] exp(-j w_k n)|^2 + ridge |g|^2``.
+
+    Each FIR lives in the same few directions (`causal_basis`), turned by its delay. Where the delays are
+    evenly spaced on the ring of a period, a DFT over the slots takes the system apart into one small matrix per
+    harmonic, inverted once. Any other delays are solved by conjugate gradients in those directions.
+
+    Parameters
+    ----------
+    omega : float64 array, shape (bins,)
+        Frequencies in radians per playback sample, multiples of one spacing, ascending.
+    power : float64 array, shape (bins,)
+        Squared magnitude of the base signal's spectrum, relative to its median in band.
+    period : int
+        Samples of the ring, or of the transform that the record was padded to.
+    taps : int
+        Length L of the FIRs.
+    delays : float64 array, shape (slots,)
+        Delay of each slot in playback samples; L or more apart.
+    ridge : float
+        Penalty relative to the median power in band.
+    periodic : bool
+        Whether delays wrap round the period.
+    """
+
+    def __init__(
+        self,
+        omega: Float64Array,
+        power: Float64Array,
+        period: int,
+        taps: int,
+        delays: Float64Array,
+        ridge: float,
+        *,
+        periodic: bool,
+    ) -> None:
+        needed = joint_bytes(period, omega.size / period, taps)
+        if needed > MOST_JOINT_BYTES:
+            raise InputError(
+                f"actuators that play at once, {taps} taps and {omega.size} frequencies need {needed / 2**30:.1f} GiB; "
+                f"at most {MOST_JOINT_BYTES / 2**30:g} GiB are taken: shorten the response, narrow the band, or let "
+                "one actuator play at a time"
+            )
+        weight = np.sqrt(2 * power / period)
+        basis = causal_basis(omega, weight, taps, math.sqrt(CUT * ridge))
+        self.weight = weight.astype(np.float32)
+        self.elements = 2 * omega.size
+        self._left = np.concatenate([basis.left.real, basis.left.imag]).astype(np.float32)
+        self._left_transposed = np.ascontiguousarray(self._left.T)
+        self._responses = (basis.right / basis.singular[:, None]).astype(np.float32)
+        self._weak = np.flatnonzero(basis.singular < WEAK)
+        self._penalty = (ridge / basis.singular**2).astype(np.float32)
+        ring = ring_slots(delays, period, taps) if periodic else None
+        self._inverses: Complex64Array | None = None
+        if ring is None:
+            self._chosen = np.arange(delays.size)
+        else:
+            slots, self._chosen = ring
+            delays = delays[0] + (np.arange(slots) - self._chosen[0]) * (period / slots)
+            bins = np.round(omega * period / (2 * np.pi)).astype(np.int64)
+            self._inverses, freedom, spread = _harmonics(basis.left, bins, slots, self._penalty)
+        self._turns = np.exp(-1j * np.outer(omega, delays)).astype(np.complex64)
+        if self._inverses is None:
+            freedom, spread = self._probe()
+        self._left_over = max(self.elements - freedom, 1.0)
+        self.left_share = self._left_over / self.elements
+        self._spread = spread[self._weak].astype(np.float32)
+
+    def solve(self, data: Complex64Array) -> JointSolution:
+        """Fit one record.
+
+        Parameters
+        ----------
+        data : complex64 array, shape (bins,)
+            Transfer from base signal to response, times `weight`.
+
+        Returns
+        -------
+        JointSolution
+        """
+        seen = self._seen(data)
+        found = self._solved(seen)
+        left = data - self._shown(found)
+        unexplained = float(np.vdot(left, left).real)
+        variance = unexplained / self._left_over
+        found = found[:, self._chosen]
+        # What the noise alone would put there is no energy of the response.
+        energy = np.square(found).sum(axis=0, dtype=np.float64) - found.shape[0] * variance
+        spoken = np.maximum(np.square(found[self._weak]), np.float32(1e-30))
+        noise = np.float32(GARROTE * variance) * self._spread[:, None]
+        found[self._weak] *= np.maximum(1 - noise / spoken, 0)
+        return JointSolution(found.T @ self._responses, np.maximum(energy, 0), unexplained, variance, left)
+
+    def _seen(self, data: Complex64Array) -> Float32Array:
+        """Data as the slots see it: coefficients (rank, slots)."""
+        turned = data[:, None] * self._turns.conj()
+        return np.asarray(self._left_transposed @ np.concatenate([turned.real, turned.imag]))
+
+    def _shown(self, coefficients: Float32Array) -> Complex64Array:
+        """Data (bins,) that coefficients (rank, slots) make."""
+        parts = self._left @ coefficients
+        bins = parts.shape[0] // 2
+        spectra = np.empty((bins, coefficients.shape[1]), dtype=np.complex64)
+        spectra.real, spectra.imag = parts[:bins], parts[bins:]
+        return np.asarray(np.einsum("bs,bs->b", spectra, self._turns))
+
+    def _solved(self, seen: Float32Array) -> Float32Array:
+        if self._inverses is not None:
+            slots = seen.shape[1]
+            harmonics = np.fft.rfft(seen, axis=1).astype(np.complex64)
+            solved = np.matmul(self._inverses, harmonics.T[:, :, None])[:, :, 0]
+            return np.ascontiguousarray(np.fft.irfft(solved.T, slots, axis=1).astype(np.float32))
+        return self._conjugate_gradients(seen)
+
+    def _conjugate_gradients(self, seen: Float32Array) -> Float32Array:
+        penalty = self._penalty[:, None]
+        if seen.shape[1] == 1:
+            return seen / (1 + penalty)
+        scaled = np.float32(1) / (1 + penalty)
+        found = np.zeros_like(seen)
+        left = seen.copy()
+        even = scaled * left
+        step = even.copy()
+        power = float(np.vdot(left, even))
+        goal = ENOUGH**2 * power
+        for _ in range(MOST_STEPS):
+            if power <= goal:
+                break
+            turned = self._seen(self._shown(step)) + penalty * step
+            length = np.float32(power / max(float(np.vdot(step, turned)), 1e-300))
+            found += length * step
+            left -= length * turned
+            even = scaled * left
+            before, power = power, float(np.vdot(left, even))
+            step = even + np.float32(power / before) * step
+        return found
+
+    def _probe(self) -> tuple[float, Float64Array]:
+        """Freedom of the fit, and variance of each direction's coefficient, from its answers to random signs."""
+        rank, slots = self._left.shape[1], self._turns.shape[1]
+        if slots == 1:
+            damped = 1 / (1 + self._penalty.astype(np.float64))
+            return float(damped.sum()), damped
+        draw = np.random.default_rng(0)
+        freedom, spread = 0.0, np.zeros(rank)
+        for _ in range(PROBES):
+            signs = draw.choice(np.array([-1, 1], dtype=np.float32), (rank, slots))
+            answer = self._conjugate_gradients(signs).astype(np.float64)
+            freedom += (rank * slots - float((self._penalty[:, None] * answer * signs).sum())) / PROBES
+            spread += (answer * signs).mean(axis=1) / PROBES
+        return freedom, np.maximum(spread, 1.0)
+
+
+def ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, NDArray[np.int64]] | None:
+    """Find evenly spaced slots on the ring that hold all delays, as few as will do.
+
+    Parameters
+    ----------
+    delays : float64 array, shape (slots,)
+        Delays in samples.
+    period : int
+        Samples of the ring.
+    taps : int
+        Least distance of two slots.
+
+    Returns
+    -------
+    tuple of int and int64 array, or None
+        How many slots, and which of them each delay is; None where there are no such slots.
+    """
+    for slots in range(delays.size, period // taps + 1):
+        place = (delays - delays[0]) * (slots / period)
+        whole = np.round(place)
+        if np.abs(place - whole).max() * period / slots < 1e-6:
+            chosen = whole.astype(np.int64) % slots
+            return (slots, chosen) if np.unique(chosen).size == delays.size else None
+    return None
+
+
+def _harmonics(
+    left: NDArray[np.complex128], bins: NDArray[np.int64], slots: int, penalty: Float32Array
+) -> tuple[Complex64Array, float, Float64Array]:
+    """Inverses of the harmonics' matrices, the fit's freedom and the variance of each direction's coefficient.
+
+    Harmonic q of the slots shows in the bins q, q + slots, ... and, conjugate, in -q, -q + slots, ...
+    """
+    rank = left.shape[1]
+    inverses = np.empty((slots // 2 + 1, rank, rank), dtype=np.complex64)
+    freedom, spread = 0.0, np.zeros(rank)
+    for harmonic in range(slots // 2 + 1):
+        there, back = left[bins % slots == harmonic], left[-bins % slots == harmonic]
+        gram = 0.5 * slots * (there.conj().T @ there + back.T @ back.conj())
+        inverse = scipy.linalg.inv(gram + np.diag(penalty.astype(np.float64)))
+        inverses[harmonic] = inverse
+        both = 1 if harmonic == 0 or 2 * harmonic == slots else 2
+        freedom += both * float(np.einsum("ij,ji->", gram, inverse).real)
+        spread += both / slots * np.diag(inverse).real
+    return inverses, freedom, spread

@@ -1,0 +1,239 @@
+"""Raw recordings into Green's functions: what was played is found out once, positions are estimated in parallel."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from calibration.clock.timing import ReferenceMissingError
+from calibration.estimator.multichannel_fir_fit import MOST_JOINT_BYTES, joint_bytes
+from calibration.estimator.position import Channels, JointEstimator, PositionEstimator, SequentialEstimator
+from calibration.estimator.sequential import Estimate
+from calibration.estimator.whole_record import WholeRecordEstimator
+from calibration.excitation.base_signal import learn_base
+from calibration.excitation.sequential_signal import RecordShape, find_sweeps, learn_sweeps, whole_record
+from storage.errors import InputError
+from storage.raw.header import RawHeader
+from storage.raw.reading import DamagedError, RawFile, Recordings
+
+Float32Array = NDArray[np.float32]
+
+# References from which the base signal is learned: more make it cleaner, by 0.05 dB at 16.
+LEARNED_RECORDS = 16
+# Positions that are looked through for one whose reference can be told apart.
+LEARNED_POSITIONS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class PositionResult:
+    """One position, estimated.
+
+    Parameters
+    ----------
+    position : int
+        Row of the file.
+    estimate : Estimate or None
+        None where nothing could be told.
+    fault : str
+        Why, else empty.
+    """
+
+    position: int
+    estimate: Estimate | None
+    fault: str
+
+
+def estimator_of(raw: RawFile, tell: Callable[[str], None] = lambda line: None) -> PositionEstimator:
+    """Find out what was played, and make the estimator for it; the same file gives the same estimator.
+
+    Parameters
+    ----------
+    raw : RawFile
+        The recordings.
+    tell : callable
+        Gets a line that says what was found.
+
+    Raises
+    ------
+    InputError
+        No position whose reference tells what was played, or a schedule that cannot be estimated.
+    """
+    header = raw.header
+    channels = Channels(header.reference_gain, header.response_per_volt, header.inter_channel_delay_s)
+    failure: InputError | None = None
+    for first in _recorded(raw, LEARNED_POSITIONS):
+        try:
+            if header.schedule.period_s > 0:
+                return _periodic(raw, first, channels, tell)
+            return _with_silence(header, first, channels, tell)
+        except (InputError, ReferenceMissingError) as error:
+            failure = failure or InputError(f"{raw.path}: {error}")
+    raise failure or InputError(f"{raw.path} holds no recordings; there is nothing to estimate")
+
+
+def estimate_positions(
+    raw: RawFile, estimator: PositionEstimator, positions: Iterable[int], workers: int
+) -> Iterator[PositionResult]:
+    """Estimate positions in several threads, in their order; one position more than workers is in memory.
+
+    Every position is estimated by itself, so that the result does not depend on the workers. They spend their
+    time in transforms and linear algebra, which run beside each other; hold BLAS to one thread
+    (`calibration.blas`).
+
+    Parameters
+    ----------
+    raw : RawFile
+        The recordings.
+    estimator : PositionEstimator
+        What `estimator_of` made of it.
+    positions : iterable of int
+        Rows of the file; those where nothing was recorded are left out.
+    workers : int
+        Threads, >= 1.
+
+    Yields
+    ------
+    PositionResult
+
+    Raises
+    ------
+    InputError
+        Recordings that hold values that are not finite, or that cannot be read.
+    """
+    pending: deque[Future[PositionResult]] = deque()
+    with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="estimate") as pool:
+        try:
+            for position in positions:
+                try:
+                    recordings = raw.read(position)
+                except DamagedError as damaged:
+                    pending.append(pool.submit(PositionResult, position, None, str(damaged)))
+                    continue
+                if recordings is None:
+                    continue
+                pending.append(pool.submit(_estimated, estimator, position, recordings, str(raw.path)))
+                del recordings
+                if len(pending) > workers:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for left in pending:
+                left.cancel()
+
+
+def _estimated(estimator: PositionEstimator, position: int, recordings: Recordings, path: str) -> PositionResult:
+    try:
+        estimate = estimator.estimate(recordings.reference_v, recordings.response_v, range_v=recordings.range_v)
+    except ReferenceMissingError as missing:
+        return PositionResult(position, None, str(missing))
+    except InputError as error:
+        raise InputError(f"{path}: position {position}: {error}") from error
+    return PositionResult(position, estimate, "")
+
+
+def _recorded(raw: RawFile, most: int) -> Iterator[Recordings]:
+    """The first positions with recordings that are sound and not silent."""
+    found = 0
+    for position in range(raw.header.positions):
+        try:
+            recordings = raw.read(position)
+        except DamagedError:
+            continue
+        if recordings is None or not recordings.reference_v.any():
+            continue
+        yield recordings
+        found += 1
+        if found == most:
+            return
+
+
+def _periodic(raw: RawFile, first: Recordings, channels: Channels, tell: Callable[[str], None]) -> PositionEstimator:
+    """The base signal is already running when a record starts."""
+    header = raw.header
+    period = header.schedule.period_s * header.sample_rate_hz
+    if abs(period - round(period)) > 1e-6 * period:
+        raise InputError(
+            f"period_s is {header.schedule.period_s:g}, which is {period:g} samples; a whole number of them is needed"
+        )
+    references = list(first.reference_v[:LEARNED_RECORDS])
+    if len(references) < LEARNED_RECORDS:
+        for more in _recorded(raw, LEARNED_RECORDS):
+            if not np.array_equal(more.reference_v[0], first.reference_v[0]):
+                references += list(more.reference_v)
+    base = learn_base(
+        references[:LEARNED_RECORDS],
+        round(period),
+        header.sample_rate_hz,
+        header.band_hz,
+        header.sweep_s,
+        laws=header.laws,
+        same_clock=header.same_clock,
+    )
+    tell(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (base.ratio - 1):.2f} ppm")
+    return JointEstimator(
+        base.base_v,
+        header.sample_rate_hz,
+        header.band_hz,
+        header.schedule,
+        header.taps,
+        channels,
+        expected_ratio=base.ratio,
+    )
+
+
+def _with_silence(
+    header: RawHeader, first: Recordings, channels: Channels, tell: Callable[[str], None]
+) -> PositionEstimator:
+    """Each record begins and ends by itself."""
+    reference, rate, band_hz, taps = first.reference_v[0], header.sample_rate_hz, header.band_hz, header.taps
+    if header.same_clock:
+        tell("same_clock: whole records, each with its own reference")
+        return WholeRecordEstimator(rate, band_hz, header.schedule, taps, channels)
+    shape, laws = _shape(header), header.laws
+    sweep_samples = None if header.sweep_s is None else round(header.sweep_s * rate)
+    found = find_sweeps(reference, rate, band_hz, taps, shape, sweep_samples=sweep_samples, laws=laws)
+    tell(
+        f"{found.shape.averages} sweeps of {found.shape.sweep_samples / rate:g} s"
+        f"{f', {found.law}' if found.law else ''}; clocks differ by {1e6 * (found.ratio - 1):.2f} ppm"
+    )
+    silence = found.shape.period_samples - found.shape.sweep_samples
+    whole = found.shape.averages * found.shape.period_samples
+    if header.schedule.is_sequential and taps <= silence and (shape is not None or whole <= header.samples):
+        sweeps = learn_sweeps(found, reference, rate, band_hz, taps, exact=shape is not None)
+        return SequentialEstimator(sweeps, header.schedule, taps, channels, comparable=shape is not None)
+    latest = round(header.schedule.delay_s[header.schedule.actuator >= 0].max() * rate)
+    ring = scipy.fft.next_fast_len(2 * header.samples + latest + taps, real=True)
+    if joint_bytes(ring, (band_hz[1] - band_hz[0]) / rate, taps) > MOST_JOINT_BYTES:
+
+        def clock(reference_v: Float32Array) -> tuple[float, float]:
+            try:
+                here = find_sweeps(
+                    reference_v, rate, band_hz, taps, shape, sweep_samples=found.shape.sweep_samples, laws=laws
+                )
+            except InputError as error:
+                raise ReferenceMissingError(str(error)) from error
+            return here.ratio, here.offset
+
+        return WholeRecordEstimator(rate, band_hz, header.schedule, taps, channels, clock_ratio=clock)
+    base_v = whole_record(found, reference, ring)
+    return JointEstimator(base_v, rate, band_hz, header.schedule, taps, channels, expected_ratio=found.ratio)
+
+
+def _shape(header: RawHeader) -> RecordShape | None:
+    """How the sweeps of a record follow each other, if the file says so."""
+    if header.averages is None or header.sweep_s is None or header.decay_s is None:
+        return None
+    sweep, decay = (round(one * header.sample_rate_hz) for one in (header.sweep_s, header.decay_s))
+    if sweep < 1 or header.averages * (sweep + decay) > header.samples + decay:
+        raise InputError(
+            f"averages is {header.averages}, sweep_s {header.sweep_s:g} and decay_s {header.decay_s:g}; records of "
+            f"{header.samples} samples do not hold that"
+        )
+    return RecordShape(sweep, sweep + decay, header.averages)

@@ -1,0 +1,284 @@
+"""Green's functions from whole records of any excitation: hammer hits, noise, sweeps of any law, once or repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from calibration.clock.resampling import resampled
+from calibration.clock.timing import ReferenceMissingError
+from calibration.defects.clipping import count_clipped, find_peaks
+from calibration.defects.figures import not_looked_at
+from calibration.estimator.position import Channels, by_actuator, require_records
+from calibration.estimator.sequential import FLOOR, Estimate, decibel
+from calibration.estimator.toeplitz_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
+from storage.errors import InputError
+from storage.raw.schedule import Schedule
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
+
+# Penalty relative to the excitation's median power in band; outside of the band it is a little more.
+RIDGE, OUTSIDE_RIDGE = 1e-6, 1e-5
+# What was already sounding when a record starts leaves so much more, per sample, in its first taps than later.
+RUNNING = 2.0
+# A hit or a sweep within those first samples, many times as loud as what follows, is kept.
+LOUDER = 10.0
+# Samples beyond those taps that such a record must have, over the taps that are looked for.
+LEAST_SHARE = 1.2
+
+
+class WholeRecordEstimator:
+    """Least squares in time: each record's response is its own reference, convolved with the FIRs that it drives.
+
+    Nothing is asked of the excitation but that it fills the band. A record may begin in silence or in the midst of
+    the signal; then its first samples, which answer to what came before it, are left out. Records that drive the
+    same slots are fitted together, so that each counts by its energy. Conjugate gradients and transforms, no
+    matrix. Safe to call from several threads.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+        Rate in Hz, > 0.
+    band_hz : tuple of float
+        Band of the excitation in Hz.
+    schedule : Schedule
+        What plays when, not periodic.
+    taps : int
+        Length L of the FIRs.
+    channels : Channels
+        How the channels see it.
+    clock_ratio : callable, optional
+        DAQ rate over playback rate of a reference channel (samples,) in volts, and where it begins in samples; both
+        channels are then resampled to the playback clock. Without it one clock played and recorded.
+
+    Raises
+    ------
+    InputError
+        A periodic schedule.
+    """
+
+    def __init__(
+        self,
+        sample_rate_hz: float,
+        band_hz: tuple[float, float],
+        schedule: Schedule,
+        taps: int,
+        channels: Channels,
+        *,
+        clock_ratio: Callable[[Float32Array], tuple[float, float]] | None = None,
+    ) -> None:
+        if schedule.period_s > 0:
+            raise InputError("period_s is above 0; records that begin and end by themselves are needed")
+        self._rate_hz, self._band_hz, self._taps = sample_rate_hz, band_hz, taps
+        self._schedule, self._channels, self._clock_ratio = schedule, channels, clock_ratio
+        groups: dict[bytes, list[int]] = {}
+        for record in range(schedule.records):
+            actuator, delay_s, gain = schedule.slots(record)
+            groups.setdefault(actuator.tobytes() + delay_s.tobytes() + gain.tobytes(), []).append(record)
+        self._groups = list(groups.values())
+
+    def estimate(
+        self, reference_v: Float32Array, response_v: Float32Array, *, range_v: tuple[float, float]
+    ) -> Estimate:
+        """See `calibration.estimator.position.PositionEstimator`; what compares sweeps is NaN."""
+        require_records(reference_v, response_v, self._schedule.records)
+        slots = [self._schedule.slots(group[0]) for group in self._groups]
+        found = [
+            self._estimated(reference_v[group], response_v[group], range_v, group, delay_s, gain)
+            for group, (_, delay_s, gain) in zip(self._groups, slots, strict=True)
+        ]
+        return by_actuator(found, [one[0] for one in slots], [one[2] for one in slots])
+
+    def _estimated(
+        self,
+        reference_v: Float32Array,
+        response_v: Float32Array,
+        range_v: tuple[float, float],
+        group: Sequence[int],
+        delay_s: Float64Array,
+        gain: Float64Array,
+    ) -> Estimate:
+        peaks = [find_peaks(channel) for channel in (reference_v, response_v)]
+        if not all(np.isfinite(peak_v).all() for peak_v, _ in peaks):
+            raise InputError("a recording holds values that are not finite; allowed are volts")
+        for record, peak_v in zip(group, peaks[0][0], strict=True):
+            if peak_v == 0:
+                raise ReferenceMissingError(f"the reference of record {record} is silent; check its cable and channel")
+        clocks = [(1.0, 0.0)] * len(group) if self._clock_ratio is None else list(map(self._clock_ratio, reference_v))
+        fit = _Fit(
+            [self._played(row, ratio) for row, (ratio, _) in zip(reference_v, clocks, strict=True)],
+            [self._played(row, ratio) for row, (ratio, _) in zip(response_v, clocks, strict=True)],
+            self._rate_hz,
+            self._band_hz,
+            self._taps,
+            delay_s,
+            gain,
+            self._channels.inter_channel_delay_s,
+        )
+        solution = fit.solve()
+        slots = len(gain)
+        clipped = sum(
+            int(count_clipped(channel, *peak, end).sum())
+            for channel, peak, end in zip((reference_v, response_v), peaks, range_v, strict=True)
+        )
+
+        def each(figure: float) -> Float32Array:
+            return np.full(slots, figure, dtype=np.float32)
+
+        return Estimate(
+            green=(solution.green * (self._channels.reference_gain * self._channels.response_per_volt)).astype(
+                np.float32
+            ),
+            snr_db=decibel(
+                np.maximum(solution.whole - solution.noise, 0) * solution.shares, np.full(slots, solution.noise)
+            ),
+            residual_db=each(float(decibel(np.array(solution.left), np.array(solution.whole)))),
+            coherence=each(np.nan),
+            peak_v=each(float(peaks[1][0].max())),
+            repeat_db=each(np.nan),
+            noise_v=each(solution.noise_v),
+            clip_count=np.full(slots, clipped, dtype=np.int32),
+            offset_samples=np.full(slots, clocks[0][1]),
+            clock_ratio=np.full(slots, clocks[0][0]),
+            defects=not_looked_at(slots),
+        )
+
+    @staticmethod
+    def _played(channel_v: Float32Array, ratio: float) -> Float64Array:
+        """A channel on the playback clock, without its constant voltage."""
+        channel = channel_v.astype(np.float64)
+        if ratio != 1:
+            channel = resampled(channel[None], 0.0, ratio, int(channel.size / ratio))[0]
+        return np.asarray(channel - channel.mean())
+
+
+class _Solution:
+    """FIRs (slots, taps), energies in band: of the responses, of what is left of them, and of the noise in it."""
+
+    def __init__(
+        self, green: Float64Array, shares: Float64Array, whole: float, left: float, noise: float, noise_v: float
+    ) -> None:
+        self.green, self.shares, self.whole, self.left = green, shares, whole, left
+        self.noise, self.noise_v = noise, noise_v
+
+
+class _Fit:
+    """The normal equations of records that drive the same slots."""
+
+    def __init__(
+        self,
+        references: Sequence[Float64Array],
+        responses: Sequence[Float64Array],
+        rate_hz: float,
+        band_hz: tuple[float, float],
+        taps: int,
+        delay_s: Float64Array,
+        gain: Float64Array,
+        late_s: float,
+    ) -> None:
+        self._taps, self._gain = taps, gain
+        self._samples = [one.size for one in references]
+        self._lead = int(np.ceil(delay_s.max() * rate_hz)) + taps
+        self._length = scipy.fft.next_fast_len(max(self._samples) + self._lead, real=True)
+        hertz = scipy.fft.rfftfreq(self._length, 1 / rate_hz)
+        self._in_band = (hertz >= band_hz[0]) & (hertz <= band_hz[1])
+        self._band_share = (band_hz[1] - band_hz[0]) / (rate_hz / 2)
+        # A response that is sampled late shows each event at an earlier sample.
+        self._slots = gain[:, None] * np.exp(-2j * np.pi * hertz * (delay_s[:, None] - late_s))
+        self._heard = [scipy.fft.rfft(one, self._length) for one in references]
+        self._references, self._responses = references, responses
+        power = sum(np.square(np.abs(one)) for one in self._heard) * np.square(gain).mean()
+        self._median = float(np.median(power[self._in_band])) if self._in_band.any() else 0.0
+        if not self._median > 0:
+            raise ReferenceMissingError("the reference is silent in band_hz; check its cable and channel")
+        kernel = scipy.fft.irfft(power, self._length)[:taps]
+        ring = scipy.fft.rfftfreq(scipy.fft.next_fast_len(2 * taps, real=True), 1 / rate_hz)
+        self._outside = np.where((ring >= band_hz[0]) & (ring <= band_hz[1]), 0.0, OUTSIDE_RIDGE * self._median)
+        self._ring = 2 * ring.size - 2 if scipy.fft.next_fast_len(2 * taps, real=True) % 2 == 0 else 2 * ring.size - 1
+        penalty = scipy.fft.irfft(self._outside, self._ring)[:taps]
+        self._kernel = kernel + penalty
+
+    def solve(self) -> _Solution:
+        """The FIRs; what was already running when the records start is left out if there is such."""
+        first = 0
+        green, left = self._solved(first)
+        if self._may_run():
+            early = sum(self._energy(one[: self._lead]) for one in left) / (self._lead * len(left))
+            later = sum(self._energy(one[self._lead :]) for one in left) / sum(one.size - self._lead for one in left)
+            if early > RUNNING * later:
+                first = self._lead
+                green, left = self._solved(first)
+        whole = sum(self._energy(one[first:]) for one in self._responses)
+        unexplained = sum(self._energy(one[first:]) for one in left)
+        rows = sum(one - first for one in self._samples) * self._band_share
+        noise = unexplained * rows / self._free(first)
+        each = np.array([np.square(one).sum() for one in green * self._gain[:, None]]) + FLOOR
+        noise_v = np.sqrt(unexplained / self._free(first))
+        return _Solution(green, each / each.sum(), whole, unexplained, noise, float(noise_v))
+
+    def _may_run(self) -> bool:
+        """Whether the references go on after their first samples, and are long enough to leave those out."""
+        rest = sum(one - self._lead for one in self._samples)
+        if min(self._samples) <= 2 * self._lead or rest <= LEAST_SHARE * self._taps * len(self._gain):
+            return False
+        begin = sum(float(np.square(one[: self._lead]).sum()) for one in self._references) / self._lead
+        later = sum(float(np.square(one[self._lead :]).sum()) for one in self._references) * len(self._samples) / rest
+        return begin < LOUDER * later
+
+    def _free(self, first: int) -> float:
+        """Directions in band that the taps leave free."""
+        rows = sum(one - first for one in self._samples) - len(self._gain) * self._taps
+        return float(max(rows * self._band_share, 1.0))
+
+    def _solved(self, first: int) -> tuple[Float64Array, list[Float64Array]]:
+        """FIRs (slots, taps), and what they leave of each record, from sample `first` on."""
+        wanted = self._seen([one if not first else _silenced(one, first) for one in self._responses])
+        green, ridge = np.zeros_like(wanted), RIDGE * self._median
+        left: list[Float64Array] = []
+        for _ in range(2):
+            inverse = circulant_inverse(self._kernel, ridge)
+            green = conjugate_gradients(lambda one: self._gram(one, first), wanted, ridge, inverse, green)
+            left = [one - shown for one, shown in zip(self._responses, self._shown(green), strict=True)]
+            variance = sum(self._energy(one[first:]) for one in left) / self._free(first)
+            energy = float(np.square(green).mean())
+            likely = min(max(variance / energy, ridge), MOST_RIDGE * self._median) if energy > 0 else ridge
+            if likely <= 2 * ridge:
+                break
+            ridge = likely
+        return green, left
+
+    def _gram(self, green: Float64Array, first: int) -> Float64Array:
+        outside = scipy.fft.irfft(scipy.fft.rfft(green, self._ring) * self._outside, self._ring)[:, : self._taps]
+        return np.asarray(self._seen([_silenced(one, first) for one in self._shown(green)]) + outside)
+
+    def _shown(self, green: Float64Array) -> list[Float64Array]:
+        """Responses that FIRs (slots, taps) make."""
+        spectrum = (scipy.fft.rfft(green, self._length) * self._slots).sum(axis=0)
+        return [
+            scipy.fft.irfft(heard * spectrum, self._length)[:samples]
+            for heard, samples in zip(self._heard, self._samples, strict=True)
+        ]
+
+    def _seen(self, responses: Sequence[Float64Array]) -> Float64Array:
+        """What responses say of each tap: the adjoint of `_shown`."""
+        total: Complex128Array = np.zeros(self._length // 2 + 1, dtype=np.complex128)
+        for one, heard in zip(responses, self._heard, strict=True):
+            total += scipy.fft.rfft(one, self._length) * heard.conj()
+        return np.asarray(scipy.fft.irfft(total * self._slots.conj(), self._length)[:, : self._taps])
+
+    def _energy(self, signal: Float64Array) -> float:
+        """Energy in band."""
+        spectrum = scipy.fft.rfft(signal, self._length)[self._in_band]
+        return float(2 * np.square(np.abs(spectrum)).sum() / self._length)
+
+
+def _silenced(signal: Float64Array, first: int) -> Float64Array:
+    """A signal without what comes before sample `first`."""
+    kept = signal.copy()
+    kept[:first] = 0
+    return kept

@@ -1,0 +1,1 @@
+"""What is played: sweeps, sequential and staggered base signals."""

@@ -1,0 +1,1 @@
+"""Rows predicted from their neighbours, and judged by it."""

@@ -1,0 +1,573 @@
+"""Rows of a bank judged against their neighbours: which differ, and in what.
+
+Every row is predicted from its neighbours (`calibration.neighbours.prediction`). By how much predictions miss is
+learned from the neighbourhood itself, frequency by frequency: noise, a coarse grid, the rim and the
+field of a near actuator then raise the limit, and where a prediction explains too little nothing is judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.blas import one_blas_thread
+from calibration.neighbours.common_gain import Gains, common_gains
+from calibration.neighbours.prediction import RowsPredicted
+
+Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
+Int64Array = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+LINEAR_FREQUENCIES, OCTAVE_FREQUENCIES = 16, 16
+LEARNED_FROM = 12
+"""Nearest neighbours whose errors tell how much a prediction misses."""
+NEAREST, RANK = 8, 3
+"""A row that differs does so far more than the third worst of its eight nearest neighbours."""
+LEAST_DIFFERENCE = 0.02
+"""Relative to the row; smaller differences are not looked for."""
+ALIKE = 0.002
+"""No prediction is taken to be better than this."""
+MISSES, FACTOR = 6.0, 30.0
+"""Limits of the mean square of the errors and of the common factor's square over their expectations; on clean banks
+of the virtual rig they are 1.6 and 8 at most."""
+SOURCE_SPACINGS = 4.0
+"""Nearer to an actuator than so many grid spacings, the field is not that of waves from elsewhere."""
+UNSURE = 0.06
+"""Rows whose level no prediction tells within this are not judged."""
+MOST_ROUNDS = 40
+SEARCHES = 3
+LEAST_ROWS = 3
+"""So many rows of a position make a whole that can differ by one cause."""
+EXPLAINED = 0.8
+"""A cause is named when it explains this share of the difference."""
+GAIN_SIGMAS = 8.0
+"""A common factor on a position's rows is one that differs from 1 by so many of its standard deviations."""
+LATEST_S = 0.02
+PLACES, REACH = 12, (0.125, 0.25, 0.5, 0.75, 1.0, 1.5)
+"""Directions and grid spacings at which a mirror that points elsewhere is looked for."""
+
+Kind = Literal["level", "polarity", "delay", "swapped", "elsewhere", "other"]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Rows that are not what their neighbours say.
+
+    Parameters
+    ----------
+    position : int
+        The position.
+    actuators : tuple of int
+        The actuators whose rows differ.
+    kind : str
+        ``"level"``, ``"polarity"``, ``"delay"``, ``"swapped"`` (the rows are those of each other's or of another
+        actuator), ``"elsewhere"`` (all rows are those of another place), or ``"other"``.
+    relative : float
+        Difference over prediction, L2 norms within the band.
+    level_db, delay_s : float
+        Of the rows relative to their predictions, where the kind has them.
+    other : int, optional
+        The actuator whose response it is, where ``"swapped"``.
+    place_mm : tuple of float, optional
+        The place whose response it is, where ``"elsewhere"``.
+    whole : bool
+        Whether all of the position's rows that can be judged differ.
+    """
+
+    position: int
+    actuators: tuple[int, ...]
+    kind: Kind
+    relative: float
+    level_db: float = 0.0
+    delay_s: float = 0.0
+    other: int | None = None
+    place_mm: tuple[float, float] | None = None
+    whole: bool = False
+
+    @property
+    def sentence(self) -> str:
+        """The difference in words, without the position's number."""
+        if self.whole:
+            rows = "all responses"
+        elif len(self.actuators) > 1:
+            rows = "the responses of actuators " + ", ".join(map(str, self.actuators))
+        else:
+            rows = f"the response of actuator {self.actuators[0]}"
+        return f"{rows} {self._what(one=not self.whole and len(self.actuators) == 1)}"
+
+    def _what(self, *, one: bool) -> str:
+        verb, its = ("differs", "its prediction") if one else ("differ", "their predictions")
+        against = f"{its} from the neighbouring positions"
+        if self.kind == "level":
+            return f"{verb} by {self.level_db:+.1f} dB from {against}"
+        if self.kind == "polarity":
+            level = f" and {self.level_db:+.1f} dB in level" if abs(self.level_db) >= 0.5 else ""
+            return f"{verb} in polarity{level} from {against}"
+        if self.kind == "delay":
+            return f"{verb} by {1e3 * self.delay_s:+.2f} ms in delay from {against}"
+        if self.kind == "swapped":
+            if one:
+                return f"{'is' if one else 'are'} that of actuator {self.other}"
+            return "are swapped"
+        if self.kind == "elsewhere" and self.place_mm is not None:
+            x, y = self.place_mm
+            return f"{'is' if one else 'are'} those of another place, near ({x:.1f}, {y:.1f}) mm"
+        return f"{verb} by {100 * self.relative:.0f} % from {against}"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """All that differs in a bank.
+
+    Parameters
+    ----------
+    differences : tuple of Difference
+        By position.
+    judged : bool array, shape (positions, actuators)
+        Rows that could be judged.
+    """
+
+    differences: tuple[Difference, ...]
+    judged: BoolArray
+
+
+class RowSpectra:
+    """Fourier transforms of rows at some frequencies of a band.
+
+    Parameters
+    ----------
+    positions, actuators, taps : int
+        Size of the bank.
+    sample_rate_hz : float
+        Its rate in Hz.
+    band_hz : tuple of float, optional
+        Its band; by default up to 0.45 of the rate.
+
+    Attributes
+    ----------
+    frequency_hz : float64 array, shape (frequencies,)
+        Ascending: as many evenly spaced as by octaves.
+    values : complex128 array, shape (positions, actuators, frequencies)
+        Zeros where nothing was set.
+    """
+
+    def __init__(
+        self, positions: int, actuators: int, taps: int, sample_rate_hz: float, band_hz: tuple[float, float] | None
+    ) -> None:
+        low_hz, high_hz = (0.0, 0.45 * sample_rate_hz) if band_hz is None else band_hz
+        high_hz = min(0.97 * high_hz, 0.48 * sample_rate_hz)
+        low_hz = min(max(1.2 * low_hz, 1.5 * sample_rate_hz / taps, high_hz / 1000.0), 0.5 * high_hz)
+        octaves = np.geomspace(low_hz, high_hz, OCTAVE_FREQUENCIES + 2)[1:-1]
+        self.frequency_hz: Float64Array = np.sort(
+            np.concatenate([np.linspace(low_hz, high_hz, LINEAR_FREQUENCIES), octaves])
+        )
+        turns = np.remainder(np.outer(np.arange(taps), self.frequency_hz / sample_rate_hz), 1.0)
+        self._transform = np.exp(-2j * np.pi * turns).astype(np.complex64).view(np.float32)
+        self.values: Complex128Array = np.zeros((positions, actuators, len(self.frequency_hz)), dtype=np.complex128)
+
+    def set(self, position: int, green: NDArray[np.floating]) -> None:
+        """Take a position's rows, (actuators, taps)."""
+        peak = float(np.abs(green).max(initial=0.0))
+        if not 0 < peak < np.inf:
+            self.values[position] = 0.0
+            return
+        scaled = (green / peak).astype(np.float32)
+        self.values[position] = (scaled @ self._transform).view(np.complex64) * peak
+
+
+class NeighbourJudge:
+    """Judges rows of a bank against their neighbours.
+
+    Parameters
+    ----------
+    position_mm : float64 array, shape (positions, 2)
+        Grid in millimetres.
+    actuator_mm : float64 array, shape (actuators, 2)
+        Actuators in millimetres, NaN where unknown.
+    spectra : RowSpectra
+        The rows.
+    usable : bool array, shape (positions,)
+        Rows that are predicted from and judged.
+    """
+
+    def __init__(
+        self, position_mm: Float64Array, actuator_mm: Float64Array, spectra: RowSpectra, usable: BoolArray
+    ) -> None:
+        values, self._frequency_hz = spectra.values, spectra.frequency_hz
+        usable = usable & (np.abs(values).max(axis=(1, 2), initial=0.0) > 0) & np.isfinite(position_mm).all(axis=1)
+        # In the largest value's unit, so that a bank in any unit fits.
+        whole = np.abs(values[usable]).max(initial=0.0)
+        self._values = values / whole if whole > 0 else values
+        self._position_mm = position_mm
+        self._rows = RowsPredicted(position_mm, self._values, self._frequency_hz, usable)
+        self._patches = self._rows.patches
+        self._all = np.array(sorted(self._patches), dtype=np.int64)
+        shape = values.shape
+        self._out: BoolArray = np.zeros(shape[:2], dtype=bool)
+        self._judged: BoolArray = np.zeros(shape[:2], dtype=bool)
+        self._suspect: BoolArray = np.zeros(shape[:2], dtype=bool)
+        self._tried: BoolArray = np.zeros(shape[:2], dtype=bool)
+        self._gain: dict[int, float] = {}
+        if not len(self._all):
+            return
+        self._near_field = self._near_field_of(actuator_mm)
+        self._users: dict[int, list[int]] = {}
+        for position, patch in self._patches.items():
+            for row in patch.rows[1:].tolist():
+                self._users.setdefault(row, []).append(position)
+        near = [np.resize(self._patches[position].rows[1:], LEARNED_FROM) for position in self._all.tolist()]
+        self._near: Int64Array = np.zeros((len(values), LEARNED_FROM), dtype=np.int64)
+        self._near[self._all] = near
+        self._errors, variance = self._rows.errors()
+        self._variance_of_all = variance
+        self._variance: Float64Array = np.repeat(variance[:, None], shape[1], axis=1)
+        self._typical: Float64Array = np.zeros(shape)
+        self._misses: Float64Array = np.full(shape[:2], np.nan)
+        self._weight: Float64Array = np.full(shape[:2], np.nan)
+        self._factor: Complex128Array = np.full(shape[:2], np.nan + 0j)
+        strength = np.abs(self._errors) ** 2 / self._variance
+        # Where neighbours lie on one side only, errors are as uncertain as predictions are.
+        one_sided = np.log(variance[self._all] / np.median(variance[self._all], axis=0)).mean(axis=1)
+        self._one_sided: Float64Array = np.ones((len(values), 1))
+        self._one_sided[self._all, 0] = np.exp(0.5 * np.maximum(one_sided, 0.0))
+        self._common = np.maximum(np.nanmedian(strength[self._all], axis=0), np.finfo(np.float64).tiny)
+        self._learn(self._all)
+
+    @property
+    def judged(self) -> BoolArray:
+        """Rows that can be judged, (positions, actuators)."""
+        return self._judged
+
+    def find(self) -> Verdict:
+        """Find all rows that differ, the worst of each neighbourhood first, so that no row is blamed for another.
+
+        What a wrong row makes of its neighbours' predictions hides it among them. So whatever is suspect is left out
+        of all predictions first, and judged when no suspect is left beside it.
+        """
+        if len(self._all):
+            with one_blas_thread():
+                self._search()
+        rows = {
+            int(position): np.flatnonzero(self._out[position]) for position in np.flatnonzero(self._out.any(axis=1))
+        }
+        differences = [one for position, out in rows.items() for one in self._named(position, out)]
+        return Verdict(tuple(differences), self._judged)
+
+    def _search(self) -> None:
+        self._suspect[self._all] = self._differing(self._all, strict=False)
+        if self._suspect.any():
+            self._leave_out_by_gain()
+        sure = self._out.copy()
+        for _ in range(SEARCHES):
+            for _ in range(MOST_ROUNDS):
+                tried = self._worst()
+                if not tried.any():
+                    break
+                self._tried |= tried
+                self._leave_out(tried)
+                self._let_back(self._out & ~sure & ~self._beside_suspects())
+            self._let_back(self._out & ~sure)
+            # A row that was let back while another wrong one was in use is tried once more.
+            self._tried = self._out.copy()
+            sure = self._out.copy()
+
+    def _leave_out_by_gain(self) -> None:
+        """Leave out positions whose rows all have one wrong factor, found together however near each other they are."""
+        for _ in range(SEARCHES):
+            # The wrong ones found so far no longer count in what predictions usually miss.
+            gains = common_gains(self._patches, self._rows.coefficients, self._values, self._typical, self._judged)
+            wrong = self._wrong_by_gain(gains)
+            found = set(wrong) - set(self._gain)
+            self._gain |= {position: float(gains.value[position]) for position in wrong}
+            if not found:
+                break
+            new = np.isin(np.arange(len(self._out)), sorted(found))
+            self._leave_out(new[:, None] & self._judged)
+        self._tried |= self._out
+
+    def _wrong_by_gain(self, gains: Gains) -> list[int]:
+        """Positions whose factors explain their errors; beside one that is wrong otherwise, factors mean nothing."""
+        enough = (np.abs(gains.value - 1.0) > LEAST_DIFFERENCE) & (gains.sigmas > GAIN_SIGMAS)
+        enough &= self._judged.sum(axis=1) >= LEAST_ROWS
+        wrong: list[int] = []
+        beside: set[int] = set()
+        for position in sorted(np.flatnonzero(enough).tolist(), key=lambda one: -gains.sigmas[one]):
+            if position in beside:
+                continue
+            if gains.explained[position] > EXPLAINED:
+                wrong.append(position)
+            else:
+                beside.update(self._users.get(position, ()))
+        return wrong
+
+    # -- how much predictions miss --------------------------------------------------------------
+
+    def _near_field_of(self, actuator_mm: Float64Array) -> Float64Array:
+        """Part of a row that is not of waves from elsewhere, on an arbitrary scale, (positions, actuators)."""
+        power = np.square(np.abs(self._values)).sum(axis=2)
+        loudest = self._position_mm[np.argsort(-power, axis=0)[:3]]  # (3, actuators, 2)
+        guess = np.median(loudest, axis=0)
+        source_mm = np.where(np.isfinite(actuator_mm), actuator_mm, guess)
+        far = np.hypot(*(self._position_mm[:, None] - source_mm).transpose(2, 0, 1))
+        reach = SOURCE_SPACINGS * self._rows.spacing_mm / np.maximum(far, 1e-3 * self._rows.spacing_mm)
+        return np.asarray(np.square(reach))
+
+    def _learn(self, positions: Int64Array) -> None:
+        """From the errors of their neighbourhoods: how much each prediction should miss, and how much it does."""
+        for first in range(0, len(positions), 256):
+            some = positions[first : first + 256]
+            near = self._near[some]
+            strength = np.abs(self._errors[near]) ** 2 / self._variance[near]
+            strength[self._out[near]] = np.nan
+            known = np.isfinite(strength).all()
+            typical = (np.median if known else _nanmedian)(strength, axis=1) / np.log(2.0)
+            typical = np.where(np.isfinite(typical), typical, self._common)
+            smooth = typical.copy()
+            smooth[..., 1:-1] = 0.25 * (typical[..., :-2] + typical[..., 2:]) + 0.5 * typical[..., 1:-1]
+            errors, values = self._errors[some], self._values[some]
+            typical = np.maximum(smooth * self._variance[some], np.square(ALIKE * np.abs(values)))
+            typical = np.maximum(typical, np.finfo(np.float64).tiny)
+            predicted = values - errors
+            weight = (np.square(np.abs(predicted)) / typical).sum(axis=2)
+            self._typical[some] = typical
+            self._misses[some] = (np.square(np.abs(errors)) / typical).mean(axis=2)
+            self._weight[some] = weight
+            self._factor[some] = (predicted.conj() * values / typical).sum(axis=2) / np.maximum(weight, 1e-300)
+            self._judged[some] = weight > 0.5 / UNSURE**2
+
+    def _differing(self, positions: Int64Array, *, strict: bool) -> BoolArray:
+        """Which rows differ, or, less strictly, may differ, (positions, actuators)."""
+        nearest = self._near[positions][:, :NEAREST]
+        misses, weight = self._misses[positions], self._weight[positions]
+        # With neighbours left out, what no model of waves covers grows faster than what the kernel expects.
+        fewer = np.maximum((self._variance[positions] / self._variance_of_all[positions][:, None]).mean(axis=2), 1.0)
+        least = LEAST_DIFFERENCE * fewer * (1.0 + self._near_field[positions] * fewer**3)
+        factor = self._factor[positions] - 1.0
+        # A wrong row may hide that its neighbours can be judged.
+        judged = self._judged[positions] if strict else np.isfinite(misses)
+        off = np.abs(factor)
+        by_factor = np.square(np.abs(self._factor - 1.0)) * self._weight
+        usual = self._usual(self._misses, nearest) if strict else np.ones_like(misses)
+        usual_factor = self._usual(by_factor, nearest) if strict else np.ones_like(misses)
+        usual, usual_factor = usual * self._one_sided[positions], usual_factor * self._one_sided[positions]
+        found = (misses > MISSES * usual) & (misses * len(self._frequency_hz) > np.square(least) * weight)
+        found |= (by_factor[positions] > FACTOR * usual_factor) & (off > least)
+        # All of a position by one factor: the median over its rows shows less than each of them could.
+        sure = self._judged[positions]
+        factor = np.where(sure, factor, np.nan)
+        middle = np.abs(_nanmedian(factor.real, axis=1) + 1j * _nanmedian(factor.imag, axis=1))
+        count = np.maximum(sure.sum(axis=1), 1)
+        spread = _nanmedian(np.where(sure, np.sqrt(usual_factor / weight), np.nan), axis=1)
+        whole = (count >= LEAST_ROWS) & (middle > _nanmedian(np.where(sure, least, np.nan), axis=1))
+        whole &= middle * np.sqrt(count) > np.sqrt(FACTOR) * spread
+        found = (found | whole[:, None]) & judged
+        mostly = (count >= LEAST_ROWS) & (2 * found.sum(axis=1) > count)
+        return np.asarray(found | (mostly[:, None] & judged))
+
+    def _usual(self, figure: Float64Array, nearest: Int64Array) -> Float64Array:
+        """The third largest of the neighbours' figures, 1 at least."""
+        around = np.where(self._out[nearest], 0.0, np.nan_to_num(figure[nearest]))
+        return np.asarray(np.maximum(np.sort(around, axis=1)[:, -RANK], 1.0))
+
+    # -- the worst first ----------------------------------------------------------------------------
+
+    def _worst(self) -> BoolArray:
+        """Of the suspect rows, those that miss most in their neighbourhood, (positions, actuators)."""
+        suspect = self._suspect & ~self._tried & ~self._out
+        some = np.flatnonzero(suspect.any(axis=1))
+        energy = np.zeros(suspect.shape)
+        strength = np.abs(self._errors[some]) ** 2 / self._variance[some] / self._common
+        energy[some] = strength.sum(axis=2)
+        whole = suspect.sum(axis=1) > 0.5 * max(suspect.shape[1], 2 * LEAST_ROWS)
+        total = np.where(whole, np.log1p(energy).sum(axis=1), -np.inf)
+        energy[~suspect] = 0.0
+        chosen = np.zeros_like(suspect)
+        for position in some.tolist():
+            around = self._patches[position].rows[1:]
+            if whole[position]:
+                largest = bool(total[position] >= total[around].max())
+                chosen[position] = ~self._tried[position] & largest
+            elif not whole[around].any():
+                chosen[position] = suspect[position] & (energy[position] >= energy[around].max(axis=0))
+        return chosen
+
+    def _beside_suspects(self) -> BoolArray:
+        """Rows that are left out and still have a suspect among the neighbours that predict them."""
+        suspect = self._suspect & ~self._tried
+        beside = np.zeros_like(suspect)
+        for position in np.flatnonzero(self._out.any(axis=1)).tolist():
+            beside[position] = suspect[self._patches[position].rows[1:]].any(axis=0)
+        return beside
+
+    def _leave_out(self, tried: BoolArray) -> None:
+        self._out |= tried
+        self._renew(np.flatnonzero(tried.any(axis=1)))
+
+    def _let_back(self, tried: BoolArray) -> None:
+        """Use those rows again that agree, now that they and other suspects are left out of the predictions."""
+        positions = np.flatnonzero(tried.any(axis=1))
+        if not len(positions):
+            return
+        back = np.zeros_like(self._out)
+        back[positions] = self._out[positions] & tried[positions] & ~self._differing(positions, strict=True)
+        if back.any():
+            self._out &= ~back
+            self._renew(np.flatnonzero(back.any(axis=1)))
+
+    def _renew(self, changed: Int64Array) -> None:
+        """Predict again what was predicted from some positions' rows, without those that are left out."""
+        predicted = {user for position in changed.tolist() for user in self._users.get(position, ())}
+        predicted.update(changed.tolist())
+        for position in sorted(predicted):
+            rows = self._patches[position].rows
+            out = self._out[rows]
+            out[0] = False
+            for pattern in {column.tobytes() for column in out.T}:
+                left_out = np.frombuffer(pattern, dtype=bool)
+                actuators = np.flatnonzero((out == left_out[:, None]).all(axis=0))
+                errors, variance = self._rows.error_without(position, rows[left_out], actuators)
+                self._errors[position, actuators], self._variance[position, actuators] = errors, variance
+        learned = set(predicted)
+        for position in predicted:
+            learned.update(self._users.get(position, ()))
+        again = np.array(sorted(learned), dtype=np.int64)
+        self._learn(again)
+        self._suspect[again] = self._differing(again, strict=False)
+
+    # -- what differs ---------------------------------------------------------------------------------
+
+    def _named(self, position: int, out: Int64Array) -> Iterable[Difference]:
+        values, errors = self._values[position], self._errors[position]
+        predicted, typical = values - errors, self._typical[position]
+        judged = np.flatnonzero(self._judged[position] | self._out[position])
+        if len(out) > 1 and 2 * len(out) > len(judged):
+            cause = self._cause(values[judged], predicted[judged], typical[judged])
+            if cause is None:
+                cause = self._place(position, judged)
+            if cause is None and position in self._gain:
+                gain = self._gain[position]
+                level_db = 20.0 * float(np.log10(max(abs(gain), 1e-10)))
+                cause = {"kind": "level" if gain > 0 else "polarity", "level_db": level_db}
+            if cause is not None:
+                relative = _relative(errors[judged], predicted[judged])
+                whole = len(out) == len(judged)
+                return [Difference(position, tuple(judged.tolist()), relative=relative, whole=whole, **cause)]  # type: ignore[arg-type]
+        found: list[Difference] = []
+        for actuator in out.tolist():
+            swapped = _swapped(actuator, values, predicted, typical)
+            cause = self._cause(values[actuator], predicted[actuator], typical[actuator], [swapped])
+            cause = cause or {"kind": "other"}
+            relative = _relative(errors[actuator], predicted[actuator])
+            found.append(Difference(position, (actuator,), relative=relative, **cause))  # type: ignore[arg-type]
+        return _together(found, whole=len(out) == len(judged))
+
+    def _cause(
+        self,
+        values: Complex128Array,
+        predicted: Complex128Array,
+        typical: Float64Array,
+        more: Iterable[tuple[float, dict[str, object]]] = (),
+    ) -> dict[str, object] | None:
+        """A level, a polarity or a delay that explains a difference, the same for all rows given, or one more cause.
+
+        Of causes that explain it about as well, the first.
+        """
+        differs = float((np.square(np.abs(values - predicted)) / typical).sum())
+        enough = (1.0 - EXPLAINED) * differs
+
+        def left(model: Complex128Array) -> float:
+            return float((np.square(np.abs(values - model)) / typical).sum())
+
+        def factor(model: Complex128Array) -> float:
+            weight = float((np.square(np.abs(model)) / typical).sum())
+            return float((model.conj() * values / typical).sum().real) / max(weight, 1e-300)
+
+        level = factor(predicted)
+        level_db = 20.0 * float(np.log10(max(abs(level), 1e-10)))
+        finest_s = 0.01 / self._frequency_hz[-1]
+        delays_s = np.arange(-LATEST_S, LATEST_S + finest_s, finest_s)
+        matched = (predicted.conj() * values / typical).reshape(-1, values.shape[-1]).sum(axis=0)
+        turned = np.exp(2j * np.pi * np.outer(delays_s, self._frequency_hz)) @ matched
+        delay_s = float(delays_s[int(np.argmax(turned.real))])
+        causes: list[tuple[float, dict[str, object]]] = [
+            (left(level * predicted), {"kind": "level" if level > 0 else "polarity", "level_db": level_db}),
+            (
+                left(predicted * np.exp(-2j * np.pi * self._frequency_hz * delay_s)),
+                {"kind": "delay", "delay_s": delay_s},
+            ),
+            *more,
+        ]
+        least = min(missed for missed, _ in causes)
+        if least > enough:
+            return None
+        return next(cause for missed, cause in causes if missed <= max(2.0 * least, 0.05 * enough))
+
+    def _place(self, position: int, actuators: Int64Array) -> dict[str, object] | None:
+        """The place whose rows a position has instead of its own."""
+        values, typical = self._values[position, actuators], self._typical[position, actuators]
+        differs = float((np.square(np.abs(self._errors[position, actuators])) / typical).sum())
+        others = np.array([one for one in self._all.tolist() if one != position and not self._out[one].any()])
+        best, place = np.inf, None
+        for first in range(0, len(others), 256):
+            some = others[first : first + 256]
+            missed = np.square(np.abs(self._values[some][:, actuators] - values)) / typical
+            left = missed.sum(axis=(1, 2))
+            if left.min() < best:
+                best, place = float(left.min()), self._position_mm[some[int(left.argmin())]]
+        angle = 2.0 * np.pi * np.arange(PLACES) / PLACES
+        round_mm = self._rows.spacing_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        offset_mm = np.concatenate([reach * round_mm for reach in REACH])
+        around = self._rows.at(position, offset_mm)[:, actuators]
+        left = (np.square(np.abs(around - values)) / typical).sum(axis=(1, 2))
+        if left.min() < best:
+            best, place = float(left.min()), self._position_mm[position] + offset_mm[int(left.argmin())]
+        if place is None or best > (1.0 - EXPLAINED) * differs:
+            return None
+        return {"kind": "elsewhere", "place_mm": (float(place[0]), float(place[1]))}
+
+
+def _swapped(
+    actuator: int, values: Complex128Array, predicted: Complex128Array, typical: Float64Array
+) -> tuple[float, dict[str, object]]:
+    """The actuator whose prediction a row fits best, and what it misses."""
+    left = (np.square(np.abs(values[actuator] - predicted)) / typical[actuator]).sum(axis=1)
+    left[actuator] = np.inf
+    other = int(np.argmin(np.nan_to_num(left, nan=np.inf)))
+    return float(left[other]), {"kind": "swapped", "other": other}
+
+
+def _together(found: list[Difference], *, whole: bool) -> list[Difference]:
+    """Two rows that are each other's become one difference, and all that is nameless another."""
+    other_of = {one.actuators[0]: one.other for one in found if one.kind == "swapped"}
+    listed: list[Difference] = []
+    nameless = [one for one in found if one.kind == "other"]
+    for one in found:
+        actuator = one.actuators[0]
+        if one.other is not None and other_of.get(one.other) == actuator:
+            if actuator < one.other:
+                listed.append(Difference(one.position, (actuator, one.other), "swapped", one.relative))
+        elif one.kind != "other":
+            listed.append(one)
+    if nameless:
+        actuators = tuple(one.actuators[0] for one in nameless)
+        relative = max(one.relative for one in nameless)
+        listed.append(Difference(nameless[0].position, actuators, "other", relative, whole=whole and not listed))
+    return listed
+
+
+def _relative(errors: Complex128Array, predicted: Complex128Array) -> float:
+    return float(np.linalg.norm(errors) / max(float(np.linalg.norm(predicted)), 1e-300))
+
+
+def _nanmedian(values: Float64Array, axis: int) -> Float64Array:
+    """As numpy's, without a warning where there is nothing but NaN."""
+    ordered = np.sort(values, axis=axis)
+    count = np.isfinite(ordered).sum(axis=axis, keepdims=True)
+    middle = [np.clip(index, 0, None) for index in ((count - 1) // 2, count // 2)]
+    found = 0.5 * sum(np.take_along_axis(ordered, index, axis) for index in middle)
+    return np.asarray(np.squeeze(found, axis))

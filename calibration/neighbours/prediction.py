@@ -1,0 +1,208 @@
+"""Rows of a bank predicted from their neighbours, each row left out in turn."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from calibration.blas import one_blas_thread
+from calibration.neighbours.wave_fit import fit_waves
+from calibration.neighbours.wave_model import PatchKernel, WaveModel
+
+Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
+Int64Array = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+REACH_SPACINGS = 2.6
+"""Neighbours are this near, in grid spacings: 20 on a square grid, 18 on a hexagonal one."""
+FURTHEST_SPACINGS = 4.5
+"""At the rim, where fewer are so near, they may be this far."""
+LEAST_NEIGHBOURS, WANTED_NEIGHBOURS, MOST_NEIGHBOURS = 8, 14, 24
+SAME_SPACINGS = 1e-3
+THIN = 1e-3
+"""Neighbours whose extent across is this part of that along lie on a line."""
+FIT_PATCHES, FIT_SHAPES, FIT_FREQUENCIES = 12, 2, 11
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """A position and its neighbours: bank rows, its own first, and places relative to it."""
+
+    rows: Int64Array
+    offset_mm: Float64Array
+    key: bytes
+
+
+class RowsPredicted:
+    """Leave-one-out predictions of all rows of a bank.
+
+    A row is predicted by kernel regression over the bank's own waves (`calibration.neighbours.wave_model`) from the
+    rows of its neighbours, actuator by actuator and frequency by frequency.
+
+    Parameters
+    ----------
+    position_mm : float64 array, shape (positions, 2)
+        Grid in millimetres.
+    values : complex128 array, shape (positions, actuators, frequencies)
+        Fourier transforms of the rows.
+    frequency_hz : float64 array, shape (frequencies,)
+        Ascending, > 0.
+    usable : bool array, shape (positions,)
+        Rows that are there; the others are holes.
+
+    Attributes
+    ----------
+    spacing_mm : float
+        Median distance of neighbouring positions; 0 where there are fewer than two.
+    patches : dict of int to Patch
+        The positions that can be predicted at all.
+    """
+
+    def __init__(
+        self, position_mm: Float64Array, values: Complex128Array, frequency_hz: Float64Array, usable: BoolArray
+    ) -> None:
+        self.values = values
+        self.frequency_hz = frequency_hz
+        self._position_mm = position_mm
+        self.patches, self.spacing_mm = _patches(position_mm, usable)
+        self._kernels: dict[bytes, PatchKernel] = {}
+        if self.patches:
+            with one_blas_thread():
+                self.waves = self._fit()
+
+    def errors(self) -> tuple[Complex128Array, Float64Array]:
+        """Error of every row, left out, and the kernel's expectation of its square for a field of strength 1.
+
+        Returns
+        -------
+        errors : complex128 array, shape (positions, actuators, frequencies)
+            What the row has more than its prediction; NaN where there is none.
+        variance : float64 array, shape (positions, frequencies)
+        """
+        errors = np.full(self.values.shape, np.nan + 0j)
+        variance = np.full((len(self.values), len(self.frequency_hz)), np.nan)
+        by_shape: dict[bytes, list[int]] = {}
+        for position, patch in self.patches.items():
+            by_shape.setdefault(patch.key, []).append(position)
+        with one_blas_thread():
+            for positions in by_shape.values():
+                patch = self.patches[positions[0]]
+                inverse, weights = self._inverse(patch), self.coefficients(patch)
+                rows = np.stack([self.patches[position].rows for position in positions])
+                missed = np.zeros((len(positions), *self.values.shape[1:]), dtype=np.complex128)
+                for place in range(rows.shape[1]):
+                    missed += self.values[rows[:, place]] * weights[:, place]
+                errors[positions] = missed
+                variance[positions] = 1.0 / inverse[:, 0, 0].real
+        return errors, variance
+
+    def error_without(
+        self, position: int, others: Int64Array, actuators: Int64Array
+    ) -> tuple[Complex128Array, Float64Array]:
+        """Error of some of a position's rows with some neighbours left out as well, and its expected square.
+
+        With T the position and those others, C the covariance and M = (C^-1)_TT^-1: the first entry of
+        M (C^-1 g)_T, and M's first.
+
+        Returns
+        -------
+        errors : complex128 array, shape (actuators, frequencies)
+        variance : float64 array, shape (frequencies,)
+        """
+        patch = self.patches[position]
+        out = np.concatenate([[0], np.flatnonzero(np.isin(patch.rows, others))])
+        inverse = self._inverse(patch)
+        known = inverse[:, out] @ self.values[patch.rows][:, actuators].transpose(2, 0, 1)
+        left = np.linalg.inv(inverse[np.ix_(np.arange(len(inverse)), out, out)])[:, :1]
+        return np.asarray((left @ known)[:, 0].T), np.asarray(left[:, 0, 0].real)
+
+    def at(self, position: int, offset_mm: Float64Array) -> Complex128Array:
+        """Rows at places near a position, from its neighbours alone, (places, actuators, frequencies)."""
+        patch = self.patches[position]
+        kernel = PatchKernel(self.waves, patch.offset_mm[1:])
+        weights = kernel.weights(offset_mm)
+        return np.asarray(np.einsum("fpn,naf->paf", weights, self.values[patch.rows[1:]]))
+
+    def coefficients(self, patch: Patch) -> Complex128Array:
+        """What each row of a patch counts in the error of its first, (frequencies, rows): 1 for the first."""
+        inverse = self._inverse(patch)
+        return np.asarray(inverse[:, 0] / inverse[:, :1, 0].real)
+
+    def _inverse(self, patch: Patch) -> Complex128Array:
+        if patch.key not in self._kernels:
+            self._kernels[patch.key] = PatchKernel(self.waves, patch.offset_mm)
+        return self._kernels[patch.key].inverse
+
+    def _fit(self) -> WaveModel:
+        """Fit the waves to patches of the commonest shapes, spread over the surface."""
+        common = {key for key, _ in Counter(patch.key for patch in self.patches.values()).most_common(FIT_SHAPES)}
+        patches = [patch for patch in self.patches.values() if patch.key in common]
+        spread = np.unique(np.linspace(0, len(patches) - 1, FIT_PATCHES).astype(np.int64))
+        some = np.unique(np.linspace(0, len(self.frequency_hz) - 1, FIT_FREQUENCIES).astype(np.int64))
+        values = _SomeFrequencies(self.values, self.frequency_hz[some], some)
+        return fit_waves([patches[index] for index in spread], values, self.spacing_mm).at(self.frequency_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class _SomeFrequencies:
+    """Rows as `fit_waves` reads them."""
+
+    values: Complex128Array
+    frequency_hz: Float64Array
+    chosen: Int64Array
+
+    def of(self, rows: Int64Array) -> Complex128Array:
+        return np.asarray(self.values[rows][..., self.chosen].transpose(2, 0, 1))
+
+
+def _patches(position_mm: Float64Array, usable: BoolArray) -> tuple[dict[int, Patch], float]:
+    rows = np.flatnonzero(usable).astype(np.int64)
+    if len(rows) <= LEAST_NEIGHBOURS:
+        return {}, 0.0
+    place_mm = position_mm[rows]
+    tree = cKDTree(place_mm)
+    found = tree.query(place_mm, k=min(2 * MOST_NEIGHBOURS, len(rows)))
+    distance_mm, index = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
+    apart_mm = distance_mm[:, 1]
+    if not np.any(apart_mm > 0):
+        return {}, 0.0
+    spacing_mm = float(np.median(apart_mm[apart_mm > 0]))
+    shapes = _shapes(place_mm, distance_mm / spacing_mm, index, spacing_mm)
+    return {int(rows[one]): Patch(rows[near], offset_mm, key) for one, near, offset_mm, key in shapes}, spacing_mm
+
+
+def _shapes(
+    place_mm: Float64Array, distance: Float64Array, index: Int64Array, spacing_mm: float
+) -> Iterator[tuple[int, Int64Array, Float64Array, bytes]]:
+    """Patch of each position that has one; distances in grid spacings."""
+    thin: dict[bytes, bool] = {}
+    for one in range(len(place_mm)):
+        offset = (place_mm[index[one]] - place_mm[one]) / spacing_mm
+        fine = np.rint(offset / SAME_SPACINGS)
+        ring = np.rint(distance[one] / SAME_SPACINGS)
+        # A position measured twice is no neighbour of itself.
+        apart = (ring > 0) & (distance[one] <= FURTHEST_SPACINGS)
+        within = int(np.count_nonzero(apart & (distance[one] <= REACH_SPACINGS)))
+        count = min(max(within, WANTED_NEIGHBOURS), MOST_NEIGHBOURS)
+        order = np.lexsort((np.round(np.arctan2(fine[:, 1], fine[:, 0]), 6), ring))
+        chosen = order[apart[order]][:count]
+        if len(chosen) < LEAST_NEIGHBOURS:
+            continue
+        key = fine[chosen].astype(np.int64).tobytes()
+        if key not in thin:
+            thin[key] = _on_a_line(offset[chosen])
+        if thin[key]:
+            continue
+        near = np.concatenate([[one], index[one][chosen]])
+        yield one, near, np.concatenate([np.zeros((1, 2)), offset[chosen]]) * spacing_mm, key
+
+
+def _on_a_line(points: Float64Array) -> bool:
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extent[1] <= THIN * extent[0])

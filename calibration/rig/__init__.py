@@ -1,0 +1,1 @@
+"""Mirror map, delays, levels and polarities of a rig."""

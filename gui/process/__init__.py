@@ -1,0 +1,1 @@
+"""Child processes and background work of the window."""

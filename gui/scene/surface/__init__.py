@@ -1,0 +1,1 @@
+"""The drawing of a scene on the surface."""

@@ -1,0 +1,1 @@
+"""The window itself: tabs, actions, theme, messages, files."""

@@ -1,0 +1,108 @@
+"""A file's name: typed, chosen, or dropped on the window."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+from PyQt5.QtCore import pyqtSignal
+from PyQt5.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QLineEdit, QToolButton, QWidget
+
+from gui.shell.chosen_files import make_dialog
+from gui.shell.memory import Memory
+
+
+class PathField(QWidget):
+    """A line for a path, with a button that opens a dialog; the dialog holds up nothing.
+
+    Parameters
+    ----------
+    word : str
+        What stands before it, with an ampersand before the key that goes to it.
+    ending, kind : str
+        Of the files, ``".h5"``, and what they are called; an empty ending for folders.
+    saves : bool
+        Whether the file may not exist yet.
+    memory : Memory
+        Knows the folder of last time.
+    words : collection of str
+        What may stand in place of a path.
+    """
+
+    chosen = pyqtSignal(object)
+
+    def __init__(
+        self, word: str, ending: str, kind: str, memory: Memory, *, saves: bool = False, words: Collection[str] = ()
+    ) -> None:
+        super().__init__()
+        self._words = words
+        self._ending, self._kind, self._memory, self._saves = ending, kind, memory, saves
+        self._last: Path | None = None
+        self.line = QLineEdit()
+        self.line.setAccessibleName(kind)
+        self.line.setPlaceholderText(f"{kind}: type, choose or drop")
+        self.line.setAcceptDrops(False)  # the window takes what is dropped
+        label = QLabel(word)
+        label.setBuddy(self.line)
+        self.browse = QToolButton()
+        self.browse.setText("…")
+        self.browse.setAccessibleName(f"Choose {kind}")
+        self.browse.setToolTip(f"Choose {kind}")
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.addWidget(label)
+        row.addWidget(self.line, stretch=1)
+        row.addWidget(self.browse)
+        self.line.editingFinished.connect(self._typed)
+        self.browse.clicked.connect(self._browse)
+
+    @property
+    def path(self) -> Path | None:
+        """The path, None while the line is empty or holds a word."""
+        text = self.line.text().strip()
+        return Path(text).expanduser().absolute() if text and text not in self._words else None
+
+    def show_path(self, path: Path) -> None:
+        """Show a path without telling that it was chosen."""
+        self._last = path
+        self.line.setText(_short(path))
+        self.line.setToolTip(str(path))
+        self.line.setCursorPosition(len(self.line.text()))
+
+    def _typed(self) -> None:
+        path = self.path
+        if path is None:
+            self._last = None
+        elif path != self._last:
+            self.show_path(path)
+            self.chosen.emit(path)
+
+    def _browse(self) -> None:
+        folder = self.path.parent if self.path else self._memory.folder(self._ending)
+        dialog = make_dialog(self, f"Choose {self._kind}", folder, self._kind, [self._ending])
+        if not self._ending:
+            # One that does not exist yet can be typed.
+            dialog.setFileMode(QFileDialog.FileMode.Directory)
+            dialog.setOption(QFileDialog.Option.ShowDirsOnly)
+        elif self._saves:
+            # A bank that is there is gone on with, never overwritten: there is nothing to confirm.
+            dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+            dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)
+            dialog.setLabelText(QFileDialog.DialogLabel.Accept, "Choose")
+            dialog.setDefaultSuffix(self._ending.lstrip("."))
+        else:
+            dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+        dialog.fileSelected.connect(self._selected)
+        dialog.show()
+
+    def _selected(self, name: str) -> None:
+        self.show_path(Path(name))
+        self.chosen.emit(Path(name))
+
+
+def _short(path: Path) -> str:
+    """A path as people write it: from their own folder, where it lies in it."""
+    try:
+        return str(Path("~") / path.relative_to(Path.home()))
+    except (ValueError, RuntimeError):
+        return str(path)

@@ -1,0 +1,89 @@
+"""Opens the window, or says in a sentence why there can be none; Qt itself would abort the process."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from gui.shell.front_door import FrontDoor
+from storage.errors import InputError
+
+_LIBRARIES = "libgl1 libglib2.0-0 libfontconfig1 libdbus-1-3 libxkbcommon-x11-0 libxcb-icccm4 libxcb-keysyms1"
+
+
+def open_window(front: FrontDoor, files: Sequence[Path]) -> int:
+    """Show the window until it is closed.
+
+    Parameters
+    ----------
+    front : FrontDoor
+        Starts commands.
+    files : sequence of Path
+        What to open: run files and banks.
+
+    Raises
+    ------
+    InputError
+        There is no display, or Qt cannot be loaded.
+    """
+    require_display()
+    try:
+        from gui.shell.application import show
+    except ImportError as missing:
+        raise InputError(_missing(missing)) from missing
+    return show(front, files)
+
+
+def require_display() -> None:
+    """Refuse where Qt would abort for want of a display.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    platform = os.environ.get("QT_QPA_PLATFORM", "").partition(":")[0]
+    if not sys.platform.startswith("linux") or platform not in ("", "xcb", "wayland"):
+        return
+    display, wayland = os.environ.get("DISPLAY"), os.environ.get("WAYLAND_DISPLAY")
+    if {"": display or wayland, "xcb": display, "wayland": wayland}[platform]:
+        if platform in ("", "xcb") and display and not (wayland and not platform):
+            _require_answer(display)
+        return
+    raise InputError(
+        "the window needs a display and there is none (neither DISPLAY nor WAYLAND_DISPLAY is set): run it on the "
+        "desktop, or through ssh -X; every command works without it, wavefocus --help shows them"
+    )
+
+
+def _require_answer(display: str) -> None:
+    """Ask the X server of a local display for a connection; of others Qt has to find out itself."""
+    import socket
+
+    host, colon, number = display.rpartition(":")
+    number = number.partition(".")[0]
+    if not colon or host not in ("", "unix") or not number.isdigit():
+        return
+    for address in (f"/tmp/.X11-unix/X{number}", f"\0/tmp/.X11-unix/X{number}"):
+        with socket.socket(socket.AF_UNIX) as server:
+            server.settimeout(5.0)
+            try:
+                server.connect(address)
+            except OSError:
+                continue
+            return
+    raise InputError(
+        f"the window needs a display, and no X server answers at DISPLAY={display}: run it on the desktop, or through "
+        "ssh -X; every command works without it, wavefocus --help shows them"
+    )
+
+
+def _missing(missing: ImportError) -> str:
+    told = " ".join(str(missing).split())
+    if isinstance(missing, ModuleNotFoundError):
+        return f"the window needs PyQt5 and pyqtgraph ({told}): python -m pip install PyQt5 pyqtgraph"
+    return (
+        f"Qt cannot be loaded ({told}): install what it needs, on Debian and Ubuntu: sudo apt-get install {_LIBRARIES}"
+    )

@@ -1,0 +1,1 @@
+"""An emulated audio interface behind JACK and ALSA."""

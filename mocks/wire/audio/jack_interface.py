@@ -1,0 +1,278 @@
+"""The process that is an emulated audio interface: it runs an audio server, and records as a client of it.
+
+Run as ``python -m mocks.wire.audio.jack_interface DESCRIPTOR`` by `mocks.wire.audio.jack_server`, with a line of JSON
+and then one word per line on standard input. It ends with its parent, and takes the server with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mocks.wire.audio.audio_ring import AudioRing, RingWriter
+from mocks.wire.audio.jack_place import server_place
+from mocks.wire.faults import WireFault, WireFaultPlan
+
+DEVICE = "wavefocus interface"
+START_S = 20.0
+STOP_S = 5.0
+TERMINATE_S = 1.0
+"""jackd takes five seconds over a client that died; nobody waits for that."""
+SETTLING_CYCLES = 4
+
+
+class Interface:
+    """One audio server and its recording client.
+
+    Parameters
+    ----------
+    ring : AudioRing
+        Where the recording goes.
+    name : str
+        The server's.
+    faults : WireFaultPlan
+        What goes wrong, by periods.
+    orders : SimpleQueue
+        Gets the words of faults that are due, with their seconds.
+    """
+
+    def __init__(
+        self, ring: AudioRing, name: str, faults: WireFaultPlan, orders: queue.SimpleQueue[tuple[str, float]]
+    ) -> None:
+        import jack  # needs the audio server's library
+
+        self._jack = jack
+        self._ring = ring
+        self._name = name
+        self._faults = faults
+        self._orders = orders
+        self._recording = RingWriter(ring)
+        self._client: Any = None
+        self._server: subprocess.Popen[bytes] | None = None
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115  # as long as the process
+        self._frozen = False
+        # What the server's library prints is of no use to anybody: whether it answers is seen.
+        for quiet in (jack.set_error_function, jack.set_info_function):
+            quiet(lambda _: None)
+
+    def start(self, channels: int = 0) -> None:
+        """Start the server, or one more after it was killed, and record from it; returns when it runs steadily.
+
+        Parameters
+        ----------
+        channels : int
+            Outputs, at most those of the ring; 0 for as many.
+        """
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+        latest_s = time.monotonic() + START_S
+        while (client := self._served()) is None:
+            if time.monotonic() > latest_s:
+                raise RuntimeError(f"jackd did not start: {self._last_words()}")
+            time.sleep(0.02)
+        self._client = client
+        ports = [
+            client.inports.register(f"playback_{number + 1}", is_terminal=True, is_physical=True)
+            for number in range(channels or self._ring["channels"])
+        ]
+        np.frombuffer(bytes(4), np.float32).any()  # what the first use costs is not for the first cycle
+
+        def record(_frames: int) -> None:
+            now_ns = time.monotonic_ns()
+            sounding = self._recording.take(now_ns, [port.get_array() for port in ports])
+            due = self._faults.due("period")
+            if sounding:
+                due += self._faults.due("sounding")
+            for fault in due:
+                self._orders.put((fault.kind, fault.seconds))
+
+        client.set_process_callback(record)
+        client.set_xrun_callback(lambda _delay_us: self._recording.note_xrun())
+        enough = self._ring["cycle"] + SETTLING_CYCLES
+        self._recording.note_return()
+        client.activate()
+        while self._ring["cycle"] < enough:
+            if time.monotonic() > latest_s:
+                raise RuntimeError(f"jackd does not run: {self._last_words()}")
+            time.sleep(0.005)
+        self._ring["silent"] = 0
+
+    def _served(self) -> Any:
+        """See to it that there is a server; its client, None as long as it lets none in."""
+        if not self._running():  # not yet, or one that died of the same name is not yet gone
+            # setpriv: the server must not outlive this process, whatever ends it.
+            server = ["setpriv", "--pdeathsig", "KILL", "jackd", "--name", self._name, "--port-max", "128"]
+            server += ["--no-realtime", "--no-mlock", "--sync", "-d", "dummy", "-C", "0", "-P", "0"]
+            server += ["-r", str(self._ring["rate_hz"]), "-p", str(self._ring["period_frames"])]
+            environment = {**os.environ, "JACK_NO_AUDIO_RESERVATION": "1"}
+            self._server = subprocess.Popen(
+                server, stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log, env=environment
+            )
+            self._ring["server_process"] = self._server.pid
+        try:
+            return self._jack.Client(DEVICE, use_exact_name=True, no_start_server=True)
+        except self._jack.JackOpenError:
+            return None
+
+    def freeze(self) -> None:
+        """Stop the server as a driver that hangs; the outputs fall silent."""
+        if self._running():
+            self._signal(signal.SIGSTOP)
+            self._frozen = True
+            self._ring["silent"] = 1
+
+    def thaw(self) -> None:
+        """Let it go on."""
+        if self._frozen:
+            self._ring["silent"] = 0
+            self._recording.note_return()
+            self._signal(signal.SIGCONT)
+            self._frozen = False
+
+    def kill(self) -> None:
+        """End the server without notice, as pulling the plug does."""
+        if self._server is not None:
+            self._server.kill()
+            self._server.wait(STOP_S)
+            self._frozen = False
+            self._ring["silent"] = 1
+
+    def note_death(self) -> None:
+        """See whether the server ended by itself."""
+        if not self._running():
+            self._ring["silent"] = 1
+
+    def stop(self) -> None:
+        """End server and recording, and clear up what a killed server leaves in shared memory."""
+        self.thaw()
+        if not self._end_in_order():
+            # A successor of the same name clears up.
+            with contextlib.suppress(RuntimeError):
+                self.start()
+            if not self._end_in_order():
+                self.kill()
+        # All but the semaphores of clients that were there when it was killed.
+        for left in Path("/dev/shm").glob(f"jack_sem.*_{self._name}_*"):
+            left.unlink(missing_ok=True)
+
+    def _end_in_order(self) -> bool:
+        """Whether the server ended as servers should; killed if not."""
+        client, server = self._client, self._server
+        if server is None or not self._running():
+            return False
+        self._client = None
+
+        def leave() -> None:
+            client.deactivate()
+            client.close()
+            server.terminate()
+
+        leaving = threading.Thread(target=leave, daemon=True)
+        leaving.start()
+        leaving.join(TERMINATE_S)
+        try:
+            server.wait(TERMINATE_S)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            leaving.join(STOP_S)
+            return False
+        return True
+
+    def _running(self) -> bool:
+        return self._server is not None and self._server.poll() is None
+
+    def _signal(self, number: int) -> None:
+        if self._server is not None:
+            self._server.send_signal(number)
+
+    def _last_words(self) -> str:
+        self._log.seek(0)
+        return self._log.read().decode(errors="replace")[-400:]
+
+
+def main() -> None:
+    """Be the interface until standard input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    told = json.loads(sys.stdin.readline())
+    faults = WireFaultPlan("player", tuple(WireFault(**one) for one in told["faults"]))
+    ring = AudioRing(int(sys.argv[1]))
+    orders: queue.SimpleQueue[tuple[str, float]] = queue.SimpleQueue()
+
+    def answer(**what: object) -> None:
+        with contextlib.suppress(BrokenPipeError):  # a parent that is gone needs no answer
+            print(json.dumps(what), file=answers, flush=True)
+
+    try:
+        with server_place() as name:
+            os.environ["JACK_DEFAULT_SERVER"] = name
+            interface = Interface(ring, name, faults, orders)
+            interface.start()
+            answer(server=name)
+            threading.Thread(target=_listen, args=(orders,), daemon=True).start()
+            try:
+                _obey(interface, orders, ring["period_frames"] / ring["rate_hz"], answer)
+            finally:
+                interface.stop()
+    except (RuntimeError, OSError, ImportError) as error:
+        answer(failed=str(error))
+    answers.close()
+
+
+def _listen(orders: queue.SimpleQueue[tuple[str, float]]) -> None:
+    for line in sys.stdin:
+        orders.put((line.strip(), -1.0))
+    orders.put(("end", 0.0))
+
+
+def _obey(interface: Interface, orders: queue.SimpleQueue[tuple[str, float]], period_s: float, answer: Any) -> None:
+    """Carry out orders, which want an answer and have -1 seconds, and faults, which do not."""
+
+    def later(word: str, seconds: float) -> None:
+        if seconds > 0:
+            timer = threading.Timer(seconds, orders.put, [(word, 0.0)])
+            timer.daemon = True
+            timer.start()
+
+    while True:
+        try:
+            word, seconds = orders.get(timeout=0.05)
+        except queue.Empty:
+            interface.note_death()
+            continue
+        if word == "end":
+            return
+        if word == "underflow":
+            interface.freeze()
+            time.sleep(max(3 * period_s, seconds))
+            interface.thaw()
+        elif word in ("frozen", "freeze"):
+            interface.freeze()
+            later("thaw", seconds)
+        elif word in ("lost", "kill"):
+            interface.kill()
+            later("start", seconds)
+        elif word == "thaw":
+            interface.thaw()
+        elif word.startswith("start"):
+            interface.start(int(word.removeprefix("start") or 0))
+        if seconds < 0:
+            answer(done=word)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Emulated mirror controllers."""

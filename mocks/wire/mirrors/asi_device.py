@@ -1,0 +1,277 @@
+r"""An ASI Tiger controller on its serial line.
+
+Where the replies come from (long names of the sources stand in the driver's module):
+
+=================================  ============================================================================
+reply                              source
+=================================  ============================================================================
+``BU``, ``BU X``, ``2BU X``        ASI's page ``commands/build``; modules and raw addresses: Micro-Manager,
+                                   ``ASIHub.cpp`` (``GetBuildInfo``) and ``ASIPeripheralBase.h``
+``VB F=0``, ``VB F=1``             Micro-Manager, ``ASITigerComm.cpp``; answers of ``F=1``: ASI's page ``commands/pm``
+``UM A?``, ``SL A?``, ``SU A?``    Micro-Manager, ``ASIScanner.cpp``; form of the answer: Tiger manual, "Query of
+                                   Parameters"
+``PM A?``, ``PM A=0``              ASI's page ``commands/pm`` (MEMS cards), ``ASIScanner.cpp`` (``OnOutputMode``)
+``M``, ``W``, ``/``, ``\``          Tiger manual, "Command: MOVE", "WHERE", "STATUS", "HALT"
+``:N-1`` ... ``:N-7``              Tiger manual, "Error Codes"
+banner after power-up              Tiger manual, "Tiger Banner"
+=================================  ============================================================================
+
+Not confirmed by a source: names of the cards' builds, and the spaces at the ends of some answers.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from mocks.wire.device_numbers import number
+from mocks.wire.mirrors.motion import MirrorMotion
+
+Board = Literal["mems", "dac_4ch", "signal_dac", "stage"]
+ASI_AXIS = re.compile(r"([A-Z])(?:=(\S+))?")
+# "MicroMirror Drive Card User Guide": largest angle of its mirror in x and in y.
+MEMS_DEGREES = 4.6
+STAGE_AXES = ("X", "Y")
+STAGE_UNITS_PER_MM = 10_000.0
+STAGE_LIMIT_MM = 50.0
+STAGE_CARD = "1"
+# Rounding of UM and SL to the digits of an answer.
+ROUNDING_DEGREES = 1e-3
+MODULES: dict[Board, tuple[str, ...]] = {
+    "mems": ("RING BUFFER 250", "MM_TARGET"),
+    "dac_4ch": ("DAC_4CH", "RING BUFFER 250"),
+    "signal_dac": ("DAC_4CH", "SIGNAL_DAC", "RING BUFFER 250"),
+    "stage": (),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """A card in the rack: its build's name, raw address, letters and type of its axes, and firmware modules."""
+
+    name: str
+    address: str
+    axes: tuple[str, ...]
+    kind: str
+    modules: tuple[str, ...]
+
+
+class AsiTigerDevice:
+    """A TG-1000 with an XY stage and, as a rule, one scanner card.
+
+    Parameters
+    ----------
+    motion : MirrorMotion
+        The mirror.
+    axes : tuple of str
+        Letters of the scanner's two axes.
+    board : str
+        ``"mems"``: a micro-mirror card; ``"dac_4ch"``, ``"signal_dac"``: cards with analog outputs, for galvos;
+        ``"stage"``: no scanner card at all.
+    units_per_degree : float
+        What ``UM`` answers.
+    limit_degrees : float
+        What ``SU`` and, negative, ``SL`` answer.
+    beam_per_mirror : float
+        Optical degrees per degree of the controller.
+    external_input : bool
+        Whether a MEMS card follows its analog inputs (``PM`` 1) after power-up, so that no serial move moves the
+        mirror.
+    tiger_syntax : bool
+        Whether answers are in the Tiger's own syntax (``VB F=1``) when the line is opened.
+    address : str
+        Raw address of the scanner card: ``"2"``, or a character from 0x81 to 0xF5.
+    name : str
+        First line of the build information.
+    """
+
+    role = "mirror"
+    baud = 115200
+    command_end = "\r"
+
+    def __init__(
+        self,
+        motion: MirrorMotion,
+        axes: tuple[str, str] = ("A", "B"),
+        *,
+        board: Board = "mems",
+        units_per_degree: float = 1000.0,
+        limit_degrees: float = MEMS_DEGREES,
+        beam_per_mirror: float = 2.0,
+        external_input: bool = False,
+        tiger_syntax: bool = False,
+        address: str = "2",
+        name: str = "TIGER_COMM",
+    ) -> None:
+        self._motion = motion
+        self._axes = axes if board != "stage" else ()
+        self._units_per_degree = units_per_degree
+        self._units_per_mrad = units_per_degree * math.degrees(1e-3) / beam_per_mirror
+        self._limit_degrees = limit_degrees
+        self._external_at_power_up = external_input
+        # On MEMS cards the input mode, on the others the range of the outputs.
+        self._modes = dict.fromkeys(self._axes, int(external_input) if board == "mems" else 1)
+        self._board = board
+        self._tiger_syntax = tiger_syntax
+        self._name = name
+        self._cards = [Card("STD_XY", STAGE_CARD, STAGE_AXES, "x", ())]
+        if board != "stage":
+            self._cards.append(Card(board.upper(), address, axes, "u", MODULES[board]))
+        self.stage_units = dict.fromkeys(STAGE_AXES, 0.0)
+        """Where the XY stage stands, in tenths of a micrometre."""
+
+    @property
+    def modes(self) -> dict[str, int]:
+        """What ``PM`` is set to, axis by axis of the scanner."""
+        return dict(self._modes)
+
+    def operation(self, command: str) -> str:
+        verb = command.split(" ", maxsplit=1)[0].upper()
+        return {"BU": "identify", "M": "move", "/": "busy", "STATUS": "busy", "W": "where", "UM": "units"}.get(
+            verb, verb.lower()
+        )
+
+    def answer(self, command: str) -> str:
+        card = next((one for one in self._cards if command.startswith(one.address)), None)
+        verb, _, rest = command.removeprefix(card.address if card else "").strip(" ").upper().partition(" ")
+        if verb == "BU":
+            return self._build(card, rest.strip() == "X")
+        if card is not None or verb[:1].isdigit() or verb[:1] > "~":
+            return ":N-7\r\n"  # of all commands to a card, the driver needs BU alone
+        if verb in {"/", "STATUS"}:
+            return "B\r\n" if self._motion.busy() else "N\r\n"
+        if verb == "VB":
+            return self._choose_syntax(rest)
+        if verb == "PM" and "=" in rest:
+            return self._set_modes(rest)
+        if verb in {"UM", "PM", "SL", "SU"}:
+            return self._settings(verb, rest)
+        if verb in {"M", "W"}:
+            return self._move(rest) if verb == "M" else self._where(rest)
+        if verb == "\\":
+            self._motion.start(*self._motion.where_mrad())
+            return ":A \r\n"
+        return ":N-1\r\n"
+
+    def refusal(self, command: str) -> str:
+        return ":N-5\r\n"
+
+    def impostor(self, command: str) -> str:
+        return self._overview("OTHER_COMM")
+
+    def restart(self) -> None:
+        self._modes = dict.fromkeys(self._axes, int(self._external_at_power_up) if self._board == "mems" else 1)
+        self._motion.start(0.0, 0.0)
+
+    def banner(self) -> str:
+        """What it sends by itself once it has started."""
+        names = {"x": "XYMotor", "u": "Scanner"}
+        cards = [
+            f"At {ord(card.address):02X}: {','.join(f'{axis}:{names[card.kind]}' for axis in card.axes)}"
+            f" v3.30 {card.name} Mar 01 2019:15:42:05"
+            for card in self._cards
+        ]
+        return "\r".join([f"At 30: Comm v3.30 {self._name} Mar 01 2019:15:42:05", *cards]) + "\r\n"
+
+    def _build(self, card: Card | None, in_full: bool) -> str:
+        if not in_full:
+            return f"{card.name if card else self._name}\r\n"
+        return self._overview(self._name) if card is None else self._rows(card.name, [card], card.modules)
+
+    def _overview(self, name: str) -> str:
+        return self._rows(name, self._cards, ())
+
+    @staticmethod
+    def _rows(name: str, cards: list[Card], modules: tuple[str, ...]) -> str:
+        axes = [(axis, card) for card in cards for axis in card.axes]
+        rows = (
+            name,
+            "Motor Axes: " + " ".join(axis for axis, _ in axes),
+            "Axis Types: " + " ".join(card.kind for _, card in axes),
+            "Axis Addr: " + " ".join(card.address for _, card in axes),
+            "Hex Addr: " + " ".join(f"{ord(card.address):02X}" for _, card in axes),
+            "Axis Props:   " + "   ".join("0" for _ in axes),
+            *modules,
+        )
+        return "\r".join(rows) + "\r\n"
+
+    def _choose_syntax(self, rest: str) -> str:
+        if rest.strip() in {"F=0", "F=1"}:
+            self._tiger_syntax = rest.strip() == "F=1"
+        return ":A \r\n"
+
+    def _told(self, values: dict[str, str], plain: str) -> str:
+        """Values of axes in the syntax that is chosen."""
+        named = " ".join(f"{axis}={value}" for axis, value in values.items())
+        return f"{named} :A\r\n" if self._tiger_syntax else f"{plain.format(named=named)}\r\n"
+
+    def _settings(self, verb: str, rest: str) -> str:
+        asked = [one.rstrip("?") for one in rest.split()]
+        if not asked:
+            return ":N-3\r\n"
+        if any(axis not in (*self._axes, *STAGE_AXES) for axis in asked):
+            return ":N-2\r\n"
+        told = {}
+        for axis in (*STAGE_AXES, *self._axes):
+            if axis not in asked:
+                continue
+            stage = axis in STAGE_AXES
+            if verb == "PM":
+                if stage:
+                    return ":N-2\r\n"
+                told[axis] = str(self._modes[axis])
+            elif verb == "UM":
+                told[axis] = f"{STAGE_UNITS_PER_MM if stage else self._units_per_degree:.3f}"
+            else:
+                end = STAGE_LIMIT_MM if stage else self._limit_degrees
+                told[axis] = f"{end if verb == 'SU' else -end:.3f}"
+        return self._told(told, ":A {named}")
+
+    def _set_modes(self, rest: str) -> str:
+        for part in rest.split():
+            found = ASI_AXIS.fullmatch(part)
+            mode = number(found.group(2)) if found else None
+            if found is None or found.group(1) not in self._modes:
+                return ":N-2\r\n"
+            if mode is None:
+                return ":N-3\r\n"
+            self._modes[found.group(1)] = int(mode)
+        return ":A \r\n"
+
+    def _move(self, rest: str) -> str:
+        parts = rest.split()
+        if not parts:
+            return ":N-3\r\n"
+        stage: dict[str, float] = {}
+        target = list(self._motion.where_mrad())
+        for part in parts:
+            found = ASI_AXIS.fullmatch(part)
+            if found is None or found.group(1) not in (*self._axes, *STAGE_AXES):
+                return ":N-2\r\n"
+            axis, units = found.group(1), number(found.group(2))
+            if units is None:
+                return ":N-3\r\n"
+            if axis in STAGE_AXES:
+                stage[axis] = units
+            elif abs(units) > (self._limit_degrees + ROUNDING_DEGREES) * self._units_per_degree:
+                return ":N-4\r\n"
+            else:
+                target[self._axes.index(axis)] = units / self._units_per_mrad
+        if not self._motion.reaches(*target):
+            return ":N-4\r\n"
+        self.stage_units.update(stage)
+        if self._axes and not (self._board == "mems" and any(self._modes.values())):
+            self._motion.start(*target)
+        return ":A \r\n"
+
+    def _where(self, rest: str) -> str:
+        asked = rest.split()
+        if not asked or any(axis not in (*self._axes, *STAGE_AXES) for axis in asked):
+            return ":N-2\r\n" if asked else ":N-3\r\n"
+        angles = dict(zip(self._axes, self._motion.where_mrad(), strict=False))
+        units = self.stage_units | {axis: angle * self._units_per_mrad for axis, angle in angles.items()}
+        # In the order of the hardware, whatever the order of the question.
+        told = {axis: f"{units[axis]:.1f}" for axis in (*STAGE_AXES, *self._axes) if axis in asked}
+        return self._told(told, f":A {' '.join(told.values())} ")

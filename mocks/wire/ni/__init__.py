@@ -1,0 +1,1 @@
+"""An emulated NI box behind its gRPC server."""

@@ -1,0 +1,289 @@
+"""What each remote procedure of the emulated NI gRPC Device Server does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mocks.wire.faults import WireFault
+from mocks.wire.ni import ni_errors
+from mocks.wire.ni.ni_attributes import channel_value, device_value, found, read_value
+from mocks.wire.ni.ni_box import NiBox
+from mocks.wire.ni.ni_errors import NiError
+from mocks.wire.ni.ni_products import DIFFERENTIAL, NRSE, RSE
+from mocks.wire.ni.ni_tasks import Alive, Channel, Float64Array, NiTask, State
+
+Answer = dict[str, Any]
+"""Fields of the answering message."""
+Handler = Callable[[Any, Alive], Answer]
+"""Takes the request and a function that tells whether the caller still waits."""
+
+DRIVER_VERSION = (24, 5, 0)
+TERMINALS = {10106: DIFFERENTIAL, 10083: RSE, 10078: NRSE, -1: DIFFERENTIAL}  # nidaqmx.constants.TerminalConfiguration
+TERMINAL_BITS = {RSE: 1, NRSE: 2, DIFFERENTIAL: 4}  # nidaqmx.constants._TermCfg
+FINITE = 10178  # nidaqmx.constants.AcquisitionType
+BY_CHANNEL = 0  # nidaqmx.constants.FillMode
+START, STOP, VERIFY, COMMIT, RESERVE, UNRESERVE, ABORT = range(7)  # nidaqmx.constants.TaskMode
+FEWEST_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
+OPEN_INPUT_V = 1e-4  # noise of an input that nothing drives, volts rms
+
+
+class NiCalls:
+    """The remote procedures of one box, by name.
+
+    Parameters
+    ----------
+    box : NiBox
+        What they work on.
+    """
+
+    def __init__(self, box: NiBox) -> None:
+        self._box = box
+        self._spoilt: list[WireFault] = []
+        self._generator = np.random.default_rng(box.serial_number)
+        self.handlers: dict[str, Handler] = {
+            "GetSystemInfoAttributeUInt32": self._system_number,
+            "GetSystemInfoAttributeString": self._system_text,
+            "GetErrorString": lambda request, alive: {"error_string": ni_errors.TEXTS.get(request.error_code, "")},
+            "GetDeviceAttributeString": self._device_attribute,
+            "GetDeviceAttributeUInt32": self._device_attribute,
+            "GetDeviceAttributeBool": self._device_attribute,
+            "GetDeviceAttributeDouble": self._device_attribute,
+            "GetDeviceAttributeDoubleArray": self._device_attribute,
+            "GetPhysicalChanAttributeInt32": self._input_terminals,
+            "SelfTestDevice": self._self_test,
+            "ResetDevice": self._reset,
+            "CreateTask": self._create_task,
+            "ClearTask": self._clear_task,
+            "GetTaskAttributeString": self._task_text,
+            "GetTaskAttributeUInt32": lambda request, alive: {"value": len(self._task(request).channels)},
+            "CreateAIVoltageChan": self._create_channel,
+            "GetChanAttributeDouble": self._channel_attribute,
+            "GetChanAttributeDoubleArray": self._channel_attribute,
+            "GetChanAttributeInt32": self._channel_attribute,
+            "GetChanAttributeString": self._channel_attribute,
+            "CfgSampClkTiming": self._time,
+            "GetTimingAttributeDouble": self._timing_attribute,
+            "CfgDigEdgeStartTrig": self._trigger,
+            "TaskControl": self._control,
+            "StartTask": self._start,
+            "StopTask": self._stop,
+            "WaitUntilTaskDone": self._wait,
+            "IsTaskDone": self._is_done,
+            "GetReadAttributeUInt32": self._read_attribute,
+            "GetReadAttributeString": self._read_attribute,
+            "ReadAnalogF64": self._read,
+            "UnregisterEveryNSamplesEvent": lambda request, alive: {},
+        }
+
+    def spoil(self, fault: WireFault) -> None:
+        """Let the next samples that are read meet a fault."""
+        with self._box.condition:
+            self._spoilt.append(fault)
+
+    # -- system and device ---------------------------------------------------------------------
+
+    def _system_number(self, request: Any, alive: Alive) -> Answer:
+        major, minor, update = DRIVER_VERSION
+        return {"value": found({0x1272: major, 0x1923: minor, 0x2F22: update}, request.attribute_raw)}
+
+    def _system_text(self, request: Any, alive: Alive) -> Answer:
+        values = {0x193B: self._box.name, 0x1267: ", ".join(self._box.task_names)}
+        return {"value": found(values, request.attribute_raw)}
+
+    def _device_attribute(self, request: Any, alive: Alive) -> Answer:
+        box = self._box
+        box.touch(request.device_name)
+        return {"value": device_value(box.product, box.name, box.serial_number, request.attribute_raw)}
+
+    def _input_terminals(self, request: Any, alive: Alive) -> Answer:
+        device, _, wanted = request.physical_channel.partition("/")
+        self._box.touch(device)
+        terminals = self._box.product.terminals(self._box.input_number(wanted))
+        return {"value_raw": sum(TERMINAL_BITS[terminal] for terminal in terminals)}
+
+    def _self_test(self, request: Any, alive: Alive) -> Answer:
+        self._box.touch(request.device_name)
+        return {}
+
+    def _reset(self, request: Any, alive: Alive) -> Answer:
+        self._box.reset(request.device_name)
+        return {}
+
+    # -- tasks -----------------------------------------------------------------------------------
+
+    def _create_task(self, request: Any, alive: Alive) -> Answer:
+        task = self._box.create(request.session_name)
+        return {"task": {"name": task.name}, "new_session_initialized": True}
+
+    def _clear_task(self, request: Any, alive: Alive) -> Answer:
+        self._box.clear(request.task.name)
+        return {}
+
+    def _is_done(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request)
+            complete = task.finite and task.acquired() == task.samples
+            return {"is_task_done": task.state is not State.RUNNING or complete}
+
+    def _task_text(self, request: Any, alive: Alive) -> Answer:
+        task = self._task(request)
+        names = ", ".join(channel.name for channel in task.channels)
+        return {"value": found({0x1276: task.name, 0x1273: names, 0x230E: self._box.name}, request.attribute_raw)}
+
+    def _create_channel(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request, at_rest=True)
+            device, _, wanted = request.physical_channel.partition("/")
+            self._box.touch(device)
+            number = self._box.input_number(wanted)
+            terminal = TERMINALS.get(request.terminal_config_raw)
+            if terminal not in self._box.product.terminals(number):
+                raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_AI_TermCfg")
+            range_v = self._box.product.range_v(terminal, max(-request.min_val, request.max_val))
+            if range_v is None or not request.min_val < request.max_val:
+                raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_AI_Max")
+            name = request.name_to_assign_to_channel or request.physical_channel
+            converter = self._box.product.converter(terminal, range_v, self._box.serial_number, number)
+            task.channels.append(Channel(name, wanted, converter))
+            return {}
+
+    def _channel_attribute(self, request: Any, alive: Alive) -> Answer:
+        task = self._task(request)
+        several = not request.channel or "," in request.channel or ":" in request.channel
+        for channel in task.channels:
+            if several or request.channel == channel.name:
+                value = channel_value(channel, self._box.name, request.attribute_raw)
+                # Enumerations travel under another name.
+                return {"value_raw" if isinstance(value, int) else "value": value}
+        raise NiError(ni_errors.NO_SUCH_INPUT, f"Channel: {request.channel}")
+
+    def _time(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request, at_rest=True)
+            if not task.channels:
+                raise NiError(ni_errors.NO_CHANNELS)
+            fastest_hz = self._box.product.fastest_hz(len(task.channels))
+            if request.rate > fastest_hz * (1 + 1e-9):
+                code = (
+                    ni_errors.SAMPLE_RATE_TOO_HIGH
+                    if request.rate <= self._box.product.aggregate_hz
+                    else ni_errors.INVALID_VALUE
+                )
+                raise NiError(code, f"Property: DAQmx_SampClk_Rate. Maximum Value: {fastest_hz:g}")
+            if request.rate < self._box.product.slowest_hz:
+                raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_SampClk_Rate")
+            task.finite = request.sample_mode_raw == FINITE
+            if task.finite and request.samps_per_chan < FEWEST_SAMPLES:
+                raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_SampQuant_SampPerChan. Minimum Value: 2")
+            task.rate_hz = self._box.product.coerced_rate_hz(request.rate)
+            task.samples = request.samps_per_chan
+            task.channel_delay_s = self._box.product.channel_delay_s(task.rate_hz, len(task.channels))
+            return {}
+
+    def _timing_attribute(self, request: Any, alive: Alive) -> Answer:
+        task = self._task(request)
+        convert_hz = 1 / task.channel_delay_s if task.channel_delay_s else 0.0
+        return {"value": found({0x1344: task.rate_hz, 0x1848: convert_hz}, request.attribute_raw)}
+
+    def _trigger(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request, at_rest=True)
+            terminal = request.trigger_source.removeprefix(f"/{self._box.name}/")
+            if terminal not in self._box.product.triggers:
+                raise NiError(ni_errors.NO_SUCH_TERMINAL, f"Terminal: {request.trigger_source}")
+            task.trigger = terminal
+            return {}
+
+    def _control(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task, action = self._task(request), request.action_raw
+            if action == START:
+                return self._start(request, alive)
+            if action == STOP:
+                return self._stop(request, alive)
+            if action in (COMMIT, RESERVE):
+                self._box.reserve(task)
+                task.commits = True
+                task.state = State.COMMITTED
+            elif action in (UNRESERVE, ABORT):
+                task.commits = False
+                task.end()
+                self._box.release(task)
+            return {}
+
+    def _start(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request, at_rest=True)
+            if not task.channels or not task.rate_hz:
+                raise NiError(ni_errors.NO_CHANNELS)
+            self._box.reserve(task)
+            task.begin()
+            return {}
+
+    def _stop(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request)
+            early = task.end()
+            if task.state is State.IDLE:
+                self._box.release(task)
+            return {"status": ni_errors.STOPPED_BEFORE_DONE if early else 0}
+
+    def _wait(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request)
+            self._box.touch(self._box.name)
+            task.wait_done(request.time_to_wait, alive)
+            return {}
+
+    def _read_attribute(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            return {"value": read_value(self._task(request), request.attribute_raw)}
+
+    def _read(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request)
+            self._box.touch(self._box.name)
+            if task.state is not State.RUNNING:
+                self._start(request, alive)
+            asked = request.num_samps_per_chan
+            if asked < 0:
+                asked = task.samples if task.finite else task.unread
+            if asked * len(task.channels) > request.array_size_in_samps:
+                raise NiError(ni_errors.NOT_STARTED, "The array is too small.")
+            analog_v, complete = task.read(asked, request.timeout, alive)
+            analog_v, complete, status = self._spoil(task, analog_v, complete)
+            volts = np.zeros((len(task.channels), asked))
+            count = analog_v.shape[1]
+            volts[:, :count] = task.converted(analog_v)
+        if request.fill_mode_raw != BY_CHANNEL:
+            volts = volts.T
+        return {
+            "read_array": volts.ravel().tolist(),  # twice as fast as the array itself
+            "samps_per_chan_read": count,
+            "status": status if complete else ni_errors.NOT_YET_AVAILABLE,
+        }
+
+    def _spoil(self, task: NiTask, analog_v: Float64Array, complete: bool) -> tuple[Float64Array, bool, int]:
+        """Let samples meet the faults that wait for them."""
+        status = 0
+        spoilt, self._spoilt = self._spoilt, []
+        for fault in spoilt:
+            if fault.kind in ("short_read", "read_timeout"):
+                analog_v = analog_v[:, : analog_v.shape[1] // 2]
+                complete = complete and fault.kind == "short_read"
+            elif fault.kind == "missing_reference":
+                analog_v = analog_v.copy()
+                analog_v[0] = OPEN_INPUT_V * self._generator.standard_normal(analog_v.shape[1])
+            elif fault.kind == "over_range":
+                analog_v = analog_v.copy()
+                largest_v = max(float(np.abs(analog_v[-1]).max()), 1e-9)
+                analog_v[-1] *= 1.5 * task.channels[-1].converter.range_v / largest_v
+            elif fault.kind == "warning":
+                status = ni_errors.ADC_OVERLOADED
+        return analog_v, complete, status
+
+    def _task(self, request: Any, *, at_rest: bool = False) -> NiTask:
+        return self._box.task(request.task.name, at_rest=at_rest)

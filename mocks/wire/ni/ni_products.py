@@ -1,0 +1,221 @@
+"""Low-cost NI boxes: what each can do, by its data sheet, and how it turns volts into counts.
+
+Sources: NI USB-6001/6002/6003, USB-6008/6009 and USB-621x user guides and specifications. All of them have one
+converter behind a multiplexer. NI 6356 specifications: a converter for each input, 1.25 MS/s per channel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64Array = NDArray[np.float64]
+
+DIFFERENTIAL, RSE, NRSE = "differential", "rse", "nrse"
+# NI-DAQmx converts as fast as the box can and adds this for settling, where the sample rate leaves room for it;
+# else it spreads the conversions evenly (USB-621x user manual, AI Convert Clock; property AI Convert Rate).
+SETTLING_S = 10e-6
+# Part of the codes that the USB-621x keep outside the range for their calibration (user manual, table 4-1:
+# 320 uV per code at +-10 V).
+SPARE_CODES_621X = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Converter:
+    """One input's way from volts to codes and, as NI-DAQmx scales them, back to volts.
+
+    Parameters
+    ----------
+    range_v : float
+        Range of the input in volts, to either side.
+    bits : int
+        Bits of a code.
+    offset_v, step_v : float
+        Volts at code 0 and per code, as calibrated.
+    """
+
+    range_v: float
+    bits: int
+    offset_v: float
+    step_v: float
+
+    def volts(self, analog_v: Float64Array) -> Float64Array:
+        """What the driver reports for some voltages: whole codes, those at the end where it is beyond."""
+        codes = np.rint((analog_v - self.offset_v) / self.step_v)
+        np.clip(codes, -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1, out=codes)
+        return np.asarray(self.offset_v + self.step_v * codes)
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """One model.
+
+    Parameters
+    ----------
+    name : str
+        As NI-DAQmx gives it: ``"USB-6211"``.
+    inputs : int
+        Single-ended analog inputs.
+    pair : int
+        Inputs k and k + pair make differential input k.
+    bits : mapping from terminal configuration to int
+        Resolution.
+    ranges_v : mapping from terminal configuration to tuple of float
+        Ranges to either side of 0 V, smallest first.
+    aggregate_hz : float
+        Conversions per second, all channels together; of each channel, where sampling is simultaneous.
+    timebase_hz : float
+        What sample rates are whole fractions of.
+    triggers : tuple of str
+        Terminals that can start a task.
+    spare_codes : float
+        Part of the codes outside the range.
+    simultaneous : bool
+        Whether every input has a converter of its own.
+    """
+
+    name: str
+    inputs: int
+    pair: int
+    bits: Mapping[str, int]
+    ranges_v: Mapping[str, tuple[float, ...]]
+    aggregate_hz: float
+    timebase_hz: float
+    triggers: tuple[str, ...]
+    spare_codes: float = 0.0
+    simultaneous: bool = False
+
+    @property
+    def all_ranges_v(self) -> tuple[float, ...]:
+        """Ranges of any terminal configuration, smallest first."""
+        return tuple(sorted({range_v for ranges_v in self.ranges_v.values() for range_v in ranges_v}))
+
+    @property
+    def slowest_hz(self) -> float:
+        """Lowest sample rate: a 32-bit divider of the timebase."""
+        return self.timebase_hz / 2**32
+
+    def terminals(self, number: int) -> tuple[str, ...]:
+        """Terminal configurations that an input can have."""
+        paired = number % (2 * self.pair) < self.pair
+        return tuple(terminal for terminal in self.bits if paired or terminal != DIFFERENTIAL)
+
+    def range_v(self, terminal: str, largest_v: float) -> float | None:
+        """Smallest range that a voltage fits into, None if it fits into none."""
+        return next((range_v for range_v in self.ranges_v[terminal] if largest_v <= range_v * (1 + 1e-9)), None)
+
+    def converter(self, terminal: str, range_v: float, serial_number: int, number: int) -> Converter:
+        """The converter at one input, with the small errors that its calibration knows.
+
+        Parameters
+        ----------
+        terminal : str
+            Its terminal configuration.
+        range_v : float
+            Its range in volts.
+        serial_number : int
+            Of the box: every box has errors of its own.
+        number : int
+            Of the input.
+        """
+        bits = self.bits[terminal]
+        nominal_v = 2 * range_v * (1 + self.spare_codes) / 2**bits
+        offset, gain = np.random.default_rng([serial_number, number, round(1000 * range_v)]).uniform(-1, 1, 2)
+        return Converter(range_v, bits, 3.0 * offset * nominal_v, nominal_v * (1 + 5e-4 * gain))
+
+    def fastest_hz(self, channels: int) -> float:
+        """Highest sample rate of a task."""
+        return self.aggregate_hz if self.simultaneous else self.aggregate_hz / channels
+
+    def coerced_rate_hz(self, rate_hz: float) -> float:
+        """The rate nearest above that the timebase gives."""
+        return self.timebase_hz / max(1, math.floor(self.timebase_hz / rate_hz * (1 + 1e-12)))
+
+    def channel_delay_s(self, rate_hz: float, channels: int) -> float:
+        """How much later each channel of a task is converted than the one before."""
+        if self.simultaneous:
+            return 0.0
+        fastest_s = 1 / self.aggregate_hz
+        share_s = 1 / (rate_hz * channels)
+        return max(fastest_s, min(fastest_s + SETTLING_S, share_s))
+
+
+def _usb_6356() -> Product:
+    ranges_v = (1.0, 2.0, 5.0, 10.0)
+    return Product(
+        name="USB-6356",
+        inputs=8,
+        pair=8,
+        bits={DIFFERENTIAL: 16},
+        ranges_v={DIFFERENTIAL: ranges_v},
+        aggregate_hz=1.25e6,
+        timebase_hz=100e6,
+        triggers=tuple(f"PFI{number}" for number in range(16)),
+        simultaneous=True,
+    )
+
+
+def _usb_600x(name: str, bits: int, aggregate_hz: float) -> Product:
+    return Product(
+        name=name,
+        inputs=8,
+        pair=4,
+        bits={DIFFERENTIAL: bits, RSE: bits},
+        ranges_v={DIFFERENTIAL: (10.0,), RSE: (10.0,)},
+        aggregate_hz=aggregate_hz,
+        timebase_hz=80e6,
+        triggers=("PFI0", "PFI1"),
+    )
+
+
+def _usb_6008_9(name: str, bits: int, aggregate_hz: float) -> Product:
+    return Product(
+        name=name,
+        inputs=8,
+        pair=4,
+        # Single-ended signals use the upper half of the codes only.
+        bits={DIFFERENTIAL: bits, RSE: bits - 1},
+        ranges_v={DIFFERENTIAL: (1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 10.0, 20.0), RSE: (10.0,)},
+        aggregate_hz=aggregate_hz,
+        timebase_hz=24e6,
+        triggers=("PFI0",),
+    )
+
+
+def _usb_621x(name: str, aggregate_hz: float, triggers: tuple[int, ...], inputs: int = 16) -> Product:
+    ranges_v = (0.2, 1.0, 5.0, 10.0)
+    return Product(
+        name=name,
+        inputs=inputs,
+        pair=8,
+        bits={DIFFERENTIAL: 16, RSE: 16, NRSE: 16},
+        ranges_v={DIFFERENTIAL: ranges_v, RSE: ranges_v, NRSE: ranges_v},
+        aggregate_hz=aggregate_hz,
+        timebase_hz=20e6,
+        triggers=tuple(f"PFI{number}" for number in triggers),
+        spare_codes=SPARE_CODES_621X,
+    )
+
+
+PRODUCTS = {
+    product.name: product
+    for product in (
+        _usb_600x("USB-6001", 14, 20e3),
+        _usb_600x("USB-6002", 16, 50e3),
+        _usb_600x("USB-6003", 16, 100e3),
+        _usb_6008_9("USB-6008", 12, 10e3),
+        _usb_6008_9("USB-6009", 14, 48e3),
+        _usb_621x("USB-6210", 250e3, tuple(range(4))),
+        _usb_621x("USB-6211", 250e3, tuple(range(4))),
+        _usb_621x("USB-6212", 400e3, tuple(range(16))),
+        _usb_621x("USB-6215", 250e3, tuple(range(4))),
+        _usb_621x("USB-6216", 400e3, tuple(range(16))),
+        _usb_621x("USB-6218", 250e3, (0, 1, 2, 3, 8, 9, 10, 11), inputs=32),
+        _usb_6356(),
+    )
+}
+"""Models by name."""

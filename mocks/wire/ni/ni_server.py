@@ -1,0 +1,300 @@
+"""An NI gRPC Device Server with one box on it; the real nidaqmx package is its client."""
+
+from __future__ import annotations
+
+import functools
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import grpc
+from google.protobuf.message_factory import GetMessageClass
+from nidaqmx._stubs import nidaqmx_pb2
+
+from mocks.wire.faults import WireFault, WireFaultPlan
+from mocks.wire.ni import ni_errors
+from mocks.wire.ni.ni_box import NiBox
+from mocks.wire.ni.ni_calls import NiCalls
+from mocks.wire.ni.ni_errors import NiError
+from mocks.wire.ni.ni_tasks import SignalSource
+
+__all__ = ["Call", "NiServer", "SignalSource"]
+
+SERVICE = "nidaqmx_grpc.NiDAQmx"
+EVERY_N_SAMPLES = "RegisterEveryNSamplesEvent"
+METHODS = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"].methods_by_name
+# Calls that a wait in one of them must not keep from being answered.
+THREADS = 16
+CODES = {
+    "overwritten": ni_errors.OVERWRITTEN,
+    "absent": ni_errors.ABSENT,
+    "wrong_name": ni_errors.NO_SUCH_DEVICE,
+    "in_use": ni_errors.IN_USE,
+    "usb_aborted": ni_errors.TRANSFER_ABORTED,
+    "wait_timeout": ni_errors.NOT_DONE,
+}
+"""Faults that are an error code and no more."""
+STATUSES = {"internal": grpc.StatusCode.INTERNAL, "exhausted": grpc.StatusCode.RESOURCE_EXHAUSTED}
+"""Faults of the server itself, before it asks NI-DAQmx."""
+SPOILING = ("read_timeout", "short_read", "missing_reference", "over_range", "warning")
+"""Faults of the next samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """One remote procedure call: its name, what came of it (0, a code of NI-DAQmx, None: no answer), how long."""
+
+    name: str
+    status: int | None
+    seconds: float
+
+
+class NiServer:
+    """The server; runs in whatever process starts it, on threads of its own.
+
+    A server that was stopped can be started again, on the same port; its tasks are gone then.
+
+    Parameters
+    ----------
+    source : SignalSource
+        What is at the inputs.
+    product : str
+        Model: a key of `mocks.wire.ni.ni_products.PRODUCTS`.
+    device : str
+        Its name.
+    address : str
+        Where to listen; port 0 is any free one.
+    faults : tuple of WireFault
+        The rig's fault plan; operations are the names of the remote procedures.
+    speed : float
+        How much faster than real time records end, > 0; only for sources that do not wait for the real time.
+    serial_number : int
+        Of the box.
+    credentials : grpc.ServerCredentials, optional
+        For TLS, as ``security`` in the server's ``server_config.json``; without them it talks in the clear.
+    """
+
+    def __init__(
+        self,
+        source: SignalSource,
+        product: str = "USB-6211",
+        device: str = "Dev1",
+        address: str = "localhost:0",
+        faults: tuple[WireFault, ...] = (),
+        speed: float = 1.0,
+        *,
+        serial_number: int = 0x01E57A2C,
+        credentials: grpc.ServerCredentials | None = None,
+    ) -> None:
+        self._box = NiBox(source, product, device, serial_number, speed)
+        self._calls = NiCalls(self._box)
+        self._address = address
+        self._credentials = credentials
+        self._plan = WireFaultPlan("recorder", faults)
+        self._log: list[Call] = []
+        self._under_way: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._server: grpc.Server | None = None
+        self._threads: ThreadPoolExecutor | None = None
+        self._stopping = threading.Event()
+        self._death: threading.Thread | None = None
+
+    @property
+    def address(self) -> str:
+        """Where it listens, or did."""
+        return self._address
+
+    @property
+    def log(self) -> tuple[Call, ...]:
+        """All calls so far that have ended."""
+        with self._lock:
+            return tuple(self._log)
+
+    @property
+    def under_way(self) -> tuple[str, ...]:
+        """Names of the calls that are being answered."""
+        with self._lock:
+            return tuple(self._under_way.elements())
+
+    def start(self) -> str:
+        """Listen, and tell the address.
+
+        Raises
+        ------
+        RuntimeError
+            The port is taken.
+        """
+        self._stopping.clear()
+        self._listen()
+        return self._address
+
+    def stop(self) -> None:
+        """Stop as a killed process does: at once, what is under way stays unanswered."""
+        self._stopping.set()
+        if self._death is not None:
+            self._death.join()
+            self._death = None
+        self._hang_up()
+
+    def unplug(self, seconds: float = 0.0) -> None:
+        """Pull the box's cable, for good or for some seconds."""
+        self._box.unplug(seconds)
+
+    def plug(self) -> None:
+        """Put the box's cable back."""
+        self._box.plug()
+
+    def edge(self, terminal: str) -> None:
+        """A rising edge at a digital input such as ``"PFI0"``."""
+        self._box.edge(terminal)
+
+    # -- listening -------------------------------------------------------------------------------
+
+    def _listen(self) -> None:
+        threads = ThreadPoolExecutor(THREADS, thread_name_prefix="ni-server")
+        # Two servers must not share a port, and records are longer than the default 4 MB.
+        options = [("grpc.so_reuseport", 0), ("grpc.max_send_message_length", -1)]
+        server = grpc.server(threads, options=options)
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, self._handlers()),))
+        try:
+            port = (
+                server.add_insecure_port(self._address)
+                if self._credentials is None
+                else server.add_secure_port(self._address, self._credentials)
+            )
+            if not port:
+                raise RuntimeError(f"cannot listen at {self._address}: the port is taken")
+            server.start()
+        except BaseException:
+            threads.shutdown()
+            raise
+        host, colon, _ = self._address.rpartition(":")
+        self._address = f"{host}{colon}{port}"
+        with self._lock:
+            self._server, self._threads = server, threads
+
+    def _hang_up(self) -> None:
+        with self._lock:
+            server, threads, self._server, self._threads = self._server, self._threads, None, None
+        if server is None or threads is None:
+            return
+        gone = server.stop(None)
+        self._box.forget()
+        gone.wait()
+        threads.shutdown()
+
+    def _die(self, seconds: float) -> None:
+        """Stop from within a call, and rise again if that was ordered."""
+
+        def death() -> None:
+            self._hang_up()
+            if seconds and not self._stopping.wait(seconds):
+                self._listen()
+
+        with self._lock:
+            if self._death is None or not self._death.is_alive():
+                self._death = threading.Thread(target=death, name="ni-server death")
+                self._death.start()
+
+    def _handlers(self) -> dict[str, Any]:
+        """What answers each remote procedure; others are answered that they are not implemented."""
+        handlers = {
+            name: grpc.unary_unary_rpc_method_handler(functools.partial(self.answer, name), *_wire_format(name))
+            for name in self._calls.handlers
+        }
+        handlers[EVERY_N_SAMPLES] = grpc.unary_stream_rpc_method_handler(self.events, *_wire_format(EVERY_N_SAMPLES))
+        return handlers
+
+    # -- answering -------------------------------------------------------------------------------
+
+    def answer(self, name: str, request: Any, context: grpc.ServicerContext) -> Any:
+        """Answer one call, with the faults that it meets.
+
+        Parameters
+        ----------
+        name : str
+            Of the remote procedure.
+        request : protobuf message
+            What was asked.
+        context : grpc.ServicerContext
+            The call.
+        """
+        began_s = self._begun(name)
+        gone = threading.Event()
+        if not context.add_callback(gone.set):
+            gone.set()
+
+        def alive() -> bool:
+            return not gone.is_set()
+
+        status: int | None = None
+        try:
+            due = self._plan.due(name)
+            if refused := next((STATUSES[fault.kind] for fault in due if fault.kind in STATUSES), None):
+                return context.abort(refused, "on order")
+            warning = self._meet(name, due, gone)
+            fields = self._calls.handlers[name](request, alive)
+            status = fields["status"] = int(fields.get("status", 0)) or warning
+            return GetMessageClass(METHODS[name].output_type)(**fields)
+        except NiError as error:
+            status = error.code
+            read = (("ni-samps-per-chan-read", "0"),) if name.startswith("Read") else ()
+            context.set_trailing_metadata((("ni-error", str(error.code)), *read))
+            return context.abort(grpc.StatusCode.UNKNOWN, str(error))
+        finally:
+            self._told(name, status if alive() else None, began_s)
+
+    def events(self, request: Any, context: grpc.ServicerContext) -> Iterator[Any]:
+        """Answer a registration for every n samples with a stream that lasts as long as the task."""
+        began_s = self._begun(EVERY_N_SAMPLES)
+        gone = threading.Event()
+        if not context.add_callback(gone.set):
+            gone.set()
+        # The client waits for the registration's own answer before it goes on.
+        context.send_initial_metadata(())
+        message = GetMessageClass(METHODS[EVERY_N_SAMPLES].output_type)
+        try:
+            for _ in self._box.events(request.task.name, request.n_samples, lambda: not gone.is_set()):
+                yield message(
+                    every_n_samples_event_type_raw=request.every_n_samples_event_type_raw, n_samples=request.n_samples
+                )
+        finally:
+            self._told(EVERY_N_SAMPLES, 0, began_s)
+
+    def _meet(self, name: str, due: Sequence[WireFault], gone: threading.Event) -> int:
+        """Let a call meet its faults; returns the status of an answer that is otherwise good."""
+        warning = 0
+        for fault in due:
+            if fault.kind in CODES:
+                raise NiError(CODES[fault.kind], "(on order)")
+            if fault.kind == "warning" and name != "ReadAnalogF64":
+                warning = ni_errors.NOT_CALIBRATED
+            elif fault.kind in SPOILING:
+                self._calls.spoil(fault)
+            elif fault.kind == "unplugged":
+                self._box.unplug(fault.seconds)
+            elif fault.kind == "silent":
+                gone.wait(fault.seconds or None)
+            elif fault.kind == "server_dead":
+                self._die(fault.seconds)
+                gone.wait()
+        return warning
+
+    def _begun(self, name: str) -> float:
+        with self._lock:
+            self._under_way[name] += 1
+        return time.monotonic()
+
+    def _told(self, name: str, status: int | None, began_s: float) -> None:
+        with self._lock:
+            self._under_way[name] -= 1
+            self._log.append(Call(name, status, time.monotonic() - began_s))
+
+
+def _wire_format(name: str) -> tuple[Any, Any]:
+    """How requests of a remote procedure are read and its answers written."""
+    return GetMessageClass(METHODS[name].input_type).FromString, lambda answer: answer.SerializeToString()

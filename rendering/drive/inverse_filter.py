@@ -1,0 +1,282 @@
+"""Focusing by regularised inverse filtering, to be compared with time reversal on the same scene.
+
+At each frequency the transfer functions H from N actuators to M control points are inverted (Tikhonov):
+
+    F = H* (H H* + lambda I)^-1 D,
+
+D being what each control point shall hear: its own emissions, and nothing of the other points'. Tanter, Thomas
+& Fink, "Time reversal and the inverse filter" (2000), call it the spatio-temporal inverse filter; for one point
+it is time reversal with the spectrum made flat.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive
+from rendering.drive.limits import scale_to_limit
+from rendering.field.metrics import band_weights
+from rendering.greens.bank_rows import BankRows
+from rendering.greens.interpolation import Nodes
+from rendering.greens.source import GreenSource, drive_unit
+from rendering.scene.model import Regularisation, Scene
+from rendering.scene.sampled_scene import sample_scene
+from rendering.scene.sampling import SampledSource
+from storage.drive_file import Drive
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
+Int64Array = NDArray[np.int64]
+
+REGULARISATION_DB = -20.0
+ILL_CONDITIONED = 1e3
+"""Condition from which the control points are said not to be independent."""
+SAME_MM = 1e-6
+SYSTEM_BYTES = 2**30
+
+
+@dataclass(frozen=True, slots=True)
+class InverseReport:
+    """Figures of one inverse filter.
+
+    Parameters
+    ----------
+    warnings : tuple of str
+        One sentence each.
+    control_points : int
+        Different places among the path points.
+    regularisation_db : float
+        lambda over the largest power, at any frequency, that the actuators bring to a control point on average.
+    frequency_hz : float64 array, shape (bins,)
+        Frequencies that were inverted.
+    condition : float64 array, shape (bins,)
+        Largest over smallest singular value of H; infinite where H has not full rank.
+    regularised_condition : float64 array, shape (bins,)
+        The same of ``[H; sqrt(lambda) I]``, which is what was solved.
+    misfit : float
+        Relative L2 error of the response at the control points against what they shall hear, over the band.
+    cut_share : float
+        Share of the drive's energy that lay before the lead-in or after the last emitted sample, and was cut.
+    limiting : Limiting
+        What the scene's limits did to the drive, and which actuator decided.
+    """
+
+    warnings: tuple[str, ...]
+    control_points: int
+    regularisation_db: float
+    frequency_hz: Float64Array
+    condition: Float64Array
+    regularised_condition: Float64Array
+    misfit: float
+    cut_share: float
+    limiting: Limiting
+
+    @property
+    def scale(self) -> float:
+        """What the limits did to the drive, 1 if nothing."""
+        return self.limiting.scale
+
+    @property
+    def worst_condition(self) -> tuple[float, float]:
+        """Frequency at which H is conditioned worst, and its condition there."""
+        worst = int(np.argmax(self.condition))
+        return float(self.frequency_hz[worst]), float(self.condition[worst])
+
+
+def inverse_filter(
+    scene: Scene, bank: GreenSource, *, regularisation_db: float = REGULARISATION_DB
+) -> tuple[Drive, InverseReport]:
+    """Make the drives of a scene by inverse filtering at its path points.
+
+    The drive has the place in time that time reversal's has. A continuous emission is handed from path point
+    to path point, as in eq. (12). Where the scene normalises, an impulse of amplitude A makes a response A at
+    its control point and focus instant, as far as no other point's emission meets it; else the response is the
+    source's signal, limited to the bank's band.
+
+    Parameters
+    ----------
+    scene : Scene
+        Sources; their interpolation and limit. Saturation belongs to time reversal and is not applied.
+    bank : GreenSource
+        Measured Green's functions.
+    regularisation_db : float
+        lambda over the largest mean power at a control point, in dB, < 0.
+
+    Raises
+    ------
+    InputError
+        The scene does not fit the bank, or there are too many control points.
+    """
+    if not (math.isfinite(regularisation_db) and regularisation_db < 0):
+        raise InputError(f"regularisation_db is {regularisation_db}; it must be a finite number below 0")
+    rate_hz, taps = float(bank.sample_rate_hz), bank.taps
+    kind, sources = sample_scene(scene, bank, "sampled")
+    nodes = [
+        kind.follow(source.path, sampled.arc_length_mm)(sampled.arc_length_mm)
+        for source, sampled in zip(scene.sources, sources, strict=True)
+    ]
+    rows = BankRows(kind.rows_of(bank), Regularisation(normalise=False))
+    samples = max(source.emission.stop_sample for source in sources) + taps - 1
+    length = int(scipy_fft.next_fast_len(samples + 3 * taps, real=True))
+    band = _Band(length, rate_hz, bank.band_hz)
+    points_mm, place = _control_points(sources)
+    if 16 * len(band.bins) * len(points_mm) * bank.actuators > SYSTEM_BYTES:
+        raise InputError(
+            f"{len(points_mm)} control points over {samples / rate_hz:.3g} s are too many to invert; use a coarser"
+            " step_mm or a shorter scene"
+        )
+    system, exponent = _system(rows, nodes, place, len(points_mm), band, length)
+    largest = float(np.square(np.abs(system)).sum(axis=2).mean(axis=1).max())
+    ridge = largest * 10.0 ** (regularisation_db / 10.0)
+    singular = np.linalg.svd(system, compute_uv=False)
+    inverse = _inverse(system, ridge)
+    gain = _gains(system, inverse, band) if scene.regularisation.normalise else np.ones(len(points_mm))
+    per_point = [source.emission == "per_point" for source in scene.sources]
+    wanted = gain * _wanted(sources, per_point, place, len(points_mm), band, length, lead=2 * taps - 1)
+    spectra = np.einsum("bnm,bm->bn", inverse, wanted)
+    heard = np.einsum("bmn,bn->bm", system, spectra)
+    misfit = float(np.linalg.norm(heard - wanted) / max(float(np.linalg.norm(wanted)), 1e-300))
+    whole = np.zeros((bank.actuators, length // 2 + 1), dtype=np.complex128)
+    whole[:, band.bins] = spectra.T
+    in_time = scipy_fft.irfft(whole, length, axis=1)
+    drive_v = np.ascontiguousarray(in_time[:, taps : taps + samples])
+    energy = float(np.square(in_time).sum())
+    cut_share = 1.0 - float(np.square(drive_v).sum()) / energy if energy > 0 else 0.0
+    with np.errstate(over="ignore", under="ignore"):
+        np.ldexp(drive_v, -exponent, out=drive_v)
+    scale_to_limit(drive_v, None)
+    limiting = limit_drive(drive_v, rate_hz, DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
+    drive = Drive(
+        drive_v=drive_v,
+        sample_rate_hz=rate_hz,
+        start_s=-(taps - 1) / rate_hz,
+        method="inverse-filter",
+        scale=limiting.scale,
+        omitted_bound=0.0,
+        focus_sample=np.concatenate([source.focus_sample for source in sources]),
+        focus_position=np.concatenate([source.focus_position for source in sources]),
+        focus_source=np.concatenate([np.full(len(one.focus_sample), one.index, dtype=np.int64) for one in sources]),
+        drive_unit=drive_unit(bank),
+    )
+    smallest = singular[:, -1]
+    condition = np.divide(singular[:, 0], smallest, out=np.full_like(smallest, np.inf), where=smallest > 0)
+    report = InverseReport(
+        warnings=(),
+        control_points=len(points_mm),
+        regularisation_db=regularisation_db,
+        frequency_hz=band.frequency_hz,
+        condition=condition,
+        regularised_condition=np.sqrt((np.square(singular[:, 0]) + ridge) / (np.square(smallest) + ridge)),
+        misfit=misfit,
+        cut_share=cut_share,
+        limiting=limiting,
+    )
+    return drive, _with_warnings(report, scene)
+
+
+class _Band:
+    """The bins of a transform within the bank's band, and how they fade at its ends."""
+
+    def __init__(self, length: int, rate_hz: float, band_hz: tuple[float, float] | None) -> None:
+        weights = np.ones(length // 2 + 1) if band_hz is None else band_weights(length, rate_hz, band_hz)
+        self.bins: Int64Array = np.flatnonzero(weights > 0)
+        self.frequency_hz: Float64Array = scipy_fft.rfftfreq(length, 1.0 / rate_hz)[self.bins]
+        self.weights: Float64Array = weights[self.bins].astype(np.float64)
+        # What a bin adds to the first sample of a real signal: all but the first and last count twice.
+        ends = (self.bins == 0) | (2 * self.bins == length)
+        self.share: Float64Array = self.weights * np.where(ends, 1.0, 2.0) / length
+
+
+def _control_points(sources: Sequence[SampledSource]) -> tuple[Float64Array, list[Int64Array]]:
+    """Different places among the path points, and which of them each point of each source is."""
+    points_mm = np.concatenate([source.points_mm for source in sources])
+    _, first, place = np.unique(np.rint(points_mm / SAME_MM), axis=0, return_index=True, return_inverse=True)
+    edges = np.cumsum([len(source.points_mm) for source in sources])[:-1]
+    return points_mm[first], [part.astype(np.int64) for part in np.split(place.ravel(), edges)]
+
+
+def _system(
+    rows: BankRows, nodes: Sequence[Nodes], place: Sequence[Int64Array], points: int, band: _Band, length: int
+) -> tuple[Complex128Array, int]:
+    """Transfer functions (bins, points, actuators) over a power of two."""
+    uses: dict[int, dict[int, float]] = {}
+    for one, at in zip(nodes, place, strict=True):
+        for point, own_rows, weights in zip(at.tolist(), one.rows.tolist(), one.weights.tolist(), strict=True):
+            for row, weight in zip(own_rows, weights, strict=True):
+                if weight:
+                    uses.setdefault(row, {})[point] = weight
+    system = np.zeros((len(band.bins), points, rows.bank.actuators), dtype=np.complex128)
+    exponent: int | None = None
+    for row, by_point in sorted(uses.items()):
+        scaled = rows.read(row)
+        exponent = scaled.exponent if exponent is None else exponent
+        spectrum = scipy_fft.rfft(scaled.values, length, axis=1)[:, band.bins].T
+        spectrum *= np.ldexp(1.0, scaled.exponent - exponent)
+        for point, weight in by_point.items():
+            system[:, point] += weight * spectrum
+    return system, exponent or 0
+
+
+def _wanted(
+    sources: Sequence[SampledSource],
+    per_point: Sequence[bool],
+    place: Sequence[Int64Array],
+    points: int,
+    band: _Band,
+    length: int,
+    *,
+    lead: int,
+) -> Complex128Array:
+    """Spectra of what the control points shall hear, (bins, points)."""
+    wanted = np.zeros((points, length))
+    for source, anew, at in zip(sources, per_point, place, strict=True):
+        begins = source.focus_sample
+        ends = np.append(begins[1:], source.emission.stop_sample)
+        for point, begin, end in zip(at.tolist(), begins.tolist(), ends.tolist(), strict=True):
+            part = source.signal if anew else source.signal[begin - begins[0] : end - begins[0]]
+            wanted[point, lead + begin : lead + begin + len(part)] += part
+    spectra = scipy_fft.rfft(wanted, axis=1)[:, band.bins].T
+    return np.asarray(spectra * band.weights[:, None])
+
+
+def _inverse(system: Complex128Array, ridge: float) -> Complex128Array:
+    """H* (H H* + ridge)^-1, (bins, actuators, points), by whichever of the two normal equations is smaller."""
+    adjoint = system.conj().transpose(0, 2, 1)
+    points, actuators = system.shape[1:]
+    if points <= actuators:
+        normal = system @ adjoint + ridge * np.eye(points)
+        # The normal matrix is Hermitian, so that (normal^-1 H)* is what is wanted.
+        return np.asarray(np.linalg.solve(normal, system).conj().transpose(0, 2, 1))
+    return np.asarray(np.linalg.solve(adjoint @ system + ridge * np.eye(actuators), adjoint))
+
+
+def _gains(system: Complex128Array, inverse: Complex128Array, band: _Band) -> Float64Array:
+    """What makes each point's response to its own impulse 1 at its first sample, (points,)."""
+    heard = np.einsum("bmn,bnm->bm", system, inverse).real
+    return np.asarray(1.0 / np.maximum(band.share @ heard, 1e-300))
+
+
+def _with_warnings(report: InverseReport, scene: Scene) -> InverseReport:
+    warnings = []
+    frequency_hz, condition = report.worst_condition
+    if condition > ILL_CONDITIONED:
+        held = float(report.regularised_condition.max())
+        warnings.append(
+            f"the {report.control_points} control points are hardly independent: condition {condition:.2g} at"
+            f" {frequency_hz:.3g} Hz, held to {held:.2g} by a regularisation of {report.regularisation_db:g} dB"
+        )
+    if scene.regularisation.saturation or scene.regularisation.saturation_absolute:
+        warnings.append("saturation belongs to time reversal; inverse filtering was done without it")
+    if report.misfit > 0.5:
+        warnings.append(
+            f"the control points hear something else than they shall: {100 * report.misfit:.0f} % off; fewer or"
+            " more distant points, a lower speed or less regularisation would help"
+        )
+    return replace(report, warnings=tuple(warnings))

@@ -1,0 +1,1 @@
+"""Drives into fields, and figures of fields."""

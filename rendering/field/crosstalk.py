@@ -1,0 +1,183 @@
+"""Crosstalk between the foci of a path: the paper's figure 4D, left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from rendering.field.metrics import band_weights
+from rendering.greens.regularisation import row_weights, saturation_threshold
+from rendering.greens.source import GreenSource, read_row
+from rendering.scene.model import Regularisation
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
+
+RESPONSE_BYTES = 2**29
+
+
+@dataclass(frozen=True, slots=True)
+class CrosstalkTable:
+    """Crosstalk over speed and path sample distance.
+
+    Parameters
+    ----------
+    speed_mm_s : float64 array, shape (speeds,)
+    step_mm : float64 array, shape (steps,)
+        Path sample distance d.
+    energy_ratio : float64 array, shape (speeds, steps)
+        See `PathResponses.energy_ratio`; NaN where the path has fewer than two points.
+    """
+
+    speed_mm_s: Float64Array
+    step_mm: Float64Array
+    energy_ratio: Float64Array
+
+    @property
+    def rms_ratio(self) -> Float64Array:
+        """Root of the energy ratio: the ratio of amplitudes."""
+        return np.asarray(np.sqrt(self.energy_ratio))
+
+
+class PathResponses:
+    """What the focus at each of some rows makes heard at each of them.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    rows : sequence of int
+        Rows of the path's points, at most some dozens.
+    signal : float64 array, shape (samples,)
+        What every focus emits, at the bank's rate; an impulse where it is one sample long.
+    regularisation : Regularisation, optional
+        Saturation and normalisation; by default normalised, without saturation.
+
+    Raises
+    ------
+    InputError
+        A row is not measured, or the responses do not fit into memory.
+    """
+
+    def __init__(
+        self,
+        bank: GreenSource,
+        rows: Sequence[int],
+        signal: Float64Array | None = None,
+        regularisation: Regularisation | None = None,
+    ) -> None:
+        emitted = np.ones(1) if signal is None else signal
+        regularisation = regularisation or Regularisation()
+        self.sample_rate_hz = float(bank.sample_rate_hz)
+        self.lead = bank.taps - 1
+        self._emitted = len(emitted)
+        length = int(scipy_fft.next_fast_len(2 * bank.taps - 1 + len(emitted) - 1, real=True))
+        if 8 * len(rows) ** 2 * length > RESPONSE_BYTES:
+            raise InputError(f"{len(rows)} path points are too many for a crosstalk table; choose fewer")
+        keep = (
+            np.ones(length // 2 + 1)
+            if bank.band_hz is None
+            else band_weights(length, bank.sample_rate_hz, bank.band_hz)
+        )
+        bins = np.flatnonzero(keep)
+        threshold = saturation_threshold(regularisation, bank)
+        greens = np.empty((len(rows), bank.actuators, len(bins)), dtype=np.complex128)
+        driven = np.empty_like(greens)
+        for place, row in enumerate(rows):
+            scaled = read_row(bank, row)
+            if scaled.silent:
+                raise InputError(f"position {row} is all zeros, so not measured; choose another path")
+            weights = row_weights(scaled, threshold, normalise=regularisation.normalise)
+            spectrum = scipy_fft.rfft(scaled.values, length, axis=1)[:, bins]
+            sigma = np.ones(bank.actuators) if weights.sigma is None else weights.sigma
+            greens[place] = np.ldexp(1.0, scaled.exponent) * spectrum
+            gain = np.ldexp(weights.gain, weights.gain_exponent + scaled.exponent)
+            driven[place] = gain * sigma[:, None] * spectrum.conj()
+        heard = np.einsum("mib,nib->mnb", greens, driven, optimize=True)
+        heard *= keep[bins] * scipy_fft.rfft(emitted, length)[bins]
+        # Lags from -(taps - 1) on: the focus instant is at `lead`.
+        heard *= np.exp(-2j * np.pi * bins * self.lead / length)
+        whole = np.zeros((len(rows), len(rows), length // 2 + 1), dtype=np.complex128)
+        whole[..., bins] = heard
+        self.values: Float64Array = scipy_fft.irfft(whole, length, axis=2)
+
+    def energy_ratio(self, speed_mm_s: float, step_mm: float, every: int = 1) -> float:
+        """Crosstalk ratio of a source that moves from point to point.
+
+        Point m emits at ``n_m = round(m d / v)`` samples. Over a window as long as the emissions are apart, its
+        middle that of point m's emission (a focus converges as long as it diverges), the energy of what all
+        other points' foci together make heard at point m is divided by that of its own focus; energies are
+        summed over the points before they are divided. The paper (section IV.C) names the ratio of these
+        energies and no window.
+
+        Parameters
+        ----------
+        speed_mm_s : float
+            v, > 0.
+        step_mm : float
+            Distance of the points that are used, > 0.
+        every : int
+            Use every so many of the rows.
+
+        Returns
+        -------
+        float
+            NaN with fewer than two points.
+        """
+        values = self.values[::every, ::every]
+        points, length = values.shape[0], values.shape[2]
+        if points < 2:
+            return float("nan")
+        instants = np.rint(np.arange(points + 1) * step_mm / speed_mm_s * self.sample_rate_hz).astype(np.int64)
+        own_energy = others_energy = 0.0
+        for m in range(points):
+            period = max(int(instants[m + 1] - instants[m]), 1)
+            window = instants[m] + (self._emitted - period) // 2 + np.arange(period)
+            own = np.zeros(len(window))
+            others = np.zeros(len(window))
+            for other in range(points):
+                lag = window - instants[other] + self.lead
+                there = (lag >= 0) & (lag < length)
+                target = own if other == m else others
+                target[there] += values[m, other, lag[there]]
+            own_energy += float(own @ own)
+            others_energy += float(others @ others)
+        return others_energy / own_energy if own_energy > 0 else float("nan")
+
+
+def crosstalk_table(
+    bank: GreenSource,
+    rows: Sequence[int],
+    row_step_mm: float,
+    speeds_mm_s: Sequence[float],
+    every: Sequence[int],
+    signal: Float64Array | None = None,
+    regularisation: Regularisation | None = None,
+) -> CrosstalkTable:
+    """Crosstalk along one line of rows, over speeds and path sample distances.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    rows : sequence of int
+        Rows along a line, equally far apart.
+    row_step_mm : float
+        Their distance, > 0.
+    speeds_mm_s : sequence of float
+        Speeds, > 0.
+    every : sequence of int
+        Path sample distances, in steps of the rows.
+    signal, regularisation
+        See `PathResponses`.
+    """
+    responses = PathResponses(bank, rows, signal, regularisation)
+    ratio = np.array(
+        [[responses.energy_ratio(speed, row_step_mm * step, step) for step in every] for speed in speeds_mm_s]
+    )
+    return CrosstalkTable(np.asarray(speeds_mm_s, dtype=np.float64), row_step_mm * np.asarray(every, float), ratio)

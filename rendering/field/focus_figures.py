@@ -1,0 +1,196 @@
+"""Where and how sharply a scene's foci came out: instants, places and widths."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.field import metrics
+
+if TYPE_CHECKING:
+    from storage.drive_file import Drive
+
+# A focus is looked for within this distance of its path point: about one wavelength at 300 Hz.
+FOCUS_RADIUS_MM = 15.0
+# At most so many foci are looked at, evenly spread over the scene.
+MOST_INSTANTS = 64
+# Foci quieter than this part of the loudest one are between two swings of the source's signal.
+QUIET = 0.25
+# This part of the bank's positions around a focus must be compared before it is judged.
+NEEDED_NEIGHBOURS = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class FocusInstant:
+    """A focus and the sample at which it is looked at.
+
+    Parameters
+    ----------
+    source : int
+        Index of the scene's source.
+    row : int
+        Bank row of the path point.
+    start_sample, stop_sample : int
+        Emission window ``[n_m, n_{m+1})`` in samples since t = 0; the last window of a source
+        ends with the drive.
+    sample : int
+        The focus instant, in samples since t = 0: where within the emission window the predicted
+        response at the path point is largest. For an impulse that is n_m itself; a longer signal
+        shows its focus most clearly there.
+    """
+
+    source: int
+    row: int
+    start_sample: int
+    stop_sample: int
+    sample: int
+
+
+@dataclass(frozen=True, slots=True)
+class FocusTable:
+    """Figures of each focus looked at; NaN where the positions around it were not compared.
+
+    Parameters
+    ----------
+    instant : tuple of FocusInstant, length K
+    intended_mm : float64 array, shape (K, 2)
+        The path point on the grid.
+    predicted_mm, scanned_mm : float64 array, shape (K, 2)
+        Place of the largest magnitude within 15 mm of it, between grid points.
+    predicted_width_mm, scanned_width_mm : float64 array, shape (K,)
+        Full width at half maximum: diameter of the disk of equal area.
+    scanned_artefact_db : float64 array, shape (K,)
+        Largest magnitude beyond 15 mm over the largest within.
+    """
+
+    instant: tuple[FocusInstant, ...]
+    intended_mm: NDArray[np.float64]
+    predicted_mm: NDArray[np.float64]
+    scanned_mm: NDArray[np.float64]
+    predicted_width_mm: NDArray[np.float64]
+    scanned_width_mm: NDArray[np.float64]
+    scanned_artefact_db: NDArray[np.float64]
+
+    @property
+    def from_intended_mm(self) -> NDArray[np.float64]:
+        """Distance from path point to scanned focus, shape (K,)."""
+        return np.asarray(np.hypot(*(self.scanned_mm - self.intended_mm).T))
+
+    @property
+    def from_prediction_mm(self) -> NDArray[np.float64]:
+        """Distance from predicted to scanned focus, shape (K,)."""
+        return np.asarray(np.hypot(*(self.scanned_mm - self.predicted_mm).T))
+
+    @property
+    def width_difference_mm(self) -> NDArray[np.float64]:
+        """Scanned minus predicted focal width, shape (K,)."""
+        return self.scanned_width_mm - self.predicted_width_mm
+
+
+def median_or_none(values: NDArray[np.float64]) -> float | None:
+    """Median of the elements that are finite, None when there are none."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else None
+
+
+def emission_windows(drive: Drive) -> tuple[FocusInstant, ...]:
+    """The scene's foci with their emission windows, at most 64 of them, looked at where they start."""
+    end = round(drive.start_s * drive.sample_rate_hz) + drive.drive_v.shape[1]
+    windows: list[FocusInstant] = []
+    for source in np.unique(drive.focus_source):
+        of_source = np.flatnonzero(drive.focus_source == source)
+        of_source = of_source[np.argsort(drive.focus_sample[of_source], kind="stable")]
+        start = drive.focus_sample[of_source]
+        stop = np.append(start[1:], end)
+        for focus, first, following in zip(of_source, start, stop, strict=True):
+            row = int(drive.focus_position[focus])
+            last = min(max(int(following), int(first) + 1), max(end, int(first) + 1))
+            windows.append(FocusInstant(int(source), row, int(first), last, int(first)))
+    chosen = np.unique(np.linspace(0, len(windows) - 1, min(len(windows), MOST_INSTANTS)).round().astype(int))
+    return tuple(windows[index] for index in chosen) if windows else ()
+
+
+def focus_instants(
+    windows: tuple[FocusInstant, ...], predicted: NDArray[np.float32], first_sample: int
+) -> tuple[FocusInstant, ...]:
+    """Move each focus to its instant and leave the quiet ones out.
+
+    Parameters
+    ----------
+    windows : tuple of FocusInstant, length K
+    predicted : float32 array, shape (K, samples)
+        Predicted response at each window's path point, NaN where not predicted.
+    first_sample : int
+        Sample of the scene at which `predicted` starts (negative: the lead-in).
+    """
+    moved: list[FocusInstant] = []
+    loudness: list[float] = []
+    for window, response in zip(windows, np.abs(predicted), strict=True):
+        part = response[window.start_sample - first_sample : window.stop_sample - first_sample]
+        if not part.size or not np.all(np.isfinite(part)):
+            moved.append(window)
+            loudness.append(math.nan)
+            continue
+        sample = window.start_sample + int(np.argmax(part))
+        moved.append(FocusInstant(window.source, window.row, window.start_sample, window.stop_sample, sample))
+        loudness.append(float(part.max()))
+    level = np.asarray(loudness)
+    quietest = QUIET * float(np.nanmax(level)) if np.isfinite(level).any() else 0.0
+    return tuple(one for one, loud in zip(moved, level, strict=True) if not loud < quietest)
+
+
+def focus_table(
+    instants: tuple[FocusInstant, ...],
+    predicted: NDArray[np.float32],
+    scanned: NDArray[np.float32],
+    rows: NDArray[np.int64],
+    position_mm: NDArray[np.float64],
+    spacing_mm: float | None,
+) -> FocusTable:
+    """Find places and widths of the foci.
+
+    Parameters
+    ----------
+    instants : tuple of FocusInstant, length K
+    predicted, scanned : float32 array, shape (K, compared positions)
+        The fields at the focus instants.
+    rows : int64 array, shape (compared positions,)
+        Their bank rows.
+    position_mm : float64 array, shape (positions, 2)
+        The bank's grid.
+    spacing_mm : float or None
+        Its spacing; None when it has but one position.
+    """
+    count = len(instants)
+    intended = np.array([position_mm[one.row] for one in instants]).reshape(count, 2)
+    places = np.full((2, count, 2), np.nan)
+    widths = np.full((2, count), np.nan)
+    artefact = np.full(count, np.nan)
+    there = position_mm[rows]
+    for index, point in enumerate(intended):
+        near_mm = (float(point[0]), float(point[1]))
+        possible = np.count_nonzero(np.hypot(*(position_mm - point).T) <= FOCUS_RADIUS_MM)
+        compared = np.count_nonzero(np.hypot(*(there - point).T) <= FOCUS_RADIUS_MM)
+        if spacing_mm is None or compared < NEEDED_NEIGHBOURS * possible:
+            continue
+        for kind, field in enumerate((predicted[index], scanned[index])):
+            peak = metrics.focus_peak(there, field, near_mm, FOCUS_RADIUS_MM)
+            if peak is None:
+                continue
+            places[kind, index] = peak.at_mm
+            width = metrics.focal_width_mm(there, field, peak.row, spacing_mm)
+            widths[kind, index] = math.nan if width is None else width
+        artefact[index] = metrics.artefact_level_db(there, scanned[index], near_mm, FOCUS_RADIUS_MM)
+    return FocusTable(
+        instant=instants,
+        intended_mm=intended,
+        predicted_mm=places[0],
+        scanned_mm=places[1],
+        predicted_width_mm=widths[0],
+        scanned_width_mm=widths[1],
+        scanned_artefact_db=artefact,
+    )

@@ -1,0 +1,307 @@
+"""Figures of wave fields on a grid of positions, each with its definition."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage, spatial
+from scipy.interpolate import RBFInterpolator
+
+from storage.errors import InputError
+
+RealArray = NDArray[np.floating[Any]]
+
+# Cells per grid spacing on which a focal spot is drawn: area to about 1 % at 8 mm width on 4 mm.
+CELLS_PER_SPACING = 8
+# How far around its peak a focal spot is drawn, in grid spacings.
+SPOT_REACH_SPACINGS = 5.0
+# Neighbours of a peak below this part of it belong to its skirt and not to its lobe.
+LOBE_LEAST = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class FocusPeak:
+    """Where a field is largest near a focus.
+
+    Parameters
+    ----------
+    row : int
+        Index of the grid position with the largest magnitude.
+    at_mm : tuple of float
+        The peak's place between the grid positions.
+    value : float
+        The field at `row`, with its sign.
+    """
+
+    row: int
+    at_mm: tuple[float, float]
+    value: float
+
+
+def normalised_error(measured: RealArray, predicted: RealArray) -> float:
+    """Relative L2 error ``||measured - predicted|| / ||measured||`` over all elements.
+
+    Parameters
+    ----------
+    measured, predicted : array, any equal shape, any equal unit
+
+    Returns
+    -------
+    float
+        0 for equal fields; infinite when `measured` is zero and `predicted` is not.
+
+    Raises
+    ------
+    InputError
+        The shapes differ.
+    """
+    _same_shape(measured, predicted)
+    error = float(np.linalg.norm((measured - predicted).astype(np.float64).ravel()))
+    norm = float(np.linalg.norm(measured.astype(np.float64).ravel()))
+    return error / norm if norm > 0.0 else (0.0 if error == 0.0 else math.inf)
+
+
+def correlation(first: RealArray, second: RealArray) -> float:
+    """Zero-lag correlation ``<a, b> / (||a|| ||b||)`` over all elements, means not removed.
+
+    Parameters
+    ----------
+    first, second : array, any equal shape
+
+    Returns
+    -------
+    float
+        -1 to 1; NaN when either is zero everywhere.
+    """
+    _same_shape(first, second)
+    a, b = first.astype(np.float64).ravel(), second.astype(np.float64).ravel()
+    norm = float(np.linalg.norm(a)) * float(np.linalg.norm(b))
+    return float(a @ b) / norm if norm > 0.0 else math.nan
+
+
+def level_db(ratio: float) -> float:
+    """Amplitude ratio in decibels, ``20 lg ratio``; minus infinity for 0, NaN stays NaN."""
+    return 20.0 * math.log10(ratio) if ratio > 0.0 else (-math.inf if ratio == 0.0 else math.nan)
+
+
+def range_db(amplitude: RealArray) -> float:
+    """Range ``20 lg(largest / smallest)`` of positive amplitudes, such as n(x) of equation (15).
+
+    Elements that are not finite or not positive (positions not measured) are left out;
+    NaN when fewer than two remain.
+    """
+    usable = amplitude[np.isfinite(amplitude) & (amplitude > 0.0)]
+    return level_db(float(usable.max()) / float(usable.min())) if usable.size > 1 else math.nan
+
+
+def gain_range_db(
+    gain: RealArray, position_mm: NDArray[np.float64], actuator_mm: NDArray[np.float64], clear_mm: float
+) -> float:
+    """Range of n(x), or of its inverse, over the positions further than `clear_mm` from every actuator.
+
+    The paper (section IV.A) says up to 17 dB and not where: beside an actuator n(x) falls without end.
+
+    Parameters
+    ----------
+    gain : array, shape (positions,)
+        n(x) of equation (15), NaN where not measured.
+    position_mm : float64 array, shape (positions, 2)
+    actuator_mm : float64 array, shape (actuators, 2)
+        NaN where unknown.
+    clear_mm : float
+    """
+    known = actuator_mm[np.isfinite(actuator_mm).all(axis=1)]
+    if not len(known):
+        return range_db(gain)
+    distance, _ = spatial.cKDTree(known).query(position_mm)
+    return range_db(gain[distance > clear_mm])
+
+
+def grid_spacing_mm(position_mm: NDArray[np.float64]) -> float:
+    """Median distance in millimetres from each position to its nearest neighbour.
+
+    Raises
+    ------
+    InputError
+        Fewer than two positions.
+    """
+    if len(position_mm) < 2:
+        raise InputError(f"a grid spacing needs two positions, there are {len(position_mm)}")
+    distance, _ = spatial.cKDTree(position_mm).query(position_mm, k=[2])
+    return float(np.median(distance))
+
+
+def focus_peak(
+    position_mm: NDArray[np.float64], field: RealArray, near_mm: tuple[float, float], radius_mm: float
+) -> FocusPeak | None:
+    """Find the place of the largest ``|field|`` within `radius_mm` of a point.
+
+    The largest grid position is refined by the vertex of a quadratic surface fitted (least
+    squares) to the logarithm of it and its neighbours within 1.5 spacings that have its sign
+    and a twentieth of its magnitude: exact for a Gaussian spot, and to 0.3 mm for a
+    jinc spot of 8 mm on a grid of 4 mm. With fewer than six such neighbours the field
+    itself is fitted; the grid position counts where that has no maximum within one spacing.
+
+    Parameters
+    ----------
+    position_mm : float64 array, shape (positions, 2)
+    field : array, shape (positions,)
+        The field at one instant, any unit.
+    near_mm : tuple of float
+        Where the focus is meant to be.
+    radius_mm : float
+        How far from there to look, > 0.
+
+    Returns
+    -------
+    FocusPeak or None
+        None when no position lies within the radius.
+    """
+    rows = np.flatnonzero(np.hypot(*(position_mm - np.asarray(near_mm)).T) <= radius_mm)
+    if not rows.size:
+        return None
+    row = int(rows[np.argmax(np.abs(field[rows]))])
+    value, centre = float(field[row]), position_mm[row]
+    offset = position_mm - centre
+    distance = np.hypot(*offset.T)
+    at = centre
+    others = distance[distance > 0.0]
+    if others.size and value != 0.0:
+        spacing = float(others.min())
+        near = distance <= 1.5 * spacing
+        relative = field.astype(np.float64) / value
+        lobe = near & (relative > LOBE_LEAST)
+        vertex = _quadratic_vertex(offset[lobe] / spacing, np.log(relative[lobe]))
+        if vertex is None:
+            vertex = _quadratic_vertex(offset[near] / spacing, relative[near])
+        if vertex is not None:
+            at = centre + spacing * vertex
+    return FocusPeak(row=row, at_mm=(float(at[0]), float(at[1])), value=value)
+
+
+def focal_width_mm(
+    position_mm: NDArray[np.float64], field: RealArray, peak_row: int, spacing_mm: float
+) -> float | None:
+    """Full width at half maximum of a focal spot: the diameter of a disk of equal area.
+
+    The field within five spacings of the peak is interpolated (quintic radial basis
+    functions) on cells of an eighth of a spacing. The spot is the connected region around
+    the peak in which the field has the peak's sign and more than half of its value;
+    the width is ``sqrt(4 area / pi)``.
+
+    Parameters
+    ----------
+    position_mm : float64 array, shape (positions, 2)
+    field : array, shape (positions,)
+        The field at one instant, any unit.
+    peak_row : int
+        Position with the largest magnitude.
+    spacing_mm : float
+        Grid spacing, > 0.
+
+    Returns
+    -------
+    float or None
+        Millimetres; None when the spot reaches beyond the positions that are there.
+    """
+    value = float(field[peak_row])
+    reach = SPOT_REACH_SPACINGS * spacing_mm
+    offset = position_mm - position_mm[peak_row]
+    near = np.hypot(*offset.T) <= reach + spacing_mm
+    if np.count_nonzero(near) < 9 or value == 0.0 or not np.all(np.isfinite(field[near])):
+        return None
+    cell = spacing_mm / CELLS_PER_SPACING
+    half_cells = round(reach / cell)
+    axis = np.arange(-half_cells, half_cells + 1) * cell
+    cells = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    gap, _ = spatial.cKDTree(offset[near]).query(cells)
+    # Any point of a full square grid lies within 0.71 spacings of a position.
+    known = (gap <= 0.75 * spacing_mm) & (np.hypot(*cells.T) <= reach)
+    try:
+        surface = RBFInterpolator(offset[near], field[near].astype(np.float64) / value, kernel="quintic")
+    except np.linalg.LinAlgError:  # positions on one line have a width along it only
+        return None
+    spot = np.zeros(len(cells))
+    spot[known] = surface(cells[known])
+    shape = (axis.size, axis.size)
+    spot = spot.reshape(shape)
+    middle = slice(half_cells - CELLS_PER_SPACING, half_cells + CELLS_PER_SPACING + 1)
+    highest = float(spot[middle, middle].max())
+    labels, _ = ndimage.label(spot > 0.5 * highest)
+    region = labels == labels[half_cells, half_cells]
+    if labels[half_cells, half_cells] == 0 or np.any(ndimage.binary_dilation(region) & ~known.reshape(shape)):
+        return None
+    return math.sqrt(4.0 * float(np.count_nonzero(region)) * cell**2 / math.pi)
+
+
+def artefact_level_db(
+    position_mm: NDArray[np.float64], field: RealArray, near_mm: tuple[float, float], radius_mm: float
+) -> float:
+    """Largest ``|field|`` further than `radius_mm` from a focus over the largest within it, in dB.
+
+    NaN when there is no position on either side of the circle, or no field within it.
+    """
+    within = np.hypot(*(position_mm - np.asarray(near_mm)).T) <= radius_mm
+    if not within.any() or within.all():
+        return math.nan
+    inside = float(np.max(np.abs(field[within])))
+    return level_db(float(np.max(np.abs(field[~within]))) / inside) if inside > 0.0 else math.nan
+
+
+def band_weights(samples: int, sample_rate_hz: float, band_hz: tuple[float, float]) -> NDArray[np.float32]:
+    """Zero-phase weights of a band on the bins of ``rfft``.
+
+    1 inside `band_hz`, falling to 0 over a quarter of an octave outside it, as half a
+    cosine on the logarithm of frequency.
+
+    Returns
+    -------
+    float32 array, shape (samples // 2 + 1,)
+    """
+    frequency = np.maximum(fft.rfftfreq(samples, 1.0 / sample_rate_hz), 1e-9)
+    outside = np.maximum(np.log2(band_hz[0] / frequency), np.log2(frequency / band_hz[1]))
+    return (0.5 + 0.5 * np.cos(np.pi * np.clip(outside / 0.25, 0.0, 1.0))).astype(np.float32)
+
+
+def band_limited(field: RealArray, sample_rate_hz: float, band_hz: tuple[float, float]) -> RealArray:
+    """The part of signals within a band, by `band_weights` on their zero-padded spectra.
+
+    Parameters
+    ----------
+    field : float32 or float64 array, shape (..., samples)
+    sample_rate_hz : float
+    band_hz : tuple of float
+
+    Returns
+    -------
+    array of the same type and shape
+    """
+    samples = field.shape[-1]
+    padded = fft.next_fast_len(samples + round(2.0 * sample_rate_hz / band_hz[0]), real=True)
+    spectrum = fft.rfft(field, padded)
+    spectrum *= band_weights(padded, sample_rate_hz, band_hz)
+    limited: RealArray = fft.irfft(spectrum, padded)[..., :samples].astype(field.dtype, copy=False)
+    return limited
+
+
+def _quadratic_vertex(offset: NDArray[np.float64], value: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Vertex of a quadratic surface through values around the origin, None without a maximum nearby."""
+    x, y = offset.T
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    if len(terms) < 6 or np.linalg.matrix_rank(terms) < 6:
+        return None
+    _, bx, by, cxx, cxy, cyy = np.linalg.lstsq(terms, value, rcond=None)[0]
+    hessian = np.array([[2.0 * cxx, cxy], [cxy, 2.0 * cyy]])
+    if cxx >= 0.0 or np.linalg.det(hessian) <= 0.0:
+        return None
+    vertex: NDArray[np.float64] = -np.linalg.solve(hessian, np.array([bx, by]))
+    return vertex if float(np.hypot(*vertex)) <= 1.0 else None
+
+
+def _same_shape(first: RealArray, second: RealArray) -> None:
+    if first.shape != second.shape:
+        raise InputError(f"fields to compare must have one shape, not {first.shape} and {second.shape}")

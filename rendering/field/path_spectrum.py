@@ -1,0 +1,83 @@
+"""Spectrum of the oscillations at the points of a path: the paper's figure 4C, lower left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class PathSpectrum:
+    """Magnitude spectra at path points.
+
+    Parameters
+    ----------
+    frequency_hz : float64 array, shape (bins,)
+    magnitude : float64 array, shape (points, bins)
+        Magnitude of the Fourier transform, in the responses' unit times seconds.
+    """
+
+    frequency_hz: Float64Array
+    magnitude: Float64Array
+
+    @property
+    def mean(self) -> Float64Array:
+        """Mean over the points, (bins,): the paper's "average magnitude spectrum"."""
+        return np.asarray(self.magnitude.mean(axis=0))
+
+    def share_within(self, band_hz: tuple[float, float]) -> float:
+        """Share of the energy of all points that lies within a band, 0 to 1; NaN without any energy."""
+        energy = np.square(self.magnitude).sum(axis=0)
+        inside = (self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1])
+        total = float(energy.sum())
+        return float(energy[inside].sum()) / total if total > 0 else float("nan")
+
+
+def path_spectrum(
+    responses: NDArray[np.floating[Any]],
+    sample_rate_hz: float,
+    first_sample: Int64Array,
+    samples: int,
+    resolution_hz: float = 5.0,
+) -> PathSpectrum:
+    """Transform each point's response over a window of its own.
+
+    Parameters
+    ----------
+    responses : float array, shape (points, samples of the field)
+        Response at each path point.
+    sample_rate_hz : float
+        Their rate, > 0.
+    first_sample : int64 array, shape (points,)
+        Where each window begins; what lies outside the field counts as silence.
+    samples : int
+        Length of the windows, >= 1; rectangular.
+    resolution_hz : float
+        Spacing of the bins is at most this, by zeros appended.
+
+    Raises
+    ------
+    InputError
+        There is no point, or a figure is out of range.
+    """
+    if responses.ndim != 2 or not len(responses) or len(first_sample) != len(responses):
+        raise InputError(f"responses of shape {responses.shape} do not go with {len(first_sample)} windows")
+    if samples < 1 or not (sample_rate_hz > 0 and resolution_hz > 0):
+        raise InputError(f"a window of {samples} samples at {sample_rate_hz} Hz has no spectrum")
+    windows = np.zeros((len(responses), samples))
+    for window, response, first in zip(windows, responses, first_sample.tolist(), strict=True):
+        begin, end = max(first, 0), min(first + samples, len(response))
+        if end > begin:
+            window[begin - first : end - first] = response[begin:end]
+    length = int(scipy_fft.next_fast_len(max(samples, int(np.ceil(sample_rate_hz / resolution_hz))), real=True))
+    magnitude = np.abs(scipy_fft.rfft(windows, length, axis=1)) / sample_rate_hz
+    return PathSpectrum(scipy_fft.rfftfreq(length, 1.0 / sample_rate_hz), magnitude)

@@ -1,0 +1,137 @@
+"""Spectra of predicted responses without the responses: energy maps at a fraction of a field's cost.
+
+The drive is cut into sine windows that overlap by half, whose squares add up to 1; each one's spectrum goes through the
+rows' spectra, and the squares are added up (P. D. Welch, IEEE Trans. Audio Electroacoust. 15, 70-73, 1967, with the
+window on the drive). Transforms hold a window and a Green's function, so that all that it sets off is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from rendering.drive.omission import Economy
+from rendering.drive.row_transforms import BankSpectra, transform_rows
+from rendering.greens.source import GreenSource, RowReader, drive_unit
+from rendering.threads import WORKERS, one_blas_thread
+from storage.drive_file import Drive
+from storage.errors import InputError
+from storage.units import response_unit
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+WINDOW_TAPS = 2.0
+"""Length of a window in taps."""
+ROWS_AT_ONCE = 32
+BLOCKS_AT_ONCE = 64
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseSpectra:
+    """Energy spectra of responses.
+
+    Parameters
+    ----------
+    frequency_hz : float64 array, shape (bins,)
+        Frequencies.
+    energy_density : float64 array, shape (positions, bins)
+        Per position, the response's energy (sum of squares over the rate, so unit squared times seconds) per hertz;
+        its sum times the bins' distance is the energy of the response.
+    position_index : int64 array, shape (positions,)
+        Bank rows.
+    response_unit : str
+        Unit of the responses.
+    """
+
+    frequency_hz: Float64Array
+    energy_density: Float64Array
+    position_index: Int64Array
+    response_unit: str
+
+    def band_energy(self, edges_hz: Sequence[float]) -> Float64Array:
+        """Energy between neighbouring edges, (positions, edges - 1)."""
+        step_hz = float(self.frequency_hz[1] - self.frequency_hz[0]) if len(self.frequency_hz) > 1 else 1.0
+        at = np.searchsorted(self.frequency_hz, np.asarray(edges_hz, dtype=np.float64))
+        parts = [self.energy_density[:, first:last].sum(axis=1) * step_hz for first, last in pairwise(at.tolist())]
+        return np.stack(parts, axis=1)
+
+
+def predict_spectra(
+    drive: Drive, bank: GreenSource | BankSpectra, positions: Sequence[int] | Int64Array
+) -> ResponseSpectra:
+    """Estimate the energy spectra of the responses to a drive.
+
+    In complex64 (one part in a million). The windows smooth the spectrum over about three of their bins, rate / window
+    length apart: a sum over a band much wider than that comes within a few percent of the field's own, less narrow
+    ones within what neighbouring frequencies differ by.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drives, at the bank's rate.
+    bank : GreenSource or BankSpectra
+        Measured Green's functions, or their spectra, at the full rate and in all the bins that were kept.
+    positions : sequence of int
+        Bank rows, measured.
+
+    Raises
+    ------
+    InputError
+        The drive is not finite, or the spectra are at another rate.
+    """
+    index = np.asarray(positions, dtype=np.int64)
+    if not np.isfinite(drive.drive_v).all():
+        raise InputError("the drive holds NaN or infinity; render it again")
+    spectra = bank if isinstance(bank, BankSpectra) else None
+    source: GreenSource = bank.bank if isinstance(bank, BankSpectra) else bank
+    if spectra is not None and spectra.decimation is not None:
+        raise InputError("the spectra of a bank at a lower rate do not fit the drive's; make them at the full rate")
+    if spectra is not None:
+        fft_samples, economy = spectra.fft_samples, spectra.economy
+    else:
+        fft_samples = int(scipy_fft.next_fast_len(int((1.0 + WINDOW_TAPS) * source.taps), real=True))
+        economy = Economy.of(fft_samples // 2 + 1, single=True)
+    exponent = int(np.frexp(float(np.abs(drive.drive_v).max(initial=0.0)))[1])
+    blocks = _windowed(np.ldexp(drive.drive_v, -exponent), max(2, min(fft_samples - source.taps + 1, 2 * source.taps)))
+    power = np.zeros((len(index), economy.kept))
+    reader = RowReader(source)
+    with one_blas_thread():
+        for first in range(0, len(blocks), BLOCKS_AT_ONCE):
+            whole = scipy_fft.rfft(blocks[first : first + BLOCKS_AT_ONCE], fft_samples, axis=2, workers=WORKERS)
+            kept = whole[:, :, economy.low : economy.high].astype(economy.complex).transpose(2, 1, 0)
+            kept = np.ascontiguousarray(kept)
+            for begin in range(0, len(index), ROWS_AT_ONCE):
+                some = index[begin : begin + ROWS_AT_ONCE]
+                rows = (
+                    transform_rows(reader, some.tolist(), fft_samples, economy, bounded=False)
+                    if spectra is None
+                    else spectra.rows(some)
+                )
+                squares = economy.squared(np.matmul(rows.kept.transpose(1, 0, 2), kept)).sum(axis=2, dtype=np.float64)
+                power[begin : begin + len(some)] += np.ldexp(squares.T, 2 * (rows.exponents + exponent)[:, None])
+    rate_hz = float(drive.sample_rate_hz)
+    # Parseval: two bins each but for the first and, of an even length, the last.
+    twice = np.full(fft_samples // 2 + 1, 2.0)
+    twice[0] = 1.0
+    if fft_samples % 2 == 0:
+        twice[-1] = 1.0
+    power *= twice[economy.low : economy.high] / rate_hz**2
+    frequency_hz = scipy_fft.rfftfreq(fft_samples, 1.0 / rate_hz)[economy.low : economy.high]
+    return ResponseSpectra(frequency_hz, power, index, response_unit(source.response_unit, drive_unit(source)))
+
+
+def _windowed(drive: Float64Array, length: int) -> Float64Array:
+    """The drive under sine windows, whose squares add up to 1, (blocks, actuators, samples)."""
+    half = length // 2
+    # The first and the last half window are silent, so that every sample lies in two windows.
+    blocks = -(-drive.shape[1] // half) + 1
+    padded = np.zeros((drive.shape[0], (blocks + 1) * half))
+    padded[:, half : half + drive.shape[1]] = drive
+    shape = np.sin(np.pi * (np.arange(2 * half) + 0.5) / (2 * half))
+    return np.stack([padded[:, block * half : (block + 2) * half] * shape for block in range(blocks)])

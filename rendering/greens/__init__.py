@@ -1,0 +1,1 @@
+"""The bank as the renderer reads it: rows, regularisation, interpolation."""

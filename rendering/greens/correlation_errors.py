@@ -1,0 +1,132 @@
+"""What an interpolation is wrong by on average, for fields that correlate like the bank's own neighbours."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0
+
+from rendering.greens.error_bands import ErrorBands
+from rendering.greens.interpolation import GridInterpolation
+from rendering.greens.snapping import PositionGrid
+from rendering.greens.source import GreenSource, read_rows, usable
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+PAIRS = 4
+BANDS_BELOW = 8
+LOWEST_CORRELATION = -0.402
+"""J0 at its first minimum, 3.83: waves shorter than that cannot be told from longer ones."""
+SURE_CORRELATION = 0.45
+"""Larger than J0 ever is beyond its first minimum, with room for chance."""
+KERNEL_RADIANS = 4.4
+"""Wave number times grid spacing up to which the regression over waves does better than interpolation of values."""
+RADIANS = np.linspace(0.0, 3.83, 512)
+J0_TABLE = j0(RADIANS)
+
+
+def expected_errors(
+    bank: GreenSource, kind: GridInterpolation, points_mm: Float64Array, frequency_hz: Float64Array
+) -> ErrorBands | None:
+    """Estimate errors from a few pairs of neighbouring rows.
+
+    Waves from all sides correlate like J0(k r) over a distance r. The correlation of neighbouring positions
+    tells k at each frequency; an interpolation with weights w of positions x_n is then wrong at x by
+    1 - 2 sum_n w_n J0(k |x - x_n|) + sum_nm w_n w_m J0(k |x_n - x_m|), as power.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    kind : GridInterpolation
+        What is judged.
+    points_mm : float64 array, shape (points, 2)
+        Where.
+    frequency_hz : float64 array, shape (bands,)
+        At which frequencies, ascending.
+
+    Returns
+    -------
+    ErrorBands or None
+        None where the bank has no pair of neighbours there.
+    """
+    pairs, apart_mm = _pairs(bank, kind.grid, points_mm)
+    if not len(pairs):
+        return None
+    # Lower frequencies, too: they tell how short the waves are where neighbours hardly correlate any more.
+    low_hz = max(bank.sample_rate_hz / bank.taps, 0.0 if bank.band_hz is None else bank.band_hz[0])
+    below_hz = np.geomspace(low_hz, max(frequency_hz[0], low_hz), BANDS_BELOW, endpoint=False)
+    below_hz = below_hz[below_hz < frequency_hz[0]]
+    every_hz = np.concatenate([below_hz, frequency_hz])
+    correlation, power = _correlation(bank, pairs, every_hz)
+    asked = slice(len(below_hz), None)
+    turned, power = _turned(every_hz, correlation)[asked], power[asked]
+    wavenumber = turned / float(np.median(apart_mm))
+    nodes = kind.nodes(points_mm)
+    places = kind.grid.position_mm[nodes.rows]
+    from_point = np.hypot(*(places - points_mm[:, None]).transpose(2, 0, 1))
+    between = np.hypot(*(places[:, :, None] - places[:, None]).transpose(3, 0, 1, 2))
+    k = wavenumber[:, None, None]
+    wrong = 1.0 - 2.0 * (nodes.weights * j0(k * from_point)).sum(axis=2)
+    wrong += np.einsum("pn,pm,bpnm->bp", nodes.weights, nodes.weights, j0(k[..., None] * between))
+    errors = np.sqrt(np.maximum(wrong, 0.0))
+    resolved = wavenumber * kind.grid.spacing_mm < KERNEL_RADIANS
+    return ErrorBands(
+        frequency_hz, np.median(errors, axis=1), errors.max(axis=1), power, np.where(resolved, 0.0, np.inf)
+    )
+
+
+def _turned(frequency_hz: Float64Array, correlation: Float64Array) -> Float64Array:
+    """Wave number times distance of the neighbours, (bands,).
+
+    J0 falls all the way to its first minimum, so that it can be looked up backwards. Beyond, it swings between
+    -0.4 and 0.3: from the frequency on above which no correlation is larger, waves get shorter at least as fast
+    as bending waves do, as the root of the frequency.
+    """
+    turned = np.interp(-np.maximum(correlation, LOWEST_CORRELATION), -J0_TABLE, RADIANS)
+    large = np.flatnonzero(correlation > SURE_CORRELATION)
+    for band in range(int(large[-1]) + 2 if len(large) else 1, len(turned)):
+        grown = turned[band - 1] * np.sqrt(frequency_hz[band] / frequency_hz[band - 1])
+        turned[band] = max(turned[band], grown)
+    return np.asarray(turned)
+
+
+def _pairs(bank: GreenSource, grid: PositionGrid, points_mm: Float64Array) -> tuple[Int64Array, Float64Array]:
+    """Rows near some of the points, each with a measured neighbour, (pairs, 2), and their distances."""
+    position_mm, allowed = grid.position_mm, usable(bank)
+    some = points_mm[:: max(len(points_mm) // PAIRS, 1)][:PAIRS]
+    found, apart = [], []
+    for first in grid.nearest(some)[0].tolist():
+        gap_mm = position_mm - position_mm[first]
+        square = np.einsum("pa,pa->p", gap_mm, gap_mm)
+        square[~allowed | (square < (1e-3 * grid.spacing_mm) ** 2)] = np.inf
+        second = int(np.argmin(square))
+        if allowed[first] and square[second] <= (1.5 * grid.spacing_mm) ** 2:
+            found.append((first, second))
+            apart.append(float(np.sqrt(square[second])))
+    return np.array(found, dtype=np.int64).reshape(-1, 2), np.array(apart)
+
+
+def _correlation(bank: GreenSource, pairs: Int64Array, frequency_hz: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Correlation of the pairs' rows over actuators, and their power, (bands,) each."""
+    transform = _transform(bank.taps, tuple((frequency_hz / bank.sample_rate_hz).tolist()))
+    product, power = np.zeros(len(frequency_hz)), np.zeros(len(frequency_hz))
+    rows = read_rows(bank, pairs.ravel().tolist())
+    for both in (rows @ transform).reshape(len(pairs), 2, bank.actuators, -1):
+        first, second = (part[:, : len(frequency_hz)] + 1j * part[:, len(frequency_hz) :] for part in both)
+        norms = [np.square(np.abs(part)).sum(axis=0) for part in (first, second)]
+        scale = np.sqrt(norms[0] * norms[1])
+        product += np.divide((first.conj() * second).real.sum(axis=0), scale, out=np.zeros_like(scale), where=scale > 0)
+        power += norms[0] / max(float(norms[0].max()), 1e-30)
+    return product / len(pairs), power
+
+
+@functools.lru_cache(maxsize=8)
+def _transform(taps: int, turns_per_sample: tuple[float, ...]) -> NDArray[np.float32]:
+    """Real and imaginary parts of a Fourier transform at some frequencies, (taps, 2 * frequencies)."""
+    turns = np.outer(np.arange(taps), np.array(turns_per_sample))
+    phase = -2.0 * np.pi * np.remainder(turns, 1.0)
+    return np.concatenate([np.cos(phase), np.sin(phase)], axis=1).astype(np.float32)

@@ -1,0 +1,283 @@
+"""How wrong the bank is between its positions, frequency by frequency, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from rendering.greens.between_positions import scene_points
+from rendering.greens.correlation_errors import expected_errors
+from rendering.greens.error_bands import ErrorBands
+from rendering.greens.interpolation import GridInterpolation, Interpolation, OffGridError
+from rendering.greens.source import GreenSource
+from rendering.scene.model import Scene
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+
+WORTH_SAYING = 0.05
+"""Error from which a render says something where no tolerance is given."""
+EMITTED_SHARE = 0.01
+"""Bands with less of the scene's energy do not count."""
+MOST_POINTS = 128
+SIGNAL_BLOCK, SIGNAL_BLOCKS = 4096, 6
+BANDS = 6
+EDGE_SHARE = 5e-3
+"""Energy at either end of the emitted spectrum that the bands need not reach."""
+HALF_BAND = 2.0 ** (1.0 / 6.0)
+BETTER = 0.7
+"""Another interpolation is advised where its error is below this part."""
+
+
+@dataclass(frozen=True, slots=True)
+class InterpolationErrors:
+    """Estimated error of the interpolated Green's functions along the scene's paths.
+
+    The error at a point and frequency is the L2 norm over the actuators of what is wrong, over that of what is
+    there.
+
+    Parameters
+    ----------
+    kind : str
+        The interpolation.
+    found_by : str
+        ``"leaving positions out"``: what the kernel regression misses of positions that it is not told of,
+        scaled to the points by its own variance; for other kinds joined by the difference to that regression.
+        ``"correlation"``: what fields correlated like neighbouring positions would be wrong by on average.
+    points : int
+        Points looked at.
+    frequency_hz : float64 array, shape (bands,)
+        Centres of bands.
+    emitted : float64 array, shape (bands,)
+        Share of what the sources emit into the band and the bank passes; they sum to 1.
+    median, worst : float64 array, shape (bands,)
+        Relative error over the points.
+    """
+
+    kind: str
+    found_by: str
+    points: int
+    frequency_hz: Float64Array
+    emitted: Float64Array
+    median: Float64Array
+    worst: Float64Array
+    kernel: Float64Array
+
+    @property
+    def kernel_is_better(self) -> bool:
+        """Whether "kernel" would do much better in the worst band that the scene makes use of."""
+        band = self._worst_band
+        return bool(self.kernel[band] < BETTER * self.median[band])
+
+    @property
+    def overall(self) -> float:
+        """Median error of all bands together: root mean square, weighted by what is emitted."""
+        return float(np.sqrt(np.sum(self.emitted * np.square(self.median))))
+
+    @property
+    def largest(self) -> tuple[float, float]:
+        """Frequency and median error of the worst band that the scene makes use of."""
+        band = self._worst_band
+        return float(self.frequency_hz[band]), float(self.median[band])
+
+    @property
+    def _worst_band(self) -> int:
+        used = np.flatnonzero(self.emitted >= EMITTED_SHARE)
+        return int(used[np.argmax(self.median[used])]) if len(used) else int(np.argmax(self.emitted))
+
+    def table(self) -> list[dict[str, float]]:
+        """The bands as plain numbers, errors in percent."""
+        columns = (self.frequency_hz, self.emitted, 100.0 * self.median, 100.0 * self.worst)
+        names = ("frequency_hz", "emitted_share", "median_percent", "worst_percent")
+        return [dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
+
+
+def interpolation_errors(
+    scene: Scene,
+    bank: GreenSource,
+    kind: Interpolation,
+    signals: Sequence[Float64Array],
+    *,
+    thorough: bool,
+) -> InterpolationErrors | None:
+    """Estimate the error along a scene's paths.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    bank : GreenSource
+        The measured bank.
+    kind : Interpolation
+        Its interpolation.
+    signals : sequence of float64 array, shape (samples,)
+        What each source emits, at the bank's rate.
+    thorough : bool
+        Leave positions out also where the kind is not "kernel". That reads some hundred rows; else a kind of
+        the grid alone gets by on a few.
+
+    Returns
+    -------
+    InterpolationErrors or None
+        None where every point lies on a position, or the bank does not let one tell.
+    """
+    points_mm = scene_points(scene)
+    points_mm = points_mm[np.unique(np.linspace(0, len(points_mm) - 1, MOST_POINTS).astype(np.int64))]
+    name = scene.output.interpolation
+    if isinstance(kind, GridInterpolation) and not _between(kind, points_mm):
+        return None
+    spectrum = _Emitted(signals, float(bank.sample_rate_hz))
+    try:
+        by, found = "leaving positions out", _thorough(bank, kind, points_mm, spectrum, thorough=thorough)
+        if found is None and isinstance(kind, GridInterpolation):
+            by, found = "correlation", expected_errors(bank, kind, points_mm, spectrum.bands_hz(_band_hz(bank), BANDS))
+    except OffGridError:
+        return None  # whoever renders there says which path point it is
+    if found is None:
+        return None
+    emitted = spectrum.shares(found.frequency_hz, _band_hz(bank)) * found.power
+    total = float(emitted.sum())
+    if not (total > 0 and np.isfinite(total)):
+        return None
+    return InterpolationErrors(
+        name, by, len(points_mm), found.frequency_hz, emitted / total, found.median, found.worst, found.kernel
+    )
+
+
+def judge_interpolation(errors: InterpolationErrors | None, tolerance: float | None) -> list[str]:
+    """Warn of an error worth saying; refuse one beyond the tolerance.
+
+    Parameters
+    ----------
+    errors : InterpolationErrors, optional
+        What was found.
+    tolerance : float, optional
+        Largest median error allowed in any band that the scene makes use of, > 0.
+
+    Raises
+    ------
+    InputError
+        The tolerance is not above 0, or a band exceeds it.
+    """
+    if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
+        raise InputError(f"interpolation_tolerance is {tolerance}; it must be a finite number above 0")
+    if errors is None:
+        return []
+    frequency_hz, error = errors.largest
+    percent = _percent(error)
+    what = f"interpolation {errors.kind!r} between the grid positions is wrong by about"
+    better = errors.kind != "kernel" and errors.kernel_is_better
+    remedy = "use 'kernel', or a finer grid" if better else "measure a finer grid, or lower the band"
+    if tolerance is not None and error > tolerance:
+        raise InputError(
+            f"{what} {percent} at {frequency_hz:.3g} Hz (median along the paths), more than the"
+            f" {_percent(tolerance)} allowed; {remedy}"
+        )
+    if error <= WORTH_SAYING:
+        return []
+    used = np.flatnonzero(errors.emitted >= EMITTED_SHARE)
+    middle = int(used[np.searchsorted(np.cumsum(errors.emitted[used]), 0.5 * errors.emitted[used].sum())])
+    middling = f"{_percent(errors.median[middle])} at {errors.frequency_hz[middle]:.3g} Hz"
+    if errors.frequency_hz[middle] == frequency_hz:
+        return [f"{what} {middling}; {remedy}"]
+    return [f"{what} {middling} and {percent} at {frequency_hz:.3g} Hz; {remedy}"]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
+
+
+def _between(kind: GridInterpolation, points_mm: Float64Array) -> bool:
+    _, distance_mm = kind.grid.nearest(points_mm)
+    return bool(kind.grid.spacing_mm > 0 and (distance_mm > 1e-3 * kind.grid.spacing_mm).any())
+
+
+def _thorough(
+    bank: GreenSource, kind: Interpolation, points_mm: Float64Array, spectrum: _Emitted, *, thorough: bool
+) -> ErrorBands | None:
+    if not thorough and isinstance(kind, GridInterpolation):
+        return None
+    from rendering.kernel.interpolation import KernelInterpolation
+    from rendering.kernel.left_out_errors import left_out_errors
+    from rendering.kernel.row_values import RowValues
+
+    kernel, nodes = kind, None
+    if not isinstance(kernel, KernelInterpolation):
+        nodes = kind.nodes(points_mm)
+    try:
+        if not isinstance(kernel, KernelInterpolation):
+            kernel = KernelInterpolation(bank, points_mm)
+        values = kernel.values
+        covered_hz = (values.frequency_hz[0] / HALF_BAND, values.frequency_hz[-1] * HALF_BAND)
+        if spectrum.share_outside(covered_hz, _band_hz(bank)) > EMITTED_SHARE:
+            count = len(values.frequency_hz)
+            values = RowValues(bank, spectrum.bands_hz(_band_hz(bank), count))
+        return left_out_errors(kernel, points_mm, nodes, values)
+    except InputError:
+        if nodes is None:
+            raise
+        return None  # too few positions to leave one out
+
+
+def _band_hz(bank: GreenSource) -> tuple[float, float]:
+    """Band in which the bank says something."""
+    nyquist_hz = 0.5 * float(bank.sample_rate_hz)
+    low_hz, high_hz = bank.band_hz if bank.band_hz is not None else (0.02 * nyquist_hz, nyquist_hz)
+    high_hz = min(high_hz, 0.99 * nyquist_hz)
+    return min(max(low_hz, float(bank.sample_rate_hz) / bank.taps), high_hz), high_hz
+
+
+class _Emitted:
+    """Energy spectrum of what a scene's sources emit."""
+
+    def __init__(self, signals: Sequence[Float64Array], rate_hz: float) -> None:
+        self._power = np.zeros(SIGNAL_BLOCK // 2 + 1)
+        self._bins_hz = scipy_fft.rfftfreq(SIGNAL_BLOCK, 1.0 / rate_hz)
+        window = np.hanning(SIGNAL_BLOCK + 1)[:-1]
+        for signal in signals:
+            # Cut from a longer signal, blocks fade in and out: else their edges pass for high frequencies.
+            short = len(signal) <= SIGNAL_BLOCK
+            last = max(len(signal) - SIGNAL_BLOCK, 0)
+            for begin in np.unique(np.linspace(0, last, SIGNAL_BLOCKS).astype(np.int64)).tolist():
+                part = signal[begin : begin + SIGNAL_BLOCK]
+                peak = float(max(part.max(), -part.min()))
+                if peak > 0:
+                    shaped = part / peak if short else window * (part / peak)
+                    self._power += np.square(np.abs(scipy_fft.rfft(shaped, SIGNAL_BLOCK))) * min(peak, 1e100) ** 2
+
+    def bands_hz(self, within_hz: tuple[float, float], count: int) -> Float64Array:
+        """Centres of bands over what is emitted within a band; over all of that band where nothing is."""
+        inside = self._inside(within_hz)
+        low_hz, high_hz = within_hz
+        upto = np.cumsum(self._power[inside])
+        if len(upto) and upto[-1] > 0:
+            first, last = np.searchsorted(upto, [EDGE_SHARE * upto[-1], (1.0 - EDGE_SHARE) * upto[-1]])
+            bins_hz = self._bins_hz[inside]
+            low_hz, high_hz = (float(bins_hz[min(int(one), len(bins_hz) - 1)]) for one in (first, last))
+        low_hz = max(low_hz, within_hz[0], 1e-3 * high_hz)
+        if high_hz <= low_hz * HALF_BAND:
+            return np.array([high_hz])
+        edges_hz = np.geomspace(low_hz, high_hz, count + 1)
+        return np.asarray(np.sqrt(edges_hz[1:] * edges_hz[:-1]))
+
+    def shares(self, frequency_hz: Float64Array, within_hz: tuple[float, float]) -> Float64Array:
+        """Energy within a band, each bin given to the nearest frequency, (bands,)."""
+        inside = self._inside(within_hz)
+        edges_hz = np.sqrt(frequency_hz[1:] * frequency_hz[:-1])
+        place = np.searchsorted(edges_hz, self._bins_hz[inside])
+        return np.bincount(place, self._power[inside], minlength=len(frequency_hz)).astype(np.float64)
+
+    def share_outside(self, covered_hz: tuple[float, float], within_hz: tuple[float, float]) -> float:
+        """Share of the energy within a band that lies outside of another."""
+        inside = self._inside(within_hz)
+        outside = (self._bins_hz < covered_hz[0]) | (self._bins_hz > covered_hz[1])
+        whole = float(self._power[inside].sum())
+        return float(self._power[inside & outside].sum()) / whole if whole > 0 else 0.0
+
+    def _inside(self, within_hz: tuple[float, float]) -> NDArray[np.bool_]:
+        half_bin_hz = 0.5 * float(self._bins_hz[1])
+        return (self._bins_hz >= within_hz[0] - half_bin_hz) & (self._bins_hz <= within_hz[1] + half_bin_hz)

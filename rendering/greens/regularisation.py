@@ -1,0 +1,242 @@
+"""Saturation (eq. 14) and gain normalisation (eq. 15) of each focus position."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.greens.row_scaling import RealArray, ScaledRow
+from rendering.greens.source import GreenSource, read_row, usable
+from rendering.reused_memory import reused
+from rendering.scene.model import Regularisation
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+
+LEAST_TOTAL = 1e-300
+"""The reciprocal of a smaller sum of energies is beyond the range of numbers."""
+
+
+def rms_map(bank: GreenSource) -> Float64Array:
+    """rms_i(x) of eq. (14) for every position and actuator.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        Read once, row by row.
+
+    Returns
+    -------
+    float64 array, shape (positions, actuators)
+        In the unit of the Green's functions; NaN in rows that are unmeasured, refused or all zeros.
+
+    Raises
+    ------
+    InputError
+        A row in use holds NaN or infinity.
+    """
+    rms = np.full((bank.positions, bank.actuators), np.nan)
+    for position in np.flatnonzero(usable(bank)):
+        row = read_row(bank, int(position))
+        if not row.silent:
+            rms[position] = np.ldexp(_rms(row), row.exponent)
+    return rms
+
+
+def saturation_threshold(regularisation: Regularisation, bank: GreenSource) -> float:
+    """Resolve C of eq. (14).
+
+    Parameters
+    ----------
+    regularisation : Regularisation
+        Saturation as a fraction of the median rms over all measured positions and all actuators, or absolute.
+    bank : GreenSource
+        Read in full only where saturation is a fraction.
+
+    Returns
+    -------
+    float
+        In the unit of the Green's functions; infinity where saturation is off.
+
+    Raises
+    ------
+    InputError
+        The median is 0, so that a fraction of it means nothing, or so small a fraction of it is 0.
+    """
+    if regularisation.saturation_absolute:
+        return float(regularisation.saturation_absolute)
+    if not regularisation.saturation:
+        return float("inf")
+    rms = rms_map(bank)
+    measured = rms[~np.isnan(rms)]
+    median = float(np.median(measured)) if measured.size else 0.0
+    if median == 0.0:
+        raise InputError(
+            f"saturation is {regularisation.saturation} of the bank's median rms, but that median is 0;"
+            " use saturation_absolute"
+        )
+    with np.errstate(over="ignore", under="ignore"):
+        threshold = float(np.float64(regularisation.saturation) * median)
+    if threshold == 0.0:
+        raise InputError(f"saturation is {regularisation.saturation}, too small for numbers; use 0 for off")
+    return threshold
+
+
+@dataclass(frozen=True, slots=True)
+class RowWeights:
+    """Regularisation of one focus position.
+
+    Parameters
+    ----------
+    sigma : float64 array, shape (actuators,), or None
+        Saturation factors; None where all are 1.
+    gain : float
+    gain_exponent : int
+        n(x) = gain * 2**gain_exponent; 1 * 2**0 where normalisation is off.
+    norm : float
+        Norm of the scaled row over all actuators and taps.
+    """
+
+    sigma: Float64Array | None
+    gain: float
+    gain_exponent: int
+    norm: float
+
+
+def row_weights(
+    row: ScaledRow, threshold: float, *, normalise: bool, energies: Float64Array | None = None
+) -> RowWeights:
+    """Evaluate eqs. (14) and (15) at one position.
+
+    Parameters
+    ----------
+    row : ScaledRow
+        Its Green's functions, not all zero.
+    threshold : float
+        C, > 0, infinity for off.
+    normalise : bool
+        Whether to form n(x).
+    energies : float64 array, shape (actuators,), optional
+        `green_energies` of the row, where they are known.
+    """
+    found = green_energies(row.values) if energies is None else energies
+    return _weights(found, lambda: _rms(row), row.exponent, threshold, normalise=normalise)
+
+
+def weights_of(
+    energies: Float64Array, taps: int, exponents: Sequence[int], threshold: float, *, normalise: bool
+) -> list[RowWeights]:
+    """Evaluate eqs. (14) and (15) for rows by the energies of their Green's functions, none of which may have vanished.
+
+    Parameters
+    ----------
+    energies : float64 array, shape (rows, actuators)
+        Of the scaled rows.
+    taps : int
+        Length of the Green's functions.
+    exponents : sequence of int
+        Of the rows.
+    threshold : float
+        C, > 0, infinity for off.
+    normalise : bool
+        Whether to form n(x).
+    """
+    if math.isinf(threshold):
+        gains = 1.0 / energies.sum(axis=1) if normalise else np.ones(len(energies))
+        norms = np.sqrt(energies.sum(axis=1)).tolist()
+        gain_exponents = [-2 * exponent if normalise else 0 for exponent in exponents]
+        return [RowWeights(None, *row) for row in zip(gains.tolist(), gain_exponents, norms, strict=True)]
+    return [
+        _weights(row, partial(_rms_of, row, taps), exponent, threshold, normalise=normalise)
+        for row, exponent in zip(energies, exponents, strict=True)
+    ]
+
+
+def _weights(
+    energies: Float64Array, rms: Callable[[], Float64Array], exponent: int, threshold: float, *, normalise: bool
+) -> RowWeights:
+    sigma = None
+    if np.isfinite(threshold):
+        level = np.ldexp(rms(), exponent)
+        saturated = level >= threshold
+        if saturated.any():
+            sigma = np.ones(len(level))
+            sigma[saturated] = threshold / level[saturated]
+    energy = float(energies.sum())
+    if not normalise:
+        return RowWeights(sigma, 1.0, 0, math.sqrt(energy))
+    total = energy if sigma is None else float(sigma @ energies)
+    if not total > LEAST_TOTAL:
+        raise InputError(f"the saturation threshold is {threshold:.3g}, too small for numbers; use a larger saturation")
+    return RowWeights(sigma, 1.0 / total, -2 * exponent, math.sqrt(energy))
+
+
+def _rms_of(energies: Float64Array, taps: int) -> Float64Array:
+    rms: Float64Array = np.sqrt(energies / taps)
+    return rms
+
+
+def green_energies(values: RealArray) -> Float64Array:
+    """Energies of Green's functions (..., actuators, taps), summed up in double precision."""
+    double: NDArray[Any] = values
+    if values.dtype != np.float64:
+        double = reused(values.shape, np.float64)
+        double[...] = values
+    energies: Float64Array = np.matmul(double[..., None, :], double[..., :, None])[..., 0, 0]
+    return energies
+
+
+def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float64Array:
+    """n(x) of eq. (15) over the surface, the paper's figure 3C.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    saturation : float, optional
+        C as a fraction of the bank's median rms; None or 0: off.
+
+    Returns
+    -------
+    float64 array, shape (positions,)
+        NaN where nothing was measured.
+
+    Raises
+    ------
+    InputError
+        The saturation is not allowed, or n(x) does not fit into float64.
+    """
+    threshold = saturation_threshold(Regularisation(saturation=saturation), bank)
+    gain = np.full(bank.positions, np.nan)
+    for position in np.flatnonzero(usable(bank)):
+        row = read_row(bank, int(position))
+        if row.silent:
+            continue
+        weights = row_weights(row, threshold, normalise=True)
+        with np.errstate(over="ignore", under="ignore"):
+            gain[position] = np.ldexp(weights.gain, weights.gain_exponent)
+        if not (np.isfinite(gain[position]) and gain[position] > 0):
+            raise InputError(
+                f"n(x) at position {position} does not fit into float64: the bank's largest value there is"
+                " about"
+                f" 2**{row.exponent}; give the bank another unit"
+            )
+    return gain
+
+
+def _rms(row: ScaledRow) -> Float64Array:
+    # One actuator may stand far below the row's peak: its squares must not vanish.
+    values = row.values.astype(np.float64, copy=False)
+    peak = np.abs(values).max(axis=1)
+    scale = np.where(peak > 0, peak, 1.0)
+    if float(peak.min()) > 1e-140:
+        scale = np.ones_like(peak)
+    part = values if scale.max() == scale.min() == 1.0 else values / scale[:, None]
+    rms: Float64Array = np.sqrt(np.einsum("ij,ij->i", part, part) / part.shape[1]) * scale
+    return rms

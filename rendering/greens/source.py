@@ -1,0 +1,257 @@
+"""What the renderer asks of a bank, and how it reads one row without under- or overflow."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rendering.greens.row_scaling import RawRow, ScaledRow, look_at_rows, scale_row, scale_together
+from rendering.inner_loops import InnerLoops
+from rendering.reused_memory import reused
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+
+USABLE_BITS = 1 | 2 | 4
+"""Status bits of a row that holds a measurement: valid, over-range, poor signal."""
+DOUBTFUL_BITS = 2 | 4
+REFUSED_BITS = 8 | 16
+
+
+class GreenSource(Protocol):
+    """The read interface of a bank: `storage.bank.reading.Bank`, or an array in memory."""
+
+    @property
+    def position_mm(self) -> Float64Array:
+        """Grid, float64 (positions, 2), millimetres."""
+        ...
+
+    @property
+    def actuator_mm(self) -> Float64Array:
+        """Actuator positions, float64 (actuators, 2), millimetres, NaN where unknown."""
+        ...
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Rate of the Green's functions in Hz."""
+        ...
+
+    @property
+    def taps(self) -> int:
+        """Length L of a Green's function in samples."""
+        ...
+
+    @property
+    def actuators(self) -> int:
+        """Number N of actuators."""
+        ...
+
+    @property
+    def positions(self) -> int:
+        """Number P of positions."""
+        ...
+
+    @property
+    def band_hz(self) -> tuple[float, float] | None:
+        """Measured band in Hz, None where unknown."""
+        ...
+
+    @property
+    def status(self) -> NDArray[np.uint8]:
+        """Status bits of each position, uint8 (positions,)."""
+        ...
+
+    @property
+    def response_unit(self) -> str:
+        """Unit of the response, by default m/s/V per volt of drive."""
+        ...
+
+    def green(self, position: int) -> NDArray[Any]:
+        """Green's functions of one row, (actuators, taps)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class GreenArray:
+    """A bank held in memory.
+
+    Parameters
+    ----------
+    values : array, shape (positions, actuators, taps)
+        Green's functions, any real number type, response unit per volt.
+    position_mm : float64 array, shape (positions, 2)
+        Grid in millimetres.
+    sample_rate_hz : float
+        Rate in Hz, > 0.
+    status : uint8 array, shape (positions,), optional
+        Status bits; all rows valid where not given.
+    actuator_mm : float64 array, shape (actuators, 2), optional
+        Actuator positions in millimetres; NaN where not given.
+    band_hz : tuple of float, optional
+        Measured band in Hz.
+    response_unit : str
+        Unit of the Green's functions.
+    """
+
+    values: NDArray[Any]
+    position_mm: Float64Array
+    sample_rate_hz: float
+    status: NDArray[np.uint8] = field(default=None)  # type: ignore[arg-type]
+    actuator_mm: Float64Array = field(default=None)  # type: ignore[arg-type]
+    band_hz: tuple[float, float] | None = None
+    response_unit: str = "m/s/V"
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 3 or 0 in self.values.shape:
+            raise InputError(f"green has shape {self.values.shape}; allowed is (positions, actuators, taps), none 0")
+        positions, actuators, _ = self.values.shape
+        object.__setattr__(self, "position_mm", _table(self.position_mm, positions, "position_mm"))
+        if self.status is None:
+            object.__setattr__(self, "status", np.ones(positions, np.uint8))
+        if self.actuator_mm is None:
+            object.__setattr__(self, "actuator_mm", np.full((actuators, 2), np.nan))
+        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
+            raise InputError(f"sample_rate_hz is {self.sample_rate_hz}; it must be a finite number above 0")
+
+    @property
+    def positions(self) -> int:
+        return int(self.values.shape[0])
+
+    @property
+    def actuators(self) -> int:
+        return int(self.values.shape[1])
+
+    @property
+    def taps(self) -> int:
+        return int(self.values.shape[2])
+
+    def green(self, position: int) -> NDArray[Any]:
+        return np.asarray(self.values[position])
+
+
+def read_row(bank: GreenSource, position: int) -> ScaledRow:
+    """Read one row as float64, scaled by a power of two.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank, of any real number type, byte order or layout.
+    position : int
+        Row, from 0.
+
+    Raises
+    ------
+    InputError
+        The row is not real, has the wrong shape, or holds NaN or infinity.
+    """
+    return scale_row(fetch_row(bank, position), position)
+
+
+def read_rows(bank: GreenSource, positions: Sequence[int]) -> NDArray[np.float32]:
+    """Read some rows as float32, each scaled by a power of two, (rows, actuators, taps).
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    positions : sequence of int
+        Rows.
+
+    Raises
+    ------
+    InputError
+        As of `read_row`.
+    """
+    raws = [fetch_row(bank, position) for position in positions]
+    rows = reused((len(raws), bank.actuators, bank.taps), np.float32)
+    if scale_together(raws, rows) is None:
+        for place, (raw, position) in enumerate(zip(raws, positions, strict=True)):
+            rows[place] = scale_row(raw, position, single=True).values
+    return rows
+
+
+def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:
+    """Read one row as the bank has it, (actuators, taps).
+
+    Raises
+    ------
+    InputError
+        The row is not real or has the wrong shape.
+    """
+    raw = np.asarray(bank.green(position))
+    if raw.shape != (bank.actuators, bank.taps):
+        raise InputError(f"row {position} of the bank has shape {raw.shape}; expected {(bank.actuators, bank.taps)}")
+    if raw.dtype.kind not in "fiu":
+        raise InputError(f"row {position} of the bank is of type {raw.dtype}; allowed are real numbers")
+    return raw
+
+
+class RowReader:
+    """Reads scaled rows of a bank for several threads; the bank itself is asked by one at a time.
+
+    Parameters
+    ----------
+    bank : GreenSource
+        The bank.
+    """
+
+    def __init__(self, bank: GreenSource) -> None:
+        self._bank = bank
+        self._asking = threading.Lock()
+
+    @property
+    def actuators(self) -> int:
+        """Rows of a row."""
+        return self._bank.actuators
+
+    @property
+    def taps(self) -> int:
+        """Samples of a row."""
+        return self._bank.taps
+
+    def read(self, position: int, *, single: bool) -> ScaledRow:
+        """Read one row, as float32 or as float64. Raises InputError where it cannot be used."""
+        with self._asking:
+            raw = fetch_row(self._bank, position)
+        return scale_row(raw, position, single=single)
+
+    def look_together(self, positions: Sequence[int], loops: InnerLoops) -> list[RawRow] | None:
+        """Read some rows for compiled loops to scale; None where one needs `read`."""
+        with self._asking:
+            raws = [fetch_row(self._bank, position) for position in positions]
+        return look_at_rows(raws, self._bank.taps, loops)
+
+
+def usable(bank: GreenSource) -> NDArray[np.bool_]:
+    """Which rows hold a measurement that may be used, bool (positions,)."""
+    status = np.asarray(bank.status)
+    allowed: NDArray[np.bool_] = ((status & USABLE_BITS) != 0) & ((status & REFUSED_BITS) == 0)
+    return allowed
+
+
+def drive_unit(bank: GreenSource) -> str:
+    """Unit of the drives that a bank takes; volts where it does not say."""
+    return str(getattr(getattr(bank, "measured", bank), "drive_unit", "V"))
+
+
+def refusal(status: int) -> str | None:
+    """Why a row of this status may not be used, or None."""
+    if status & 16:
+        return "disabled"
+    if status & 8:
+        return "marked as failed"
+    if not status & USABLE_BITS:
+        return "not measured"
+    return None
+
+
+def _table(values: ArrayLike, rows: int, name: str) -> Float64Array:
+    table = np.asarray(values, dtype=np.float64)
+    if table.shape != (rows, 2):
+        raise InputError(f"{name} has shape {table.shape}; expected {(rows, 2)}")
+    return table

@@ -1,0 +1,245 @@
+"""The report's pictures."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.quality.point_status import STATUS_WORDS, Status
+from rendering.field.focus_figures import FOCUS_RADIUS_MM
+from rendering.field.metrics import normalised_error
+from rendering.report.canvas import FAINT, INK, Canvas, Picture, drawn_in_style
+from rendering.report.surface import Surface, draw_cells, draw_surface
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from rendering.verify.comparison import FieldComparison
+
+PREDICTION = "#f0b440"
+SCAN = "#0b3c5d"
+MAP_TOP_PX = 8
+# Okabe & Ito's colours, told apart by all; the darker ones carry the faults.
+STATUS_COLOURS = {
+    "valid": "#56b4e9",
+    "not-measured": "#d9d9d9",
+    "over-range": "#e69f00",
+    "poor": "#cc79a7",
+    "failed": "#d55e00",
+    "disabled": "#7f7f7f",
+}
+
+
+@drawn_in_style
+def status_map(
+    surface: Surface, rows: NDArray[np.int64], status: NDArray[np.uint8], crossed: NDArray[np.int64]
+) -> Picture:
+    """Positions coloured by status, with the number of each; some crossed out."""
+    from matplotlib.patches import Patch
+
+    canvas, axes = _single_map("positions", surface)
+    keys = []
+    # The gravest bit last, so that it is on top.
+    for word in ("valid", "not-measured", "disabled", "poor", "over-range", "failed"):
+        bit = STATUS_WORDS[word]
+        there = (status == 0) if bit == Status.NOT_MEASURED else (status & bit) != 0
+        if there.any():
+            draw_cells(axes, surface, rows[there], colour=STATUS_COLOURS[word])
+            keys.append(Patch(color=STATUS_COLOURS[word], label=f"{word} ({np.count_nonzero(there)})"))
+    axes.plot(*surface.position_mm[crossed].T, "x", ms=4, mec=INK, mew=0.9, zorder=6)
+    place = canvas.legend_place(56 + 480 / 2, MAP_TOP_PX + surface.height_px(480) + 46)
+    canvas.figure.legend(handles=keys, loc="upper center", bbox_to_anchor=place, ncols=3)
+    return canvas.picture()
+
+
+@drawn_in_style
+def value_map(
+    name: str,
+    surface: Surface,
+    rows: NDArray[np.int64],
+    values: NDArray[np.floating[Any]],
+    label: str,
+    *,
+    colours: str = "viridis",
+) -> Picture:
+    """Positions coloured by a figure; those without one stay grey."""
+    canvas, axes = _single_map(name, surface)
+    known = np.isfinite(values)
+    if not known.all():
+        draw_cells(axes, surface, rows[~known], colour=STATUS_COLOURS["not-measured"])
+    if known.any():
+        low, high = _limits(values[known])
+        cells = draw_cells(axes, surface, rows[known], values[known], colours=colours, limits=(low, high))
+        outside = bool(np.any((values[known] < low) | (values[known] > high)))
+        bar = canvas.axes(56 + 80, MAP_TOP_PX + surface.height_px(480) + 50, 320, 10)
+        extend = "both" if outside else "neither"
+        canvas.figure.colorbar(cells, cax=bar, label=label, orientation="horizontal", extend=extend)
+    return canvas.picture()
+
+
+@drawn_in_style
+def path_map(surface: Surface, fields: FieldComparison) -> Picture:
+    """Largest magnitude over the focus instants, predicted and scanned, as the paper's figure 4A2."""
+    top = focus_level(surface, fields)
+    factor, unit = scaled_unit(top, fields.response_unit)
+    height = surface.height_px(470)
+    canvas = Canvas("path", 1120, height + 74)
+    for left, title, snapshot in (
+        (56, "Prediction", fields.predicted_snapshot),
+        (56 + 486, "Scan", fields.scanned_snapshot),
+    ):
+        axes = canvas.axes(left, 24, 470, height)
+        draw_surface(axes, surface, path=True, path_colour="white")
+        axes.set(title=title, xlabel="x (mm)", ylabel="y (mm)" if left == 56 else "")
+        axes.tick_params(labelleft=left == 56)
+        largest = factor * np.max(np.abs(snapshot), axis=0)
+        cells = draw_cells(axes, surface, fields.position_index, largest, limits=(0.0, factor * top))
+    bar = canvas.axes(1034, 24 + 0.1 * height, 12, 0.8 * height)
+    canvas.figure.colorbar(cells, cax=bar, label=f"largest |y| over focus instants ({unit})", extend="max")
+    return canvas.picture()
+
+
+@drawn_in_style
+def snapshots(surface: Surface, fields: FieldComparison, chosen: NDArray[np.int64]) -> Picture:
+    """Prediction, scan and their difference at focus instants, all on one colour scale."""
+    top = focus_level(surface, fields)
+    factor, unit = scaled_unit(top, fields.response_unit)
+    width, gap, title_height = 346, 10, 24
+    pitch = surface.height_px(width) + title_height
+    canvas = Canvas("snapshots", 1120, 60 + pitch * len(chosen) + 46)
+    for line, index in enumerate(chosen):
+        predicted, scanned = fields.predicted_snapshot[index], fields.scanned_snapshot[index]
+        instant = fields.instant[index]
+        time_ms = 1e3 * instant.sample / fields.sample_rate_hz
+        error = 100.0 * normalised_error(scanned, predicted)
+        for column, (title, values) in enumerate(
+            (
+                (f"prediction, t = {time_ms:.1f} ms", predicted),
+                ("scan", scanned),
+                (f"scan \N{MINUS SIGN} prediction: {error:.2g} % at this instant", scanned - predicted),
+            )
+        ):
+            place = (56 + column * (width + gap), 60 + title_height + pitch * line)
+            axes = canvas.axes(*place, width, pitch - title_height)
+            draw_surface(axes, surface, path=True)
+            axes.set_title(title)
+            limits = (-factor * top, factor * top)
+            cells = draw_cells(axes, surface, fields.position_index, factor * values, colours="RdBu_r", limits=limits)
+            axes.plot(*surface.position_mm[instant.row], "o", ms=13, mfc="none", mec=INK, mew=1.2, zorder=6)
+            _label_outer(axes, left=column == 0, bottom=line == len(chosen) - 1)
+    bar = canvas.axes(1120 / 2 - 180, 8, 360, 10)
+    canvas.figure.colorbar(cells, cax=bar, label=f"y ({unit}), all panels", orientation="horizontal", extend="both")
+    return canvas.picture()
+
+
+@drawn_in_style
+def waveforms(surface: Surface, fields: FieldComparison) -> Picture:
+    """Prediction and scan over time at positions of the path."""
+    from matplotlib.lines import Line2D
+
+    count = len(fields.waveform_index)
+    rate_hz = fields.sample_rate_hz
+    time_ms = 1e3 * (fields.start_s + np.arange(fields.predicted_waveform.shape[1]) / rate_hz)
+    factor, unit = scaled_unit(float(np.max(np.abs(fields.scanned_waveform))), fields.response_unit)
+    canvas = Canvas("waveforms", 1120, 30 + 176 * math.ceil(count / 2))
+    windows = [next(one for one in fields.instant if one.row == row) for row in fields.waveform_index]
+    for place, index in enumerate(np.argsort([one.sample for one in windows], kind="stable")):
+        row, window = fields.waveform_index[index], windows[index]
+        predicted, scanned = fields.predicted_waveform[index], fields.scanned_waveform[index]
+        start_ms, stop_ms = 1e3 * window.start_sample / rate_hz, 1e3 * window.stop_sample / rate_hz
+        # The window, what gathers before it and what rings after it, but never a blur of seconds.
+        first_ms = start_ms - 40.0
+        last_ms = min(stop_ms + 40.0, first_ms + 180.0)
+        shown = (time_ms >= first_ms) & (time_ms <= last_ms)
+        axes = canvas.axes(62 + 550 * (place % 2), 54 + 176 * (place // 2), 486, 108)
+        axes.axvspan(start_ms, stop_ms, color="#e9edf1", lw=0)
+        axes.axvline(1e3 * window.sample / rate_hz, color=FAINT, lw=0.8, ls=":")
+        axes.plot(time_ms[shown], factor * predicted[shown], color=PREDICTION, lw=3.2)
+        axes.plot(time_ms[shown], factor * scanned[shown], color=SCAN, lw=0.9)
+        axes.plot(time_ms[shown], factor * (scanned - predicted)[shown], color=FAINT, lw=0.7)
+        axes.set_xlim(first_ms, last_ms)
+        x_mm, y_mm = surface.position_mm[row]
+        axes.set_title(f"position {row} at x = {x_mm:.0f} mm, y = {y_mm:.0f} mm", loc="left")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.set(xlabel="time (ms)", ylabel=f"y ({unit})")
+        axes.locator_params(axis="y", nbins=5)
+    keys = [
+        Line2D([], [], color=PREDICTION, lw=3.2, label="prediction"),
+        Line2D([], [], color=SCAN, lw=0.9, label="scan"),
+        Line2D([], [], color=FAINT, lw=0.7, label="scan \N{MINUS SIGN} prediction"),
+    ]
+    place_of_keys = canvas.legend_place(1120 / 2, 0)
+    canvas.figure.legend(handles=keys, loc="upper center", bbox_to_anchor=place_of_keys, ncols=3)
+    return canvas.picture()
+
+
+@drawn_in_style
+def drive_levels(drive_v: NDArray[np.float64]) -> Picture:
+    """Rms of each actuator's drive relative to the largest, as the paper's figure 3B."""
+    rms = np.sqrt(np.mean(drive_v**2, axis=1))
+    top = float(rms.max())
+    canvas = Canvas("drive", 1120, 250)
+    axes = canvas.axes(62, 30, 1040, 170)
+    axes.bar(np.arange(rms.size), rms / top if top > 0.0 else rms, color=SCAN, width=0.75)
+    axes.set(xlabel="actuator", ylabel="relative rms", ylim=(0.0, 1.05))
+    axes.set_xticks(np.arange(0, rms.size, math.ceil(rms.size / 20)))
+    axes.margins(x=0.01)
+    axes.spines[["top", "right"]].set_visible(False)
+    factor, unit = scaled_unit(top, "V")
+    axes.set_title(f"1.0 is {factor * top:.3g} {unit} rms over the whole drive", loc="left")
+    return canvas.picture()
+
+
+def focus_level(surface: Surface, fields: FieldComparison) -> float:
+    """Largest predicted magnitude within 15 mm of a focus at its instant: the top of the colour scales.
+
+    Beside an actuator the surface may move far more; a scale for that would hide the focus.
+    """
+    there_mm = surface.position_mm[fields.position_index]
+    levels = [0.0]
+    for instant, field in zip(fields.instant, fields.predicted_snapshot, strict=True):
+        near = np.hypot(*(there_mm - surface.position_mm[instant.row]).T) <= FOCUS_RADIUS_MM
+        levels.append(float(np.max(np.abs(field[near]), initial=0.0)))
+    return max(levels) or float(np.max(np.abs(fields.predicted_snapshot), initial=0.0)) or 1.0
+
+
+def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
+    """Factor and unit that bring `largest` near 1 to 1000, for units that take an SI prefix."""
+    if unit not in ("m", "m/s", "m/s\N{SUPERSCRIPT TWO}", "V") or not (math.isfinite(largest) and largest > 0.0):
+        return 1.0, unit
+    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "\N{MICRO SIGN}")):
+        if largest * factor >= 1.0:
+            return factor, prefix + unit
+    return 1e9, "n" + unit
+
+
+def _limits(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
+    """All values, unless a few lie so far out that the rest would become one colour."""
+    low, high = float(values.min()), float(values.max())
+    inner_low, inner_high = np.percentile(values, (1.0, 99.0))
+    margin = 0.5 * (inner_high - inner_low)
+    low, high = max(low, float(inner_low - margin)), min(high, float(inner_high + margin))
+    return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+def _single_map(name: str, surface: Surface) -> tuple[Canvas, Axes]:
+    height = surface.height_px(480)
+    canvas = Canvas(name, 548, MAP_TOP_PX + height + 100)
+    axes = canvas.axes(56, MAP_TOP_PX, 480, height)
+    draw_surface(axes, surface, path=False)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
+    return canvas, axes
+
+
+def _label_outer(axes: Axes, *, left: bool, bottom: bool) -> None:
+    if left:
+        axes.set_ylabel("y (mm)")
+    else:
+        axes.set_yticks([])
+    if bottom:
+        axes.set_xlabel("x (mm)")
+    else:
+        axes.set_xticks([])

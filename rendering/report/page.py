@@ -1,0 +1,248 @@
+"""The report of a verification: one self-contained HTML file."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.quality.sentinel import DriftLimits
+from rendering.field import metrics
+from rendering.greens.regularisation import focus_gain_map
+from rendering.report import figures as report_figures
+from rendering.report.canvas import Picture
+from rendering.report.drift import DriftPoint, drift_over_time
+from rendering.report.number_words import number, precise
+from rendering.report.surface import Surface
+from rendering.report.waves import wave_figures, waves_of, waves_picture
+from rendering.report.words import figures, remarks, summary
+from rendering.verify.names import REPORT_NAME
+from rendering.verify.verdict import Check, Verification
+from storage.output_files import write_whole
+
+if TYPE_CHECKING:
+    from rendering.greens.source import GreenSource
+    from rendering.scene.model import Scene
+    from rendering.verify.scan import Scan
+    from storage.drive_file import Drive
+    from storage.field_file import Field
+
+MOST_SNAPSHOTS = 6
+PATH_POINTS = 400
+
+
+def build_report(
+    out_dir: Path,
+    *,
+    verification: Verification,
+    scene: Scene,
+    drive: Drive,
+    prediction: Field,
+    scan: Field | Scan,
+    bank: GreenSource,
+    campaign: Mapping[str, object],
+    outline_mm: NDArray[np.float64] | None = None,
+    drift: Sequence[DriftPoint] = (),
+    drift_limits: DriftLimits | None = None,
+    save_pictures: bool = False,
+) -> Path:
+    """Write ``report.html``: verdict, pictures, figures with definitions, what to do.
+
+    The file holds everything it shows: no network, scripts or fonts of others.
+
+    Parameters
+    ----------
+    out_dir : Path
+        Folder, made where missing; an older report in it is replaced.
+    verification : Verification
+        What `compare` found.
+    scene, drive, prediction, scan, bank
+        What was rendered, played, predicted, scanned, and with which Green's functions.
+    campaign : mapping
+        Facts to list, in their order: name and value as text or number.
+    outline_mm : float64 array, shape (points, 2), optional
+        Rim of the surface.
+    drift : sequence of DriftPoint
+        What became of the sentinel position during the campaign, oldest first; left out where there is nothing.
+    drift_limits : DriftLimits, optional
+        Those of the run.
+    save_pictures : bool
+        Whether to write each picture beside the report as PNG.
+
+    Returns
+    -------
+    Path
+        The report.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    surface = _surface(scene, bank, verification.spacing_mm, outline_mm)
+    saturation = scene.regularisation.saturation
+    gain = focus_gain_map(bank, saturation)
+    pictures, captions = _pictures(surface, verification, drive, bank, gain)
+    if drift:
+        pictures["drift"] = drift_over_time(drift, drift_limits or DriftLimits())
+    waves = waves_of(scene, bank, verification.fields, surface.spacing_mm)
+    pictures["waves"] = waves_picture(waves, verification.fields.band_hz)
+    environment = Environment(
+        loader=PackageLoader("rendering"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    html = environment.get_template("report.html.jinja").render(
+        scene_name=scene.name,
+        passed=verification.passed,
+        summary=summary(verification),
+        checks=[_check_row(check) for check in verification.checks],
+        remarks=remarks(verification, drive, scan),
+        pictures={name: _embedded(one) for name, one in pictures.items()},
+        instants=len(verification.fields.instant),
+        figures=[
+            *figures(verification, metrics.range_db(gain)),
+            *wave_figures(waves, scene, verification.fields.band_hz),
+        ],
+        facts=_facts(scene, drive, prediction, scan, verification, campaign),
+        **captions,
+    )
+    out_dir.mkdir(parents=True, exist_ok=True)
+    if save_pictures:
+        for one in pictures.values():
+            if one is not None:
+                write_whole(out_dir / f"{one.name}.png", one.png)
+    report = out_dir / REPORT_NAME
+    write_whole(report, html)
+    return report
+
+
+def _surface(
+    scene: Scene, bank: GreenSource, spacing_mm: float | None, outline_mm: NDArray[np.float64] | None
+) -> Surface:
+    paths = []
+    for source in scene.sources:
+        length = source.path.length_mm
+        arc_mm = np.linspace(0.0, length, PATH_POINTS if length > 0.0 else 1)
+        paths.append(np.asarray(source.path.point_at(arc_mm), np.float64))
+    return Surface(
+        position_mm=np.asarray(bank.position_mm, np.float64),
+        spacing_mm=1.0 if spacing_mm is None else spacing_mm,
+        actuator_mm=np.asarray(bank.actuator_mm, np.float64),
+        paths_mm=tuple(paths),
+        outline_mm=outline_mm,
+    )
+
+
+def _pictures(
+    surface: Surface,
+    verification: Verification,
+    drive: Drive,
+    bank: GreenSource,
+    gain: NDArray[np.float64],
+) -> tuple[dict[str, Picture | None], dict[str, str]]:
+    fields = verification.fields
+    every_row = np.arange(len(surface.position_mm))
+    has_foci = len(fields.instant) > 0 and bool(np.any(fields.predicted_snapshot))
+    chosen = np.unique(np.linspace(0, len(fields.instant) - 1, MOST_SNAPSHOTS).round().astype(np.int64))
+    snr_rows, snr_db, snr_caption = _signal_to_noise(verification, bank, every_row)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error_db = 20.0 * np.log10(fields.position_error)
+        gain_db = 20.0 * np.log10(gain / np.nanmedian(gain))
+    excluded = np.array([row for row, _ in fields.excluded], np.int64)
+    pictures: dict[str, Picture | None] = {
+        "path": report_figures.path_map(surface, fields) if has_foci else None,
+        "snapshots": report_figures.snapshots(surface, fields, chosen) if has_foci else None,
+        "waveforms": report_figures.waveforms(surface, fields) if len(fields.waveform_index) else None,
+        "positions": report_figures.status_map(surface, every_row, np.asarray(bank.status), excluded),
+        "snr": report_figures.value_map("snr", surface, snr_rows, snr_db, "signal-to-noise ratio (dB)"),
+        "error": report_figures.value_map(
+            "error", surface, fields.position_index, error_db, "normalised error (dB)", colours="cividis"
+        ),
+        "gain": report_figures.value_map("gain", surface, every_row, gain_db, "n(x) over its median (dB)"),
+        "drive": report_figures.drive_levels(drive.drive_v),
+    }
+    captions = {
+        "positions_caption": "Status of each position in the bank"
+        + (f"; crosses: the {excluded.size} scanned position(s) that were not compared." if excluded.size else "."),
+        "snr_caption": snr_caption,
+        "gain_caption": "Normalisation factor n(x) of equation 15: how much louder the drive must be for "
+        "an equal "
+        f"focus. Range {number(metrics.range_db(gain), 'dB')} (20 lg of largest over smallest).",
+        "drive_caption": "Rms of each actuator's drive over its whole length, relative to the largest. "
+        f"Peak {number(float(np.max(np.abs(drive.drive_v), initial=0.0)), drive.drive_unit)} at any actuator.",
+    }
+    return pictures, captions
+
+
+def _signal_to_noise(
+    verification: Verification, bank: GreenSource, every_row: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.floating[Any]], str]:
+    """The bank's own figure where it has one, else the scan's."""
+    quality: Mapping[str, NDArray[np.floating[Any]]] = getattr(bank, "quality", {})
+    if "snr_db" in quality:
+        measured = np.asarray(quality["snr_db"], np.float64).reshape(len(every_row), -1)
+        unknown = ~np.isfinite(measured).any(axis=1)
+        snr_db = np.full(len(every_row), np.nan)
+        snr_db[~unknown] = np.nanmedian(measured[~unknown], axis=1)
+        return every_row, snr_db, "Signal-to-noise ratio in the bank: median over actuators at each position."
+    fields = verification.fields
+    caption = "Signal-to-noise ratio of the scan at each position, within the band."
+    return fields.position_index, fields.position_snr_db, caption
+
+
+def _check_row(check: Check) -> dict[str, str]:
+    word, style = {True: ("✓ pass", "pass"), False: ("✗ fail", "fail"), None: ("not judged", "open")}[check.passed]
+    relation = "≤" if check.relation == "at most" else "≥"
+    text = precise(check.value) if check.name == "correlation" else number(check.value, check.unit)
+    return {
+        "name": check.name,
+        "value": text,
+        "limit": f"{relation} {number(check.limit, check.unit)}",
+        "word": word,
+        "style": style,
+        "definition": check.definition,
+    }
+
+
+def _embedded(one: Picture | None) -> dict[str, object] | None:
+    if one is None:
+        return None
+    return {
+        "base64": base64.b64encode(one.png).decode("ascii"),
+        "width_px": one.width_px,
+        "height_px": one.height_px,
+    }
+
+
+def _facts(
+    scene: Scene,
+    drive: Drive,
+    prediction: Field,
+    scan: Field | Scan,
+    verification: Verification,
+    campaign: Mapping[str, object],
+) -> list[tuple[str, str]]:
+    facts: list[tuple[str, str]] = [("scene", scene.name)]
+    for index, source in enumerate(scene.sources, 1):
+        motion = "at rest"
+        if source.path.length_mm > 0.0:
+            motion = (
+                f"{source.path.length_mm:.4g} mm long, {source.speed_mm_s:g} mm/s, "
+                f"a point every {source.step_mm:g} mm, {source.emission.replace('_', ' ')} emission"
+            )
+        text = (
+            f"{type(source.path).__name__.lower()} {motion}; {type(source.signal).__name__.lower()}, "
+            f"amplitude {source.amplitude:g}, from {source.start_s:g} s"
+        )
+        facts.append((f"source {index}", text))
+    actuators, samples = drive.drive_v.shape
+    facts += [
+        ("drive", f"{drive.method}, {actuators} actuators, {samples / drive.sample_rate_hz:.3g} s"),
+        ("foci", f"{len(drive.focus_sample):,}, of which {len(verification.fields.instant)} were looked at"),
+        ("positions predicted", f"{len(prediction.position_index):,}"),
+        ("positions scanned", f"{len(scan.position_index):,}"),
+        ("positions compared", f"{len(verification.fields.position_index):,}"),
+    ]
+    for name, value in campaign.items():
+        facts.append((name, f"{value:.6g}" if isinstance(value, float) else str(value)))
+    return facts

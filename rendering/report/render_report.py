@@ -1,0 +1,259 @@
+"""What a person should know about a render: what was snapped, scaled, left out, or looks doubtful."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from rendering.drive.accumulate import Accumulated
+from rendering.drive.coil_limits import Limiting, dynamic_range_db
+from rendering.greens.bank_rows import BankRows
+from rendering.greens.interpolation_errors import InterpolationErrors
+from rendering.greens.response_tail import ResponseTail, response_tail
+from rendering.greens.source import DOUBTFUL_BITS, GreenSource
+from rendering.greens.wave_speed import wave_speed_mm_s
+from rendering.scene.emission import ContinuousEmission
+from rendering.scene.model import Scene
+from rendering.scene.sampling import SampledSource
+
+Float64Array = NDArray[np.float64]
+
+SPREAD_SHARE = 0.1
+"""Share of the signal's energy that cutting it into segments may move out of the band before it is said."""
+NAMED = 8
+LEAST_OWN_SAMPLES = 2**13
+"""A signal is padded to so many samples to see what lies outside the bank's band: a click has bins there, too."""
+
+
+class RenderWarning(UserWarning):
+    """The drive is right, but something about it is worth knowing."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderReport:
+    """Figures of one render.
+
+    Parameters
+    ----------
+    warnings : tuple of str
+        One sentence each.
+    points : int
+        Path points of all sources.
+    snapped_points : int
+        Those that do not lie on a position.
+    largest_snap_mm : float
+        Largest distance of a path point from its nearest position.
+    rows : tuple of int
+        Bank rows that were used, for interpolation or for regularisation.
+    limiting : Limiting
+        What the scene's limits did to the drive, and which actuator decided.
+    relative_rms_drive : float64 array, shape (actuators,)
+        RMS of each actuator's drive relative to the largest (the paper's figure 3B, right).
+    out_of_band : tuple of float or None
+        Per source, the share of the emitted windows' energy outside the bank's band; None where it is
+        unknown.
+    omitted_bound : float
+        Proved bound on the relative error of the drives.
+    bins : int
+        Frequency bins of all sources' blocks, and how many of them were computed.
+    kept_bins : int
+        See `bins`.
+    pairs : int
+        (Block, row) pairs that were multiplied: what the render cost.
+    left_out_pairs : int
+        (Block, row) pairs that hardly emit anything and were left out.
+    left_out_taps : tuple of int
+        Per source, late taps of every Green's function that were not used.
+    left_out_actuators : tuple of tuples of int
+        Per source, actuators that hardly count and were left silent.
+    interpolation_errors : InterpolationErrors or None
+        Estimated error of the Green's functions between the bank's positions, by band; None where the paths
+        keep to the positions, or the bank does not let one tell.
+    tail : ResponseTail or None
+        The ends of some of the Green's functions, and what may lie beyond them.
+    """
+
+    warnings: tuple[str, ...]
+    points: int
+    snapped_points: int
+    largest_snap_mm: float
+    rows: tuple[int, ...]
+    limiting: Limiting
+    relative_rms_drive: Float64Array
+    out_of_band: tuple[float | None, ...]
+    omitted_bound: float
+    bins: int
+    kept_bins: int
+    pairs: int
+    left_out_pairs: int = 0
+    left_out_taps: tuple[int, ...] = ()
+    left_out_actuators: tuple[tuple[int, ...], ...] = ()
+    interpolation_errors: InterpolationErrors | None = None
+    tail: ResponseTail | None = None
+
+    @property
+    def left_out_words(self) -> tuple[str, ...]:
+        """What was left out, a phrase each."""
+        return _left_out_words(self)
+
+    @property
+    def scale(self) -> float:
+        """What the limits did to the drive, 1 if nothing."""
+        return self.limiting.scale
+
+    @property
+    def dynamic_range_db(self) -> float:
+        """Largest over smallest rms of all actuators that are driven at all, in dB."""
+        return dynamic_range_db(self.relative_rms_drive)
+
+
+def _left_out_words(report: RenderReport) -> tuple[str, ...]:
+    words = []
+    if report.kept_bins < report.bins:
+        words.append(f"{report.bins - report.kept_bins} of {report.bins} frequency bins")
+    words += [f"the last {taps} taps of source {index}" for index, taps in enumerate(report.left_out_taps) if taps]
+    words += [
+        f"actuator {_listed(list(some))} of source {index}"
+        for index, some in enumerate(report.left_out_actuators)
+        if some
+    ]
+    if report.left_out_pairs:
+        whole = report.left_out_pairs + report.pairs
+        words.append(f"{report.left_out_pairs} of {whole} stretches of the path that hardly emit")
+    return tuple(words)
+
+
+def report_render(
+    scene: Scene,
+    rows: BankRows,
+    sources: Sequence[SampledSource],
+    accumulated: Sequence[Accumulated],
+    norms: Float64Array,
+    *,
+    limiting: Limiting,
+    omitted_bound: float,
+    errors: InterpolationErrors | None = None,
+    remarks: Sequence[str] = (),
+) -> RenderReport:
+    """Collect the figures and warnings of a render.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was rendered.
+    rows : BankRows
+        Rows that were used.
+    sources : sequence of SampledSource
+        The sources, sampled.
+    accumulated : sequence of Accumulated
+        What each of them cost and left out.
+    norms : float64 array, shape (actuators,)
+        Euclidean norms of the drives, up to a factor.
+    limiting : Limiting
+        What the limits did.
+    omitted_bound : float
+        Proved bound on the relative error.
+    errors : InterpolationErrors, optional
+        What interpolating the bank is wrong by.
+    remarks : sequence of str
+        Warnings about that.
+    """
+    measured: GreenSource = getattr(rows.bank, "measured", rows.bank)
+    peak = float(norms.max())
+    snaps = np.concatenate([source.snap_mm for source in sources])
+    outside = tuple(1.0 - item.band_energy / item.energy if item.energy > 0 else None for item in accumulated)
+    bank_rows = [row for row in rows.used if row < measured.positions]
+    tail = response_tail(measured, bank_rows)
+    warnings = [
+        *_silent(rows),
+        *_doubtful(rows),
+        *remarks,
+        *([tail.warning] if tail is not None and tail.warning is not None else []),
+        *_too_fast(scene, rows),
+        *(text for source, share in zip(sources, outside, strict=True) for text in _spread(source, share, rows.bank)),
+    ]
+    if peak == 0:
+        warnings.append("the drive is silent: every amplitude is 0")
+    return RenderReport(
+        warnings=tuple(warnings),
+        points=len(snaps),
+        snapped_points=int(np.count_nonzero(snaps > 1e-9)),
+        largest_snap_mm=float(snaps.max()),
+        rows=tuple(bank_rows),
+        limiting=limiting,
+        relative_rms_drive=norms / peak if peak > 0 else norms,
+        out_of_band=outside,
+        omitted_bound=omitted_bound,
+        bins=sum(item.bins for item in accumulated),
+        kept_bins=sum(item.kept_bins for item in accumulated),
+        pairs=sum(item.pairs for item in accumulated),
+        left_out_pairs=sum(item.left_out_windows for item in accumulated),
+        left_out_taps=tuple(item.left_out_taps for item in accumulated),
+        left_out_actuators=tuple(item.left_out_actuators for item in accumulated),
+        interpolation_errors=errors,
+        tail=tail,
+    )
+
+
+def _silent(rows: BankRows) -> list[str]:
+    silent = rows.silent_actuators
+    if not silent:
+        return []
+    return [f"actuator {_listed(silent)}: all Green's functions on the path are zero, so the drive is zero there"]
+
+
+def _doubtful(rows: BankRows) -> list[str]:
+    doubtful = [row for row in rows.used if int(rows.status[row]) & DOUBTFUL_BITS]
+    if not doubtful:
+        return []
+    return [f"position {_listed(doubtful)} on the path: measured over range or with poor signal; remeasure to be sure"]
+
+
+def _too_fast(scene: Scene, rows: BankRows) -> list[str]:
+    speeds = [source.speed_mm_s if source.path.length_mm > 0 else 0.0 for source in scene.sources]
+    # No plate or soft solid that is focused on carries waves slower than this.
+    if max(speeds) < 500.0:
+        return []
+    wave = wave_speed_mm_s(rows.bank, rows.used)
+    return [
+        f"source {index} moves at {speed / 1000:.3g} m/s, faster than the waves (about {wave[0] / 1000:.2g}"
+        f" m/s, give or take {wave[1] / 1000:.1g} m/s, by their arrival times); the focus is"
+        " rendered, but waves pile up along the path"
+        for index, speed in enumerate(speeds)
+        if wave is not None and speed > wave[0]
+    ]
+
+
+def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> list[str]:
+    if share is None or bank.band_hz is None or not isinstance(source.emission, ContinuousEmission):
+        return []
+    if share <= SPREAD_SHARE:
+        return []
+    # In single precision, which does for a share; about 1 it neither over- nor underflows.
+    samples = int(scipy_fft.next_fast_len(max(len(source.signal), LEAST_OWN_SAMPLES), real=True))
+    peak = float(np.abs(source.signal).max(initial=0.0))
+    signal = (source.signal / (peak if peak > 0 else 1.0)).astype(np.float32)
+    spectrum = scipy_fft.rfft(signal, samples)
+    power = np.square(spectrum.real) + np.square(spectrum.imag)
+    low, high = (edge_hz * samples / bank.sample_rate_hz for edge_hz in bank.band_hz)
+    whole, inside = float(power.sum()), float(power[math.ceil(low) : math.floor(high) + 1].sum())
+    own = 1.0 - inside / whole if whole > 0 else 0.0
+    if share - own <= SPREAD_SHARE:
+        return []
+    return [
+        f"source {source.index}: moving from row to row cuts its signal so short that {100 * share:.0f} %"
+        " of its energy"
+        f" lies outside the bank's band ({100 * own:.0f} % of the signal's own does); lower the speed or"
+        " use a finer"
+        " interpolation"
+    ]
+
+
+def _listed(items: Sequence[int]) -> str:
+    shown = ", ".join(str(item) for item in items[:NAMED])
+    return shown if len(items) <= NAMED else f"{shown} and {len(items) - NAMED} more"

@@ -1,0 +1,266 @@
+"""What the report says of the waves themselves: how they travel, how alike neighbours hear them, what disturbs what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.field.crosstalk import CrosstalkTable, crosstalk_table
+from rendering.field.green_correlation import DistanceCorrelation, correlation_over_distance
+from rendering.field.impulse_travel import IMPULSE_BAND_HZ, SPAN_MM, ImpulseTravel, impulse_travel
+from rendering.field.path_spectrum import PathSpectrum, path_spectrum
+from rendering.greens.source import usable
+from rendering.report.canvas import FAINT, Canvas, Picture, drawn_in_style
+from rendering.report.number_words import number
+from rendering.report.words import Figure
+from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from rendering.greens.source import GreenSource
+    from rendering.scene.model import Scene
+    from rendering.verify.comparison import FieldComparison
+
+Int64Array = NDArray[np.int64]
+
+SPEEDS_MM_S = (40.0, 80.0, 160.0, 320.0, 640.0, 1000.0)
+EVERY = (1, 2, 4)
+"""Path sample distances of the crosstalk, in grid spacings."""
+LINE_POINTS = 24
+LEAST_LINE = 8
+CORRELATION_BINS = 10
+BEFORE_S, AFTER_S = 0.02, 0.1
+"""About each focus instant, the window whose spectrum is formed."""
+COLOURS = ("#0072b2", "#d55e00", "#009e73")
+MARKERS = ("o", "s", "^")
+
+
+@dataclass(frozen=True, slots=True)
+class Waves:
+    """What a bank and a comparison tell of the waves; None where they do not.
+
+    Parameters
+    ----------
+    travel : ImpulseTravel, optional
+        Group velocity and attenuation.
+    correlation : DistanceCorrelation, optional
+        Of Green's functions over distance.
+    crosstalk : CrosstalkTable, optional
+        Over speed and path sample distance, along a line of the grid.
+    predicted, scanned : PathSpectrum, optional
+        Spectra at path points, one row for each focus instant whose waveform is kept.
+    """
+
+    travel: ImpulseTravel | None
+    correlation: DistanceCorrelation | None
+    crosstalk: CrosstalkTable | None
+    predicted: PathSpectrum | None
+    scanned: PathSpectrum | None
+
+
+def waves_of(scene: Scene, bank: GreenSource, fields: FieldComparison, spacing_mm: float) -> Waves:
+    """Find what can be told; a bank that does not know its actuators' places, or is no grid, tells less."""
+    travel = correlation = crosstalk = None
+    with suppress(InputError):
+        travel = impulse_travel(bank)
+    with suppress(InputError):
+        edges_mm = spacing_mm * (np.arange(CORRELATION_BINS + 1) + 0.5)
+        correlation = correlation_over_distance(bank, edges_mm.tolist(), _about_the_middle(bank))
+    line = line_of(np.asarray(bank.position_mm, dtype=np.float64), usable(bank), spacing_mm)
+    if len(line) >= LEAST_LINE:
+        with suppress(InputError):
+            crosstalk = crosstalk_table(
+                bank, line.tolist(), spacing_mm, SPEEDS_MM_S, EVERY, regularisation=scene.regularisation
+            )
+    predicted, scanned = (_spectrum(fields, one) for one in (fields.predicted_waveform, fields.scanned_waveform))
+    return Waves(travel, correlation, crosstalk, predicted, scanned)
+
+
+def line_of(position_mm: NDArray[np.float64], measured: NDArray[np.bool_], spacing_mm: float) -> Int64Array:
+    """Measured positions one spacing apart on a line along x, as near the middle as they come; at most 24.
+
+    Parameters
+    ----------
+    position_mm : float64 array, shape (positions, 2)
+        The grid.
+    measured : bool array, shape (positions,)
+        Which of them may be used.
+    spacing_mm : float
+        Distance of neighbours.
+    """
+    longest = np.zeros(0, dtype=np.int64)
+    off_mm = np.abs(position_mm[:, 1] - np.median(position_mm[:, 1]))
+    for line in np.unique(off_mm[measured].round(3)):
+        for side in (-1.0, 1.0):
+            y_mm = np.median(position_mm[:, 1]) + side * line
+            here = np.flatnonzero(measured & (np.abs(position_mm[:, 1] - y_mm) < 1e-2 * spacing_mm))
+            here = here[np.argsort(position_mm[here, 0])]
+            gaps = np.abs(np.diff(position_mm[here, 0]) - spacing_mm) > 1e-2 * spacing_mm
+            for run in np.split(here, np.flatnonzero(gaps) + 1):
+                spare = max(0, (len(run) - LINE_POINTS) // 2)
+                if len(run[spare : spare + LINE_POINTS]) > len(longest):
+                    longest = run[spare : spare + LINE_POINTS]
+        if len(longest) >= LINE_POINTS:
+            break
+    return longest
+
+
+def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None) -> list[Figure]:
+    """Lines of the report's table."""
+    low, high = IMPULSE_BAND_HZ
+    pairs = f"Green's functions limited to {low:g} to {high:g} Hz, over pairs {SPAN_MM[0]:g} to {SPAN_MM[1]:g} mm apart"
+    lines = []
+    travel = waves.travel
+    if travel is not None:
+        velocity = Figure(
+            "Group velocity",
+            _with_doubt(travel.group_velocity_m_s, travel.velocity_doubt_m_s, "m/s"),
+            f"Inverse slope over distance of the centroid of energy of {pairs}, with an offset for each actuator; ±"
+            " its standard error.",
+        )
+        if not travel.is_told:
+            why = f"Not told: arrivals do not follow distances (correlation {travel.correlation:.2f}), as in a room."
+            velocity = Figure("Group velocity", "-", why)
+        lines += [
+            velocity,
+            Figure(
+                "Attenuation",
+                _with_doubt(travel.attenuation_db_per_cm, travel.attenuation_doubt_db_per_cm, "dB/cm"),
+                f"Slope over distance r of 10 lg(r E), E the energy of {pairs}, with an offset for each actuator; ± its"
+                " standard error.",
+            ),
+        ]
+    else:
+        why = "Not told: too few positions and actuators of known place lie that far apart."
+        lines += [Figure(name, "-", why) for name in ("Group velocity", "Attenuation")]
+    if waves.correlation is not None:
+        lines.append(
+            Figure(
+                "Correlation of neighbours",
+                f"{waves.correlation.mean[0]:.2f} at {number(waves.correlation.distance_mm[0], 'mm')}",
+                "Coefficient at lag 0 of the Green's functions of two positions, means not removed: mean over actuators"
+                " and over pairs at the smallest distance.",
+            )
+        )
+    if waves.crosstalk is not None:
+        table = waves.crosstalk
+        speed = _own_speed(scene)
+        row = int(np.argmin(np.abs(np.log(table.speed_mm_s / speed))))
+        definition = (
+            "Energy that all other points' foci together make at a path point over that of its own, in a window one"
+            " emission period long about its focus instant, pooled over the points; impulses along a line of the"
+            " grid, with this scene's regularisation."
+        )
+        lines += [
+            Figure(
+                f"Crosstalk at {table.speed_mm_s[row] / 10:g} cm/s, d = {step:g} mm", number(100.0 * ratio, "%"), text
+            )
+            for step, ratio, text in zip(
+                table.step_mm, table.energy_ratio[row], (definition, "The same.", "The same."), strict=True
+            )
+        ]
+    if waves.scanned is not None:
+        definition = (
+            "Centroid of the scan's energy over frequency at the path points whose waveforms are shown, from"
+            f" {1e3 * BEFORE_S:g} ms before each focus instant to {1e3 * AFTER_S:g} ms after it."
+        )
+        lines.append(Figure("Spectrum at path points", number(_centroid(waves.scanned), "Hz"), definition))
+        if band_hz is not None:
+            middle = (band_hz[0] + band_hz[1]) / 2
+            share = number(100.0 * waves.scanned.share_within((band_hz[0], middle)), "%")
+            lines.append(
+                Figure(f"of which below {middle:g} Hz", share, "Share of that energy in the band's lower half.")
+            )
+    return lines
+
+
+@drawn_in_style
+def waves_picture(waves: Waves, band_hz: tuple[float, float] | None) -> Picture:
+    """Crosstalk over speed, correlation over distance, spectra at path points."""
+    canvas = Canvas("waves", 1120, 330)
+    axes = canvas.axes(70, 30, 280, 236)
+    axes.set(title="crosstalk along a line", xlabel="speed v (cm/s)", ylabel="energy ratio (%)")
+    if waves.crosstalk is None:
+        _say(axes, "no line of positions")
+    else:
+        table = waves.crosstalk
+        for place, (step, colour, marker) in enumerate(zip(table.step_mm, COLOURS, MARKERS, strict=True)):
+            ratio = 100.0 * np.maximum(table.energy_ratio[:, place], 1e-6)
+            axes.plot(table.speed_mm_s / 10, ratio, color=colour, marker=marker, ms=4, label=f"d = {step:g} mm")
+        axes.set(xscale="log", yscale="log", ylim=(1e-3, 200.0))
+        axes.set_xticks(table.speed_mm_s / 10, [f"{speed / 10:g}" for speed in table.speed_mm_s])
+        axes.minorticks_off()
+        axes.axhline(1.0, color=FAINT, lw=0.8, ls=":")
+        axes.legend(loc="upper left")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes = canvas.axes(70 + 370, 30, 280, 236)
+    axes.set(title="correlation of Green's functions", xlabel="distance (mm)", ylabel="coefficient at lag 0")
+    if waves.correlation is None:
+        _say(axes, "too few positions")
+    else:
+        found = waves.correlation
+        axes.fill_between(found.distance_mm, found.low, found.high, color=COLOURS[0], alpha=0.18, lw=0)
+        axes.plot(found.distance_mm, found.mean, "o-", ms=3.5, color=COLOURS[0])
+        axes.axhline(0.0, color=FAINT, lw=0.7)
+        axes.set(xlim=(0.0, None), ylim=(-1.0, 1.05))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes = canvas.axes(70 + 740, 30, 280, 236)
+    axes.set(title="spectrum at path points", xlabel="frequency (Hz)", ylabel="mean magnitude, relative")
+    if waves.predicted is None or waves.scanned is None:
+        _say(axes, "no waveforms")
+    else:
+        top = float(waves.predicted.mean.max()) or 1.0
+        most_hz = 1.2 * band_hz[1] if band_hz is not None else float(waves.predicted.frequency_hz[-1])
+        shown = waves.predicted.frequency_hz <= most_hz
+        frequency_hz = waves.predicted.frequency_hz[shown]
+        axes.plot(frequency_hz, waves.predicted.mean[shown] / top, color="#f0b440", lw=3.0, label="predicted")
+        axes.plot(frequency_hz, waves.scanned.mean[shown] / top, color="#0b3c5d", lw=1.0, label="scan")
+        axes.set(xlim=(0.0, most_hz), ylim=(0.0, 1.25))
+        axes.legend(loc="upper right", ncols=2)
+    axes.spines[["top", "right"]].set_visible(False)
+    return canvas.picture()
+
+
+def _with_doubt(value: float, doubt: float, unit: str) -> str:
+    return f"{number(value)} ± {doubt:.2g} {unit}"
+
+
+def _say(axes: object, text: str) -> None:
+    axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)  # type: ignore[attr-defined]
+
+
+def _spectrum(fields: FieldComparison, waveforms: NDArray[np.float32]) -> PathSpectrum | None:
+    place = {int(row): number for number, row in enumerate(fields.waveform_index)}
+    kept = [one for one in fields.instant if one.row in place]
+    if not kept:
+        return None
+    rate_hz = fields.sample_rate_hz
+    lead = round((fields.start_s + BEFORE_S) * rate_hz)
+    first = np.array([one.sample - lead for one in kept], dtype=np.int64)
+    responses = waveforms[[place[one.row] for one in kept]]
+    return path_spectrum(responses, rate_hz, first, round((BEFORE_S + AFTER_S) * rate_hz))
+
+
+def _centroid(spectrum: PathSpectrum) -> float:
+    energy = np.square(spectrum.magnitude).sum(axis=0)
+    total = float(energy.sum())
+    return float(energy @ spectrum.frequency_hz) / total if total > 0 else float("nan")
+
+
+def _own_speed(scene: Scene) -> float:
+    """The fastest source's, 80 mm/s where all stand still."""
+    speeds = [source.speed_mm_s for source in scene.sources if source.path.length_mm > 0 and source.speed_mm_s > 0]
+    return max(speeds, default=80.0)
+
+
+def _about_the_middle(bank: GreenSource) -> Sequence[int]:
+    """Positions nearest to the middle of the surface: near pairs among them, away from actuators."""
+    rows = np.flatnonzero(usable(bank))
+    position_mm = np.asarray(bank.position_mm, dtype=np.float64)[rows]
+    off_mm = np.hypot(*(position_mm - np.median(position_mm, axis=0)).T) if len(rows) else np.zeros(0)
+    nearest = np.argsort(off_mm, kind="stable")[:256]
+    return [int(row) for row in np.sort(rows[nearest])]

@@ -1,0 +1,1 @@
+"""What is to be felt: sources, paths, signals, sampling."""

@@ -1,0 +1,161 @@
+"""A source in time: what is emitted from where, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from rendering.drive.windows import Events, Weigh, Windows
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+Complex128Array = NDArray[np.complex128]
+
+NodesAt = Callable[[int, int], tuple[Int64Array, Float64Array, Int64Array]]
+"""Rows (n, k), weights (n, k) and regularising rows (n,) of a range of samples or path points."""
+
+
+class Emission(Protocol):
+    """A source in time. Samples count from scene time zero."""
+
+    first_sample: int
+    """First sample at which something is emitted."""
+    stop_event: int
+    """One past the last sample at which an event (a sample, or a whole signal) begins."""
+    stop_sample: int
+    """One past the last sample of the emission."""
+    event_samples: int
+    """Samples that one event lasts, 1 for a continuous emission."""
+    exponent: int
+    """The signal is emitted over 2**exponent, so that its largest value is about 1."""
+
+    def windows(self, start: int, hop: int, blocks: int, weigh: Weigh) -> Windows:
+        """Windows of the events that begin in `blocks` blocks of `hop` samples from sample `start`."""
+        ...
+
+
+class ContinuousEmission:
+    """A signal that runs on while its source moves (or stands).
+
+    Parameters
+    ----------
+    signal : float64 array, shape (samples,)
+        What is emitted, from `first_sample`.
+    first_sample : int
+        Start of the emission.
+    stop_sample : int
+        Its end; where the signal is shorter, silence follows.
+    nodes_at : callable
+        Where the source is at samples [start, stop), counted from `first_sample`; a node for each sample, or for
+        each point where it stands still for a while.
+    focus_sample : int64 array, shape (points,), optional
+        When it comes to those points, counted from scene time zero; without it, `nodes_at` is asked for samples.
+    """
+
+    event_samples = 1
+
+    def __init__(
+        self,
+        signal: Float64Array,
+        first_sample: int,
+        stop_sample: int,
+        nodes_at: NodesAt,
+        focus_sample: Int64Array | None = None,
+    ) -> None:
+        self.first_sample = first_sample
+        self.stop_sample = stop_sample
+        self.signal = signal[: stop_sample - first_sample]
+        self.exponent = _exponent(self.signal)
+        self.stop_event = first_sample + len(self.signal)
+        self._nodes_at = nodes_at
+        self._focus: Int64Array | None = None
+        if focus_sample is not None:
+            # Of several points in one sample the last one counts.
+            self._last_point = np.flatnonzero(np.diff(focus_sample, append=stop_sample) > 0)
+            self._focus = focus_sample[self._last_point]
+
+    def windows(self, start: int, hop: int, blocks: int, weigh: Weigh) -> Windows:
+        stop = max(min(start + hop * blocks, self.stop_event), start)
+        begin, end = start - self.first_sample, stop - self.first_sample
+        signal = np.ldexp(self.signal[begin:end], -self.exponent)
+        if self._focus is None:
+            nodes, sample = self._nodes_at(begin, end), np.arange(end - begin)
+        else:
+            first = int(np.searchsorted(self._focus, start, side="right")) - 1
+            last = int(np.searchsorted(self._focus, stop))
+            point = self._last_point[first:last]
+            rows, weights, by = (
+                self._nodes_at(int(point[0]), int(point[-1]) + 1) if len(point) else self._nodes_at(0, 0)
+            )
+            kept = point - point[0] if len(point) else point
+            nodes, sample = (rows[kept], weights[kept], by[kept]), np.maximum(self._focus[first:last] - start, 0)
+        return Windows(Events(*nodes, sample, np.diff(sample, append=end - begin), signal), hop, blocks, weigh)
+
+
+class PointEmission:
+    """A signal that every path point emits anew, overlapping or not.
+
+    A point is an impulse at its focus sample, and the spectrum of its emission is that of the impulse times
+    that of the signal. A long signal is cut into pieces, each of them a signal that starts later, so that a
+    block need not hold all of it.
+
+    Parameters
+    ----------
+    signal : float64 array, shape (samples,)
+        The signal.
+    focus_sample : int64 array, shape (points,)
+        Focus instants, ascending; several points may share one.
+    nodes_at : callable
+        Where the path points [start, stop) are.
+    piece_samples : int
+        Length of a piece, > 0.
+    """
+
+    def __init__(self, signal: Float64Array, focus_sample: Int64Array, nodes_at: NodesAt, piece_samples: int) -> None:
+        self.event_samples = min(len(signal), piece_samples)
+        self.signal = signal
+        self.focus_sample = focus_sample
+        self.first_sample = int(focus_sample[0])
+        self.exponent = _exponent(signal)
+        self._pieces = [
+            np.ldexp(signal[begin : begin + self.event_samples], -self.exponent)
+            for begin in range(0, len(signal), self.event_samples)
+        ]
+        self.stop_sample = int(focus_sample[-1]) + len(signal)
+        self.stop_event = int(focus_sample[-1]) + (len(self._pieces) - 1) * self.event_samples + 1
+        self._nodes_at = nodes_at
+        self._piece_spectra: Complex128Array | None = None
+
+    def windows(self, start: int, hop: int, blocks: int, weigh: Weigh) -> Windows:
+        found = [self._piece_events(piece, start, start + hop * blocks) for piece in range(len(self._pieces))]
+        events = Events(
+            np.concatenate([entry.rows for entry in found]),
+            np.concatenate([entry.weights for entry in found]),
+            np.concatenate([entry.regularised_by for entry in found]),
+            np.concatenate([entry.sample for entry in found]),
+            np.concatenate([entry.length for entry in found]),
+            np.concatenate([entry.values for entry in found]),
+            np.repeat(np.arange(len(found)), [len(entry.values) for entry in found]),
+        )
+        return Windows(events, hop, blocks, weigh, self._spectra_of_pieces)
+
+    def _piece_events(self, piece: int, start: int, stop: int) -> Events:
+        """Path points whose emission comes to this piece in [start, stop)."""
+        delay = piece * self.event_samples
+        first, last = np.searchsorted(self.focus_sample, [start - delay, stop - delay])
+        sample = self.focus_sample[first:last] + delay - start
+        one = np.ones(int(last - first))
+        return Events(*self._nodes_at(int(first), int(last)), sample, one.astype(np.int64), one)
+
+    def _spectra_of_pieces(self, fft_samples: int) -> Complex128Array:
+        if self._piece_spectra is None or self._piece_spectra.shape[1] != fft_samples // 2 + 1:
+            self._piece_spectra = np.stack([scipy_fft.rfft(piece, fft_samples) for piece in self._pieces])
+        return self._piece_spectra
+
+
+def _exponent(signal: Float64Array) -> int:
+    return int(np.frexp(max(signal.max(initial=0.0), -signal.min(initial=0.0)))[1])

@@ -1,0 +1,163 @@
+"""What is to be felt: sources that emit signals along paths, and how their drives are kept in bounds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from rendering.scene.paths import Path, Point
+from rendering.scene.signals import Signal
+from storage.errors import InputError
+
+Emission = Literal["continuous", "per_point"]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One source that emits `signal` along `path`.
+
+    Parameters
+    ----------
+    path : Path
+        Where it goes, in surface millimetres.
+    signal : Signal
+        What it emits, peak 1 before `amplitude`.
+    start_s : float
+        Start in scene time, >= 0: the drive array has no room before the lead-in.
+    speed_mm_s : float
+        Speed, > 0 on a path that moves; ignored for a point.
+    step_mm : float
+        Path sample distance d, > 0 on a path that moves.
+    amplitude : float
+        In the bank's response unit when the scene normalises.
+    emission : {"continuous", "per_point"}
+        Whether the signal runs on along the path or every path point emits all of it anew.
+
+    Raises
+    ------
+    InputError
+        A figure is out of range.
+    """
+
+    path: Path
+    signal: Signal
+    start_s: float = 0.0
+    speed_mm_s: float = 0.0
+    step_mm: float = 0.0
+    amplitude: float = 1.0
+    emission: Emission = "continuous"
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.start_s) and self.start_s >= 0):
+            raise InputError(f"start_s is {self.start_s}; it must be a finite number, 0 or above")
+        if not math.isfinite(self.amplitude):
+            raise InputError(f"amplitude is {self.amplitude}; it must be a finite number")
+        if self.emission not in ("continuous", "per_point"):
+            raise InputError(f"emission is {self.emission!r}; allowed are 'continuous' and 'per_point'")
+        if isinstance(self.path, Point):
+            return
+        for name in ("speed_mm_s", "step_mm"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise InputError(f"{name} is {value}; it must be a finite number above 0")
+
+
+@dataclass(frozen=True, slots=True)
+class Regularisation:
+    """How far near actuators are held back (eq. 14) and whether the focus is normalised (eq. 15).
+
+    Parameters
+    ----------
+    saturation : float, optional
+        C as a fraction of the bank's median rms over all measured positions and all actuators; None or 0:
+        off.
+    saturation_absolute : float, optional
+        C itself, in the unit of the Green's functions; None or 0: off. Not both.
+    normalise : bool
+        Whether n(x) makes the response at the focus equal the amplitude.
+
+    Raises
+    ------
+    InputError
+        Both are given, or one is negative or not finite.
+    """
+
+    saturation: float | None = None
+    saturation_absolute: float | None = None
+    normalise: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("saturation", "saturation_absolute"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0):
+                raise InputError(f"{name} is {value}; it must be a finite number above 0, or 0 for off")
+        if self.saturation and self.saturation_absolute:
+            raise InputError(
+                f"saturation is {self.saturation} and saturation_absolute is {self.saturation_absolute};"
+                " only one of the two may be given"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """How the bank is read between its positions, and the largest drive.
+
+    Parameters
+    ----------
+    interpolation : str
+        ``"nearest"``, ``"bilinear"``, ``"bicubic"`` or ``"kernel"``.
+    limit_v : float, optional
+        Largest drive magnitude in volts, > 0; the drive is scaled down to it, never clipped.
+    limit_rms_v : float, optional
+        Largest rms in volts of any actuator's drive over any second, > 0; the drive is scaled down to it.
+
+    Raises
+    ------
+    InputError
+        A limit is not a finite number above 0.
+    """
+
+    interpolation: str = "nearest"
+    limit_v: float | None = None
+    limit_rms_v: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("limit_v", "limit_rms_v"):
+            limit_v = getattr(self, name)
+            if limit_v is not None and not (math.isfinite(limit_v) and limit_v > 0):
+                raise InputError(f"{name} is {limit_v}; it must be a finite number above 0")
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Sources that sound together.
+
+    Parameters
+    ----------
+    name : str
+        For people.
+    sources : tuple of Source
+        At least one; their drives add.
+    regularisation : Regularisation
+        Saturation and normalisation, the same for all sources.
+    output : Output
+        Interpolation and limit.
+    allow_large : bool
+        Whether it may be larger than the limits of `rendering.scene.scene_size`.
+
+    Raises
+    ------
+    InputError
+        There is no source.
+    """
+
+    name: str
+    sources: tuple[Source, ...]
+    regularisation: Regularisation = field(default_factory=Regularisation)
+    output: Output = field(default_factory=Output)
+    allow_large: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.sources:
+            raise InputError("the scene has no source; at least one [[source]] is needed")

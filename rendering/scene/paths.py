@@ -1,0 +1,251 @@
+"""Paths on the surface, each followed by its arc length."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+PointMm = tuple[float, float]
+
+MOST_TURNS = 1e12
+"""Of more, numbers do not resolve the angle."""
+
+
+class Path(Protocol):
+    """A curve on the surface, in millimetres, x right and y up, seen from the laser."""
+
+    @property
+    def length_mm(self) -> float:
+        """Arc length in millimetres, 0 for a point."""
+        ...
+
+    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
+        """Points at arc lengths in [0, length_mm], float64 (n, 2)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Strokes:
+    """One or more polylines, drawn one after another.
+
+    Arc length runs along the strokes only; between two strokes the source jumps. At the joint itself it is
+    already at the start of the next stroke.
+
+    Parameters
+    ----------
+    strokes_mm : sequence of float64 arrays, shape (points, 2)
+        The polylines in millimetres; points that repeat count once.
+
+    Raises
+    ------
+    InputError
+        A stroke has no point, or a coordinate is not finite.
+    """
+
+    strokes_mm: Sequence[Float64Array]
+    length_mm: float = field(init=False)
+    _starts: Float64Array = field(init=False, repr=False)
+    _directions: Float64Array = field(init=False, repr=False)
+    _from_mm: Float64Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        starts, directions = [], []
+        for stroke in self.strokes_mm:
+            points = np.asarray(stroke, dtype=np.float64)
+            if points.ndim != 2 or points.shape[1:] != (2,) or len(points) == 0:
+                raise InputError(f"a stroke has shape {points.shape}; expected at least one point (x, y)")
+            if not np.isfinite(points).all():
+                raise InputError("a path has a coordinate that is not finite; millimetres are expected")
+            starts.append(points[:-1])
+            with np.errstate(over="ignore"):
+                directions.append(np.diff(points, axis=0))
+        if not starts:
+            raise InputError("a path has no stroke; at least one point is needed")
+        start = np.concatenate(starts)
+        direction = np.concatenate(directions)
+        with np.errstate(over="ignore", under="ignore"):
+            lengths = np.hypot(direction[:, 0], direction[:, 1])
+        moving = lengths > 0
+        start, direction, lengths = start[moving], direction[moving], lengths[moving]
+        if not len(lengths):
+            start = np.asarray(self.strokes_mm[0], dtype=np.float64)[:1]
+            direction, lengths = np.zeros((1, 2)), np.ones(1)
+            from_mm = np.zeros(2)
+        else:
+            with np.errstate(over="ignore"):
+                from_mm = np.concatenate([[0.0], np.cumsum(lengths)])
+        if not np.isfinite(from_mm[-1]):
+            raise InputError("a path is longer than the range of numbers in millimetres")
+        object.__setattr__(self, "length_mm", float(from_mm[-1]))
+        object.__setattr__(self, "_starts", start)
+        object.__setattr__(self, "_directions", direction / lengths[:, None])
+        object.__setattr__(self, "_from_mm", from_mm)
+
+    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
+        along = np.atleast_1d(np.asarray(arc_length_mm, dtype=np.float64))
+        segment = np.searchsorted(self._from_mm, along, side="right") - 1
+        np.clip(segment, 0, len(self._starts) - 1, out=segment)
+        rest = along - self._from_mm[segment]
+        points: Float64Array = self._starts[segment] + self._directions[segment] * rest[:, None]
+        return points
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A source that stands still.
+
+    Parameters
+    ----------
+    at_mm : tuple of float
+        Where, in millimetres.
+
+    Raises
+    ------
+    InputError
+        A coordinate is not finite.
+    """
+
+    at_mm: PointMm
+
+    def __post_init__(self) -> None:
+        _finite_point(self.at_mm, "at_mm")
+
+    @property
+    def length_mm(self) -> float:
+        return 0.0
+
+    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
+        return np.tile(np.array(self.at_mm, dtype=np.float64), (np.size(arc_length_mm), 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight line.
+
+    Parameters
+    ----------
+    start_mm, end_mm : tuple of float
+        Its ends in millimetres.
+
+    Raises
+    ------
+    InputError
+        A coordinate is not finite.
+    """
+
+    start_mm: PointMm
+    end_mm: PointMm
+    _strokes: Strokes = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        _finite_point(self.start_mm, "start_mm")
+        _finite_point(self.end_mm, "end_mm")
+        object.__setattr__(self, "_strokes", Strokes([np.array([self.start_mm, self.end_mm], dtype=np.float64)]))
+
+    @property
+    def length_mm(self) -> float:
+        return self._strokes.length_mm
+
+    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
+        return self._strokes.point_at(arc_length_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class Polyline:
+    """Straight lines from point to point.
+
+    Parameters
+    ----------
+    points_mm : sequence of tuple of float
+        At least one point, in millimetres.
+    closed : bool
+        Whether a last line leads back to the first point.
+
+    Raises
+    ------
+    InputError
+        There is no point, or a coordinate is not finite.
+    """
+
+    points_mm: Sequence[PointMm]
+    closed: bool = False
+    _strokes: Strokes = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        points = [tuple(point) for point in self.points_mm]
+        if not points:
+            raise InputError("points_mm is empty; a polyline needs at least one point")
+        if self.closed:
+            points.append(points[0])
+        object.__setattr__(self, "_strokes", Strokes([np.array(points, dtype=np.float64)]))
+
+    @property
+    def length_mm(self) -> float:
+        return self._strokes.length_mm
+
+    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
+        return self._strokes.point_at(arc_length_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """An arc of a circle, or several turns of it.
+
+    Parameters
+    ----------
+    centre_mm : tuple of float
+        Centre in millimetres.
+    radius_mm : float
+        Radius, >= 0.
+    turns : float
+        Turns from the start; positive anticlockwise as seen from the laser (y up), negative clockwise.
+    start_deg : float
+        Direction of the start from the centre, in degrees anticlockwise from x.
+
+    Raises
+    ------
+    InputError
+        A figure is not finite, or the radius is negative.
+    """
+
+    centre_mm: PointMm
+    radius_mm: float
+    turns: float = 1.0
+    start_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        _finite_point(self.centre_mm, "centre_mm")
+        if not (math.isfinite(self.radius_mm) and self.radius_mm >= 0):
+            raise InputError(f"radius_mm is {self.radius_mm}; it must be a finite number, 0 or above")
+        for name in ("turns", "start_deg"):
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(f"{name} is {getattr(self, name)}; it must be a finite number")
+        if abs(self.turns) > MOST_TURNS:
+            raise InputError(f"turns is {self.turns:g}; at most {MOST_TURNS:g} are allowed")
+        if not math.isfinite(self.length_mm):
+            raise InputError(f"radius_mm is {self.radius_mm}; the circle is longer than the range of numbers")
+
+    @property
+    def length_mm(self) -> float:
+        return 2.0 * math.pi * self.radius_mm * abs(self.turns)
+
+    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
+        along = np.atleast_1d(np.asarray(arc_length_mm, dtype=np.float64))
+        turned = along / self.radius_mm if self.radius_mm else np.zeros_like(along)
+        angle = math.radians(self.start_deg) + math.copysign(1.0, self.turns) * turned
+        x = self.centre_mm[0] + self.radius_mm * np.cos(angle)
+        y = self.centre_mm[1] + self.radius_mm * np.sin(angle)
+        return np.stack([x, y], axis=1)
+
+
+def _finite_point(point: PointMm, name: str) -> None:
+    if len(point) != 2 or not all(math.isfinite(value) for value in point):
+        raise InputError(f"{name} is {point}; two finite numbers (x, y) in millimetres are expected")

@@ -1,0 +1,236 @@
+"""A source sampled in time: path points, focus instants, where it is when (contract section 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.drive.block_size import choose_fft_samples
+from rendering.greens.interpolation import Interpolation, Nodes, OffGridError
+from rendering.scene.emission import ContinuousEmission, Emission, PointEmission
+from rendering.scene.model import Source
+from rendering.scene.paths import Point
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+Method = Literal["sampled", "exact"]
+
+MOST_POINTS = 10**8
+MOST_SAMPLES = 2**31
+LEAST_PIECE_SAMPLES = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class SampledSource:
+    """A source ready to be accumulated.
+
+    Parameters
+    ----------
+    index : int
+        Which source of the scene, from 0.
+    emission : Emission
+        What it emits, and from which rows.
+    arc_length_mm : float64 array, shape (points,)
+        Arc lengths of the path points, m * d.
+    points_mm : float64 array, shape (points, 2)
+        The path points.
+    focus_sample : int64 array, shape (points,)
+        n_m, counted from scene time zero.
+    focus_position : int64 array, shape (points,)
+        Bank row nearest to each path point.
+    snap_mm : float64 array, shape (points,)
+        Distance from each path point to that row's position.
+    signal : float64 array, shape (samples,)
+        The whole signal, amplitude included.
+    nodes : int
+        Bank rows that make one point.
+    """
+
+    index: int
+    emission: Emission
+    arc_length_mm: Float64Array
+    points_mm: Float64Array
+    focus_sample: Int64Array
+    focus_position: Int64Array
+    snap_mm: Float64Array
+    signal: Float64Array
+    nodes: int
+
+    def fft_samples(self, taps: int, *, actuators: int, multiple: int = 1) -> int:
+        """Transform length that costs least for Green's functions of so many taps, a multiple of a number."""
+        reach = taps + self.emission.event_samples - 1
+        span = self.emission.stop_event - self.emission.first_sample
+        return choose_fft_samples(reach, span, actuators, self.focus_position, self.nodes, multiple)[0]
+
+    @property
+    def expected_rows(self) -> int:
+        """About how many bank rows its points are made of: along a path, those beside the nearest ones too."""
+        return len(np.unique(self.focus_position)) * (1 if self.nodes == 1 else 3)
+
+    def naming(self, row: int, at_mm: Float64Array) -> str:
+        """Say which path point needs a row at `at_mm`: the first that is snapped to it, else the closest."""
+        hits = np.flatnonzero(self.focus_position == row)
+        if len(hits):
+            point, how = int(hits[0]), ""
+        else:
+            point, how = int(np.argmin(np.hypot(*(self.points_mm - at_mm).T))), "the path near "
+        return f"{how}path point {point} of source {self.index} at {_show(self.points_mm[point])} mm"
+
+
+def sample_source(
+    source: Source,
+    index: int,
+    interpolation: Interpolation,
+    *,
+    sample_rate_hz: float,
+    taps: int,
+    method: Method,
+) -> SampledSource:
+    """Sample one source as contract section 4 says.
+
+    M = floor(length / d + 1e-9) + 1 points at arc length m d are emitted at
+    n_m = round((start_s + m d / v) rate), each from absolute time and half to even, so that no error adds up.
+    A path of no length is a static focus: it emits its whole signal at `start_s`.
+
+    Parameters
+    ----------
+    source : Source
+        The source.
+    index : int
+        Its place in the scene, for messages.
+    interpolation : Interpolation
+        How rows are found for its points.
+    sample_rate_hz : float
+        Rate of the bank.
+    taps : int
+        Length of the Green's functions in samples.
+    method : {"sampled", "exact"}
+        Whether a continuous emission moves from point to point or from sample to sample.
+
+    Raises
+    ------
+    InputError
+        The source does not move although its path does, emits nothing, is too long, or leaves the grid.
+    """
+    signal = source.amplitude * source.signal.samples(sample_rate_hz)
+    if not len(signal):
+        raise InputError(f"the signal of source {index} is empty; it must have at least one sample")
+    points = point_count(source, index)
+    moving = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)
+    number = np.arange(points + 1)
+    arc_length: Float64Array = number[:-1] * np.float64(source.step_mm) if points > 1 else np.zeros(1)
+    instants_s = source.start_s + number * source.step_mm / source.speed_mm_s if moving else np.full(2, source.start_s)
+    if instants_s[-1] * sample_rate_hz + len(signal) > MOST_SAMPLES:
+        raise InputError(f"source {index} would go on for {instants_s[-1]:.3g} s; {MOST_SAMPLES} samples are allowed")
+    focus = np.rint(instants_s * sample_rate_hz).astype(np.int64)
+    exact = method == "exact" and moving and source.emission == "continuous"
+    where = _Whereabouts(source, index, interpolation, sample_rate_hz, None if exact else arc_length)
+    points_mm = source.path.point_at(arc_length)
+    nodes = where.nodes_at(arc_length, path_point=0)
+
+    def of_points(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
+        return nodes.rows[start:stop], nodes.weights[start:stop], nodes.nearest[start:stop]
+
+    emission: Emission
+    if source.emission == "per_point" and moving:
+        emission = PointEmission(signal, focus[:-1], of_points, max(LEAST_PIECE_SAMPLES, taps))
+    else:
+        last = int(focus[-1]) if moving else int(focus[0]) + len(signal)
+        if last <= focus[0]:
+            raise InputError(
+                f"source {index} moves on within one sample of its start and emits nothing; lower speed_mm_s"
+                f" ({source.speed_mm_s:g}) or lengthen the path"
+            )
+        emission = (
+            ContinuousEmission(signal, int(focus[0]), last, where.of_samples)
+            if exact
+            else ContinuousEmission(signal, int(focus[0]), last, of_points, focus[:-1])
+        )
+    return SampledSource(
+        index,
+        emission,
+        arc_length,
+        points_mm,
+        focus[:-1],
+        nodes.nearest,
+        nodes.distance_mm,
+        signal,
+        nodes.rows.shape[1],
+    )
+
+
+def point_count(source: Source, index: int) -> int:
+    """M, the number of path points of a source, 1 where it stands still.
+
+    Parameters
+    ----------
+    source : Source
+        The source.
+    index : int
+        Its place in the scene, for messages.
+
+    Raises
+    ------
+    InputError
+        The source does not move although its path does, or it has too many path points.
+    """
+    length = source.path.length_mm
+    if isinstance(source.path, Point) or length == 0:
+        return 1
+    if source.step_mm <= 0:
+        raise InputError(f"step_mm of source {index} is {source.step_mm:g}; on a path it must be above 0")
+    ratio = length / source.step_mm + 1e-9
+    if ratio > MOST_POINTS:
+        raise InputError(
+            f"step_mm of source {index} is {source.step_mm:g}, which makes {ratio:.3g} path points; at most"
+            f" {MOST_POINTS} are allowed"
+        )
+    points = int(np.floor(ratio)) + 1
+    if points > 1 and source.speed_mm_s <= 0:
+        raise InputError(f"speed_mm_s of source {index} is {source.speed_mm_s:g}; on a path it must be above 0")
+    return points
+
+
+class _Whereabouts:
+    """Finds rows for a source's path, and says where it went wrong."""
+
+    def __init__(
+        self,
+        source: Source,
+        index: int,
+        interpolation: Interpolation,
+        sample_rate_hz: float,
+        only_at_mm: Float64Array | None,
+    ) -> None:
+        self._source = source
+        self._index = index
+        self._rate_hz = sample_rate_hz
+        try:
+            self._follow = interpolation.follow(source.path, only_at_mm)
+        except OffGridError as error:
+            raise InputError(f"the path of source {index} {error}") from error
+
+    def nodes_at(self, arc_length_mm: Float64Array, *, path_point: int | None = None, sample: int = 0) -> Nodes:
+        try:
+            return self._follow(arc_length_mm)
+        except OffGridError as error:
+            what = (
+                f"path point {path_point + error.point}"
+                if path_point is not None
+                else f"sample {sample + error.point} after its start"
+            )
+            raise InputError(f"source {self._index}, {what}, {error}") from error
+
+    def of_samples(self, start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
+        sample = np.arange(start, stop)
+        along = np.minimum(self._source.speed_mm_s * sample / self._rate_hz, self._source.path.length_mm)
+        nodes = self.nodes_at(along, sample=start)
+        return nodes.rows, nodes.weights, nodes.nearest
+
+
+def _show(point_mm: Float64Array) -> str:
+    return f"({point_mm[0]:.6g}, {point_mm[1]:.6g})"

@@ -1,0 +1,216 @@
+"""A scene on the surface: its paths as they are asked for, and as they are snapped to the bank's positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.greens.regularisation import row_weights, saturation_threshold
+from rendering.greens.snapping import PositionGrid
+from rendering.greens.source import GreenSource, read_row, refusal, usable
+from rendering.report.canvas import FAINT, INK, Canvas, Picture, drawn_in_style
+from rendering.report.surface import Surface, draw_cells, draw_surface
+from rendering.scene.model import Scene, Source
+from rendering.scene.sampled_scene import sample_scene
+from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PolyCollection
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+# Okabe & Ito's, in an order that keeps neighbours apart; more sources than colours begin anew.
+SOURCE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+MOST_NAMED = 12
+MAP_PX = 500
+TOP_PX = 26
+MOST_LINE_POINTS = 4000
+UNMEASURED = "#d9d9d9"
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """One source as it is drawn."""
+
+    source: Source
+    line_mm: Float64Array
+    points_mm: Float64Array
+    rows: Int64Array
+    snap_mm: Float64Array
+
+
+@drawn_in_style
+def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array | None = None) -> Picture:
+    """Draw a scene before and after snapping.
+
+    Left: the paths with their sample points, starts and directions, above the bank's positions. Right: the positions
+    that the points are snapped to, coloured by n(x) of eq. (15) where the scene normalises, else by the instant of the
+    first focus there; a line shows the order in which they are visited.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to draw.
+    bank : GreenSource
+        Its positions and actuators, and its Green's functions at the snapped positions.
+    outline_mm : float64 array, shape (n, 2), optional
+        Rim of the surface, closed.
+
+    Raises
+    ------
+    InputError
+        A path leaves the bank's positions, or a source is not as stated.
+    """
+    sources = _sources(scene, bank)
+    grid = PositionGrid(bank.position_mm)
+    surface = Surface(
+        position_mm=np.asarray(bank.position_mm),
+        spacing_mm=grid.spacing_mm or 1.0,
+        actuator_mm=np.asarray(bank.actuator_mm),
+        paths_mm=tuple(one.line_mm for one in sources),
+        outline_mm=outline_mm,
+    )
+    height = surface.height_px(MAP_PX)
+    lines = -(-min(len(sources), MOST_NAMED) // 2)
+    canvas = Canvas("scene", 2 * MAP_PX + 152, TOP_PX + height + 66 + 16 * lines)
+    left = canvas.axes(52, TOP_PX, MAP_PX, height)
+    right = canvas.axes(52 + MAP_PX + 20, TOP_PX, MAP_PX, height)
+    for axes in (left, right):
+        draw_surface(axes, surface, path=False)
+        axes.set_xlabel("x (mm)")
+    left.set(title=f"{scene.name}: as asked for", ylabel="y (mm)")
+    right.tick_params(labelleft=False)
+    _draw_asked(left, surface, sources, bank)
+    points, largest_mm = sum(len(one.rows) for one in sources), max(float(one.snap_mm.max()) for one in sources)
+    rows = np.unique(np.concatenate([one.rows for one in sources]))
+    places = f"{points} points on {len(rows)} positions" if points > 1 else "its position"
+    moved = "snapped by" if scene.output.interpolation == "nearest" else f"{scene.output.interpolation}; nearest within"
+    right.set_title(f"{places}, {moved} up to {largest_mm:.2g} mm".replace("within up to", "within"))
+    cells, label = _draw_snapped(right, surface, sources, rows, scene, bank)
+    bar = canvas.axes(52 + 2 * MAP_PX + 30, TOP_PX + 0.08 * height, 10, 0.84 * height)
+    known = cells.get_array()
+    # One value alone needs no scale.
+    ticks = [float(known[0])] if known is not None and np.ptp(known) < 1e-9 else None
+    canvas.figure.colorbar(cells, cax=bar, label=label, ticks=ticks)
+    canvas.figure.legend(
+        handles=_keys(sources), loc="upper center", ncols=2,
+        bbox_to_anchor=canvas.legend_place(52 + MAP_PX + 10, TOP_PX + height + 42),
+    )  # fmt: skip
+    return canvas.picture()
+
+
+def _sources(scene: Scene, bank: GreenSource) -> list[_Drawn]:
+    """Sample each source as the renderer does; the positions drawn are those that count for its foci."""
+    drawn = []
+    for source, sampled in zip(scene.sources, sample_scene(scene, bank, "sampled")[1], strict=True):
+        count = min(MOST_LINE_POINTS, max(2, int(4 * source.path.length_mm) + 2))
+        line_mm = source.path.point_at(np.linspace(0.0, source.path.length_mm, count))
+        drawn.append(_Drawn(source, line_mm, sampled.points_mm, sampled.focus_position, sampled.snap_mm))
+    return drawn
+
+
+def _draw_asked(axes: Axes, surface: Surface, sources: list[_Drawn], bank: GreenSource) -> None:
+    allowed = usable(bank)
+    position_mm = surface.position_mm
+    axes.plot(*position_mm[allowed].T, ".", ms=1.6, color="#b6bec6", zorder=1)
+    axes.plot(*position_mm[~allowed].T, "x", ms=2.0, color=UNMEASURED, mew=0.5, zorder=1)
+    for index, one in enumerate(sources):
+        colour = SOURCE_COLOURS[index % len(SOURCE_COLOURS)]
+        axes.plot(*_broken(one.line_mm, surface.spacing_mm).T, color=colour, lw=1.1, zorder=5)
+        axes.plot(*one.points_mm.T, ".", color=colour, ms=3.5, zorder=6)
+        axes.plot(*one.points_mm[0], "o", ms=7, mfc="none", mec=colour, mew=1.4, zorder=7)
+        _draw_direction(axes, one.line_mm, colour)
+
+
+def _draw_direction(axes: Axes, line_mm: Float64Array, colour: str) -> None:
+    """An arrow head a quarter along the path."""
+    steps = np.hypot(*np.diff(line_mm, axis=0).T)
+    if not steps.any():
+        return
+    at = int(np.searchsorted(np.cumsum(steps), 0.25 * steps.sum()))
+    tail, head = line_mm[max(0, at - 1)], line_mm[min(len(line_mm) - 1, at + 1)]
+    axes.annotate(
+        "", xy=(head[0], head[1]), xytext=(tail[0], tail[1]), zorder=8,
+        arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.1, "mutation_scale": 15, "shrinkA": 0, "shrinkB": 0},
+    )  # fmt: skip
+
+
+def _draw_snapped(
+    axes: Axes, surface: Surface, sources: list[_Drawn], rows: Int64Array, scene: Scene, bank: GreenSource
+) -> tuple[PolyCollection, str]:
+    draw_cells(axes, surface, np.arange(len(surface.position_mm)), colour="#eef1f4")
+    gain = _gains(scene, bank, rows) if scene.regularisation.normalise else None
+    if gain is not None:
+        median = float(np.median(gain))
+        values, label = 20.0 * np.log10(gain / median), f"n(x) in dB over its median, {median:.3g}"
+    else:
+        values, label = _first_instants(sources, rows), "first focus there (s)"
+    low, high = float(values.min()), float(values.max())
+    if high - low < 1e-9:
+        low, high = low - 0.5, high + 0.5
+    cells = draw_cells(axes, surface, rows, values, colours="viridis", limits=(low, high))
+    for index, one in enumerate(sources):
+        colour = SOURCE_COLOURS[index % len(SOURCE_COLOURS)]
+        visited = surface.position_mm[one.rows]
+        axes.plot(*_broken(visited, 1.5 * one.source.step_mm + surface.spacing_mm).T, color=colour, lw=0.8, zorder=5)
+        moved = np.stack([one.points_mm, visited, np.full_like(visited, np.nan)], axis=1).reshape(-1, 2)
+        axes.plot(*moved.T, color=INK, lw=0.5, zorder=5)
+        axes.plot(*one.points_mm.T, ".", color=INK, ms=1.8, zorder=6)
+        axes.plot(*visited[0], "o", ms=7, mfc="none", mec=colour, mew=1.4, zorder=7)
+    return cells, label
+
+
+def _gains(scene: Scene, bank: GreenSource, rows: Int64Array) -> Float64Array | None:
+    """n(x) at some rows; None where one of them cannot have any, of which the renderer will tell."""
+    try:
+        threshold = saturation_threshold(scene.regularisation, bank)
+    except InputError:
+        return None
+    gain = np.empty(len(rows))
+    for place, row in enumerate(rows.tolist()):
+        scaled = None if refusal(int(bank.status[row])) else read_row(bank, row)
+        if scaled is None or scaled.silent:
+            return None
+        weights = row_weights(scaled, threshold, normalise=True)
+        gain[place] = np.ldexp(weights.gain, weights.gain_exponent)
+    return gain if np.isfinite(gain).all() and (gain > 0).all() else None
+
+
+def _first_instants(sources: list[_Drawn], rows: Int64Array) -> Float64Array:
+    first = dict.fromkeys(rows.tolist(), np.inf)
+    for one in sources:
+        moving = one.source.step_mm / one.source.speed_mm_s if len(one.rows) > 1 else 0.0
+        for place, row in enumerate(one.rows.tolist()):
+            first[row] = min(first[row], one.source.start_s + place * moving)
+    return np.array([first[row] for row in rows.tolist()])
+
+
+def _broken(line_mm: Float64Array, furthest_mm: float) -> Float64Array:
+    """A line that is not drawn where it jumps, as between two letters."""
+    jumps = np.flatnonzero(np.hypot(*np.diff(line_mm, axis=0).T) > furthest_mm) + 1
+    return np.insert(line_mm, jumps, np.nan, axis=0)
+
+
+def _keys(sources: list[_Drawn]) -> list[object]:
+    from matplotlib.lines import Line2D
+
+    keys: list[object] = []
+    for index, one in enumerate(sources[:MOST_NAMED]):
+        source = one.source
+        if len(one.rows) > 1:
+            way = f"{source.path.length_mm:.0f} mm at {source.speed_mm_s:g} mm/s"
+            text = f"source {index}: {way}, from {source.start_s:g} s"
+        else:
+            x_mm, y_mm = one.points_mm[0]
+            text = f"source {index}: at ({x_mm:.3g}, {y_mm:.3g}) mm, from {source.start_s:g} s"
+        if index == MOST_NAMED - 1 and len(sources) > MOST_NAMED:
+            text, colour = f"and {len(sources) - MOST_NAMED + 1} more", FAINT
+        else:
+            colour = SOURCE_COLOURS[index % len(SOURCE_COLOURS)]
+        keys.append(Line2D([], [], color=colour, marker="o", mfc="none", label=text))
+    return keys

@@ -1,0 +1,132 @@
+"""Which positions of a grid a scene needs: those that it is rendered from, and those that its checks look at."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rendering.field.focus_figures import FOCUS_RADIUS_MM
+from rendering.greens.interpolation import Interpolation, OffGridError, interpolation
+from rendering.greens.snapping import PositionGrid
+from rendering.kernel.neighbourhoods import NEIGHBOURS
+from rendering.scene.model import Scene
+from rendering.scene.paths import Path
+from rendering.scene.sampling import MOST_POINTS as LARGEST_POINTS
+from rendering.scene.scene_size import MOST_PATH_POINTS
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+POINTS_AT_ONCE = 4096
+STEPS_PER_SPACING = 32
+"""Points per grid spacing at which a path is looked at; what lies between them is covered by a margin."""
+AROUND = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+
+
+@dataclass(frozen=True, slots=True)
+class SceneRows:
+    """Rows of a grid, each once, ascending.
+
+    Parameters
+    ----------
+    path : int64 array, shape (n,)
+        What the scene is rendered from, whatever the method and the path's sample distance.
+    checks : int64 array, shape (m,)
+        Those within 15 mm of a path: there the foci are looked for when the scene is verified.
+    """
+
+    path: Int64Array
+    checks: Int64Array
+
+    @property
+    def all(self) -> Int64Array:
+        """Both."""
+        return np.union1d(self.path, self.checks)
+
+
+def scene_rows(scene: Scene, position_mm: Float64Array) -> SceneRows:
+    """Find the positions that a scene needs.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its paths and its interpolation count.
+    position_mm : float64 array, shape (positions, 2)
+        The grid in millimetres.
+
+    Raises
+    ------
+    InputError
+        A path leaves the grid, or the grid does not allow the interpolation.
+    """
+    grid = PositionGrid(position_mm)
+    kind = scene.output.interpolation
+    of_grid = interpolation("nearest" if kind == "kernel" else kind, grid)
+    tree = cKDTree(grid.position_mm)
+    path: set[int] = set()
+    checks: set[int] = set()
+    for source in scene.sources:
+        points_mm, step_mm = _along(source.path, grid.spacing_mm, allow_large=scene.allow_large)
+        nearest = of_grid.nodes(points_mm)
+        rows = _nearby_rows(tree, points_mm, nearest.distance_mm + step_mm)
+        if kind == "kernel":
+            rows |= _neighbours(tree, grid.position_mm[sorted(rows)])
+        elif kind != "nearest":
+            rows |= _node_rows(of_grid, points_mm, step_mm)
+        path |= rows
+        checks |= _nearby_rows(tree, points_mm, np.full(len(points_mm), FOCUS_RADIUS_MM + grid.spacing_mm))
+    return SceneRows(np.array(sorted(path), dtype=np.int64), np.array(sorted(checks), dtype=np.int64))
+
+
+def _along(path: Path, spacing_mm: float, *, allow_large: bool) -> tuple[Float64Array, float]:
+    """Points along a path so close that none on it is further than the returned distance from one of them."""
+    if path.length_mm <= 0 or spacing_mm <= 0:
+        return path.point_at(np.zeros(1)), 0.0
+    steps = path.length_mm / spacing_mm * STEPS_PER_SPACING
+    if steps > (LARGEST_POINTS if allow_large else MOST_PATH_POINTS):
+        raise InputError(
+            f"a path is {path.length_mm:.4g} mm long and is looked at in {steps:.4g} points; more than"
+            f" {MOST_PATH_POINTS} must be allowed with --allow-large, more than {LARGEST_POINTS} cannot be"
+        )
+    count = max(2, math.ceil(steps) + 1)
+    along_mm = np.linspace(0.0, path.length_mm, count)
+    return path.point_at(along_mm), float(along_mm[1])
+
+
+def _nearby_rows(tree: cKDTree, points_mm: Float64Array, radius_mm: Float64Array) -> set[int]:
+    near: set[int] = set()
+    for begin in range(0, len(points_mm), POINTS_AT_ONCE):
+        some = slice(begin, begin + POINTS_AT_ONCE)
+        for rows in tree.query_ball_point(points_mm[some], radius_mm[some] + 1e-9):
+            near.update(rows)
+    return near
+
+
+def _neighbours(tree: cKDTree, centres_mm: Float64Array) -> set[int]:
+    """What kernel regression about these positions uses, and all that is as far away as its last neighbour."""
+    wanted = min(NEIGHBOURS + 1, tree.n)
+    distance, _ = tree.query(centres_mm, k=wanted)
+    furthest_mm = np.atleast_2d(np.asarray(distance))[:, -1] if wanted > 1 else np.zeros(len(centres_mm))
+    return _nearby_rows(tree, centres_mm, furthest_mm * (1 + 1e-6))
+
+
+def _node_rows(kind: Interpolation, points_mm: Float64Array, step_mm: float) -> set[int]:
+    """Rows with a weight at the points, and anywhere within a step of them as far as the grid goes."""
+    rows: set[int] = set()
+    for shift_mm in AROUND * step_mm:
+        places_mm = points_mm + shift_mm
+        while len(places_mm):
+            try:
+                rows.update(int(row) for row in np.unique(kind.nodes(places_mm).rows))
+                break
+            except OffGridError as off:
+                if not shift_mm.any():
+                    raise
+                # Only the margin is beyond the grid.
+                places_mm = np.delete(places_mm, off.point, axis=0)
+    return rows

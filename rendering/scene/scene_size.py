@@ -1,0 +1,118 @@
+"""Size of a scene, found before anything of that size is made."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rendering.scene.model import Scene, Source
+from rendering.scene.signals import signal_size
+from storage.errors import InputError
+
+LARGEST_SAMPLES = 2**31
+"""No scene may have more."""
+MOST_SECONDS = 3600.0
+MOST_DRIVE_BYTES = 8 * 2**30
+MOST_PATH_POINTS = 10**6
+MOST_SIGNAL_SAMPLES = 5 * 10**7
+"""Limits that `Scene.allow_large` lifts: an hour, 8 GiB of drives, some hundred MB of memory for points and signals."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSize:
+    """Size of the drives of a scene and of what makes them; infinite beyond the range of numbers.
+
+    Parameters
+    ----------
+    seconds, samples : float
+        Length of the drives, lead-in included.
+    drive_bytes : float
+        Of the drives in float64, all actuators.
+    path_points : float
+        Of all sources.
+    signal_samples : float
+        Of all sources; of a sound file as many as it declares, where these are more than at the bank's rate.
+    """
+
+    seconds: float
+    samples: float
+    drive_bytes: float
+    path_points: float
+    signal_samples: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.seconds:.4g} s of drives ({self.samples:.4g} samples, {size_words(self.drive_bytes)}),"
+            f" {self.path_points:.4g} path points, signals of {self.signal_samples:.4g} samples"
+        )
+
+
+def scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuators: int) -> SceneSize:
+    """Find how large the drives of a scene become, without making any of them.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    sample_rate_hz : float
+        Rate of the bank, > 0.
+    taps, actuators : int
+        Of the bank.
+
+    Raises
+    ------
+    InputError
+        A sound file cannot be read.
+    """
+    points, signals, last = 0.0, 0.0, 0.0
+    for source in scene.sources:
+        count, travel_s = _points_and_travel(source)
+        samples, held = signal_size(source.signal, sample_rate_hz)
+        emitted = samples if source.emission == "per_point" or not travel_s else 0.0
+        last = max(last, (source.start_s + travel_s) * sample_rate_hz + emitted)
+        points, signals = points + count, signals + held
+    samples = last + taps - 1
+    return SceneSize(samples / sample_rate_hz, samples, 8.0 * actuators * samples, points, signals)
+
+
+def check_scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuators: int) -> SceneSize:
+    """Find the size of a scene; beyond the limits it must be allowed.
+
+    Raises
+    ------
+    InputError
+        A limit is exceeded and the scene is not allowed to be large, or is too large to be allowed.
+    """
+    size = scene_size(scene, sample_rate_hz=sample_rate_hz, taps=taps, actuators=actuators)
+    limits = (
+        (size.seconds, MOST_SECONDS, f"{MOST_SECONDS:g} s of drives"),
+        (size.drive_bytes, MOST_DRIVE_BYTES, f"{size_words(MOST_DRIVE_BYTES)} of drives"),
+        (size.path_points, MOST_PATH_POINTS, f"{MOST_PATH_POINTS} path points"),
+        (size.signal_samples, MOST_SIGNAL_SAMPLES, f"{MOST_SIGNAL_SAMPLES} samples of signals"),
+    )
+    if max(size.samples, size.signal_samples) > LARGEST_SAMPLES:
+        raise InputError(f"the scene makes {size}; at most {LARGEST_SAMPLES} samples are allowed")
+    for value, limit, words in limits:
+        if value > limit and not scene.allow_large:
+            raise InputError(f"the scene makes {size}; more than {words} must be allowed with --allow-large")
+    return size
+
+
+def size_words(count: float) -> str:
+    """A number of bytes for people."""
+    for unit, size in (("GiB", 2**30), ("MiB", 2**20)):
+        if count >= size:
+            return f"{count / size:.4g} {unit}"
+    return f"{count / 1024:.4g} KiB"
+
+
+def _points_and_travel(source: Source) -> tuple[float, float]:
+    """M and the seconds until n_M, as `rendering.scene.sampling` makes them; it refuses a source that cannot move."""
+    length_mm = source.path.length_mm
+    if not (length_mm > 0 and source.step_mm > 0):
+        return 1.0, 0.0
+    ratio = length_mm / source.step_mm + 1e-9
+    points = math.floor(ratio) + 1.0 if math.isfinite(ratio) else math.inf
+    if not source.speed_mm_s > 0:
+        return points, 0.0
+    return points, points * source.step_mm / source.speed_mm_s

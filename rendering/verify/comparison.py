@@ -1,0 +1,244 @@
+"""One pass over a predicted and a measured field: errors, correlations, snapshots, waveforms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.quality.point_status import Status
+from rendering.field.band_limit import MOST_DELAY_S, BandLimit
+from rendering.field.focus_figures import FocusInstant, emission_windows, focus_instants
+from rendering.field.metrics import RealArray, level_db
+from rendering.verify.scan import Scan
+from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from rendering.greens.source import GreenSource
+    from storage.drive_file import Drive
+    from storage.field_file import Field
+
+# Positions per step of the pass: a few MB for seconds of signal.
+CHUNK_POSITIONS = 64
+MOST_WAVEFORMS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class FieldComparison:
+    """A predicted and a measured field side by side.
+
+    Everything but `error_all_frequencies` is of the fields within `band_hz`.
+
+    Parameters
+    ----------
+    band_hz : tuple of float or None
+        The bank's band, to which both fields were limited; None: not limited.
+    sample_rate_hz, start_s, response_unit
+        Of both fields.
+    error : float
+        ``||scan - prediction|| / ||scan||`` over all compared positions and samples.
+    error_all_frequencies : float
+        The same without limiting the band.
+    correlation : float
+        Zero-lag correlation over all compared positions and samples.
+    level_db : float
+        Gain that fits the prediction best to the scan, ``<scan, prediction> / ||prediction||**2``.
+    delay_samples : float
+        How much later the scan is: the peak, within 20 ms, of the cross-correlation summed
+        over positions.
+    position_index : int64 array, shape (P,)
+        Compared bank rows, ascending.
+    position_error, position_correlation : float64 array, shape (P,)
+        Error and correlation at each position; NaN where the scan is silent.
+    position_scanned, position_noise : float64 array, shape (P,)
+        Norm over samples of the scan and of its noise; NaN noise where unknown.
+    excluded : tuple of (int, str)
+        Scanned bank rows that were not compared, and why.
+    instant : tuple of FocusInstant, length K
+        The focus instants.
+    predicted_snapshot, scanned_snapshot : float32 array, shape (K, P)
+        The fields at those instants.
+    waveform_index : int64 array, shape (W,)
+        Bank rows of path points whose waveforms are kept.
+    predicted_waveform, scanned_waveform : float32 array, shape (W, samples)
+        The fields there.
+    """
+
+    band_hz: tuple[float, float] | None
+    sample_rate_hz: float
+    start_s: float
+    response_unit: str
+    error: float
+    error_all_frequencies: float
+    correlation: float
+    level_db: float
+    delay_samples: float
+    position_index: NDArray[np.int64]
+    position_error: NDArray[np.float64]
+    position_correlation: NDArray[np.float64]
+    position_scanned: NDArray[np.float64]
+    position_noise: NDArray[np.float64]
+    excluded: tuple[tuple[int, str], ...]
+    instant: tuple[FocusInstant, ...]
+    predicted_snapshot: NDArray[np.float32]
+    scanned_snapshot: NDArray[np.float32]
+    waveform_index: NDArray[np.int64]
+    predicted_waveform: NDArray[np.float32]
+    scanned_waveform: NDArray[np.float32]
+
+    @property
+    def correlation_median(self) -> float:
+        """Median over positions of the correlation at each."""
+        return float(np.nanmedian(self.position_correlation))
+
+    @property
+    def position_snr_db(self) -> NDArray[np.float64]:
+        """Scan over its noise at each position in dB, noise power taken off the scan's; NaN where unknown."""
+        noise = self.position_noise**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.maximum(self.position_scanned**2 - noise, 1e-3 * noise) / noise
+            return np.asarray(10.0 * np.log10(ratio))
+
+
+def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: GreenSource) -> FieldComparison:
+    """Compare fields where both have positions, the record is sound and the bank's row is valid.
+
+    Raises
+    ------
+    InputError
+        The fields do not belong together, or no position can be compared.
+    """
+    _check_grids(prediction, scan)
+    rows, in_prediction, in_scan, excluded = _compared_rows(prediction, scan, bank)
+    rate_hz, samples = scan.sample_rate_hz, scan.field.shape[1]
+    first_sample = round(scan.start_s * rate_hz)
+    band = BandLimit(samples, rate_hz, bank.band_hz)
+
+    windows = [one for one in emission_windows(drive) if one.start_sample - first_sample < samples]
+    compared = np.isin([one.row for one in windows], rows)
+    at_foci = np.full((len(windows), samples), np.nan, np.float32)
+    if compared.any():
+        focus_rows = np.array([one.row for one in windows])[compared]
+        at_foci[compared] = band.signals(
+            band.spectrum(prediction.field[in_prediction[np.searchsorted(rows, focus_rows)]])
+        )
+    instants = focus_instants(tuple(windows), at_foci, first_sample)
+    columns = np.array([one.sample - first_sample for one in instants], np.int64)
+    waveform_index = _evenly(np.unique([one.row for one in instants if one.row in rows]).astype(np.int64))
+
+    scanned_energy, predicted_energy, product, error_energy = np.zeros((4, rows.size))
+    raw_error = raw_scanned = 0.0
+    snapshots = np.zeros((2, len(instants), rows.size), np.float32)
+    waveforms = np.zeros((2, waveform_index.size, samples), np.float32)
+    cross = np.zeros(band.bins, np.complex128)
+    for first in range(0, rows.size, CHUNK_POSITIONS):
+        part = slice(first, first + CHUNK_POSITIONS)
+        predicted = prediction.field[in_prediction[part]]
+        scanned = scan.field[in_scan[part]]
+        raw_error += float(np.sum(_energy(scanned - predicted)))
+        raw_scanned += float(np.sum(_energy(scanned)))
+        spectra = band.spectrum(predicted), band.spectrum(scanned)
+        cross += np.sum(spectra[0].conj() * spectra[1], axis=0)
+        predicted, scanned = band.signals(spectra[0]), band.signals(spectra[1])
+        scanned_energy[part], predicted_energy[part] = _energy(scanned), _energy(predicted)
+        product[part] = np.einsum("ps,ps->p", scanned, predicted, dtype=np.float64)
+        error_energy[part] = _energy(scanned - predicted)
+        snapshots[:, :, part] = predicted[:, columns].T, scanned[:, columns].T
+        here = np.flatnonzero(np.isin(waveform_index, rows[part]))
+        of_chunk = np.searchsorted(rows[part], waveform_index[here])
+        waveforms[:, here] = predicted[of_chunk], scanned[of_chunk]
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        position_error = np.sqrt(error_energy / scanned_energy)
+        position_correlation = product / np.sqrt(scanned_energy * predicted_energy)
+    noise_rms = scan.noise_rms[in_scan] if isinstance(scan, Scan) else np.full(rows.size, np.nan)
+    return FieldComparison(
+        band_hz=bank.band_hz,
+        sample_rate_hz=rate_hz,
+        start_s=scan.start_s,
+        response_unit=scan.response_unit,
+        error=_root_ratio(error_energy.sum(), scanned_energy.sum()),
+        error_all_frequencies=_root_ratio(raw_error, raw_scanned),
+        correlation=_ratio(product.sum(), math.sqrt(scanned_energy.sum() * predicted_energy.sum())),
+        level_db=level_db(max(_ratio(product.sum(), predicted_energy.sum()), 0.0)),
+        delay_samples=band.delay_samples(cross, round(MOST_DELAY_S * rate_hz)),
+        position_index=rows,
+        position_error=position_error,
+        position_correlation=position_correlation,
+        position_scanned=np.sqrt(scanned_energy),
+        position_noise=noise_rms * math.sqrt(samples * band.white_share),
+        excluded=excluded,
+        instant=instants,
+        predicted_snapshot=snapshots[0],
+        scanned_snapshot=snapshots[1],
+        waveform_index=waveform_index,
+        predicted_waveform=waveforms[0],
+        scanned_waveform=waveforms[1],
+    )
+
+
+def _check_grids(prediction: Field, scan: Field | Scan) -> None:
+    if prediction.low_pass is not None:
+        raise InputError(
+            f"the prediction is at a rate {prediction.low_pass.factor} times lower than the bank's, low-passed above"
+            f" {prediction.low_pass.passed_hz:g} Hz; predict at the bank's rate to compare it with a scan"
+        )
+    for name, predicted, scanned in (
+        ("sample_rate_hz", prediction.sample_rate_hz, scan.sample_rate_hz),
+        ("start_s", prediction.start_s, scan.start_s),
+        ("samples", prediction.field.shape[1], scan.field.shape[1]),
+    ):
+        if predicted != scanned:
+            raise InputError(
+                f"{name} of the prediction is {predicted} and of the scan {scanned}; "
+                "they must be equal: predict and scan the same drive with the same bank"
+            )
+
+
+def _compared_rows(
+    prediction: Field, scan: Field | Scan, bank: GreenSource
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], tuple[tuple[int, str], ...]]:
+    """Compared bank rows, their places in prediction and scan, and the rows left out with the reason."""
+    reasons: dict[int, str] = {}
+    scan_status = scan.status if isinstance(scan, Scan) else np.full(len(scan.position_index), Status.VALID)
+    for row, status in zip(scan.position_index, scan_status, strict=True):
+        if status & Status.FAILED:
+            reasons[int(row)] = "the scan failed"
+        elif status & Status.OVER_RANGE:
+            reasons[int(row)] = "the scan reached the end of the input range"
+        elif status & Status.POOR_SIGNAL:
+            reasons[int(row)] = "the vibrometer lost the signal in the scan"
+        elif bank.status[row] != Status.VALID:
+            reasons[int(row)] = "the bank's row is not valid"
+    rows, in_prediction, in_scan = np.intersect1d(
+        prediction.position_index, scan.position_index, assume_unique=True, return_indices=True
+    )
+    sound = np.array([int(row) not in reasons for row in rows], bool)
+    if not sound.any():
+        raise InputError(
+            f"prediction ({len(prediction.position_index)} positions) and scan ({len(scan.position_index)} "
+            "positions) have no position in common that is valid in both; at least one is needed"
+        )
+    return rows[sound].astype(np.int64), in_prediction[sound], in_scan[sound], tuple(sorted(reasons.items()))
+
+
+def _energy(signals: RealArray) -> NDArray[np.float64]:
+    return np.asarray(np.einsum("ps,ps->p", signals, signals, dtype=np.float64))
+
+
+def _evenly(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    chosen = np.unique(np.linspace(0, rows.size - 1, min(rows.size, MOST_WAVEFORMS)).round().astype(int))
+    return rows[chosen] if rows.size else rows
+
+
+def _ratio(numerator: float, denominator: float) -> float:
+    return float(numerator / denominator) if denominator > 0.0 else math.nan
+
+
+def _root_ratio(numerator: float, denominator: float) -> float:
+    if denominator > 0.0:
+        return math.sqrt(numerator / denominator)
+    return 0.0 if numerator == 0.0 else math.inf

@@ -1,0 +1,231 @@
+"""Prediction and scan side by side, within the band, at any instant or position, without holding them in memory."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.field.band_limit import BandLimit
+from rendering.field.metrics import level_db
+from storage.errors import InputError
+from storage.field_rows import FieldRowReader
+
+Float32Array = NDArray[np.float32]
+
+# A few very loud positions, mostly beside actuators, must not make all others pale.
+LOUDEST_SHARE = 0.999
+
+
+class CancelledError(Exception):
+    """Reading was given up because nobody wants it any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionFigures:
+    """How prediction and scan agree at one position, within the band; NaN where a field is silent.
+
+    Parameters
+    ----------
+    error : float
+        ``||scan - prediction|| / ||scan||``.
+    correlation : float
+        Zero-lag correlation.
+    level_db : float
+        Norm of the scan over norm of the prediction.
+    """
+
+    error: float
+    correlation: float
+    level_db: float
+
+
+class FieldPair:
+    """Two fields of equal positions, rate, start and length, limited to one band.
+
+    They lie in temporary files without names, which the system gives back when the pair is let go.
+
+    Parameters
+    ----------
+    predicted, scanned : float32 array (positions, samples)
+        The fields; a row of `scanned` is NaN where there is no scan.
+    position_index : int64 array (positions,)
+        Bank rows.
+    sample_rate_hz, start_s, response_unit
+        Of both.
+    """
+
+    def __init__(
+        self,
+        predicted: Float32Array,
+        scanned: Float32Array,
+        position_index: NDArray[np.int64],
+        sample_rate_hz: float,
+        start_s: float,
+        response_unit: str,
+    ) -> None:
+        self._predicted, self._scanned = predicted, scanned
+        self.position_index = position_index
+        self.sample_rate_hz, self.start_s, self.response_unit = sample_rate_hz, start_s, response_unit
+
+    @property
+    def samples(self) -> int:
+        """Length of both."""
+        return int(self._predicted.shape[1])
+
+    def at_sample(self, sample: int) -> tuple[Float32Array, Float32Array]:
+        """Prediction and scan over the positions at one sample of the field."""
+        return np.array(self._predicted[:, sample]), np.array(self._scanned[:, sample])
+
+    def at_position(self, index: int) -> tuple[Float32Array, Float32Array]:
+        """Prediction and scan over time at the `index`-th position of `position_index`."""
+        return np.array(self._predicted[index]), np.array(self._scanned[index])
+
+    def sample_at(self, time_s: float) -> int:
+        """The sample nearest to a time of the scene."""
+        return min(max(round((time_s - self.start_s) * self.sample_rate_hz), 0), self.samples - 1)
+
+    def figures(self, index: int) -> PositionFigures:
+        """How both agree at the `index`-th position."""
+        predicted, scanned = (one.astype(np.float64) for one in self.at_position(index))
+        norms = float(np.linalg.norm(predicted)), float(np.linalg.norm(scanned))
+        if not (norms[0] > 0.0 and norms[1] > 0.0):
+            return PositionFigures(math.nan, math.nan, math.nan)
+        return PositionFigures(
+            float(np.linalg.norm(scanned - predicted)) / norms[1],
+            float(scanned @ predicted) / (norms[0] * norms[1]),
+            level_db(norms[1] / norms[0]),
+        )
+
+    def loudest(self, samples: NDArray[np.int64], compared: NDArray[np.bool_]) -> tuple[float, float]:
+        """Magnitude that all but a thousandth of both fields, and of their difference, keep to.
+
+        Parameters
+        ----------
+        samples : int64 array
+            Where to look.
+        compared : bool array (positions,)
+            Whose positions count: a row that is not valid may hold anything.
+        """
+        fields, differences = [], []
+        for sample in samples:
+            predicted, scanned = (one[compared] for one in self.at_sample(int(sample)))
+            fields.append(np.maximum(np.abs(predicted), np.abs(np.nan_to_num(scanned))))
+            differences.append(np.abs(scanned - predicted))
+        if not fields:
+            return 0.0, 0.0
+        far = [np.concatenate(one) for one in (fields, differences)]
+        known = [one[np.isfinite(one)] for one in far]
+        both = [float(np.quantile(one, LOUDEST_SHARE)) if one.size else 0.0 for one in known]
+        return both[0], both[1]
+
+
+def read_pair(
+    prediction: Path,
+    scan: Path,
+    band_hz: tuple[float, float] | None,
+    on_progress: Callable[[int, int], object] | None = None,
+    wanted: Callable[[], bool] = lambda: True,
+) -> FieldPair:
+    """Read two field files and limit them to a band.
+
+    Parameters
+    ----------
+    prediction, scan : Path
+        Field files of one drive; the scan may lack positions.
+    band_hz : tuple of float or None
+        The band; None leaves them as they are.
+    on_progress : callable, optional
+        Called with the rows read and the rows there are.
+    wanted : callable
+        Looked at while reading; False gives up.
+
+    Raises
+    ------
+    InputError
+        A file is missing, damaged or no field, or they do not belong together.
+    OSError
+        The temporary folder is full.
+    CancelledError
+        Nobody wants it any more.
+    """
+    with FieldRowReader(prediction) as predicted, FieldRowReader(scan) as scanned:
+        _require_one_grid(predicted, scanned)
+        rows = predicted.position_index
+        place = {int(row): at for at, row in enumerate(rows)}
+        strange = [int(row) for row in scanned.position_index if int(row) not in place]
+        if strange:
+            raise InputError(
+                f"{scan} holds position {strange[0]}, which {prediction} lacks; they are not of one verification"
+            )
+        band = BandLimit(predicted.samples, predicted.sample_rate_hz, band_hz)
+        total, done = len(rows) + len(scanned.position_index), 0
+
+        def limited(reader: FieldRowReader) -> Float32Array:
+            nonlocal done
+            with _RowFile(len(rows), reader.samples) as file:
+                for first, values in reader.blocks():
+                    # Blocks of a reader are sized for its own memory; a transform takes some times that.
+                    for start in range(0, len(values), _AT_ONCE):
+                        if not wanted():
+                            raise CancelledError
+                        part = values[start : start + _AT_ONCE]
+                        within = band.signals(band.spectrum(part)) if band_hz is not None else part
+                        at = [place[int(row)] for row in reader.position_index[first + start :][: len(part)]]
+                        file.write(at, within)
+                        done += len(part)
+                        if on_progress is not None:
+                            on_progress(done, total)
+                return file.mapped()
+
+        return FieldPair(
+            limited(predicted), limited(scanned), rows, predicted.sample_rate_hz, predicted.start_s,
+            predicted.response_unit,
+        )  # fmt: skip
+
+
+_AT_ONCE = 32
+
+
+class _RowFile:
+    """Rows written to a file without a name, then mapped; never written through the map, which a full disk kills."""
+
+    def __init__(self, rows: int, samples: int) -> None:
+        self._shape = rows, samples
+        self._missing = set(range(rows))
+        self._file = tempfile.TemporaryFile(prefix="wavefocus-")  # noqa: SIM115  # closed on the way out of the block
+
+    def write(self, at: list[int], values: NDArray[np.floating]) -> None:
+        """Write values (rows, samples), each row at its own place."""
+        for row, line in zip(at, np.ascontiguousarray(values, np.float32), strict=True):
+            self._file.seek(row * 4 * self._shape[1])
+            self._file.write(line.data)
+            self._missing.discard(row)
+
+    def mapped(self) -> Float32Array:
+        """The file as an array; rows never written are NaN."""
+        nothing = np.full((1, self._shape[1]), np.nan, np.float32)
+        for row in sorted(self._missing):
+            self.write([row], nothing)
+        self._file.flush()
+        return np.memmap(self._file, np.float32, "r", shape=self._shape)
+
+    def __enter__(self) -> _RowFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+
+def _require_one_grid(predicted: FieldRowReader, scanned: FieldRowReader) -> None:
+    for name in ("sample_rate_hz", "start_s", "samples"):
+        one, other = getattr(predicted, name), getattr(scanned, name)
+        if one != other:
+            raise InputError(
+                f"{name} of {predicted.path} is {one} and of {scanned.path} {other}; they are not of one verification"
+            )

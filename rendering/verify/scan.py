@@ -1,0 +1,292 @@
+"""Scanning: a drive played on the rig once per position, and the field it makes recorded."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.engine.event_publisher import EventPublisher
+from acquisition.engine.events import State, Subscriber
+from acquisition.engine.pointing import point_at
+from acquisition.engine.record import take_record
+from acquisition.engine.recovery import Recovery
+from acquisition.engine.setup import Setup
+from acquisition.engine.states import Lifecycle
+from acquisition.engine.stopping import StopRequest
+from acquisition.quality.point_status import Status
+from calibration.blas import one_blas_thread
+from calibration.clock.timing import ReferenceMissingError
+from drivers.errors import TransientInstrumentError
+from drivers.protocols import Recording, Take
+from rendering.field.model import field_unit
+from rendering.verify.scan_signals import Aligned, Alignment, scan_signals
+from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from rendering.greens.source import GreenSource
+    from storage.drive_file import Drive
+    from storage.field_file import Field
+
+# So many positions given up one after the other mean that the rig, and not a position, is at fault.
+GIVE_UP_POSITIONS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """A measured field, with what its records were worth.
+
+    Parameters
+    ----------
+    field : float32 array, shape (positions, drive samples + taps - 1)
+        Response on the playback clock; rows of failed positions are zero.
+    position_index : int64 array, shape (positions,)
+        Bank rows, ascending.
+    sample_rate_hz, start_s, response_unit
+        As of the drive and the bank.
+    status : uint8 array, shape (positions,)
+        Status bits as in the bank: valid, over-range, poor signal (the vibrometer lost it) or failed.
+    attempts : int64 array, shape (positions,)
+        Records taken at each position.
+    noise_rms : float64 array, shape (positions,)
+        Rms of the response while nothing played, in response units; NaN where unknown.
+    clock_ratio, playback_gain : float64 array, shape (positions,)
+        DAQ rate over playback rate, and volts found on the loopback per volt asked for.
+    faults : tuple of (int, str)
+        Bank row and cause of each failed position.
+    """
+
+    field: NDArray[np.float32]
+    position_index: NDArray[np.int64]
+    sample_rate_hz: float
+    start_s: float
+    response_unit: str
+    status: NDArray[np.uint8]
+    attempts: NDArray[np.int64]
+    noise_rms: NDArray[np.float64]
+    clock_ratio: NDArray[np.float64]
+    playback_gain: NDArray[np.float64]
+    faults: tuple[tuple[int, str], ...] = ()
+
+    def as_field(self) -> Field:
+        """The positions that have a record without a dropout, as a field for `write_field`."""
+        from storage.field_file import Field
+
+        there = (self.status & (Status.FAILED | Status.POOR_SIGNAL)) == 0
+        return Field(
+            field=self.field[there],
+            position_index=self.position_index[there],
+            sample_rate_hz=self.sample_rate_hz,
+            start_s=self.start_s,
+            response_unit=self.response_unit,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPlan:
+    """Which positions a scan visits.
+
+    Parameters
+    ----------
+    position : tuple of int
+        Bank rows in the order in which the mirror visits them, none twice.
+    attempts : int
+        Records at a position before it is given up, >= 1. A record that reached the end of
+        the input range is repeated once: more of the same drive would clip again. A record in
+        which the vibrometer lost the signal is repeated, and the last one kept as poor.
+    """
+
+    position: tuple[int, ...]
+    attempts: int = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Visit:
+    row: int
+    attempt: int = 1
+    clipped_before: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Pending:
+    visit: _Visit
+    status: Status
+    future: Future[Aligned]
+
+
+def scan(
+    plan: ScanPlan,
+    setup: Setup,
+    drive: Drive,
+    bank: GreenSource,
+    *,
+    on_progress: Callable[[int, int], None] | None = None,
+    publish: Subscriber = lambda event: None,
+) -> Scan:
+    """Play a drive on the rig and record its field at the planned positions.
+
+    Beside the drive a marker sweep plays on the loopback channel; it tells where in each
+    record the drive starts and how fast the two clocks run. While a record is taken, one
+    worker thread brings the previous one to the playback clock. A lost instrument is waited
+    for, as in a campaign. The caller closes `setup`, which mutes the player and parks the mirror.
+
+    Parameters
+    ----------
+    plan : ScanPlan
+        Positions and their order.
+    setup : Setup
+        The rig.
+    drive : Drive
+        What to play, within the player's full scale.
+    bank : GreenSource
+        Positions, taps and response unit.
+    on_progress : callable, optional
+        Called with the positions done and the positions planned.
+    publish : callable, optional
+        Receives the events of faults and of waiting for a lost instrument.
+
+    Returns
+    -------
+    Scan
+        On the samples of ``predict(drive, bank)``.
+
+    Raises
+    ------
+    InputError
+        A position that the bank does not have, a drive that the rig cannot play.
+    InstrumentError, ReferenceMissingError
+        An instrument failed, or was gone, for good, or five positions in a row had to be given up.
+    """
+    publish = EventPublisher({"a subscriber of the scan's events": publish})
+    life = Lifecycle(setup.instruments.clock, publish)
+    recovery = Recovery(setup, life, publish, StopRequest())
+    life.enter(State.RUNNING, f"{len(plan.position)} positions to scan")
+    return _ScanRun(plan, setup, drive, bank, recovery, on_progress).run()
+
+
+class _ScanRun:
+    """One scan under way: what is still to visit, and what was found."""
+
+    def __init__(
+        self,
+        plan: ScanPlan,
+        setup: Setup,
+        drive: Drive,
+        bank: GreenSource,
+        recovery: Recovery,
+        on_progress: Callable[[int, int], None] | None,
+    ) -> None:
+        self._plan, self._setup, self._bank, self._on_progress = plan, setup, bank, on_progress
+        self._recovery = recovery
+        rows = _planned_rows(plan, len(bank.position_mm))
+        samples = drive.drive_v.shape[1] + bank.taps - 1
+        self._signals_v = scan_signals(setup, drive, samples)
+        self._alignment = Alignment(setup, self._signals_v, drive.sample_rate_hz, bank.band_hz)
+        self._place = {int(row): index for index, row in enumerate(rows)}
+        self._scan = Scan(
+            field=np.zeros((rows.size, samples), np.float32),
+            position_index=rows,
+            sample_rate_hz=drive.sample_rate_hz,
+            start_s=drive.start_s,
+            response_unit=field_unit(bank),
+            status=np.full(rows.size, Status.FAILED, np.uint8),
+            attempts=np.zeros(rows.size, np.int64),
+            noise_rms=np.full(rows.size, np.nan),
+            clock_ratio=np.full(rows.size, np.nan),
+            playback_gain=np.full(rows.size, np.nan),
+        )
+        self._visits = deque(_Visit(row) for row in plan.position)
+        self._faults: dict[int, str] = {}
+        self._given_up_in_a_row = 0
+        self._done = 0
+
+    def run(self) -> Scan:
+        with (
+            one_blas_thread(),
+            ThreadPoolExecutor(max_workers=1, thread_name_prefix="scan") as worker,
+        ):
+            pending: _Pending | None = None
+            while self._visits or pending is not None:
+                previous, pending = pending, None
+                if self._visits:
+                    pending = self._visit(self._visits.popleft(), worker)
+                if previous is not None:
+                    self._collect(previous)
+        return replace(self._scan, faults=tuple(sorted(self._faults.items())))
+
+    def _visit(self, visit: _Visit, worker: ThreadPoolExecutor) -> _Pending | None:
+        try:
+            recording = self._recovery.until_done(lambda: self._record(visit), visit.row, visit.attempt)
+        except TransientInstrumentError as failure:
+            self._recovery.renew_if_repeated(failure)
+            self._try_again(visit, failure)
+            return None
+        clipped = any(recording.over_range)
+        if clipped and not visit.clipped_before and visit.attempt < self._plan.attempts:
+            self._visits.appendleft(_Visit(visit.row, visit.attempt + 1, clipped_before=True))
+            return None
+        future = worker.submit(self._alignment.align, recording)
+        return _Pending(visit, Status.OVER_RANGE if clipped else Status.VALID, future)
+
+    def _record(self, visit: _Visit) -> Recording:
+        x_mm, y_mm = (float(value) for value in self._bank.position_mm[visit.row])
+        point_at(self._setup, x_mm, y_mm)
+        take = Take(position=visit.row, attempt=visit.attempt, record=0, purpose="scan")
+        return take_record(self._setup, self._signals_v, self._scan.sample_rate_hz, take)
+
+    def _collect(self, pending: _Pending) -> None:
+        try:
+            aligned = pending.future.result()
+        except ReferenceMissingError as missing:
+            self._try_again(pending.visit, missing)
+            return
+        status, visit = pending.status, pending.visit
+        # Clipping, too, makes noise where nothing plays; such a record is marked already.
+        if aligned.signal_lost and status == Status.VALID:
+            if visit.attempt < self._plan.attempts:
+                self._visits.appendleft(replace(visit, attempt=visit.attempt + 1))
+                return
+            status = Status.POOR_SIGNAL
+        index = self._place[visit.row]
+        self._scan.field[index] = aligned.response
+        self._scan.noise_rms[index] = aligned.noise_rms
+        self._scan.clock_ratio[index] = aligned.clock_ratio
+        self._scan.playback_gain[index] = aligned.playback_gain
+        self._given_up_in_a_row = 0
+        self._settle(visit, status)
+
+    def _try_again(self, visit: _Visit, failure: Exception) -> None:
+        if visit.attempt < self._plan.attempts:
+            self._visits.appendleft(replace(visit, attempt=visit.attempt + 1))
+            return
+        self._given_up_in_a_row += 1
+        if self._given_up_in_a_row >= GIVE_UP_POSITIONS:
+            raise failure
+        self._faults[visit.row] = str(failure)
+        self._settle(visit, Status.FAILED)
+
+    def _settle(self, visit: _Visit, status: Status) -> None:
+        index = self._place[visit.row]
+        self._scan.status[index], self._scan.attempts[index] = status, visit.attempt
+        self._done += 1
+        if self._on_progress is not None:
+            self._on_progress(self._done, len(self._place))
+
+
+def _planned_rows(plan: ScanPlan, positions: int) -> NDArray[np.int64]:
+    if not plan.position:
+        raise InputError("the scan has no position; at least one is needed")
+    rows = np.unique(np.asarray(plan.position, np.int64))
+    if rows[0] < 0 or rows[-1] >= positions:
+        wrong = rows[0] if rows[0] < 0 else rows[-1]
+        raise InputError(f"scan position {wrong} is not in the bank; rows 0 to {positions - 1} are")
+    if rows.size != len(plan.position):
+        raise InputError("a scan position is named twice; each may be named once")
+    if plan.attempts < 1:
+        raise InputError(f"scan attempts is {plan.attempts}; it must be at least 1")
+    return rows

@@ -1,0 +1,143 @@
+"""A scan's record: what is played, and how it comes back to the clock that played it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.engine.setup import Setup
+from calibration.clock.timing import ClockFitter, to_playback_clock
+from drivers.protocols import Float64Array, Recording
+from rendering.verify.dropouts import DropoutCheck
+from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from storage.drive_file import Drive
+
+MARKER_START_HZ = 20.0
+# Low, for the fewer bins the marker fills the less a fit costs; at 60 dB it still tells the time to 0.1 ppm.
+MARKER_STOP_HZ = 1000.0
+MARKER_FADE_S = 0.02
+# The least silence that says what the noise is, and what is kept clear before the drive, in samples.
+LEAST_SILENCE_SAMPLES = 50
+SILENCE_GUARD_SAMPLES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """A response on the playback clock, and what its record says about noise and clocks."""
+
+    response: NDArray[np.float32]
+    noise_rms: float
+    clock_ratio: float
+    playback_gain: float
+    signal_lost: bool
+
+
+def scan_signals(setup: Setup, drive: Drive, samples: int) -> dict[int, Float64Array]:
+    """Put the drive on the actuators' channels and a marker sweep on the loopback channel.
+
+    The sweep runs from 20 Hz to 1 kHz, or to 0.4 of the rate where that is lower, over the whole
+    record, at half of full scale or 0.7 of the reference input's range.
+
+    Parameters
+    ----------
+    setup : Setup
+        The rig.
+    drive : Drive
+        Of as many actuators as the rig has, within the player's full scale.
+    samples : int
+        Length of all signals; the drive is followed by silence.
+
+    Raises
+    ------
+    InputError
+        The rig cannot play the drive.
+    """
+    actuators, drive_samples = drive.drive_v.shape
+    if actuators != len(setup.actuator_channels):
+        there = len(setup.actuator_channels)
+        raise InputError(f"the drive is for {actuators} actuators; the rig has {there}")
+    full_scale_v = setup.instruments.player.full_scale_v
+    peak_v = np.max(np.abs(drive.drive_v), axis=1, initial=0.0)
+    loudest = int(np.argmax(peak_v))
+    if not peak_v[loudest] <= full_scale_v:
+        raise InputError(
+            f"the drive of actuator {loudest} reaches {peak_v[loudest]:.3g} V; "
+            f"at most {full_scale_v:.3g} V, the player's full scale: set limit_v in the scene's [output]"
+        )
+    signals_v: dict[int, Float64Array] = {}
+    for channel, signal in zip(setup.actuator_channels, drive.drive_v, strict=True):
+        signals_v[channel] = np.concatenate([signal, np.zeros(samples - drive_samples)])
+    rate_hz = drive.sample_rate_hz
+    amplitude_v = min(0.5 * full_scale_v, 0.7 * setup.range_v[0] / setup.reference_gain)
+    time_s = np.arange(samples) / rate_hz
+    stop_hz = min(0.4 * rate_hz, MARKER_STOP_HZ)
+    slope = (stop_hz - MARKER_START_HZ) / (samples / rate_hz)
+    sweep = np.sin(2.0 * np.pi * (MARKER_START_HZ + 0.5 * slope * time_s) * time_s)
+    fade = np.sin(0.5 * np.pi * np.clip(np.minimum(time_s, time_s[::-1]) / MARKER_FADE_S, 0.0, 1.0)) ** 2
+    signals_v[setup.loopback_channel] = amplitude_v * fade * sweep
+    return signals_v
+
+
+class Alignment:
+    """Brings the responses of one scan to the playback clock, in response units.
+
+    Safe to share between threads; a result depends on its recording alone.
+
+    Parameters
+    ----------
+    setup : Setup
+        The rig.
+    signals_v : mapping from player channel to float64 array, shape (samples,)
+        What every record plays, from `scan_signals`.
+    rate_hz : float
+        Rate of signals and records.
+    band_hz : tuple of float, optional
+        The bank's band.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        signals_v: Mapping[int, Float64Array],
+        rate_hz: float,
+        band_hz: tuple[float, float] | None,
+    ) -> None:
+        self._setup = setup
+        marker_v = signals_v[setup.loopback_channel]
+        self._samples = marker_v.size
+        self._clock = ClockFitter(marker_v)
+        # The response channel is sampled later, so its samples of an instant come earlier in the record.
+        self._delay_samples = -setup.response_delay_s * rate_hz
+        drive_v = [signals_v[channel] for channel in setup.actuator_channels]
+        self._dropouts = DropoutCheck(drive_v, rate_hz, band_hz)
+
+    def align(self, recording: Recording) -> Aligned:
+        """Bring one recorded response to the playback clock.
+
+        Raises
+        ------
+        ReferenceMissingError
+            The marker is not on the reference channel.
+        """
+        reference, response = recording.volts
+        fit = self._clock.fit(reference)
+        on_clock = to_playback_clock(response, fit, self._samples, delay_samples=self._delay_samples)
+        start = int(fit.offset_samples + self._delay_samples) - SILENCE_GUARD_SAMPLES
+        end = int(fit.offset_samples + fit.ratio * self._samples) + SILENCE_GUARD_SAMPLES
+        lead_in, tail = response[: max(start, 0)], response[end:]
+        silence = lead_in if lead_in.size >= LEAST_SILENCE_SAMPLES else tail
+        noise_v = float(np.std(silence)) if silence.size >= LEAST_SILENCE_SAMPLES else float("nan")
+        unit = self._setup.response_per_volt
+        return Aligned(
+            response=(on_clock * unit).astype(np.float32),
+            noise_rms=noise_v * abs(unit),
+            clock_ratio=fit.ratio,
+            playback_gain=fit.gain / self._setup.reference_gain,
+            signal_lost=self._dropouts.finds_one(response),
+        )

@@ -1,0 +1,1 @@
+"""Drives as sound files at an audio interface's rate."""

@@ -1,0 +1,148 @@
+"""Drives at an audio interface's rate, piece by piece: the same numbers as in one piece."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.audio.band_limited import HALF_LENGTH, converted, lead_samples, rate_ratio
+from rendering.drive.coil_limits import Reached
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+
+
+BETWEEN_SAMPLES = "full scale of the interface between samples"
+
+
+BLOCK_SAMPLES = 2**15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Interface:
+    """The outputs that drives are converted for.
+
+    Parameters
+    ----------
+    rate_hz : int
+        Rate of the audio interface.
+    full_scale_v : float64 array, shape (actuators,)
+        Volts at full scale of each actuator's output.
+    """
+
+    rate_hz: int
+    full_scale_v: Float64Array
+
+    def between_samples(self, drive_v: Float64Array, sample_rate_hz: float) -> Reached:
+        """What a drive reaches at the interface's rate: between its samples a waveform may be larger than at them.
+
+        Parameters
+        ----------
+        drive_v : float64 array, shape (actuators, samples)
+            Volts.
+        sample_rate_hz : float
+            Their rate.
+
+        Raises
+        ------
+        InputError
+            The rates have no ratio of small whole numbers.
+        """
+        actuators, samples = drive_v.shape
+        blocks = (drive_v[:, begin : begin + BLOCK_SAMPLES] for begin in range(0, samples, BLOCK_SAMPLES))
+        pieces = InterfaceRate(sample_rate_hz, self.rate_hz).pieces(blocks, actuators, samples, BLOCK_SAMPLES)
+        return self.reached(largest_of(pieces, actuators))
+
+    def reached(self, largest_v: Float64Array) -> Reached:
+        """Largest magnitudes at the interface's rate beside what the outputs can put out, (actuators,)."""
+        # Outputs of different full scale are held against the smallest.
+        least_v = float(self.full_scale_v.min())
+        return Reached(BETWEEN_SAMPLES, least_v, largest_v * (least_v / self.full_scale_v), summed=True)
+
+
+class InterfaceRate:
+    """The way from the rate of drives to that of an interface; sample 0 stays sample 0.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+        Rate of the drives.
+    interface_rate_hz : int
+        Rate of the audio interface.
+
+    Raises
+    ------
+    InputError
+        The rates have no ratio of small whole numbers.
+    """
+
+    def __init__(self, sample_rate_hz: float, interface_rate_hz: int) -> None:
+        try:
+            self._ratio = rate_ratio(sample_rate_hz, interface_rate_hz)
+        except ValueError as error:
+            raise InputError(f"{error}; choose a capture rate that goes evenly into the interface's") from error
+        up, down = self._ratio.numerator, self._ratio.denominator
+        # Whole blocks of the conversion, so that its weights fall on the same samples as in one piece.
+        reach = HALF_LENGTH * max(1.0, 1 / float(self._ratio))
+        self.around_samples = 0 if self._ratio == 1 else down * math.ceil(reach / down)
+        """Samples of drive beyond a piece that it is made of, too."""
+        self._skipped = lead_samples(self._ratio) + self.around_samples * up // down
+
+    def frames(self, samples: int) -> int:
+        """How many samples at the interface's rate so many samples of drive make."""
+        return math.ceil(samples * self._ratio)
+
+    def whole(self, drive_v: Float64Array) -> Float64Array:
+        """All of a drive, (actuators, samples), at the interface's rate, from its sample 0 to its last one."""
+        lead = lead_samples(self._ratio)
+        reached_v = converted(drive_v, self._ratio)
+        return reached_v[:, lead : reached_v.shape[1] - lead]
+
+    def pieces(
+        self, blocks: Iterable[Float64Array], actuators: int, samples: int, piece_samples: int
+    ) -> Iterator[Float64Array]:
+        """Give drives at the interface's rate, piece by piece, as blocks of them come.
+
+        Parameters
+        ----------
+        blocks : iterable of float64 array, shape (actuators, any number of samples)
+            The drives, one block after the other.
+        actuators, samples : int
+            Of the whole drive.
+        piece_samples : int
+            About so many samples of drive are converted at a time, > 0.
+        """
+        up, down = self._ratio.numerator, self._ratio.denominator
+        left = self.frames(samples)
+        for chunk in self._chunks(blocks, actuators, down * max(1, piece_samples // down)):
+            count = min((chunk.shape[1] - 2 * self.around_samples) * up // down, left)
+            yield converted(chunk, self._ratio)[:, self._skipped : self._skipped + count]
+            left -= count
+
+    def _chunks(self, blocks: Iterable[Float64Array], actuators: int, length: int) -> Iterator[Float64Array]:
+        """The drives in chunks of `length` samples with some more on either side, silence beyond the ends."""
+        around = self.around_samples
+        waiting = np.zeros((actuators, around))
+        for block in blocks:
+            waiting = np.concatenate([waiting, block], axis=1)
+            while waiting.shape[1] >= length + 2 * around:
+                yield waiting[:, : length + 2 * around]
+                waiting = waiting[:, length:]
+        rest = max(waiting.shape[1] - around, 0)
+        if rest:
+            chunks = -(-rest // length)
+            padded = np.pad(waiting, ((0, 0), (0, chunks * length + 2 * around - waiting.shape[1])))
+            for chunk in range(chunks):
+                yield padded[:, chunk * length : (chunk + 1) * length + 2 * around]
+
+
+def largest_of(pieces: Iterable[Float64Array], actuators: int) -> Float64Array:
+    """Largest magnitude of each actuator over all pieces, (actuators,)."""
+    largest = np.zeros(actuators)
+    for piece in pieces:
+        largest = np.maximum(largest, np.maximum(piece.max(axis=1, initial=0.0), -piece.min(axis=1, initial=0.0)))
+    return largest

@@ -1,0 +1,1 @@
+"""The bank file: header, layout, ledger, owner, writer, readers."""

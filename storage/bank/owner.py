@@ -1,0 +1,115 @@
+"""One writer per bank: who owns it, and where its name is written."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import time
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from storage import hdf5_safety
+from storage.durable import PositionedFile, open_file
+from storage.errors import BankBusyError, InputError
+from storage.sidecar_files import create, is_replaceable
+
+# Asking for the owner holds a shared lock for microseconds; a writer that meets it tries again.
+_TRIES = 5
+_PAUSE_S = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Owner:
+    """The process that writes a bank.
+
+    Parameters
+    ----------
+    host : str
+        Name of its machine, ``"unknown host"`` when it could not be read.
+    pid : int
+        Its process id, 0 when it could not be read.
+    started : str
+        When it opened the bank, ISO 8601 with time zone, empty when it could not be read.
+    """
+
+    host: str
+    pid: int
+    started: str = ""
+
+
+def owner_path(path: Path) -> Path:
+    """Return the file beside a bank that names its owner."""
+    return path.with_name(path.name + ".owner")
+
+
+def bank_owner(path: str | Path) -> Owner | None:
+    """Return the process that owns a bank now, or None; a name that a dead process left counts for nothing.
+
+    Raises
+    ------
+    InputError
+        When the bank is missing or may not be read.
+    """
+    path = Path(path)
+    hdf5_safety.require_regular(path)
+    if not owner_path(path).exists():
+        return None  # without touching the lock
+    try:
+        file = open_file(path)
+    except OSError as error:
+        raise InputError(f"{path} may not be read: {error.strerror}") from error
+    try:
+        return _named_owner(path) if file.locked_elsewhere() else None
+    finally:
+        file.close()
+
+
+def take_ownership(path: Path, file: PositionedFile, kind: str = "bank") -> None:
+    """Lock an open bank, or a file of another kind, until it is closed.
+
+    Raises
+    ------
+    BankBusyError
+        When another process owns it.
+    """
+    for attempt in range(_TRIES):
+        if attempt:
+            time.sleep(_PAUSE_S)
+        if file.try_lock():
+            return
+    owner = _named_owner(path)
+    who = f"process {owner.pid} on {owner.host}" if owner.pid else "another process"
+    raise BankBusyError(
+        f"{kind} {path} is owned by {who}; wait until it has finished or stop it, then try again"
+        " (reading and status are possible meanwhile)"
+    )
+
+
+def write_owner(path: Path) -> None:
+    """Name this process beside the bank it has locked."""
+    owner = Owner(socket.gethostname(), os.getpid(), datetime.now(UTC).astimezone().isoformat(timespec="seconds"))
+    # The bank's own space is reserved: a disk that is full but for that must not keep anyone from measuring.
+    with contextlib.suppress(OSError):
+        name = owner_path(path)
+        if is_replaceable(name):  # of a process that was killed
+            name.unlink(missing_ok=True)
+        with create(name) as file:
+            file.write((json.dumps(asdict(owner)) + "\n").encode())
+
+
+def remove_owner(path: Path) -> None:
+    """Take this process's name away, before the lock is released."""
+    if is_replaceable(owner_path(path)):
+        owner_path(path).unlink(missing_ok=True)
+
+
+def _named_owner(path: Path) -> Owner:
+    try:
+        entry = json.loads(owner_path(path).read_text(encoding="utf-8"))
+        return Owner(str(entry["host"]), int(entry["pid"]), str(entry.get("started", "")))
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        # The lock alone decides; the name is for people and may be missing for a moment.
+        return Owner("unknown host", 0)

@@ -1,0 +1,232 @@
+"""The drive file, contract section 5: what each actuator plays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import InitVar, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage import hdf5_digest, hdf5_safety
+from storage.errors import InputError
+from storage.hdf5_output import created
+from storage.labelled_hdf5 import label, require_sample_times, sample_times
+from storage.output_files import replacement
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+FORMAT = "wavefocus-drive"
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """What each actuator plays, and which instants it was made for.
+
+    Parameters
+    ----------
+    drive_v : float64 array (N, n)
+        Volts at each actuator, finite.
+    sample_rate_hz : float
+        Rate in Hz, > 0.
+    start_s : float
+        Time of the first sample, negative because of the lead-in.
+    method : str
+        How it was rendered.
+    scale : float
+        Factor by which a limit scaled it down, 0 < scale; 1 if nothing did.
+    omitted_bound : float
+        Bound on the relative L2 error from everything left out, >= 0; 0 when exact.
+    focus_sample, focus_position, focus_source : int64 array (K,)
+        Each focus: its sample n_m after time zero, its row of the bank, its source.
+    drive_unit : str
+        Unit of the drive, that of the bank.
+    verified : bool
+        Whether the file that it was read from carries checksums of all its values.
+    known_finite : bool
+        Whether the volts need not be looked at: whoever made them knows that they are finite.
+
+    Raises
+    ------
+    InputError
+        When a value is outside what is stated here.
+    """
+
+    drive_v: Float64Array
+    sample_rate_hz: float
+    start_s: float
+    method: str
+    scale: float
+    omitted_bound: float
+    focus_sample: Int64Array
+    focus_position: Int64Array
+    focus_source: Int64Array
+    drive_unit: str = "V"
+    verified: bool = True
+    known_finite: InitVar[bool] = False
+
+    def __post_init__(self, known_finite: bool) -> None:
+        object.__setattr__(self, "drive_v", np.ascontiguousarray(self.drive_v, np.float64))
+        if self.drive_v.ndim != 2 or not self.drive_v.size:
+            raise InputError(f"/drive has shape {self.drive_v.shape}; (actuator, sample), each 1 or more, is needed")
+        if not known_finite and not _finite(self.drive_v):
+            actuator = int(np.flatnonzero(~np.isfinite(self.drive_v).all(axis=1))[0])
+            raise InputError(f"/drive of actuator {actuator} holds NaN or infinities; finite volts are needed")
+        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
+            raise InputError(f"sample_rate_hz is {self.sample_rate_hz}; a rate above 0 is needed")
+        if not np.isfinite(self.start_s):
+            raise InputError(f"start_s is {self.start_s}; a finite time is needed")
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise InputError(f"scale is {self.scale}; a factor above 0 is needed")
+        if not self.omitted_bound >= 0:
+            raise InputError(f"omitted_bound is {self.omitted_bound}; 0 or more is needed")
+        for name in ("focus_sample", "focus_position", "focus_source"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.int64))
+        shapes = {self.focus_sample.shape, self.focus_position.shape, self.focus_source.shape}
+        if len(shapes) != 1 or self.focus_sample.ndim != 1:
+            raise InputError(f"/focus datasets have shapes {sorted(shapes)}; one common length is needed")
+
+
+def write_drive(path: str | Path, drive: Drive) -> None:
+    """Write a drive file, replacing an older one only when the new one is whole.
+
+    Raises
+    ------
+    InputError
+        When the folder is missing or cannot be written.
+    """
+    about = DriveAbout(
+        drive.sample_rate_hz, drive.start_s, drive.method, drive.scale, drive.omitted_bound,
+        drive.focus_sample, drive.focus_position, drive.focus_source, drive.drive_unit,
+    )  # fmt: skip
+    with drive_in_blocks(path, about, drive.drive_v.shape) as append:
+        append(drive.drive_v)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveAbout:
+    """All that a drive file says beside the volts; as of `Drive`."""
+
+    sample_rate_hz: float
+    start_s: float
+    method: str
+    scale: float
+    omitted_bound: float
+    focus_sample: Int64Array
+    focus_position: Int64Array
+    focus_source: Int64Array
+    drive_unit: str = "V"
+
+
+@contextmanager
+def drive_in_blocks(
+    path: str | Path, about: DriveAbout, shape: tuple[int, ...]
+) -> Iterator[Callable[[Float64Array], None]]:
+    """Write a drive file block by block, replacing an older one only when the new one is whole.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    about : DriveAbout
+        What it says of the drive.
+    shape : tuple of int
+        Actuators and samples of the whole drive.
+
+    Yields
+    ------
+    callable
+        Writes the next block, float64 array (actuators, any number of samples), volts.
+
+    Raises
+    ------
+    InputError
+        The folder is missing or cannot be written.
+    """
+    path = Path(path)
+    data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 3 * len(about.focus_sample))
+    with replacement(path) as temporary, created(temporary, data_bytes) as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = VERSION
+        file.attrs["sample_rate_hz"] = float(about.sample_rate_hz)
+        file.attrs["start_s"] = float(about.start_s)
+        file.attrs["method"] = about.method
+        file.attrs["scale"] = float(about.scale)
+        file.attrs["omitted_bound"] = float(about.omitted_bound)
+        file.attrs["drive_unit"] = about.drive_unit
+        volts = file.create_dataset("drive", shape=shape, dtype="<f8")
+        volts.attrs["units"] = about.drive_unit
+        for name in ("sample", "position", "source"):
+            file.create_dataset(f"focus/{name}", data=getattr(about, f"focus_{name}"), dtype="<i8")
+        label(volts, actuator=np.arange(shape[0]), time_s=sample_times(shape[1], about.sample_rate_hz, about.start_s))
+        done = 0
+
+        def append(block: Float64Array) -> None:
+            nonlocal done
+            if block.shape == shape:
+                volts.attrs[hdf5_digest.VALUES] = hdf5_digest.values_sha256(block)
+            volts[:, done : done + block.shape[1]] = block
+            done += block.shape[1]
+
+        yield append
+        if done != shape[1]:
+            raise ValueError(f"{done} of {shape[1]} samples were written")
+        hdf5_digest.seal(file)
+
+
+def read_drive(path: str | Path) -> Drive:
+    """Read a drive file; what only describes it (method, scale, omitted_bound, foci) may be missing.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, damaged, no drive file, of a future version, or holds values out of range.
+    """
+    path = Path(path)
+    with hdf5_safety.opened(path) as file:
+        hdf5_safety.require_format(file, path, FORMAT, VERSION)
+        hdf5_safety.require_sound_texts(file, path)
+        dataset = hdf5_safety.plain_dataset(file, "/drive", path)
+        values = hdf5_safety.read_whole(dataset, path)
+        focus = {}
+        for name in ("sample", "position", "source"):
+            focus[name] = np.zeros(0, np.int64)
+            if hdf5_safety.has(file, f"/focus/{name}"):
+                focus[name] = hdf5_safety.read_integers(file, f"/focus/{name}", path)
+        rate, start_s = (hdf5_safety.number(file, name, path) for name in ("sample_rate_hz", "start_s"))
+        method = hdf5_safety.text(file, "method", path) or "unknown"
+        scale = hdf5_safety.number(file, "scale", path, default=1.0)
+        omitted_bound = hdf5_safety.number(file, "omitted_bound", path, default=0.0)
+        drive_unit = hdf5_safety.text(file, "drive_unit", path) or "V"
+        try:
+            drive = Drive(
+                drive_v=np.asarray(values, np.float64),
+                sample_rate_hz=rate,
+                start_s=start_s,
+                method=method,
+                scale=scale,
+                omitted_bound=omitted_bound,
+                focus_sample=focus["sample"],
+                focus_position=focus["position"],
+                focus_source=focus["source"],
+                drive_unit=drive_unit,
+            )
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        require_sample_times(file, path, values.shape[1], rate, start_s)
+        # Last, so that a value that is wrong in itself is named.
+        hdf5_digest.require_contents(file, path)
+        verified = hdf5_digest.require_datasets(file, path, {"/drive"})
+        if (expected := hdf5_digest.expected_sha256(dataset, path)) is not None:
+            hdf5_digest.require_values(hdf5_digest.values_sha256(values), expected, "/drive", path)
+    return drive if verified else replace(drive, verified=False, known_finite=True)
+
+
+def _finite(values: Float64Array) -> bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        # What is not finite shows in the sum, which is read once and leaves nothing behind.
+        return bool(np.isfinite(values.sum()) or np.isfinite(values).all())

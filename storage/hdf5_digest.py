@@ -1,0 +1,212 @@
+"""Checksums of HDF5 files: of a dataset's values (contract section 5), and of everything in a file.
+
+Two attributes hold them as hexadecimal SHA-256. `sha256` on a dataset is that of its values in C order,
+little-endian. `contents_sha256` on the root is that of all names, shapes, types, attributes and values, so
+that nothing in the file can change unseen; datasets that carry a checksum of their own, and values that are
+written later and are checked otherwise, stand in it without their values.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from storage import hdf5_safety
+from storage.errors import InputError
+
+VALUES = "sha256"
+CONTENTS = "contents_sha256"
+# Written last of all; where texts lie is checked before any is read.
+_APART = frozenset({CONTENTS, "heap_offsets"})
+_AT_ONCE_BYTES = 32 << 20
+
+
+def values_sha256(values: NDArray[Any]) -> str:
+    """SHA-256 of numbers in C order, little-endian."""
+    digest = RunningDigest(values.dtype)
+    digest.update(values)
+    return digest.hexdigest()
+
+
+def dataset_sha256(dataset: h5py.Dataset) -> str:
+    """SHA-256 of a dataset's numbers, read piece by piece."""
+    digest = RunningDigest(dataset.dtype)
+    if dataset.ndim == 0 or not dataset.size:
+        digest.update(np.asarray(dataset[...]))
+        return digest.hexdigest()
+    hdf5_safety.require_rows(dataset, Path(dataset.file.filename))
+    row_bytes = dataset.size // len(dataset) * dataset.dtype.itemsize
+    if row_bytes <= _AT_ONCE_BYTES or dataset.ndim != 2:
+        at_once = max(1, _AT_ONCE_BYTES // row_bytes)
+        for first in range(0, len(dataset), at_once):
+            digest.update(dataset[first : first + at_once])
+        return digest.hexdigest()
+    at_once = _AT_ONCE_BYTES // dataset.dtype.itemsize
+    for row in range(len(dataset)):
+        for first in range(0, dataset.shape[1], at_once):
+            digest.update(dataset[row, first : first + at_once])
+    return digest.hexdigest()
+
+
+class RunningDigest:
+    """SHA-256 of numbers that come piece by piece, in C order.
+
+    Parameters
+    ----------
+    dtype : dtype
+        As the file holds them.
+    """
+
+    def __init__(self, dtype: np.dtype[Any]) -> None:
+        self._dtype = dtype.newbyteorder("<")
+        self._digest = hashlib.sha256()
+
+    def update(self, values: NDArray[Any]) -> None:
+        """Take in the next piece."""
+        self._digest.update(np.ascontiguousarray(values, self._dtype).reshape(-1).view(np.uint8).data)
+
+    def hexdigest(self) -> str:
+        """Checksum of all pieces."""
+        return self._digest.hexdigest()
+
+
+def seal(file: h5py.File) -> None:
+    """Write the checksum of every dataset that lacks one, then that of the whole file."""
+    for _, found in _objects(file):
+        if isinstance(found, h5py.Dataset) and VALUES not in found.attrs:
+            found.attrs[VALUES] = dataset_sha256(found)
+    file.attrs[CONTENTS] = contents_sha256(file)
+
+
+def contents_sha256(file: h5py.File, later: Collection[str] = ()) -> str:
+    """SHA-256 of everything in a file.
+
+    Parameters
+    ----------
+    file : h5py.File
+        The file.
+    later : collection of str
+        Datasets, as ``"/green"``, whose values are left out because they are written later.
+    """
+    digest = hashlib.sha256()
+    for name, found in _objects(file):
+        facts: list[object] = [name, "group" if isinstance(found, h5py.Group) else type(found).__name__]
+        if isinstance(found, h5py.Dataset):
+            facts += [list(found.shape or ()), found.dtype.newbyteorder("<").str]
+            if name not in later and VALUES not in found.attrs and found.id.get_storage_size():
+                facts.append(_plain(hdf5_safety.read_whole(found, Path(file.filename)), file))
+        if isinstance(found, h5py.Group | h5py.Dataset):
+            facts += [[key, _plain(found.attrs[key], file)] for key in sorted(found.attrs) if key not in _APART]
+        digest.update(json.dumps(facts).encode() + b"\n")
+    return digest.hexdigest()
+
+
+def require_contents(file: h5py.File, path: Path, later: Collection[str] = ()) -> bool:
+    """Refuse a file that is not as it was written; False when it carries no checksum of its contents.
+
+    Raises
+    ------
+    InputError
+        The checksum does not hold.
+    """
+    if CONTENTS not in file.attrs:
+        return False
+    try:
+        found = contents_sha256(file, later)
+    except InputError:
+        raise
+    except (TypeError, ValueError, AttributeError) as error:  # h5py, of types and references that are none
+        raise InputError(f"{path} {hdf5_safety.hdf5_complaint(error)}") from error
+    if hdf5_safety.text(file, CONTENTS, path) != found:
+        raise InputError(
+            f"{path} is damaged: the checksum of its contents does not hold; make it anew or restore a copy"
+        )
+    return True
+
+
+def expected_sha256(dataset: h5py.Dataset, path: Path) -> str | None:
+    """Read the checksum that a dataset carries; None when it carries none."""
+    if VALUES not in dataset.attrs:
+        return None
+    value = dataset.attrs[VALUES]
+    if not isinstance(value, str | bytes):
+        raise InputError(f"{path}: {dataset.name} has a {VALUES} that is no text; a text is needed")
+    return value if isinstance(value, str) else value.decode("ascii", "replace")
+
+
+def require_values(found: str, expected: str | None, name: str, path: Path) -> None:
+    """Refuse values whose checksum is another one."""
+    if expected is not None and found != expected.lower():
+        raise InputError(f"{path} is damaged: the checksum of {name} does not hold; make it anew or restore a copy")
+
+
+def require_datasets(file: h5py.File, path: Path, apart: Collection[str] = ()) -> bool:
+    """Verify every dataset that carries a checksum; False when one carries none.
+
+    Parameters
+    ----------
+    file : h5py.File
+        The file.
+    path : Path
+        Its name, for messages.
+    apart : collection of str
+        Datasets that the caller verifies as it reads them.
+
+    Raises
+    ------
+    InputError
+        A checksum does not hold.
+    """
+    complete = True
+    for name, found in _objects(file):
+        if not isinstance(found, h5py.Dataset):
+            continue
+        expected = expected_sha256(found, path)
+        complete &= expected is not None
+        if expected is not None and name not in apart:
+            require_values(dataset_sha256(hdf5_safety.plain_dataset(file, name, path)), expected, name, path)
+    return complete
+
+
+def _objects(file: h5py.File) -> Iterator[tuple[str, object]]:
+    """Every object by name, in order; an object with several names comes once, links only as what they say."""
+    seen = {hash(file.id)}
+    yield "/", file
+    names = [("/" + name, file) for name in sorted(file, reverse=True)]
+    while names:
+        name, parent = names.pop()
+        link = parent.get(name.rsplit("/", 1)[1], getlink=True)
+        if not isinstance(link, h5py.HardLink):
+            yield f"{name} {json.dumps(vars(link), default=str)}", link
+            continue
+        found = parent[name.rsplit("/", 1)[1]]
+        yield name, found
+        if isinstance(found, h5py.Group) and hash(found.id) not in seen:
+            seen.add(hash(found.id))
+            names += [(f"{name}/{one}", found) for one in sorted(found, reverse=True)]
+
+
+def _plain(value: object, file: h5py.File) -> object:
+    """Put a value of HDF5 into what JSON can say, so that equal values give equal words anywhere."""
+    if isinstance(value, h5py.Reference):
+        return ["reference", str(h5py.h5r.get_name(value, file.id)) if value else None]
+    if isinstance(value, h5py.Empty):
+        return ["empty", value.dtype.str]
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bytes):
+        return ["bytes", value.hex()]
+    array = np.asarray(value)
+    if array.dtype.names:
+        return [[_plain(item[field], file) for field in array.dtype.names] for item in array.reshape(-1)]
+    if array.dtype.kind in "OV":
+        return [list(array.shape), *(_plain(item, file) for item in array.reshape(-1).tolist())]
+    little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    return [little.dtype.str, list(array.shape), little.tobytes().hex()]

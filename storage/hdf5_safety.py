@@ -1,0 +1,387 @@
+"""Reading HDF5 files that others made: plain numbers and text, in this file and no other."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+
+_MOST_METADATA_BYTES = 64 << 20
+# A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
+_HOLLOW = 100
+# What filters may add to a chunk that does not get smaller.
+_FILTER_BYTES = 4096
+MOST_VARIABLE = "WAVEFOCUS_MOST_GIB"
+_DEFAULT_MOST_GIB = 8.0
+
+
+def most_bytes() -> int:
+    """Largest number of bytes that is read at once, or declared without being held: 8 GiB unless raised.
+
+    Raises
+    ------
+    InputError
+        The environment variable that raises it holds no number above 0.
+    """
+    words = os.environ.get(MOST_VARIABLE, "")
+    try:
+        gib = float(words) if words else _DEFAULT_MOST_GIB
+        if not 0 < gib < 1e9:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"{MOST_VARIABLE} is {words!r}; a number of GiB above 0 is needed") from None
+    return int(gib * (1 << 30))
+
+
+def _refuse_size(path: Path, what: str, count: int, held: int | None = None) -> InputError:
+    held_words = "" if held is None else f" and holds {_size(held)}"
+    return InputError(
+        f"{path}: {what} {_size(count)}{held_words}; at most {_size(most_bytes())} are allowed;"
+        f" wavefocus --most-gib {-(-count // (1 << 30))} ... raises that"
+    )
+
+
+def _size(count: int) -> str:
+    for unit, size in (("TiB", 1 << 40), ("GiB", 1 << 30), ("MiB", 1 << 20)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count} bytes"
+
+
+@contextlib.contextmanager
+def opened(path: Path, *, cache_bytes: int = 1 << 20) -> Iterator[h5py.File]:
+    """Open a file for reading without locks; whatever HDF5 says about it becomes one sentence.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, not a regular file, not HDF5, truncated or damaged.
+    """
+    require_regular(path)
+    try:
+        with h5py.File(path, "r", locking=False, rdcc_nbytes=cache_bytes) as file:
+            yield file
+    except PermissionError as error:
+        raise InputError(f"{path} may not be read: {error.strerror}") from error
+    except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} {hdf5_complaint(error)}") from error
+
+
+def require_regular(path: Path) -> None:
+    """Refuse a path that is missing or not a regular file."""
+    if not path.exists():
+        raise InputError(f"{path} does not exist")
+    if not path.is_file():
+        raise InputError(f"{path} is not a regular file")
+
+
+def hdf5_complaint(error: Exception) -> str:
+    """Put a complaint of HDF5 into words."""
+    text = " ".join(str(error).split())
+    if "truncated file" in text:
+        return "is truncated: it is shorter than its own header says; restore it from a copy"
+    if "file signature not found" in text:
+        return "is not an HDF5 file"
+    return f"is damaged or not readable by HDF5 ({text.strip(chr(39))})"
+
+
+def require_hard_link(file: h5py.File, name: str, path: Path) -> None:
+    """Refuse a name that leads anywhere but to an object of this file."""
+    group: h5py.Group = file
+    parts = name.strip("/").split("/")
+    for depth, part in enumerate(parts, 1):
+        here = "/" + "/".join(parts[:depth])
+        if isinstance(group.get(part, getlink=True), h5py.SoftLink | h5py.ExternalLink):
+            raise InputError(f"{path}: {here} is a link to elsewhere; only objects inside the file itself are read")
+        if depth < len(parts):
+            found = group[part]
+            if not isinstance(found, h5py.Group):
+                raise InputError(f"{path}: {here} is not a group")
+            group = found
+
+
+def plain_dataset(
+    file: h5py.File, name: str, path: Path, *, shape: tuple[int, ...] | None = None, packed: bool = False
+) -> h5py.Dataset:
+    """Return a dataset of plain numbers stored in this file.
+
+    Parameters
+    ----------
+    file : h5py.File
+        The open file.
+    name : str
+        The dataset's name, as ``"/green"``.
+    path : Path
+        The file, for messages.
+    shape : tuple of int, optional
+        The shape it must have.
+    packed : bool
+        Whether the caller unpacks values by `packing_of`; a packed dataset is refused otherwise.
+
+    Raises
+    ------
+    InputError
+        When it is packed, missing, linked or stored elsewhere, not numeric or of another shape.
+    """
+    if not has(file, name):
+        raise InputError(f"{path} has no dataset {name}")
+    require_hard_link(file, name, path)
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset):
+        raise InputError(f"{path}: {name} is not a dataset")
+    properties = dataset.id.get_create_plist()
+    if properties.get_external_count() or properties.get_layout() == h5py.h5d.VIRTUAL:
+        raise InputError(f"{path}: {name} keeps its data in other files; only data inside the file itself is read")
+    try:
+        kind = dataset.dtype.kind
+    except TypeError:
+        kind = "?"
+    if kind not in "fiu" or dataset.shape is None:
+        raise InputError(f"{path}: {name} holds no plain numbers; floats or integers are allowed")
+    if shape is not None and dataset.shape != shape:
+        raise InputError(f"{path}: {name} has shape {dataset.shape}; {shape} is needed")
+    if not packed and not packing_of(dataset, path).is_plain:
+        raise InputError(f"{path}: {name} has a scale_factor, add_offset or _FillValue; plain values are needed here")
+    declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
+    if declared > most_bytes() and declared > _HOLLOW * held:
+        raise _refuse_size(path, f"{name} of shape {dataset.shape} declares", declared, held)
+    if dataset.chunks is not None and (chunk := _bytes_of(dataset, dataset.chunks)) > most_bytes():
+        raise _refuse_size(path, f"{name} has chunks of {dataset.chunks}, each", chunk)
+    if dataset.chunks is not None and properties.get_nfilters():
+        _require_true_chunks(dataset, path)
+    return dataset
+
+
+def _require_true_chunks(dataset: h5py.Dataset, path: Path) -> None:
+    """Refuse compressed chunks that are larger than what they unfold to: they unfold to more than they declare."""
+    declared = _bytes_of(dataset, dataset.chunks)
+    largest = 0
+
+    def note(chunk: h5py.h5d.StoreInfo) -> None:
+        nonlocal largest
+        largest = max(largest, int(chunk.size))
+
+    dataset.id.chunk_iter(note)
+    if largest > declared + declared // 100 + _FILTER_BYTES:
+        raise InputError(
+            f"{path}: {dataset.name} has a compressed chunk of {_size(largest)} where {_size(declared)} are declared;"
+            " it is not read"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Packing:
+    """How stored numbers stand for values (CF conventions 1.11, section 8.1): ``value = stored * scale + offset``."""
+
+    scale: float = 1.0
+    offset: float = 0.0
+    fill: float | None = None
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether stored numbers are the values."""
+        return self.scale == 1.0 and self.offset == 0.0 and (self.fill is None or math.isnan(self.fill))
+
+    def unpack(self, stored: NDArray[Any]) -> NDArray[np.float64]:
+        """Values of stored numbers; NaN where they are missing."""
+        with np.errstate(over="ignore"):
+            values = np.asarray(stored, np.float64) * self.scale + self.offset
+        if self.fill is not None:
+            values[stored == self.fill] = np.nan
+        return values
+
+
+def packing_of(dataset: h5py.Dataset, path: Path) -> Packing:
+    """Read how a dataset is packed.
+
+    Raises
+    ------
+    InputError
+        An attribute is no finite number.
+    """
+    found: dict[str, float] = {}
+    for key in ("scale_factor", "add_offset", "_FillValue"):
+        if key in dataset.attrs:
+            value = np.asarray(dataset.attrs[key])
+            if (
+                value.dtype.kind not in "fiu"
+                or value.size != 1
+                or not (np.isfinite(value).all() or key == "_FillValue")
+            ):
+                raise InputError(f"{path}: {dataset.name} has the {key} {value.tolist()!r}; a finite number is needed")
+            found[key] = float(value.reshape(-1)[0])
+    return Packing(found.get("scale_factor", 1.0), found.get("add_offset", 0.0), found.get("_FillValue"))
+
+
+def _bytes_of(dataset: h5py.Dataset, shape: tuple[int, ...]) -> int:
+    return math.prod(int(extent) for extent in shape) * int(dataset.dtype.itemsize)
+
+
+def require_rows(dataset: h5py.Dataset, path: Path) -> None:
+    """Refuse a dataset one row of which is more than may be read at once."""
+    row = _bytes_of(dataset, dataset.shape[1:])
+    if row > most_bytes():
+        raise _refuse_size(path, f"each row of {dataset.name} of shape {dataset.shape} takes", row)
+
+
+def read_whole(dataset: h5py.Dataset, path: Path) -> NDArray[Any]:
+    """Read all of a dataset, unless that is more than may be read at once."""
+    count = _bytes_of(dataset, dataset.shape)
+    if count > most_bytes():
+        raise _refuse_size(path, f"{dataset.name} of shape {dataset.shape} takes", count)
+    return np.asarray(dataset[...])
+
+
+def has(file: h5py.File, name: str) -> bool:
+    """Tell whether a name exists, without following it."""
+    group: object = file
+    parts = name.strip("/").split("/")
+    for depth, part in enumerate(parts, 1):
+        if not isinstance(group, h5py.Group) or group.get(part, getlink=True) is None:
+            return False
+        if depth < len(parts):
+            require_hard_link(file, "/".join(parts[:depth]), Path(file.filename))
+            group = group[part]
+    return True
+
+
+def read_floats(file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:
+    """Read a whole dataset as native float64, unpacked."""
+    dataset = plain_dataset(file, name, path, shape=shape, packed=True)
+    stored, packing = read_whole(dataset, path), packing_of(dataset, path)
+    return np.asarray(stored, np.float64) if packing.is_plain else packing.unpack(stored)
+
+
+def read_integers(file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.int64]:
+    """Read a whole plain dataset of integers as native int64."""
+    dataset = plain_dataset(file, name, path, shape=shape)
+    if dataset.dtype.kind == "f":
+        raise InputError(f"{path}: {name} holds floats; integers are needed")
+    return np.asarray(read_whole(dataset, path), np.int64)
+
+
+def number(file: h5py.File, name: str, path: Path, default: float | None = None) -> float:
+    """Read a finite number from a root attribute."""
+    return float(numbers(file, name, path, 1, None if default is None else (default,))[0])
+
+
+def numbers(
+    file: h5py.File, name: str, path: Path, count: int, default: tuple[float, ...] | None = None
+) -> tuple[float, ...]:
+    """Read ``count`` finite numbers from a root attribute."""
+    if name not in file.attrs:
+        if default is None:
+            raise InputError(f"{path} has no attribute {name}")
+        return default
+    value = plain_attribute(file, name, path)
+    if value.dtype.kind not in "fiu" or value.size != count or not np.isfinite(value).all():
+        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise InputError(f"{path}: attribute {name} is {value.tolist()!r}; {wanted} is needed")
+    return tuple(float(item) for item in value.reshape(-1))
+
+
+def text(file: h5py.File, name: str, path: Path) -> str | None:
+    """Read a text from a root attribute; None when it is absent."""
+    if name not in file.attrs:
+        return None
+    value = plain_attribute(file, name, path)
+    item = value.reshape(-1)[0] if value.size == 1 else None
+    try:
+        if isinstance(item, str):
+            return item.encode().decode()  # h5py lets bytes that are no UTF-8 through as surrogates
+        if isinstance(item, bytes):
+            return item.decode()
+    except UnicodeError:
+        pass
+    raise InputError(f"{path}: attribute {name} holds no text; a string is needed")
+
+
+def require_format(file: h5py.File, path: Path, name: str, version: int, *, may_lack: bool = False) -> bool:
+    """Refuse another format or version; False when the file names none and may lack it."""
+    found = text(file, "format", path)
+    if found is None and may_lack:
+        return False
+    if found is None:
+        raise InputError(f"{path} says no format; {name!r} is needed")
+    if found != name:
+        raise InputError(f"{path} has the format {found!r}; {name!r} is needed")
+    found_version = number(file, "format_version", path)
+    if found_version != version:
+        raise InputError(f"{path} has {name} version {found_version:g}; this program reads version {version}")
+    return True
+
+
+def heap_is_sound(content: bytes) -> bool:
+    """Tell whether the objects of a global heap collection fit into it.
+
+    HDF5 keeps texts there without a checksum, and 2.0 never returns from one whose sizes are wrong (HDF5 file
+    format specification 3.0, section III.E).
+    """
+    size = int.from_bytes(content[8:16], "little")
+    if content[:4] != b"GCOL" or size > len(content):
+        return False
+    at, seen = 16, set[int]()
+    while at + 16 <= size:
+        index = int.from_bytes(content[at : at + 2], "little")
+        length = int.from_bytes(content[at + 8 : at + 16], "little")
+        if index == 0:  # what is free, up to the end
+            return at + length == size
+        at += 16 + (length + 7) // 8 * 8
+        if index in seen or at > size:
+            return False
+        seen.add(index)
+    return True
+
+
+def require_sound_texts(file: h5py.File, path: Path) -> None:
+    """Refuse damage to the texts of a small file before HDF5 meets it; searches all but the datasets' values.
+
+    Raises
+    ------
+    InputError
+        A heap of texts is damaged.
+    """
+    values: list[tuple[int, int]] = []
+
+    def note(_: str, found: object) -> None:
+        if isinstance(found, h5py.Dataset) and found.chunks is None and (offset := found.id.get_offset()) is not None:
+            values.append((offset, found.id.get_storage_size()))
+
+    file.visititems(note)
+    end = 0
+    size = path.stat().st_size
+    with path.open("rb") as raw:
+        for start, count in [*sorted(values), (size, 0)]:
+            if 0 < start - end <= _MOST_METADATA_BYTES:
+                raw.seek(end)
+                content = raw.read(start - end)
+                at = content.find(b"GCOL")
+                while at >= 0:
+                    heap_bytes = int.from_bytes(content[at + 8 : at + 16], "little")
+                    if (end + at) % 8 == 0 and not heap_is_sound(content[at : at + heap_bytes]):
+                        raise InputError(f"{path} is damaged: its texts are not readable; make it anew")
+                    at = content.find(b"GCOL", at + 1)
+            end = max(end, start + count)
+
+
+def plain_attribute(file: h5py.File, name: str, path: Path, *, number: bool = False) -> NDArray[np.generic]:
+    """Read a root attribute of plain numbers or text, or of numbers alone."""
+    try:
+        dtype = file.attrs.get_id(name).dtype
+    except TypeError:
+        dtype = np.dtype("V1")
+    if number and dtype.kind not in "fiu":
+        raise InputError(f"{path}: attribute {name} holds no numbers; numbers are needed")
+    if dtype.kind not in "fiubSU" and h5py.check_string_dtype(dtype) is None:
+        raise InputError(f"{path}: attribute {name} holds neither plain numbers nor text")
+    return np.asarray(file.attrs[name])

@@ -1,0 +1,258 @@
+"""Output files: what they may replace, and how they are written.
+
+An output is written under another name in a hidden folder beside it, synced and renamed. Until then the older file of
+its name stays, whatever happens.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from storage import durable
+from storage.errors import InputError
+from storage.staging_dir import clear_all_leftovers, workplace
+
+_STAGED = "results"
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# The metadata of a bank lie in front of its data.
+_HEAD_BYTES = 2 << 20
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+@contextmanager
+def replacement(path: Path) -> Iterator[Path]:
+    """Write a file whole: yields a path that does not exist yet and takes the place of `path` when the block ends well.
+
+    Raises
+    ------
+    InputError
+        It cannot be written; an older file of that name is there as before.
+    """
+    with _named_failures(path):
+        clear_all_leftovers(path.parent)
+        with workplace(path) as place:
+            yield place.temporary
+            durable.sync_path(place.temporary)
+            if path.exists():
+                shutil.copymode(path, place.temporary)
+            place.publish()
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """Write a file whole under a name that nothing has yet.
+
+    Raises
+    ------
+    FileExistsError
+        Something of that name exists; it stays.
+    InputError
+        It cannot be written.
+    """
+    with _named_failures(path):
+        clear_all_leftovers(path.parent)
+        with workplace(path) as place:
+            yield place.temporary
+            durable.sync_path(place.temporary)
+            place.complete()
+            durable.publish_new(place.temporary, path)
+
+
+@contextmanager
+def staged_folder(folder: Path, last: str) -> Iterator[Path]:
+    """Write files into a folder together: yields a hidden folder whose files are moved when the block ends well.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files belong, made where missing; older files of the same names are replaced at the end.
+    last : str
+        Name of the file that is moved last: who finds it new finds all others new.
+
+    Raises
+    ------
+    InputError
+        They cannot be written; older files are there as before.
+    """
+    with _named_failures(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        clear_all_leftovers(folder)
+        with workplace(folder / _STAGED) as place:
+            place.temporary.mkdir()
+            try:
+                yield place.temporary
+            except InputError as error:
+                raise InputError(str(error).replace(str(place.temporary), str(folder))) from error
+            made = sorted(place.temporary.iterdir(), key=lambda file: (file.name == last, file.name))
+            for file in made:
+                durable.sync_path(file)
+            durable.sync_folder(folder)
+            for file in made:
+                file.replace(folder / file.name)
+        durable.sync_folder(folder)
+
+
+def write_whole(path: Path, content: bytes | str) -> None:
+    """Write a file's whole content, as :func:`replacement` does."""
+    with replacement(path) as temporary:
+        temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def require_room(path: Path, size: int) -> None:
+    """Refuse a file that the disk, a quota or a limit of the process has no room for.
+
+    Parameters
+    ----------
+    path : Path
+        A file that does not exist, beside which the room is needed; it does not exist afterwards either.
+    size : int
+        Bytes it will have.
+
+    Raises
+    ------
+    OSError
+        There is no room.
+    """
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+    try:
+        file = durable.open_file(path, write=True)
+        try:
+            file.reserve(size)
+        finally:
+            file.close()
+    finally:
+        path.unlink()
+
+
+def require_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None], *, force: bool) -> None:
+    """Refuse output files that would replace what must stay, before anything is computed.
+
+    Parameters
+    ----------
+    outputs : iterable of Path or None
+        Files that are to be written; None for those that are not.
+    inputs : iterable of Path or None
+        Files that are read.
+    force : bool
+        Whether older files may be replaced; inputs, banks and raw recordings never are.
+
+    Raises
+    ------
+    InputError
+        An output is an input, a bank, a raw file, another output, no regular file or write-protected, or exists and
+        may not be replaced; or its folder is missing.
+    """
+    wanted = [path for path in outputs if path is not None]
+    read = [path for path in inputs if path is not None]
+    for number, path in enumerate(wanted):
+        for other in wanted[:number]:
+            if _same(path, other):
+                raise InputError(f"{path} is asked for as two outputs; name two files")
+        _require_output(path, read, force=force)
+
+
+def require_output_folder(
+    folder: Path, names: Iterable[str], inputs: Sequence[Path], *, force: bool, may_exist: Iterable[str] = ()
+) -> None:
+    """Refuse a folder of outputs whose files of the given names must stay; as :func:`require_outputs`.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder; it may be missing.
+    names : iterable of str
+        Files that are to be written into it.
+    inputs : sequence of Path
+        Files that are read.
+    force : bool
+        Whether older files may be replaced.
+    may_exist : iterable of str
+        Files, no results, that are replaced without being asked.
+    """
+    if not folder.is_dir():
+        if os.path.lexists(folder):
+            raise InputError(f"{folder} is not a folder; name a folder")
+        return
+    for name in may_exist:
+        _require_output(folder / name, inputs, force=True)
+    for name in names:
+        _require_output(folder / name, inputs, force=force)
+
+
+def _require_output(path: Path, inputs: Sequence[Path], *, force: bool) -> None:
+    if path.is_symlink():
+        raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the file itself")
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise InputError(f"{path}: there is no folder {folder}")
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if not stat.S_ISREG(mode):
+        kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "not a regular file")
+        raise InputError(f"{path} is {kind}; an output is written to a regular file or a new name")
+    for one in inputs:
+        if _same(path, one):
+            raise InputError(f"{path} is an input of this command and is never written over; name another file")
+    if found := _precious(path):
+        raise InputError(f"{path} {found} and is never written over; name another file")
+    if not force:
+        raise InputError(f"{path} exists; name another file, or replace it with --force")
+    if not os.access(path, os.W_OK):
+        raise InputError(f"{path} is write-protected; name another file")
+
+
+def _same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:  # one of them is not there
+        return one.absolute() == other.absolute()
+
+
+def _precious(path: Path) -> str:
+    """Say what kind of measurement a file holds; empty where it holds none."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    if _HDF5_SIGNATURE not in head:
+        return ""
+    for name, words in (("wavefocus-bank", "is a bank"), ("wavefocus-raw", "holds raw recordings")):
+        if name.encode() in head:
+            return words
+    from storage import hdf5_safety  # with it comes h5py, which the window does not load
+
+    try:
+        with hdf5_safety.opened(path) as file:
+            if "green" in file:
+                return "is a bank"
+            if "response" in file and "reference" in file:
+                return "holds raw recordings"
+    except InputError:
+        return "is a damaged HDF5 file, perhaps a bank,"
+    return ""
+
+
+@contextmanager
+def _named_failures(path: Path) -> Iterator[None]:
+    """Name the output in failures of the system that name no other file."""
+    try:
+        yield
+    except FileExistsError:
+        raise
+    except OSError as error:
+        if error.filename is not None:
+            named = Path(str(error.filename))
+            if named not in (path, path.parent) and not any(part.endswith(".partial") for part in named.parts):
+                raise
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error

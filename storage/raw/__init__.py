@@ -1,0 +1,1 @@
+"""The file of raw recordings: header, layout, ledger, writer, reader."""

@@ -1,0 +1,66 @@
+"""Processes whose address space is limited: refused before anything is opened, and silent whatever fails."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [
+    pytest.mark.may_skip("address space is limited on Linux alone"),
+    pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux alone"),
+]
+
+LIMITED = """
+import resource
+from wavefocus.address_space import spare_address_space
+import acquisition.engine.campaign, calibration.estimator.sequential, scipy.linalg, wavefocus.commands.capture
+resource.setrlimit(resource.RLIMIT_AS, (1 << 40, -1))
+resource.setrlimit(resource.RLIMIT_AS, ((1 << 40) - spare_address_space() + {spare}, -1))
+"""
+
+
+def _limited(code: str, spare: int, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", LIMITED.format(spare=spare) + code, *arguments],
+        cwd=folder, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+
+
+def test_given_too_little_address_space_then_capture_ends_at_once_with_one_line(lab: Path) -> None:
+    code = "from wavefocus.__main__ import main\nmain()"
+    for spare in (40 << 20, 100 << 20):
+        done = _limited(code, spare, "capture", "run.toml", "--bank", "plate.h5", folder=lab)
+        assert done.returncode == 2, done.stderr
+        assert done.stderr.splitlines()[-1].startswith("wavefocus: ")
+        assert "Traceback" not in done.stderr
+
+
+def test_given_no_thread_can_be_started_then_instruments_still_fall_silent_and_nothing_else_is_done(
+    tmp_path: Path,
+) -> None:
+    code = """
+from acquisition.engine.timeouts import bounded
+from drivers.errors import InstrumentError
+from mocks.virtual_rig import VirtualRig
+done = []
+class Told:
+    def __init__(self, name): self.name = name
+    def __getattr__(self, what): return lambda *_: done.append(f"{self.name} {what}")
+roles = VirtualRig().instruments
+from dataclasses import replace
+roles = bounded(replace(roles, mirror=Told("mirror"), player=Told("player"), recorder=Told("recorder")), 5.0)
+resource.setrlimit(resource.RLIMIT_AS, (resource.getrlimit(resource.RLIMIT_AS)[0] - spare_address_space(), -1))
+try:
+    roles.mirror.move_to(1.0, 1.0)
+except (RuntimeError, MemoryError):
+    done.append("refused")
+roles.player.mute(); roles.recorder.abort(); roles.mirror.park(); roles.player.close(); roles.mirror.close()
+print(done)
+"""
+    done = _limited(code, 1 << 30, folder=tmp_path)
+    assert done.stdout.strip() == str(
+        ["refused", "player mute", "recorder abort", "mirror park", "player close", "mirror close"]
+    ), done.stderr

@@ -1,0 +1,51 @@
+"""Each class of fault on a small plate: no position ends wrong and valid."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+TOOL = Path(__file__).parents[2] / "tools" / "fault_classes.py"
+SCHEDULES = ["sequential", "staggered"]
+
+
+@pytest.fixture(scope="module")
+def tool() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("fault_classes", TOOL)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize(("kind", "level_db"), [("faint_reference", -0.3), ("faint_reference", 6.0), ("dark", 0.0)])
+def test_given_a_fault_in_one_record_of_half_the_positions_then_none_ends_wrong_and_valid(
+    tool: ModuleType, tmp_path: Path, schedule: str, kind: str, level_db: float
+) -> None:
+    plate = tool.Plate(tmp_path, columns=3, rows=2, faulty=3)
+    for always in (False, True):
+        found = plate.outcome(tool.Case(kind, level_db, schedule, always))
+        assert (found.faulty, found.wrong, found.alarms) == (3, 0, 0)
+        assert found.valid == (0 if always else 3)
+
+
+def test_given_another_level_in_one_record_of_some_positions_then_neighbours_show_it_and_a_repeat_or_the_status_says_so(
+    tool: ModuleType, tmp_path: Path
+) -> None:
+    plate = tool.Plate(tmp_path, columns=5, rows=5, faulty=4)
+    once = plate.outcome(tool.Case("drift", -3.0, "sequential", always=False))
+    assert (once.faulty, once.valid, once.wrong, once.alarms) == (4, 4, 0, 0)
+    bank = tmp_path / "plate.h5"
+    before = bank.read_bytes()
+    assert tool.run(["resume", str(bank)]) == 0
+    assert bank.read_bytes() == before
+    assert tool.run(["check", str(bank)]) == 0
+    always = plate.outcome(tool.Case("drift", -3.0, "sequential", always=True))
+    assert (always.valid, always.wrong, always.alarms) == (0, 0, 0)

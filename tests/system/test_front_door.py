@@ -1,0 +1,130 @@
+"""The process around a command: closed standard streams, Ctrl-C at any moment, errors and warnings in one line."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from storage.bank.reading import open_bank
+from wavefocus.__main__ import run
+
+ESCAPES = ("\x1b", "\x07", "\u202e", "\u2066")
+
+
+def wavefocus(code: str, *arguments: object, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own, after some lines of Python."""
+    return subprocess.run(
+        [sys.executable, "-c", f"{code}\nfrom wavefocus.__main__ import main\nmain()", *map(str, arguments)],
+        cwd=folder, env=os.environ | environment, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+
+
+# -- standard streams -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.may_skip("a shell that closes standard streams")
+@pytest.mark.skipif(os.name != "posix", reason="a shell that closes standard streams")
+@pytest.mark.parametrize("closing", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_given_closed_standard_streams_then_a_campaign_is_measured(lab: Path, closing: str) -> None:
+    words = [sys.executable, "-m", "wavefocus", "capture", "run.toml", "--bank", "plate.h5", "--json"]
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$@" {closing}', "sh", *words],
+        cwd=lab, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert (done.returncode, "Traceback" in done.stderr) == (0, False)
+    with open_bank(lab / "plate.h5") as bank:
+        assert bank.status.all()
+
+
+# -- Ctrl-C while modules are loaded --------------------------------------------------------------------------
+
+INTERRUPTED_AT = """
+import os, signal, sys, weakref
+class At:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            sys.meta_path.remove(self)
+            {act}
+sys.meta_path.insert(0, At())
+"""
+KILL = "os.kill(os.getpid(), signal.SIGINT)"
+# Where an exception can only be printed, and where a library tells of it in other words.
+IN_A_FINALISER = f"weakref.finalize(At(), lambda: {KILL})"
+AS_ANOTHER = f"""
+            try: {KILL}; import time; time.sleep(30)
+            except BaseException as failure: raise ImportError('broken') from failure"""
+
+
+@pytest.mark.may_skip("signals to a process of its own")
+@pytest.mark.skipif(os.name != "posix", reason="signals to a process of its own")
+@pytest.mark.parametrize("module", ["typer", "wavefocus.cli", "h5py", "numpy", "wavefocus.commands.check"])
+@pytest.mark.parametrize("act", [KILL, IN_A_FINALISER, AS_ANOTHER], ids=["plain", "finaliser", "another"])
+def test_given_ctrl_c_while_modules_are_loaded_then_the_exit_code_is_130_without_a_traceback(
+    tmp_path: Path, module: str, act: str
+) -> None:
+    done = wavefocus(INTERRUPTED_AT.format(module=module, act=act), "check", "plate.h5", folder=tmp_path)
+    assert done.returncode == 130
+    assert done.stderr in ("", "wavefocus: stopped by the user\n")
+
+
+# -- errors and warnings --------------------------------------------------------------------------------------
+
+FAILING = """
+from pathlib import Path
+import numpy as np
+from wavefocus.cli import app
+@app.command()
+def fail(file: Path) -> None:
+    {act}
+"""
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        "raise MemoryError",
+        "np.empty(1 << 60)",
+        "10.0 ** 400",
+        "1 // 0",
+        "np.linalg.inv(np.zeros((2, 2)))",
+        "raise RuntimeError('no')",
+        "raise RuntimeError('\\x1b[31m' + 9000 * 'x')",
+    ],
+)
+def test_given_a_computation_that_cannot_be_then_it_is_one_line_with_the_files_name(tmp_path: Path, act: str) -> None:
+    (tmp_path / "scene.toml").touch()
+    done = wavefocus(FAILING.format(act=act), "fail", "scene.toml", folder=tmp_path)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "scene.toml" in line
+    assert len(line) < 1000
+    assert not any(one in line for one in ESCAPES)
+    for arguments, environment in ((["--traceback", "fail"], {}), (["fail"], {"WAVEFOCUS_TRACEBACK": "1"})):
+        explained = wavefocus(FAILING.format(act=act), *arguments, "scene.toml", folder=tmp_path, **environment)
+        assert explained.returncode == 2
+        assert "Traceback" in explained.stderr
+
+
+def test_given_a_warning_of_numpy_then_it_is_one_plain_line(tmp_path: Path) -> None:
+    done = wavefocus(FAILING.format(act="np.float64(1e308) * 10"), "fail", "scene.toml", folder=tmp_path)
+    assert done.returncode == 0
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("warning: overflow encountered")
+
+
+def test_given_names_with_control_characters_then_no_message_brings_them_to_the_terminal(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = "x\x1b[31m\x1b]0;owned\x07\u202e\u2066.h5"
+    (lab / name).write_text("no bank", encoding="utf-8")
+    for command in (["status", name], ["check", name], ["capture", name, "--bank", "a.h5"], ["status", "none" + name]):
+        assert run([*command[:1], *(str(lab / one) if one[0] != "-" else one for one in command[1:])]) == 2
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / f"plate{name}")]) == 0
+    assert run(["status", str(lab / f"plate{name}")]) == 0
+    told = "".join(capsys.readouterr())
+    assert "owned" in told
+    assert not any(one in told for one in ESCAPES)

@@ -1,0 +1,322 @@
+"""Outputs of every command: what they never replace, and what is there when disks fail or processes are killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from storage.errors import InputError
+from storage.output_files import new_file, replacement, require_outputs, staged_folder, write_whole
+from wavefocus.__main__ import run
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="pipes, devices and limits of POSIX")
+
+RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
+SCENE = """
+[scene]
+name = "point"
+
+[[source]]
+path = { kind = "point", at_mm = [4, 8] }
+signal = { kind = "file", path = "sound.wav" }
+"""
+OLD = b"precious results of an earlier day"
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A bank, a scene with its sound, a drive and a field of them; the working folder."""
+    import soundfile
+
+    monkeypatch.chdir(tmp_path)
+    random = np.random.default_rng(4)
+    x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
+    green = random.standard_normal((15, ACTUATORS, TAPS)) * np.exp(-np.arange(TAPS) / 15)
+    for name in ("bank.h5", "other.h5"):
+        with h5py.File(name, "w") as file:
+            file["green"], file["position_mm"] = green, np.column_stack([x_mm.ravel(), y_mm.ravel()])
+            file.attrs["sample_rate_hz"] = RATE_HZ
+    with h5py.File("other.raw.h5", "w") as file:
+        file.attrs["format"], file.attrs["format_version"] = "wavefocus-raw", 1
+    soundfile.write("sound.wav", random.uniform(-1, 1, 200), int(RATE_HZ))
+    Path("scene.toml").write_text(SCENE, encoding="utf-8")
+    assert run(["render", "scene.toml", "--bank", "bank.h5", "--out", "drive.h5"]) == 0
+    assert run(["predict", "drive.h5", "--bank", "bank.h5", "--out", "field.h5"]) == 0
+    return tmp_path
+
+
+RENDER = ["render", "scene.toml", "--bank", "bank.h5", "--out"]
+COMMANDS = {
+    "render": RENDER,
+    "wav": [*RENDER, "new.h5", "--wav"],
+    "picture": [*RENDER, "new.h5", "--picture"],
+    "stream": ["render", "scene.toml", "--bank", "bank.h5", "--stream", "--out"],
+    "predict": ["predict", "drive.h5", "--bank", "bank.h5", "--out"],
+    "movie": ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--to-s", "0.01", "--out"],
+    "snapshots": ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--snapshots"],
+    "sofa": ["export", "bank.h5", "--to", "sofa"],
+    "uff": ["export", "bank.h5", "--to", "uff"],
+    "mat": ["export", "bank.h5", "--to", "mat"],
+    "npz": ["export", "bank.h5", "--to", "npz"],
+    "plot": ["status", "bank.h5", "--plot"],
+}
+WRITERS = [name for name in COMMANDS if name != "plot"]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_given_what_must_stay_then_no_command_replaces_it(lab: Path, name: str) -> None:
+    os.link("bank.h5", "hard.h5")
+    Path("soft.h5").symlink_to("other.h5")
+    os.mkfifo("pipe")
+    Path("folder").mkdir()
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind("socket")
+    Path("loop").symlink_to("loop")
+    kept = {path: path.read_bytes() for path in lab.iterdir() if path.is_file()}
+    entries = sorted(entry.name for entry in lab.iterdir())
+    for output in (
+        *("bank.h5", "./folder/../bank.h5", "hard.h5", "soft.h5", "other.h5", "other.raw.h5"),
+        *("pipe", "socket", "folder", "loop", "loop/x", "nowhere/x", "/dev/null"),
+    ):
+        assert run([*COMMANDS[name], output, "--force"]) == 2
+    assert {path: path.read_bytes() for path in kept} == kept
+    assert sorted(entry.name for entry in lab.iterdir()) == entries
+    Path("old").write_bytes(OLD)
+    assert run([*COMMANDS[name], "old"]) == 2
+    assert Path("old").read_bytes() == OLD
+
+
+@pytest.mark.parametrize(
+    ("command", "victim"),
+    [
+        ([*RENDER, "new.h5", "--force", "--wav"], "sound.wav"),  # named by the scene
+        ([*RENDER, "new.h5", "--force", "--wav"], "scene.toml"),
+        ([*RENDER, "new.h5", "--force", "--wav"], "new.h5"),
+        (["predict", "drive.h5", "--bank", "bank.h5", "--force", "--out"], "drive.h5"),
+        (["movie", "field.h5", "--bank", "bank.h5", "--force", "--out"], "field.h5"),
+    ],
+)
+def test_given_an_input_or_another_output_then_it_is_not_replaced(lab: Path, command: list[str], victim: str) -> None:
+    before = (lab / victim).read_bytes() if (lab / victim).exists() else None
+    assert run([*command, victim]) == 2
+    assert ((lab / victim).read_bytes() if (lab / victim).exists() else None) == before
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_given_force_then_an_older_output_is_replaced(lab: Path, name: str) -> None:
+    Path("old").write_bytes(OLD)
+    Path("old").chmod(0o640)
+    assert run([*COMMANDS[name], "old", "--force"]) == 0
+    assert Path("old").read_bytes() != OLD
+    assert Path("old").stat().st_mode & 0o777 == 0o640
+    assert not list(lab.glob(".*"))
+
+
+def test_given_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_it(lab: Path) -> None:
+    verify = ["verify", "scene.toml", "--bank", "bank.h5", "--rig", "virtual", "--out"]
+    for folder, name in (("a", "verify.json"), ("b", "scan.h5"), ("c", "drift.png"), ("d", "report.html")):
+        Path(folder).mkdir()
+        (lab / folder / name).write_bytes(OLD)
+        assert run([*verify, folder]) == 2
+        assert [entry.name for entry in (lab / folder).iterdir()] == [name]
+    Path("e").mkdir()
+    os.link("other.h5", "e/scan.h5")
+    assert run([*verify, "e", "--force"]) == 2
+    Path("f").mkdir()
+    (lab / "f" / "bank.json").write_bytes(OLD)
+    assert run(["export", "bank.h5", "f", "--to", "wav"]) == 2
+    assert run(["export", "bank.h5", "f", "--to", "wav", "--force"]) == 0
+    Path("bench").mkdir()
+    (lab / "bench" / "render.json").write_bytes(OLD)
+    assert run(["bench", "render", "--quick", "--out", "bench"]) == 2
+    Path("demo").mkdir()
+    (lab / "demo" / "made-by-wavefocus-demo").touch()
+    assert run(["demo", "--out", "demo"]) == 2
+
+
+# Commands in forks of one process, so that libraries are imported once. Nothing measures coverage in there: a limit on
+# the size of files would hold for its file too.
+FORKS = """
+import json, os, resource, signal, sys
+from pathlib import Path
+from wavefocus.__main__ import run
+import rendering.report.movie, rendering.scene.scene_picture, rendering.wav.drive_wav, rendering.export.arrays
+import matplotlib.figure, h5py
+
+def forked(arguments, prepare):
+    child = os.fork()
+    if not child:
+        code = 99
+        try:
+            said = os.open("said", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(said, 1)
+            os.dup2(said, 2)
+            prepare()
+            code = run(arguments)
+        finally:
+            os._exit(code)
+    return os.waitpid(child, 0)[1]
+
+def hidden():
+    return [str(path) for path in Path().glob(".*")]
+"""
+LIMITED = """
+for name, arguments in json.loads(sys.argv[1]).items():
+    for limit in (0, 1500, 6000):
+        Path("old").write_bytes(old)
+        limits = (resource.RLIMIT_FSIZE, (limit, limit))
+        status = forked([*arguments, "old", "--force"], lambda: resource.setrlimit(*limits))
+        assert os.WIFEXITED(status), (name, limit, status)
+        if os.WEXITSTATUS(status) == 0 and limit:
+            assert 0 < Path("old").stat().st_size <= limit, name  # it needs no more
+        else:
+            assert os.WEXITSTATUS(status) == 2, (name, limit, status)
+            assert Path("old").read_bytes() == old, (name, limit)
+        assert not hidden(), (name, limit, hidden())
+"""
+# Each fork kills itself at the n-th call that could change a file of the working folder.
+KILLED = """
+EVENTS = {"open", "os.mkdir", "os.link", "os.rename", "os.remove", "os.rmdir", "os.chmod", "os.truncate"}
+
+def kill_at(number):
+    def hook(event, details):
+        nonlocal number
+        if event in EVENTS and isinstance(details[0], (str, Path)) and ".partial" in str(details):
+            if number == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            number -= 1
+    sys.addaudithook(hook)
+
+for name, arguments in json.loads(sys.argv[1]).items():
+    arguments = [*arguments, "old", "--force"]
+    Path("old").write_bytes(old)
+    assert forked(arguments, lambda: None) == 0
+    new = Path("old").stat().st_size
+    for number in range(0, 400, int(sys.argv[2])):
+        Path("old").write_bytes(old)
+        status = forked(arguments, lambda: kill_at(number))
+        found = Path("old").read_bytes()
+        assert found == old or (len(found) == new and new != len(old)), (name, number, len(found), new)
+        if os.WIFEXITED(status):
+            assert os.WEXITSTATUS(status) == 0 and found != old, (name, number)
+            break
+    assert number > 3, name
+    assert not hidden(), (name, hidden())
+"""
+
+
+def in_forks(script: str, names: Sequence[str], *options: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("COV")}
+    environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    commands = json.dumps({name: COMMANDS[name] for name in names})
+    arguments = [sys.executable, "-c", f"{FORKS}\nold = {OLD!r}\n{script}", commands, *options]
+    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.timeout(600)
+def test_given_a_disk_without_room_then_exit_2_and_the_older_output_is_intact(lab: Path) -> None:
+    in_forks(LIMITED, WRITERS)
+
+
+@pytest.mark.parametrize(
+    ("names", "step"),
+    [
+        (["npz"], "1"),
+        (["render", "wav", "predict"], "4"),
+        pytest.param(["picture", "stream", "snapshots", "uff", "mat", "movie"], "4", marks=pytest.mark.long),
+    ],
+)
+@pytest.mark.timeout(600)
+def test_given_kills_then_the_older_output_or_the_new_one_is_there(lab: Path, names: list[str], step: str) -> None:
+    """At every call, or every fourth one, that changes a file."""
+    in_forks(KILLED, names, step)
+
+
+def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is asked by ``fsync`` of the folder, before and after the name is given."""
+    real, calls = os.fsync, 0
+
+    def fails_at(number: int) -> Callable[[int], None]:
+        def fsync(fd: int) -> None:
+            nonlocal calls
+            calls += 1
+            if calls == number:
+                raise OSError(5, "Input/output error")
+            real(fd)
+
+        return fsync
+
+    def write(number: int) -> None:
+        nonlocal calls
+        with monkeypatch.context() as broken, replacement(tmp_path / "file") as temporary:
+            temporary.write_bytes(b"new")
+            calls = 0
+            broken.setattr(os, "fsync", fails_at(number))
+
+    for number in (1, 2):
+        (tmp_path / "file").write_bytes(OLD)
+        with pytest.raises(InputError):
+            write(number)
+        assert (tmp_path / "file").read_bytes() == OLD
+        assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_given_a_staged_folder_then_nothing_appears_before_all_is_whole(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "record").write_bytes(OLD)
+    (tmp_path / "out" / "notes").write_bytes(b"mine")
+
+    def write(fail: bool) -> None:
+        with staged_folder(tmp_path / "out", "record") as staged:
+            (staged / "record").write_bytes(b"new")
+            write_whole(staged / "data", b"new")
+            assert not (tmp_path / "out" / "data").exists()
+            if fail:
+                raise InputError(f"{staged / 'data'} cannot be written")
+
+    with pytest.raises(InputError, match=re.escape(str(tmp_path / "out" / "data"))):
+        write(fail=True)
+    assert {entry.name: entry.read_bytes() for entry in (tmp_path / "out").iterdir()} == {
+        "record": OLD,
+        "notes": b"mine",
+    }
+    write(fail=False)
+    assert {entry.name: entry.read_bytes() for entry in (tmp_path / "out").iterdir()} == {
+        "record": b"new",
+        "data": b"new",
+        "notes": b"mine",
+    }
+
+
+def test_given_a_new_file_then_it_never_replaces_one(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(OLD)
+
+    def write() -> None:
+        with new_file(tmp_path / "file") as temporary:
+            temporary.write_bytes(b"new")
+
+    with pytest.raises(FileExistsError):
+        write()
+    assert (tmp_path / "file").read_bytes() == OLD
+
+
+def test_given_a_damaged_bank_or_a_bank_of_another_program_then_it_is_recognised(lab: Path) -> None:
+    content = bytearray((lab / "other.h5").read_bytes())
+    (lab / "damaged.h5").write_bytes(content[:700])
+    for name in ("damaged.h5", "other.h5"):
+        with pytest.raises(InputError):
+            require_outputs((lab / name,), (), force=True)
+    require_outputs((lab / "field.h5",), (), force=True)

@@ -1,0 +1,94 @@
+"""Measuring again: a valid row is replaced by one that agrees with it, never by a wrong one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from tests.system.conftest import with_faults
+from wavefocus.__main__ import run
+
+READ = 'role = "recorder"\noperation = "read"\nposition = 2\n'
+
+
+def _wavefocus(*arguments: object) -> int:
+    return run([str(argument) for argument in arguments])
+
+
+def _captured(lab: Path, *faults: str, schedule: str = "sequential") -> Path:
+    text = (lab / "run.toml").read_text(encoding="utf-8")
+    asked = f'[capture]\nexcitation = "{schedule}"\nwhen_staggered_does_not_pay = "keep"\n'
+    (lab / "run.toml").write_text(text.replace("[capture]\n", asked), encoding="utf-8")
+    with_faults(lab, *faults)
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    return lab / "plate.h5"
+
+
+def _remeasured(bank: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[list[dict[str, Any]], Any]:
+    """The events of measuring position 2 again, and what status says then."""
+    capsys.readouterr()
+    assert _wavefocus("remeasure", bank, "--positions", "2", "--json", *options) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert _wavefocus("status", bank, "--json") == 0
+    return events, json.loads(capsys.readouterr().out)
+
+
+def _kinds(events: list[dict[str, Any]]) -> list[str]:
+    kinds = ("position_repeated", "position_committed", "position_kept")
+    return [event["event"] for event in events if event["event"] in kinds]
+
+
+@pytest.mark.parametrize("schedule", ["sequential", "staggered"])
+@pytest.mark.parametrize(
+    ("kind", "level_db", "name"),
+    [
+        ("faint_reference", -0.3, "reference level"),
+        ("faint_reference", 6.0, "reference level"),
+        ("drift", -0.3, "differs"),
+        ("drift", -20.0, "differs"),
+    ],
+)
+def test_given_a_fault_that_stays_then_the_valid_row_is_kept_and_named(
+    lab: Path, capsys: pytest.CaptureFixture[str], schedule: str, kind: str, level_db: float, name: str
+) -> None:
+    fault = f'{READ}kind = "{kind}"\nlevel_db = {level_db}\nattempt = 2\ncount = 99\nrecord = 0'
+    bank = _captured(lab, fault, schedule=schedule)
+    before = bank.read_bytes()
+    events, status = _remeasured(bank, capsys)
+    assert _kinds(events) == ["position_repeated", "position_repeated", "position_kept"]
+    assert next(one for one in events if one["event"] == "position_kept")["defects"] == [name]
+    assert [one["position"] for one in status["kept_positions"]] == [2]
+    assert bank.read_bytes() == before
+
+
+def test_given_a_fault_that_passes_then_the_next_try_agrees_and_replaces_the_row(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = _captured(lab, f'{READ}kind = "drift"\nlevel_db = -0.3\nattempt = 2\nrecord = 1')
+    with h5py.File(bank, "r") as file:
+        before = file["green"][2]
+    events, status = _remeasured(bank, capsys)
+    assert _kinds(events) == ["position_repeated", "position_committed"]
+    assert status["kept_positions"] == []
+    with h5py.File(bank, "r") as file:
+        assert np.any(file["green"][2] != before)
+        assert file["status"][2] == 1
+
+
+def test_given_a_wrong_valid_row_then_it_is_replaced_only_where_asked_for_and_two_attempts_agree(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bank = _captured(lab, f'{READ}kind = "drift"\nlevel_db = -0.5\nrecord = 1')
+    with h5py.File(bank, "r") as file:
+        wrong = file["green"][2]
+    assert "position_committed" not in _kinds(_remeasured(bank, capsys)[0])
+    events, _ = _remeasured(bank, capsys, "--replace")
+    assert _kinds(events) == ["position_repeated", "position_committed"]
+    with h5py.File(bank, "r") as file:
+        level_db = 20 * np.log10(np.linalg.norm(file["green"][2, 1]) / np.linalg.norm(wrong[1]))
+    assert level_db == pytest.approx(0.5, abs=0.1)

@@ -1,0 +1,80 @@
+"""A subscriber that fails: reported once, and neither the others nor the campaign notice."""
+
+from __future__ import annotations
+
+import pytest
+
+from acquisition.engine.campaign import Campaign
+from acquisition.engine.event_publisher import EventPublisher
+from acquisition.engine.events import Event, State
+from acquisition.engine.stopping import StopRequest
+from storage.bank.creation import create_bank
+from storage.bank.writer import BankWriter
+from wavefocus.campaign.blueprint import blueprint_from_files
+from wavefocus.campaign.event_log import EventLines
+from wavefocus.rig.compose import open_setup
+
+RUN = """
+rig = "virtual"
+[grid]
+spacing_mm = 60.0
+[sweep]
+duration_s = 0.3
+[capture]
+decay_s = 0.1
+taps = 500
+"""
+
+
+class Fails:
+    def __init__(self, failure):
+        self.failure = failure
+        self.calls = 0
+
+    def __call__(self, event):
+        self.calls += 1
+        raise self.failure
+
+
+@pytest.mark.parametrize("failure", [BrokenPipeError(32, "Broken pipe"), ValueError("I/O operation on closed file")])
+def test_given_a_subscriber_that_fails_then_it_is_reported_once_and_the_others_get_every_event(failure):
+    failing, received, reports = Fails(failure), [], []
+    publish = EventPublisher({"the first": failing, "the second": received.append}, reports.append)
+    events = [Event(float(number)) for number in range(3)]
+    for event in events:
+        publish(event)
+    assert received == events
+    assert failing.calls == 3
+    assert len(reports) == 1
+    assert "the first failed" in reports[0]
+
+
+def test_given_ctrl_c_in_a_subscriber_then_it_passes_through():
+    with pytest.raises(KeyboardInterrupt):
+        EventPublisher({"it": Fails(KeyboardInterrupt())}, print)(Event(0.0))
+
+
+def test_given_a_closed_file_then_event_lines_end_and_say_so(tmp_path, capsys):
+    with (tmp_path / "lines").open("w", encoding="utf-8") as file:
+        pass
+    lines = EventLines(file.write, "standard output")
+    lines(Event(0.0))
+    lines(Event(1.0))
+    assert capsys.readouterr().err.count("standard output cannot be written any more") == 1
+
+
+def test_given_a_subscriber_of_the_campaign_that_fails_then_every_position_is_measured(tmp_path, caplog):
+    (tmp_path / "run.toml").write_text(RUN, encoding="utf-8")
+    blueprint = blueprint_from_files(tmp_path / "run.toml")
+    bank = tmp_path / "plate.h5"
+    create_bank(bank, blueprint.bank_header())
+    failing = Fails(ValueError("I/O operation on closed file"))
+    with (
+        BankWriter.open(bank, plan_sha256=blueprint.plan.sha256) as writer,
+        open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
+    ):
+        ended = Campaign(blueprint.plan, setup, writer, failing, StopRequest()).run()
+    assert ended.state is State.FINISHED
+    assert ended.done == blueprint.plan.positions
+    assert failing.calls > blueprint.plan.positions
+    assert len([record for record in caplog.records if "closed file" in record.message]) == 1

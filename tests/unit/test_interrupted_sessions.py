@@ -1,0 +1,158 @@
+"""A session that is asked to stop, to pause or to end at once, at every moment that it reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from acquisition.engine.campaign import Campaign
+from acquisition.engine.errors import DriftError
+from acquisition.engine.events import Event, Fault, ReconnectTried, SessionEnded, State, StateChanged
+from acquisition.engine.states import FOLLOWS
+from acquisition.engine.stopping import StopRequest
+from drivers.errors import InstrumentError
+from storage.bank.creation import create_bank
+from storage.bank.writer import BankWriter
+from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
+from wavefocus.rig.compose import open_setup
+
+RIG = """
+[rig]
+name = "three coils"
+[actuators]
+position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+[watch]
+probe_every_s = 1.0
+give_up_after_s = 60.0
+[watch.noise]
+leaves_above = 0.01
+settle_s = 2.0
+"""
+RUN = """
+rig = "rig.toml"
+[grid]
+positions_file = "positions.csv"
+[sweep]
+duration_s = 0.2
+[capture]
+averages = 1
+decay_s = 0.1
+taps = 1000
+[drift]
+every_positions = 2
+[virtual]
+noise_v = 1e-4
+"""
+# In turn: a lost mirror, darkness over some records, a recorder that is lost while it is dark.
+FAULTS = """
+[[virtual.fault_plan]]
+role = "mirror"
+operation = "move_to"
+kind = "unplugged"
+at_call = 2
+tries = 1
+[[virtual.fault_plan]]
+role = "recorder"
+operation = "read"
+kind = "dark"
+at_call = 6
+count = 8
+[[virtual.fault_plan]]
+role = "recorder"
+operation = "read"
+kind = "unplugged"
+at_call = 11
+tries = 1
+"""
+
+
+@pytest.fixture
+def blueprint(tmp_path: Path) -> Blueprint:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    (tmp_path / "run.toml").write_text(RUN + FAULTS, encoding="utf-8")
+    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n8,0\n", encoding="utf-8")
+    return blueprint_from_files(tmp_path / "run.toml")
+
+
+class Session:
+    """One session, in which something is done at one of the events that it publishes."""
+
+    def __init__(self, blueprint: Blueprint, bank: Path, at: int, act: Callable[[Session], object]) -> None:
+        self.stop, self.events = StopRequest(), list[Event]()
+        self._at, self._act = at, act
+        create_bank(bank, blueprint.bank_header())
+        configuration = blueprint.configuration
+        with (
+            # A mirror that is gone at the end cannot be parked; a sentinel measured in the dark is not what it was.
+            suppress(InstrumentError, DriftError),
+            BankWriter.open(bank, plan_sha256=blueprint.plan.sha256) as writer,
+            open_setup(configuration.rig, configuration.run) as setup,
+        ):
+            try:
+                Campaign(blueprint.plan, setup, writer, self._publish, self.stop).run()
+            finally:
+                self.measured = writer.status.copy()
+
+    def _publish(self, event: Event) -> None:
+        self.events.append(event)
+        if isinstance(event, StateChanged) and event.state is State.PAUSED:
+            self.stop.go_on()
+        if len(self.events) - 1 == self._at:
+            self._act(self)
+
+
+def at_once(_session: Session) -> None:
+    raise KeyboardInterrupt
+
+
+def pause_and_stop(session: Session) -> None:
+    session.stop.pause()
+    session.stop.finish_position()
+
+
+def pause_and_go_on(session: Session) -> None:
+    session.stop.pause()
+    session.stop.go_on()
+
+
+# Each is tried at every so many moments.
+ACTS: dict[str, tuple[Callable[[Session], object], int]] = {
+    "stop": (lambda session: session.stop.finish_position(), 1),
+    "pause": (lambda session: session.stop.pause(), 2),
+    "pause and go on": (pause_and_go_on, 2),
+    "pause and stop": (pause_and_stop, 2),
+    "at once": (at_once, 2),
+}
+
+
+def moments(events: list[Event]) -> list[int]:
+    """Where events are that differ from all before them in their kind or state; the last two tell of the end."""
+    seen: dict[tuple[object, ...], int] = {}
+    course = State.IDLE
+    for at, event in enumerate(events[:-2]):
+        course = event.state if isinstance(event, StateChanged) else course
+        seen.setdefault((type(event), course), at)
+    return sorted(seen.values())
+
+
+@pytest.mark.parametrize(("act", "every"), ACTS.values(), ids=ACTS)
+def test_given_a_request_at_any_event_then_every_change_of_state_is_in_the_table_and_the_session_ends(
+    blueprint: Blueprint, tmp_path: Path, act: Callable[[Session], object], every: int
+) -> None:
+    whole = Session(blueprint, tmp_path / "whole.h5", -1, act)
+    states = [one.state for one in whole.events if isinstance(one, StateChanged)]
+    assert states[-1] is State.FINISHED
+    assert {State.RECOVERING, State.SUSPENDED} <= set(states)
+    assert any(isinstance(one, Fault | ReconnectTried) for one in whole.events)
+    for at in moments(whole.events)[::every]:
+        session = Session(blueprint, tmp_path / f"{at}.h5", at, act)
+        course = [State.IDLE, *(one.state for one in session.events if isinstance(one, StateChanged))]
+        assert all(after in FOLLOWS[before] for before, after in pairwise(course))
+        assert not FOLLOWS[course[-1]]
+        assert isinstance(session.events[-1], SessionEnded)
+        # Nothing that was measured in the dark is in the bank.
+        assert not set(session.measured.tolist()) - {0, 1}

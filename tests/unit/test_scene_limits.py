@@ -1,0 +1,314 @@
+"""Scenes of extreme numbers and sizes: a finite drive or one sentence, and the size before anything is made."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from rendering.drive.inverse_filter import inverse_filter
+from rendering.drive.live import LiveDrive
+from rendering.drive.rendering import render_with_report
+from rendering.drive.streamed_drive import StreamedDrive
+from rendering.greens.grid_spacing import wave_number_rad_mm
+from rendering.greens.regularisation import row_weights
+from rendering.greens.row_scaling import scale_row
+from rendering.greens.source import GreenArray
+from rendering.scene.scene_picture import scene_picture
+from rendering.scene.scene_rows import scene_rows
+from rendering.scene.scene_size import MOST_SECONDS, check_scene_size, scene_size
+from rendering.scene.svg_commands import flatten
+from rendering.scene.svg_path import SvgPath
+from storage.errors import InputError
+from wavefocus.config.scene import SceneConfig, read_scene
+
+RATE_HZ = 1000.0
+LINE = '{ kind = "line", start_mm = [-12, 0], end_mm = [12, 0] }'
+POINT = '{ kind = "point", at_mm = [0, 0] }'
+IMPULSE = '{ kind = "impulse" }'
+LARGE = {
+    "late": ("start_s = 2e4\nspeed_mm_s = 80\nstep_mm = 4", LINE, IMPULSE),
+    "long sine": ("", POINT, '{ kind = "sine", frequency_hz = 200, duration_s = 1e4 }'),
+    "long noise": ("", POINT, '{ kind = "noise", band_hz = [50, 400], duration_s = 1e4 }'),
+    "longest sine": ("", POINT, '{ kind = "sine", frequency_hz = 200, duration_s = 1e308 }'),
+    "many points": ("speed_mm_s = 80\nstep_mm = 1e-6", LINE, IMPULSE),
+    "one long step": ("speed_mm_s = 80\nstep_mm = 1e6", LINE, IMPULSE),
+    "slow": ("speed_mm_s = 1e-3\nstep_mm = 4", LINE, IMPULSE),
+    "many turns": ("speed_mm_s = 80\nstep_mm = 4", '{ kind = "circle", radius_mm = 8, turns = 1e9 }', IMPULSE),
+}
+
+
+def bank() -> GreenArray:
+    position_mm = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])
+    return GreenArray(np.random.default_rng(0).standard_normal((63, 3, 40)), position_mm, RATE_HZ)
+
+
+def source(keys: str, path: str, signal: str) -> str:
+    return f"[[source]]\n{keys}\npath = {path}\nsignal = {signal}\n"
+
+
+def read(text: str, folder: Path = Path(), *, allow_large: bool = False):
+    return read_scene(text, folder / "scene.toml", allow_large=allow_large)
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_a_large_scene_is_refused_by_its_size_before_anything_is_made(name: str) -> None:
+    scene, small = read(source(*LARGE[name])), bank()
+    tracemalloc.start()
+    try:
+        for make in (
+            lambda: render_with_report(scene, small),
+            lambda: StreamedDrive(scene, small),
+            lambda: LiveDrive(scene, small),
+            lambda: inverse_filter(scene, small),
+            lambda: scene_picture(scene, small),
+        ):
+            with pytest.raises(InputError, match="allowed"):
+                make()
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_an_allowed_large_scene_is_rendered_in_the_size_that_was_stated() -> None:
+    text = source(
+        "speed_mm_s = 0.001\nstep_mm = 0.005", '{ kind = "line", start_mm = [0, 0], end_mm = [4, 0] }', IMPULSE
+    )
+    stated = scene_size(read(text), sample_rate_hz=RATE_HZ, taps=40, actuators=3)
+    assert stated.seconds > MOST_SECONDS
+    live = LiveDrive(read(text, allow_large=True), bank(), method="sampled")
+    assert live.samples == stated.samples
+    assert sum(len(one.focus_sample) for one in live.sources) == stated.path_points
+    with pytest.raises(InputError, match="--allow-large"):
+        LiveDrive(read(text), bank(), method="sampled")
+
+
+@pytest.mark.parametrize("turns", [1e9, 1e12])
+def test_a_path_of_any_length_is_refused_where_only_its_positions_are_sought(turns: float) -> None:
+    path = f'{{ kind = "circle", radius_mm = 8, turns = {turns} }}'
+    for allow_large in (False, True):
+        scene = read(source("speed_mm_s = 80\nstep_mm = 4", path, IMPULSE), allow_large=allow_large)
+        with pytest.raises(InputError, match="points"):
+            scene_rows(scene, bank().position_mm)
+
+
+def test_a_text_of_thousands_of_letters_must_be_allowed() -> None:
+    path = f'{{ kind = "text", string = "{"wave" * 500}", height_mm = 8 }}'
+    text = source("speed_mm_s = 80\nstep_mm = 4", path, IMPULSE)
+    with pytest.raises(InputError, match="2000 letters"):
+        read(text)
+    assert read(text, allow_large=True).sources[0].path.length_mm > 1000
+
+
+def declaring(path: Path, frames: int) -> Path:
+    """A FLAC file whose header declares another number of frames than it holds."""
+    soundfile.write(path, np.random.default_rng(0).standard_normal(5000) * 0.1, 8000)
+    content = bytearray(path.read_bytes())
+    packed = int.from_bytes(content[18:26], "big")
+    content[18:26] = ((packed >> 36 << 36) | frames).to_bytes(8, "big")
+    path.write_bytes(content)
+    return path
+
+
+def test_a_sound_file_is_refused_by_what_it_declares(tmp_path: Path) -> None:
+    declaring(tmp_path / "a.flac", 10**8)
+    text = source("", POINT, '{ kind = "file", path = "a.flac" }')
+    with pytest.raises(InputError, match="--allow-large"):
+        render_with_report(read(text, tmp_path), bank())
+    with pytest.raises(InputError, match=r"a\.flac cannot be read"):
+        read(text, tmp_path, allow_large=True).sources[0].signal.samples(RATE_HZ)
+
+
+def test_a_sound_file_of_many_channels_is_sized_by_its_frames_and_read_one_channel(tmp_path: Path) -> None:
+    with soundfile.SoundFile(tmp_path / "c.flac", "w", 8000, 8, "PCM_16") as file:
+        file.write(np.ones((2**18, 8), np.int16))
+    scene = read(source("", POINT, '{ kind = "file", path = "c.flac" }'), tmp_path)
+    size = check_scene_size(scene, sample_rate_hz=RATE_HZ, taps=40, actuators=3)
+    assert (size.signal_samples, round(size.seconds, 2)) == (2**18, round(2**18 / 8000 + 0.039, 2))
+    tracemalloc.start()
+    try:
+        samples = scene.sources[0].signal.samples(RATE_HZ)
+        assert tracemalloc.get_traced_memory()[1] < 4 * 8 * 2**20
+    finally:
+        tracemalloc.stop()
+    assert len(samples) == 2**18 // 8
+
+
+@pytest.mark.parametrize(("name", "content"), [("a.raw", bytes(1000)), ("a.wav", b""), ("a.flac", b"fLaC" + bytes(60))])
+def test_a_sound_file_without_a_usable_header_is_one_sentence(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=name):
+        render_with_report(read(source("", POINT, f'{{ kind = "file", path = "{name}" }}'), tmp_path), bank())
+
+
+SVGS = {
+    **{name: f'<?xml version="1.0" encoding="{name}"?><svg><path d="M0 0L9 0"/></svg>'.encode() for name in (
+        "zlib", "hex", "idna", "undefined", "utf-7", "rot13", "base64", "punycode", "no-such", "utf-32",
+    )},
+    "large numbers": b'<svg><path d="M0 0C1e308 1e308 1e308 1e308 1e308 1e308"/></svg>',
+    "scale": b'<svg><g transform="scale(1e200)"><g transform="scale(1e200)"><path d="M0 0L9 0"/></g></g></svg>',
+    "translate": b'<svg><path transform="translate(1e308) translate(1e308)" d="M0 0L9 0"/></svg>',
+    "rotate": b'<svg><path transform="rotate(inf)" d="M0 0L9 0"/></svg>',
+    "matrix": b'<svg><path transform="matrix(1e150 0 0 1e150 0 0)" d="M0 0L1e99 0"/></svg>',
+    "skew": b'<svg><path transform="skewX(nan)" d="M0 0L9 0"/></svg>',
+    "cubics": b'<svg><path d="M0 0' + b"C9e9 9e9 9 9 1 1" * 2000 + b'"/></svg>',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SVGS)
+def test_a_drawing_that_cannot_be_read_is_one_sentence(tmp_path: Path, name: str) -> None:
+    (tmp_path / "a.svg").write_bytes(SVGS[name])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match=r"a\.svg"):
+            SvgPath(tmp_path / "a.svg")
+
+
+COORDINATE = st.sampled_from([0.0, 1.0, -3.0, 1e-200, -1e-300, 5e-324, 1e99, -1e100, 1e30])
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(COORDINATE, min_size=14, max_size=14), st.sampled_from("LCSQTA"), st.booleans(), st.booleans())
+def test_any_numbers_of_path_data_give_finite_points_or_one_sentence(
+    values: list[float], kind: str, large: bool, sweep: bool
+) -> None:
+    count = {"L": 2, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7}[kind]
+    given_values = [str(value) for value in values[:count]]
+    if kind == "A":
+        given_values[3:5] = str(int(large)), str(int(sweep))
+    data = f"M{values[-2]} {values[-1]}{kind}{' '.join(given_values)}"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            strokes = flatten(data, 0.005)
+        except InputError:
+            return
+    assert all(np.isfinite(stroke).all() for stroke in strokes)
+
+
+def test_long_path_data_and_long_transforms_are_read_once(tmp_path: Path) -> None:
+    # Copying what remains at each step took 20 s for this much.
+    lines, shifts = "L1 1L0 0" * 200_000, "translate(1,1)translate(-1,-1)" * 20_000
+    (tmp_path / "a.svg").write_text(f'<svg><path transform="{shifts}" d="M0 0{lines}"/></svg>', encoding="utf-8")
+    assert SvgPath(tmp_path / "a.svg").length_mm == pytest.approx(400_000 * 2**0.5)
+
+
+def test_two_hundred_thousand_unknown_keys_are_one_short_line() -> None:
+    keys = "".join(f"unknown_{index} = {index}\n" for index in range(200_000))
+    with pytest.raises(InputError) as refused:
+        read(f"{source('', POINT, IMPULSE)}[scene]\n{keys}")
+    assert len(str(refused.value)) < 500
+    assert "199997 more" in str(refused.value)
+
+
+EXTREMES = [5e-324, 1e-200, 1e-12, 1.0, 30.0, 1e12, 1e200, 1.7e308]
+ABOVE_ZERO = st.sampled_from(EXTREMES)
+FINITE = st.sampled_from([0.0, *EXTREMES, *(-value for value in EXTREMES)])
+PAIR = st.tuples(FINITE, FINITE)
+NEAR = st.tuples(st.sampled_from([-8.0, 0.0, 1e-200, 8.0]), st.sampled_from([-8.0, 0.0, 8.0]))
+PATHS = st.one_of(
+    st.fixed_dictionaries({"kind": st.just("point"), "at_mm": NEAR | PAIR}),
+    st.fixed_dictionaries({"kind": st.just("line"), "start_mm": NEAR | PAIR, "end_mm": NEAR | PAIR}),
+    st.fixed_dictionaries({"kind": st.just("circle"), "centre_mm": NEAR, "radius_mm": ABOVE_ZERO, "turns": FINITE}),
+    st.fixed_dictionaries(
+        {
+            "kind": st.just("polyline"),
+            "points_mm": st.lists(NEAR | PAIR, min_size=1, max_size=4),
+            "closed": st.booleans(),
+        }
+    ),
+    st.fixed_dictionaries(
+        {"kind": st.just("text"), "string": st.just("o"), "height_mm": ABOVE_ZERO, "centre_mm": NEAR}
+    ),
+)
+SIGNALS = st.one_of(
+    st.just({"kind": "impulse"}),
+    st.fixed_dictionaries({"kind": st.just("sine"), "frequency_hz": ABOVE_ZERO, "duration_s": ABOVE_ZERO}),
+    st.fixed_dictionaries(
+        {"kind": st.just("noise"), "band_hz": st.tuples(ABOVE_ZERO, ABOVE_ZERO), "duration_s": ABOVE_ZERO}
+    ),
+)
+SOURCES = st.fixed_dictionaries(
+    {
+        "start_s": st.just(0.0) | ABOVE_ZERO,
+        "speed_mm_s": st.just(80.0) | ABOVE_ZERO,
+        "step_mm": st.just(4.0) | ABOVE_ZERO,
+        "amplitude": st.just(1.0) | FINITE,
+        "path": PATHS,
+        "signal": SIGNALS,
+        "emission": st.sampled_from(["per_point", "continuous"]),
+    }
+)
+SCENES = st.fixed_dictionaries(
+    {
+        "source": st.lists(SOURCES, min_size=1, max_size=2),
+        "regularisation": st.fixed_dictionaries(
+            {
+                "saturation": st.just(0.0) | ABOVE_ZERO,
+                "saturation_absolute": st.sampled_from([0.0, 0.0, *EXTREMES]),
+                "normalise": st.booleans(),
+            }
+        ),
+        "output": st.fixed_dictionaries(
+            {
+                "interpolation": st.sampled_from(["nearest", "bilinear"]),
+                "limit_v": st.none() | ABOVE_ZERO,
+                "limit_rms_v": st.none() | ABOVE_ZERO,
+            }
+        ),
+    }
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(SCENES)
+def test_any_numbers_of_a_scene_give_finite_drives_or_one_sentence(tables: dict) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            scene = SceneConfig.model_validate(tables).build(Path("scene.toml"))
+            drive, _ = render_with_report(scene, bank())
+        except (InputError, ValidationError):
+            return
+    assert np.isfinite(drive.drive_v).all()
+    assert 0 <= drive.scale <= 1
+
+
+@settings(max_examples=200, deadline=None)
+@given(ABOVE_ZERO, st.floats(1e-300, 1e300), st.booleans())
+def test_any_saturation_threshold_gives_a_finite_weight_or_one_sentence(
+    threshold: float, scale: float, normalise: bool
+) -> None:
+    row = scale_row(np.random.default_rng(0).standard_normal((3, 8)) * scale, 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            weights = row_weights(row, threshold, normalise=normalise)
+        except InputError:
+            return
+    assert np.isfinite([weights.gain, weights.norm, *(() if weights.sigma is None else weights.sigma)]).all()
+
+
+@pytest.mark.parametrize(
+    "figures", [(200.0, 1e308), (200.0, 5e-324), (200.0, 4.8, 1e308), (1e-300, 4.8), (1e300, 1e-3)]
+)
+def test_waves_beyond_the_range_of_numbers_are_one_sentence(figures: tuple[float, ...]) -> None:
+    with pytest.raises(InputError):
+        wave_number_rad_mm(*figures)
+
+
+@pytest.mark.parametrize("name", ["costs $x_{$", "$", "\N{GRINNING FACE} \N{CJK UNIFIED IDEOGRAPH-6CE2}", "a\tb"])
+def test_a_name_is_drawn_as_it_is_written(name: str) -> None:
+    scene = read(f"[scene]\nname = {name!r}\n{source('', POINT, IMPULSE)}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        png = scene_picture(scene, bank()).png
+    assert struct.unpack(">4s", png[:4])[0] == b"\x89PNG"

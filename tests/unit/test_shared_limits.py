@@ -1,0 +1,40 @@
+"""Limits on linear algebra that several contexts hold, and that none may leave behind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+import calibration.blas
+import rendering.threads
+
+HOLDS = [calibration.blas.one_blas_thread, rendering.threads.one_blas_thread]
+
+
+def _threads() -> set[int]:
+    np.dot(np.ones((2, 2)), np.ones((2, 2)))
+    return {int(one["num_threads"]) for one in threadpool_info() if one["user_api"] == "blas"}
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_given_generators_that_end_out_of_order_then_the_limit_is_put_back_by_the_last(
+    hold: Callable[[], AbstractContextManager[object]],
+) -> None:
+    def blocks() -> Iterator[int]:
+        with hold():
+            yield 1
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = _threads()
+        first, second = blocks(), blocks()
+        next(first)
+        next(second)
+        assert _threads() == {1}
+        first.close()
+        assert _threads() == {1}
+        second.close()
+        assert _threads() == before

@@ -1,0 +1,116 @@
+"""Files beside a bank are written neither through links nor over files of somebody else."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from acquisition.engine.events import Drift
+from storage.bank.owner import owner_path, remove_owner, write_owner
+from storage.sidecar_files import Log
+from wavefocus.campaign.drift_history import DriftHistory
+from wavefocus.campaign.event_log import EventLog
+from wavefocus.campaign.sidecar_files import log_path, write_whole
+from wavefocus.config.calibration_naming import name_calibration
+from wavefocus.verify_log import VerifyLog
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs symbolic links")
+PRECIOUS = b"precious\n"
+
+
+@pytest.fixture
+def victim(tmp_path: Path) -> Path:
+    (tmp_path / "victim").write_bytes(PRECIOUS)
+    return tmp_path / "victim"
+
+
+@pytest.mark.parametrize("log", [EventLog, DriftHistory])
+def test_given_a_link_or_a_file_of_another_then_no_log_is_written_there(
+    victim: Path, log: type[EventLog | DriftHistory]
+) -> None:
+    bank = victim.with_name("plate.h5")
+    names = [bank.with_suffix(ending) for ending in (".events.jsonl", ".drift.jsonl")]
+    for name in names:
+        name.symlink_to(victim)
+    drift = Drift(0, 0.0, 0.1, 0.0, 1.0, "steady", "run", "", ())
+    with log(bank) as written:
+        written(drift)
+    for name in names:
+        name.unlink()
+        name.write_bytes(PRECIOUS)
+    with log(bank) as written:
+        written(drift)
+    assert [name.read_bytes() for name in names] == [PRECIOUS, PRECIOUS]
+    for name in names:
+        name.unlink()
+        os.mkfifo(name)
+    with log(bank) as written:
+        written(drift)
+    assert victim.read_bytes() == PRECIOUS
+
+
+def test_given_a_log_then_lines_are_appended(tmp_path: Path) -> None:
+    for line in ('{"a": 1}\n', '{"a": 2}\n'):
+        log = Log(log_path(tmp_path / "plate.h5"))
+        log.write(line)
+        log.close()
+    assert log_path(tmp_path / "plate.h5").read_bytes() == b'{"a": 1}\n{"a": 2}\n'
+
+
+def test_given_a_link_then_the_owner_is_named_beside_the_bank_alone(victim: Path) -> None:
+    bank = victim.with_name("plate.h5")
+    owner_path(bank).symlink_to(victim)
+    write_owner(bank)
+    assert json.loads(owner_path(bank).read_text())["pid"] == os.getpid()
+    assert victim.read_bytes() == PRECIOUS
+    remove_owner(bank)
+    assert not os.path.lexists(owner_path(bank))
+
+
+def test_given_a_file_of_another_then_no_owner_replaces_it(tmp_path: Path) -> None:
+    bank = tmp_path / "plate.h5"
+    owner_path(bank).write_bytes(PRECIOUS)
+    write_owner(bank)
+    remove_owner(bank)
+    assert owner_path(bank).read_bytes() == PRECIOUS
+
+
+@pytest.mark.parametrize("by_many", [True, False])
+def test_given_links_and_files_of_another_then_small_files_are_written_beside_them(victim: Path, by_many: bool) -> None:
+    path = victim.with_name("plate.h5.heartbeat")
+    for name in (path.with_name(f"{path.name}.new"), path.with_name(f"{path.name}.{os.getpid()}.new"), path):
+        name.symlink_to(victim)
+    write_whole(path, {"a": 1}, by_many=by_many)
+    assert json.loads(path.read_text()) == {"a": 1}
+    assert path.with_name(f"{path.name}.new").is_symlink()
+    assert victim.read_bytes() == PRECIOUS
+    path.write_bytes(PRECIOUS)
+    with pytest.raises(FileExistsError):
+        write_whole(path, {"a": 2}, by_many=by_many)
+    assert path.read_bytes() == PRECIOUS
+
+
+def test_given_what_a_killed_writer_left_then_the_next_one_removes_it(tmp_path: Path) -> None:
+    path = tmp_path / "plate.h5.heartbeat"
+    (tmp_path / f".{path.name}.0123456789abcdef.new").write_bytes(b"{")
+    write_whole(path, {"a": 1})
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_given_a_link_then_the_log_of_a_verification_is_written_beside_it(victim: Path) -> None:
+    (victim.parent / "verify.events.jsonl").symlink_to(victim)
+    with VerifyLog(victim.parent) as log:
+        log.done(0, "done")
+    assert victim.read_bytes() == PRECIOUS
+
+
+def test_given_a_file_called_new_then_naming_a_calibration_leaves_it(victim: Path) -> None:
+    rig = victim.with_name("rig.toml")
+    rig.write_text('[rig]\nname = "a"\n', encoding="utf-8")
+    rig.with_name("rig.toml.new").write_bytes(PRECIOUS)
+    name_calibration(rig, "calibration.toml")
+    assert rig.with_name("rig.toml.new").read_bytes() == PRECIOUS
+    assert "calibration.toml" in rig.read_text(encoding="utf-8")

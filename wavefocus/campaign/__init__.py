@@ -1,0 +1,1 @@
+"""A campaign from the command line: plan, sidecar files, log, view."""

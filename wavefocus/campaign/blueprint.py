@@ -1,0 +1,155 @@
+"""From configuration to the campaign that it asks for: the plan and the bank's header."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.quality.limits import QualityLimits
+from acquisition.quality.sentinel import DriftLimits
+from acquisition.schedule.plan import Plan
+from calibration.excitation.staggered_signal import StaggeredSignal
+from calibration.excitation.sweeps import Excitation
+from storage.bank.header import BankHeader
+from storage.bank.reading import Bank, open_bank
+from storage.errors import InputError
+from wavefocus.config.loading import Configuration, configuration_from_json, load_rig, load_run, with_rig
+from wavefocus.config.plan_hash import rig_differences
+from wavefocus.config.rig import default_rig
+
+
+@dataclass(frozen=True, slots=True)
+class Blueprint:
+    """A configuration with the plan that follows from it."""
+
+    configuration: Configuration
+    plan: Plan
+
+    def bank_header(self) -> BankHeader:
+        """What a new bank says of itself."""
+        configuration, plan = self.configuration, self.plan
+        return BankHeader(
+            sample_rate_hz=plan.excitation.sample_rate_hz,
+            taps=plan.taps,
+            band_hz=plan.excitation.band_hz,
+            position_mm=plan.position_mm,
+            actuator_mm=plan.actuator_mm,
+            rig_json=configuration.rig.model_dump_json(),
+            run_json=configuration.run.model_dump_json(),
+            plan_sha256=plan.sha256,
+            software=f"wavefocus {version('wavefocus')}",
+        )
+
+
+def blueprint_from_files(run_file: Path) -> Blueprint:
+    """Read and check a run file with all that it names.
+
+    Raises
+    ------
+    InputError
+        Anything in the files is wrong.
+    """
+    return blueprint_of(load_run(run_file))
+
+
+def blueprint_from_bank(path: Path) -> Blueprint:
+    """Take up the configuration that a bank carries, checked against the bank's own hash.
+
+    Raises
+    ------
+    InputError
+        The file is no bank, or one that this suite did not measure.
+    """
+    with open_bank(path) as bank:
+        blueprint = blueprint_of(bank_configuration(bank))
+        if bank.plan_sha256 != blueprint.plan.sha256:
+            raise InputError(
+                f"{path}: the attributes rig, run and plan_sha256 do not belong together; the bank cannot be "
+                "resumed, but what it holds can be rendered"
+            )
+    return blueprint
+
+
+def blueprint_with_rig(path: Path, rig_file: Path) -> Blueprint:
+    """The campaign of a bank with another rig file: other ports, names and limits, but rows of the same kind.
+
+    Parameters
+    ----------
+    path : Path
+        The bank.
+    rig_file : Path
+        The rig file.
+
+    Raises
+    ------
+    InputError
+        The rig file is wrong, or its rows would differ in kind from the bank's; the message names the keys.
+    """
+    own = blueprint_from_bank(path)
+    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    changed = blueprint_of(with_rig(own.configuration, rig, str(rig_file)))
+    calibrated = rig.calibration.measured != own.configuration.rig.calibration.measured
+    if changed.plan.sha256 != own.plan.sha256 and not calibrated:  # another calibration has words of its own
+        keys = ", ".join(rig_differences(own.configuration.rig, rig, own.configuration.run))
+        raise InputError(
+            f"{rig_file}: differs from the rig that {path} was measured with in {keys}; ports, addresses, device "
+            "names, limits and time-outs may change, these may not: undo the change, or start a new bank"
+        )
+    return changed
+
+
+def bank_configuration(bank: Bank) -> Configuration:
+    """The configuration that an open bank carries.
+
+    Raises
+    ------
+    InputError
+        The bank was made by other means and carries none.
+    """
+    if bank.rig_json is None or bank.run_json is None:
+        raise InputError(
+            f"{bank.path}: has no attributes rig and run: it was made by other means and cannot be measured on"
+        )
+    return configuration_from_json(bank.rig_json, bank.run_json, bank.position_mm, str(bank.path))
+
+
+def blueprint_of(configuration: Configuration) -> Blueprint:
+    """A checked configuration with the plan that follows from it.
+
+    Raises
+    ------
+    InputError
+        Rig and run ask for records that cannot be.
+    """
+    run, rig = configuration.run, configuration.rig
+    capture = run.capture
+    excitation = Excitation(
+        sample_rate_hz=capture.sample_rate_hz,
+        start_hz=run.sweep.start_hz,
+        stop_hz=run.sweep.stop_hz,
+        duration_s=run.sweep.duration_s,
+        decay_s=capture.decay_s,
+        amplitude_v=run.sweep.amplitude_v * 10 ** (capture.level_db / 20),
+        averages=capture.averages,
+    )
+    staggered = None
+    if capture.excitation == "staggered":
+        staggered = StaggeredSignal(
+            excitation, len(rig.actuators.position_mm), capture.taps, capture.stagger_samples, capture.groups,
+            capture.periods,
+        )  # fmt: skip
+    plan = Plan(
+        position_mm=configuration.position_mm,
+        actuator_mm=rig.actuator_mm,
+        order=np.arange(len(configuration.position_mm)),
+        excitation=excitation,
+        taps=capture.taps,
+        sha256=configuration.plan_sha256,
+        quality=QualityLimits(**run.quality.model_dump()),
+        drift=DriftLimits(**run.drift.model_dump()),
+        staggered=staggered,
+    )
+    return Blueprint(configuration, plan)

@@ -1,0 +1,1 @@
+"""A rig from the command line: instruments, calibration, manual operation, messages."""

@@ -1,0 +1,347 @@
+"""A calibration of a rig, part by part: what is measured, what is not good enough, and the record of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from datetime import datetime
+from importlib.metadata import version
+
+from acquisition.calibration_procedures.actuators import (
+    REMEDIES,
+    ActuatorsTask,
+    measure_actuators,
+)
+from acquisition.calibration_procedures.inputs import measure_inputs
+from acquisition.calibration_procedures.mirror import fitted_marks, measure_mirror
+from acquisition.calibration_procedures.operator import (
+    VIBROMETER,
+    Jog,
+    JogView,
+    Judged,
+    MapView,
+    Operator,
+    output,
+)
+from acquisition.calibration_procedures.outputs import OutputsTask, measure_outputs
+from acquisition.calibration_procedures.probe import NotMeasuredError, Probe
+from acquisition.engine.roles import names_of
+from acquisition.engine.setup import Setup
+from calibration.rig.mirror_map import MirrorMap
+from wavefocus.config.calibration_file import (
+    FORMAT,
+    FORMAT_VERSION,
+    PARTS,
+    ActuatorMeasured,
+    ActuatorsMeasured,
+    CalibrationRecord,
+    Fiducial,
+    InputsMeasured,
+    MirrorMeasured,
+    OutputMeasured,
+    OutputsMeasured,
+)
+from wavefocus.config.fields import Table
+from wavefocus.config.rig import RigConfig
+from wavefocus.console import progress
+from wavefocus.rig.calibration_care import identities_of
+from wavefocus.rig.calibration_request import Request, amplitude_v, listening, marks
+
+# Latencies that scatter by more are told: one record knows them a thousand times better.
+MOST_SPREAD_S = 1e-6
+
+
+class CalibrationSession:
+    """Carries out a calibration and keeps what it finds.
+
+    Parameters
+    ----------
+    rig : RigConfig
+        The rig; what its present calibration holds of other parts is kept.
+    request : Request
+        What to measure.
+
+    Attributes
+    ----------
+    measured : list of str
+        The parts measured, in order.
+    problems : list of str
+        What is not good enough, with what to do about it.
+
+    Raises
+    ------
+    InputError
+        A request that the rig cannot fulfil.
+    """
+
+    def __init__(self, rig: RigConfig, request: Request) -> None:
+        self._rig, self._request = rig, request
+        self._amplitude_v = amplitude_v(rig, request)
+        self._marks, self._angles = marks(rig, request)
+        self._distance_mm, self._places = listening(rig, request)
+        before = rig.calibration.measured
+        self._found: dict[str, Table] = {}
+        if before is not None:
+            kept = {name: getattr(before, name) for name in PARTS}
+            self._found = {name: part for name, part in kept.items() if part is not None}
+        self._names = ("", "", "")
+        self.measured: list[str] = []
+        self.problems: list[str] = []
+
+    def carry_out(self, setup: Setup, operator: Operator) -> None:
+        """Measure every part asked for; one that cannot be measured does not keep the others from it.
+
+        Parameters
+        ----------
+        setup : Setup
+            The rig, open; whoever opened it puts it to rest.
+        operator : Operator
+            The person at the bench.
+
+        Raises
+        ------
+        InputError
+            Angles that no map can be fitted through, or an operator who is gone.
+        InstrumentError
+            Of the instrument that failed for good.
+        """
+        self._names = names_of(setup.instruments)
+        self._identities = identities_of(setup.instruments)
+        work: dict[str, Callable[[Setup, Operator], Setup]] = {
+            "inputs": self._inputs,
+            "outputs": self._outputs,
+            "mirror": self._mirror,
+            "actuators": self._actuators,
+        }
+        cables = _Cables(operator)
+        try:
+            for part in PARTS:
+                if part not in self._request.parts:
+                    continue
+                try:
+                    if part == "actuators" or (part == "mirror" and cables.source != VIBROMETER):
+                        self._need_vibrometer(setup, cables)
+                    setup = work[part](setup, cables)
+                except NotMeasuredError as failure:
+                    self.problems.append(f"{part}: {failure}")
+            if cables.source != VIBROMETER:
+                try:
+                    self._need_vibrometer(setup, cables)
+                except NotMeasuredError as failure:
+                    self.problems.append(str(failure))
+        finally:
+            if cables.source != VIBROMETER:
+                operator.tell("the response input is not on the vibrometer: plug it back before anything is measured")
+
+    def record(self) -> CalibrationRecord:
+        """All that is known: what was measured now, and what the rig's calibration held of the rest."""
+        return CalibrationRecord.model_validate(
+            {
+                "format": FORMAT,
+                "format_version": FORMAT_VERSION,
+                "made": _now(),
+                "software": f"wavefocus {version('wavefocus')}",
+                "rig": self._rig.rig.name,
+                **self._found,
+            }
+        )
+
+    # -- the parts: each measures with the setup as known so far, and returns it with what it has found ---------
+
+    def _inputs(self, setup: Setup, operator: Operator) -> Setup:
+        found = measure_inputs(self._probe(setup), operator)
+        delay_s = _rounded(found.late_s)
+        operator.tell(
+            f"inputs: the response is sampled {1e6 * delay_s:.3f} us after the reference, spread "
+            f"{1e9 * found.spread_s:.0f} ns; clocks {found.clock_ppm:+.1f} ppm apart"
+        )
+        self._take_up(
+            "inputs",
+            InputsMeasured(
+                at=_now(),
+                device=self._names[1],
+                identity=self._identities["recorder"],
+                inter_channel_delay_s=delay_s,
+            ),
+        )
+        return replace(setup, inter_channel_delay_s=delay_s)
+
+    def _outputs(self, setup: Setup, operator: Operator) -> Setup:
+        player, request = self._rig.player, self._request
+        task = OutputsTask(
+            channels=player.channels,
+            loopback_channel=player.loopback_channel,
+            full_scale_v=player.output_full_scale_v,
+            reference_gain=setup.reference_gain,
+            inter_channel_delay_s=setup.inter_channel_delay_s,
+            summing_box=request.summing_box,
+            box_gain=request.box_gain,
+        )
+        # Cable by cable the person sees how far it is, and a bar would write over what is typed.
+        with progress("outputs", len(player.channels)) if request.summing_box else nullcontext(_silent) as report:
+            found = measure_outputs(task, self._probe(setup), operator, report)
+        given_up = sorted(set(player.channels) - {one.channel for one in found})
+        if given_up:
+            self.problems.append(f"outputs: {_listed(given_up)} not heard: check the cables, then --only outputs")
+        for one in found:
+            if one.spread_s > MOST_SPREAD_S:
+                self.problems.append(
+                    f"outputs: the latency of output {one.channel} scatters by {1e6 * one.spread_s:.1f} us: check "
+                    "the interface's clock and its buffer"
+                )
+            if one.polarity < 0:
+                self.problems.append(f"outputs: output {one.channel} is reversed: swap its two wires")
+        if not found:
+            raise NotMeasuredError("no output is heard: is the response input plugged into the player?")
+        loudest = max((abs(one.latency_s) for one in found), default=0.0)
+        operator.tell(f"outputs: {len(found)} measured, latencies within {1e6 * loudest:.2f} us of the loopback's")
+        self._take_up(
+            "outputs",
+            OutputsMeasured(
+                at=_now(),
+                device=self._names[2],
+                identity=self._identities["player"],
+                loopback_channel=player.loopback_channel,
+                channel=tuple(
+                    OutputMeasured(
+                        channel=one.channel,
+                        latency_s=_rounded(one.latency_s),
+                        full_scale_v=None if one.full_scale_v is None else round(one.full_scale_v, 6),
+                        polarity=one.polarity,
+                    )
+                    for one in found
+                ),
+            ),
+        )
+        return setup
+
+    def _mirror(self, setup: Setup, operator: Operator) -> Setup:
+        if self._angles is None:
+            limits = self._rig.mirror.limit_mrad, operator, self._request.limit_mm
+            found = measure_mirror(setup, self._marks, *limits)
+        else:
+            found = fitted_marks(self._marks, self._angles)
+        operator.tell(f"mirror: residual {found.fit.rms_mm:.3f} mm rms, worst {found.worst_mm:.3f} mm")
+        if found.worst_mm > self._request.limit_mm:
+            raise NotMeasuredError(
+                f"the map misses a mark by {found.worst_mm:.2f} mm, more than --limit-mm {self._request.limit_mm:g}: "
+                f"most likely mark {found.suspect() + 1} is wrong; check its place and jog the beam onto it again"
+            )
+        self._take_up(
+            "mirror",
+            MirrorMeasured(
+                at=_now(),
+                device=self._names[0],
+                identity=self._identities["mirror"],
+                map=found.fit.mirror_map.matrix,
+                residual_rms_mm=round(found.fit.rms_mm, 6),
+                fiducial=tuple(
+                    Fiducial(place_mm=place, angles_mrad=angles, residual_mm=round(float(residual), 6))
+                    for place, angles, residual in zip(
+                        self._marks, found.angles_mrad.round(6).tolist(), found.fit.residual_mm, strict=True
+                    )
+                ),
+            ),
+        )
+        return replace(setup, mirror_map=MirrorMap(found.fit.mirror_map.matrix))
+
+    def _actuators(self, setup: Setup, operator: Operator) -> Setup:
+        channels = self._rig.player.channels
+        task = ActuatorsTask(self._places, self._amplitude_v, self._request.sample_rate_hz)
+        with progress("actuators", len(channels)) as report:
+            found = measure_actuators(task, setup, report)
+        for actuator, verdict in enumerate(found.verdict):
+            if verdict != "good":
+                self.problems.append(
+                    f"actuators: actuator {actuator} on output {channels[actuator]} is {verdict} "
+                    f"({found.level_db[actuator]:+.1f} dB): {REMEDIES[verdict]}"
+                )
+        good = sum(verdict == "good" for verdict in found.verdict)
+        operator.tell(f"actuators: {good} of {len(channels)} good, heard at {self._distance_mm:g} mm from each")
+        self._take_up(
+            "actuators",
+            ActuatorsMeasured(
+                at=_now(),
+                device=self._names[2],
+                identity=self._identities["player"],
+                distance_mm=self._distance_mm,
+                actuator=tuple(
+                    ActuatorMeasured(
+                        actuator=actuator,
+                        channel=channel,
+                        polarity=found.polarity[actuator],
+                        level_db=round(float(found.level_db[actuator]), 3),
+                        verdict=found.verdict[actuator],
+                    )
+                    for actuator, channel in enumerate(channels)
+                ),
+            ),
+        )
+        return setup
+
+    def _need_vibrometer(self, setup: Setup, cables: _Cables) -> None:
+        """Have the vibrometer plugged in; an output that was plugged there must not be heard any more."""
+        plugged = [one for one in self._rig.player.channels if output(one) == cables.source]
+        probe, channel = self._probe(setup), (plugged or self._rig.player.channels)[0]
+        while True:
+            cables.back_to_vibrometer()
+            if not probe.hears(channel):
+                return
+            problem = "the response input still carries an output of the player, not the vibrometer"
+            cables.source = ""
+            if not cables.again(problem):
+                raise NotMeasuredError(problem)
+
+    def _probe(self, setup: Setup) -> Probe:
+        return Probe(setup, self._request.sample_rate_hz, self._amplitude_v)
+
+    def _take_up(self, part: str, figures: Table) -> None:
+        self._found[part] = figures
+        self.measured.append(part)
+
+
+class _Cables:
+    """An operator who remembers what is plugged into the response input."""
+
+    def __init__(self, operator: Operator) -> None:
+        self._operator = operator
+        self.source = VIBROMETER
+
+    def tell(self, line: str) -> None:
+        self._operator.tell(line)
+
+    def connect(self, source: str) -> None:
+        self.source = ""  # neither the one nor the other until it is done
+        self._operator.connect(source)
+        self.source = source
+
+    def back_to_vibrometer(self) -> None:
+        if self.source != VIBROMETER:
+            self.connect(VIBROMETER)
+
+    def jog(self, view: JogView) -> Jog:
+        return self._operator.jog(view)
+
+    def judge(self, view: MapView) -> Judged:
+        return self._operator.judge(view)
+
+    def again(self, problem: str) -> bool:
+        return self._operator.again(problem)
+
+
+def _silent(done: int, total: int, note: str = "") -> None:
+    """Progress that nobody needs to see."""
+
+
+def _now() -> datetime:
+    return datetime.now().astimezone().replace(microsecond=0)
+
+
+def _rounded(seconds: float) -> float:
+    """To the picosecond: digits beyond are noise."""
+    return round(seconds, 12)
+
+
+def _listed(numbers: list[int]) -> str:
+    return ("output " if len(numbers) == 1 else "outputs ") + ", ".join(str(one) for one in numbers)

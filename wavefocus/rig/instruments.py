@@ -1,0 +1,293 @@
+"""From a rig's configuration to its instruments: which driver opens each, and in what order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from acquisition.engine.call_thread import HungError, Lane
+from acquisition.engine.timeouts import REMEDY
+from acquisition.quality.watch import Sensor
+from drivers.clock import WallClock
+from drivers.errors import InstrumentError, InstrumentLostError
+from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder
+from wavefocus.address_space import require_address_space
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.rig_recorder import RecorderSection
+from wavefocus.config.run import Virtual
+
+if TYPE_CHECKING:
+    from drivers.daq.ni_channel import TlsFiles
+    from mocks.patch_bay import PatchBay
+
+Opened = TypeVar("Opened")
+
+# A decoder's range is a round number; what differs by more is another range.
+SAME_SENSITIVITY = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Vibrometer:
+    """What is known of the vibrometer.
+
+    Parameters
+    ----------
+    sensitivity_m_s_per_v : float
+        Typed in, or read from the device.
+    identity : str
+        Its name.
+    latency_s : float
+        How much later its voltage is than the velocity.
+    signal_level : float, optional
+        Strength of the reflected light, 0 to 1, where the device says so.
+    """
+
+    sensitivity_m_s_per_v: float
+    identity: str
+    latency_s: float
+    signal_level: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Openers:
+    """How each instrument of a rig is opened, one independent of the others.
+
+    Parameters
+    ----------
+    clock : Clock
+        The time that they live by.
+    mirror, recorder, player : callable
+        Open the instrument, or raise InstrumentError.
+    vibrometer : callable
+        Gives its sensitivity, read from the device where its driver can.
+    patch_bay : PatchBay, optional
+        Where the virtual rig's cables are plugged; real ones are plugged by hand.
+    virtual_sensors : mapping from name to Sensor
+        What the virtual rig's room is like; real sensors belong to real instruments.
+    """
+
+    clock: Clock
+    mirror: Callable[[], Mirror]
+    recorder: Callable[[], Recorder]
+    player: Callable[[], Player]
+    vibrometer: Callable[[], Vibrometer]
+    patch_bay: PatchBay | None = None
+    virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedRig:
+    """The instruments of a rig, all open.
+
+    Parameters
+    ----------
+    instruments : Instruments
+        Mirror, recorder, player and clock.
+    sensitivity_m_s_per_v : float
+        Of the vibrometer.
+    vibrometer_latency_s : float
+        How much later its voltage is than the velocity.
+    patch_bay, virtual_sensors
+        As of `Openers`.
+    """
+
+    instruments: Instruments
+    sensitivity_m_s_per_v: float
+    vibrometer_latency_s: float
+    patch_bay: PatchBay | None
+    virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
+
+
+def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
+    """Find the driver of each instrument; nothing is opened yet.
+
+    Parameters
+    ----------
+    rig : RigConfig
+        The rig.
+    virtual : Virtual, optional
+        What the run says of a virtual rig.
+    """
+    if rig.is_virtual:
+        from wavefocus.rig.virtual_bench import virtual_rig  # a real rig needs none of what stands in for one
+
+        bench = virtual_rig(rig, virtual)
+        roles = bench.instruments
+        return Openers(
+            roles.clock,
+            lambda: roles.mirror,
+            lambda: roles.recorder,
+            lambda: roles.player,
+            lambda: _vibrometer(rig),
+            bench.patch_bay,
+            bench.sensors,
+        )
+    clock = WallClock()
+    return Openers(
+        clock,
+        lambda: _serial_mirror(rig, clock),
+        lambda: _ni_recorder(rig),
+        lambda: _stream_player(rig),
+        lambda: _vibrometer(rig),
+    )
+
+
+def in_time(ways: Openers, limit_s: float) -> Openers:
+    """The same ways, each with an end: an instrument whose driver hangs while it is opened is told as lost.
+
+    Parameters
+    ----------
+    ways : Openers
+        How each is opened.
+    limit_s : float
+        Longest wait for each, on the wall's clock.
+    """
+
+    def bounded(role: str, opens: Callable[[], Opened]) -> Callable[[], Opened]:
+        def call() -> Opened:
+            lane = Lane(f"opening {role}")
+            try:
+                return lane.call(opens, limit_s)
+            except HungError:
+                cause = f"the call did not come back within {limit_s:.3g} s"
+                raise InstrumentLostError(role, "opening", cause, REMEDY) from None
+            finally:
+                lane.abandon()
+
+        return call
+
+    return replace(
+        ways,
+        mirror=bounded("mirror", ways.mirror),
+        recorder=bounded("recorder", ways.recorder),
+        player=bounded("player", ways.player),
+        vibrometer=bounded("vibrometer", ways.vibrometer),
+    )
+
+
+def open_rig(ways: Openers) -> OpenedRig:
+    """Open every instrument, one after the other; when one fails, those before it are put to rest.
+
+    Parameters
+    ----------
+    ways : Openers
+        How each is opened.
+
+    Raises
+    ------
+    InstrumentError
+        An instrument cannot be opened.
+    InputError
+        The process's address space is limited to less than measuring needs.
+    """
+    require_address_space()
+    with ExitStack() as opened:
+        vibrometer = ways.vibrometer()
+        mirror = ways.mirror()
+        opened.callback(mirror.close)
+        opened.callback(mirror.park)
+        recorder = ways.recorder()
+        opened.callback(recorder.close)
+        player = ways.player()
+        opened.pop_all()  # from here on they are put to rest by whoever opened the rig
+    instruments = Instruments(mirror, recorder, player, ways.clock)
+    return OpenedRig(
+        instruments, vibrometer.sensitivity_m_s_per_v, vibrometer.latency_s, ways.patch_bay, ways.virtual_sensors
+    )
+
+
+def _serial_mirror(rig: RigConfig, clock: Clock) -> Mirror:
+    from drivers.mirror.serial_mirror import SerialMirror
+
+    mirror = rig.mirror
+    return SerialMirror(
+        mirror.driver,
+        mirror.port or "",
+        baud=mirror.baud,
+        identity=mirror.identity,
+        settle_s=mirror.settle_s,
+        limit_mrad=mirror.limit_mrad,
+        park_mrad=mirror.park_mrad,
+        full_scale_mrad=mirror.full_scale_mrad,
+        clock=clock,
+        axes=mirror.axes,
+        setup=mirror.setup or (),
+        **{
+            key: value
+            for key, value in (("beam_per_mirror", mirror.beam_per_mirror), ("tolerance_mrad", mirror.tolerance_mrad))
+            if value is not None
+        },
+    )
+
+
+def _ni_recorder(rig: RigConfig) -> Recorder:
+    recorder = rig.recorder
+    if recorder.address:
+        from drivers.daq.ni_recorder import NiRecorder
+
+        opener: Callable[..., Recorder] = partial(NiRecorder, address=recorder.address, tls=_tls_files(recorder))
+    else:
+        from drivers.daq.process_recorder import ProcessRecorder
+
+        opener = ProcessRecorder
+    return opener(
+        recorder.device or "",
+        reference_input=recorder.reference_input or "",
+        response_input=recorder.response_input or "",
+        terminal=recorder.terminal or "",
+        trigger=recorder.trigger,
+    )
+
+
+def _tls_files(recorder: RecorderSection) -> TlsFiles | None:
+    from drivers.daq.ni_channel import TlsFiles
+
+    if recorder.tls_root is None:
+        return None
+    own = (recorder.tls_certificate, recorder.tls_key)
+    return TlsFiles(Path(recorder.tls_root), *(None if name is None else Path(name) for name in own))
+
+
+def _stream_player(rig: RigConfig) -> Player:
+    from drivers.audio.stream_player import StreamPlayer
+
+    player = rig.player
+    return StreamPlayer(
+        player.host_api,
+        player.device or "",
+        channels=player.outputs,
+        channel_full_scale_v=player.output_full_scale_v,
+        interface_rate_hz=player.interface_rate_hz,
+        block_frames=player.block_frames or 0,
+    )
+
+
+def _vibrometer(rig: RigConfig) -> Vibrometer:
+    """Sensitivity and name of the vibrometer, the two sensitivities held against each other where there are two."""
+    vibrometer = rig.vibrometer
+    configured = vibrometer.sensitivity_m_s_per_v
+    if vibrometer.port is None:
+        return Vibrometer(configured or 0.0, "vibrometer, its sensitivity typed in", vibrometer.latency_s or 0.0, None)
+    from drivers.vibrometer.polytec import read_sensitivity
+
+    reading = read_sensitivity(
+        vibrometer.port,
+        baud=vibrometer.baud,
+        identity=vibrometer.identity,
+        decoder=vibrometer.decoder or 0,
+        least_signal_level=vibrometer.least_signal_level or 0.0,
+    )
+    read = reading.sensitivity_m_s_per_v
+    if configured is not None and abs(read / configured - 1) > SAME_SENSITIVITY:
+        raise InstrumentError(
+            f"vibrometer ({vibrometer.driver} at {vibrometer.port})",
+            "reading its sensitivity",
+            f"it is set to {reading.range_text}, the rig file says {configured:g} m/s per V",
+            "set the range that the campaign needs, or correct vibrometer.sensitivity_m_s_per_v",
+        )
+    latency_s = reading.latency_s if vibrometer.latency_s is None else vibrometer.latency_s
+    return Vibrometer(read, f"{reading.identity}, {reading.range_text}", latency_s or 0.0, reading.signal_level)

@@ -1,0 +1,84 @@
+"""What a rig's actuators may get, and the refusal of a drive that asks for more."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rendering.drive.coil_limits import DriveLimits, largest_rms
+from rendering.scene.model import Output
+from storage.drive_file import Drive
+from storage.errors import InputError
+from wavefocus.config.rig_player import PlayerSection
+
+PLAYED_UNITS = ("V", "1")
+"""Units of drives that are played as volts; 1 is that of a bank that knows no other."""
+
+
+def limits_of(player: PlayerSection) -> DriveLimits:
+    """The limits of a rig's actuators."""
+    rms = player.rms_limit
+    return DriveLimits(
+        peak_v=player.largest_v,
+        rms_v=None if rms is None else rms[1],
+        peak_key="player.limit_v" if player.limit_v == player.largest_v else "player.channel_full_scale_v",
+        rms_key="limit_rms_v" if rms is None else rms[0],
+    )
+
+
+def stricter(output: Output, player: PlayerSection) -> DriveLimits:
+    """The limits of a scene and of a rig together."""
+    rig = limits_of(player)
+    peak = min(_known(output.limit_v, "limit_v"), _known(rig.peak_v, rig.peak_key))
+    rms = min(_known(output.limit_rms_v, "limit_rms_v"), _known(rig.rms_v, rig.rms_key))
+    return DriveLimits(
+        None if math.isinf(peak[0]) else peak[0], None if math.isinf(rms[0]) else rms[0], peak[1], rms[1]
+    )
+
+
+def check_drive(
+    drive: Drive, player: PlayerSection, source: str, remedy: str, *, repeated: bool = False, gain_db: float = 0.0
+) -> None:
+    """Refuse a drive that the rig's actuators may not get; only a person may say that it is to be scaled.
+
+    Parameters
+    ----------
+    drive : Drive
+        What shall be played.
+    player : PlayerSection
+        The rig's.
+    source, remedy : str
+        The file's name and what to do, for the message; ``{gain_db}`` in it stands for the gain that would do.
+    repeated : bool
+        Whether it is played again and again without a pause.
+    gain_db : float
+        By how much the drive was made louder already.
+
+    Raises
+    ------
+    InputError
+        The drive is not in volts, or an actuator would get more than it may.
+    """
+    if drive.drive_unit not in PLAYED_UNITS:
+        raise InputError(
+            f"{source} is in {drive.drive_unit}, and the player plays volts; render it from a bank in volts"
+        )
+    limits = limits_of(player)
+    reached = [("", limits.peak_v, limits.peak_key, np.abs(drive.drive_v).max(axis=1, initial=0.0))]
+    if limits.rms_v is not None:
+        rms_v = largest_rms(drive.drive_v, drive.sample_rate_hz, repeated=repeated)
+        reached.append((" rms", limits.rms_v, limits.rms_key, rms_v))
+    for kind, limit_v, key, each_v in reached:
+        actuator = int(np.argmax(each_v))
+        most_v = float(each_v[actuator])
+        if limit_v is not None and most_v > limit_v * (1 + 1e-9):
+            enough_db = math.floor(100 * (gain_db + 20 * math.log10(limit_v / most_v))) / 100
+            raise InputError(
+                f"{source}: the drive of actuator {actuator} reaches {most_v:.4g} V{kind}; the rig's actuators may get"
+                f" {limit_v:.4g} V{kind} ({key}): {remedy.format(gain_db=f'{enough_db:.2f}')}"
+            )
+
+
+def _known(limit_v: float | None, key: str) -> tuple[float, str]:
+    return (math.inf if limit_v is None else limit_v, key)
