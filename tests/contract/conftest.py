@@ -14,6 +14,8 @@ from typing import TypeVar
 
 import pytest
 
+from config.loading import load_rig
+from config.rig import RigConfig, default_rig
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Clock, Mirror, Player, Recorder
 from mocks.wire.emulated_rig import EmulatedRig
@@ -23,8 +25,6 @@ from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import TcpWire
 from tests.wire.emulated import free_port, rig_text
 from wavefocus.commands.emulate import wiring_of
-from wavefocus.config.loading import load_rig
-from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.rig.instruments import Openers, openers
 from wavefocus.rig.virtual_bench import virtual_settings
 

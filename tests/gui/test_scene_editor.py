@@ -15,6 +15,7 @@ from PyQt5.QtGui import QMouseEvent
 from PyQt5.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFileDialog, QLineEdit
 from pytestqt.qtbot import QtBot
 
+from config.scene import load_scene, read_scene_tables
 from gui.scene.document import NEW_SCENE, SceneDocument
 from gui.scene.draft import (
     CircleDraft,
@@ -47,7 +48,6 @@ from storage.errors import InputError
 from tests.gui.conftest import wait
 from tests.gui.test_details import click, drag, pixel
 from wavefocus.commands.gui import front_door
-from wavefocus.config.scene import load_scene, read_scene_tables
 
 NONE = Qt.KeyboardModifier.NoModifier
 LEFT = Qt.MouseButton.LeftButton

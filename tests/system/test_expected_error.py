@@ -17,9 +17,9 @@ from acquisition.schedule.plan import Plan
 from acquisition.schedule.trial import scheduled
 from acquisition.schedule.trial_verdict import Band, decibel_of_median, relative
 from calibration.estimator.expected_error import Noise, expected_error
+from config.rig_emulation import Emulation
 from drivers.protocols import Take
 from wavefocus.campaign.blueprint import blueprint_from_files
-from wavefocus.config.rig_emulation import Emulation
 from wavefocus.rig.compose import open_setup
 from wavefocus.rig.virtual_bench import virtual_rig
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from config.rig import RigConfig
 from drivers.errors import InstrumentError
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import TcpWire
 from mocks.wire.vibrometer_device import PolytecDevice
 from wavefocus.__main__ import run
-from wavefocus.config.rig import RigConfig
 from wavefocus.rig.instruments import openers
 
 RIG = """

@@ -13,6 +13,7 @@ from acquisition.engine.events import Event, PositionStarted, ReconnectTried, St
 from acquisition.engine.setup import Setup
 from acquisition.engine.stopping import StopRequest
 from calibration.rig.mirror_map import MirrorMap
+from config.run import Virtual
 from drivers.clock import WallClock
 from drivers.errors import InstrumentLostError
 from drivers.identity import DeviceIdentity
@@ -21,7 +22,6 @@ from storage.bank.creation import create_bank
 from storage.bank.writer import BankWriter
 from tests.wire.serial_bench import MirrorBench, mirror_bench
 from wavefocus.campaign.blueprint import blueprint_from_files
-from wavefocus.config.run import Virtual
 from wavefocus.rig.virtual_bench import virtual_rig
 
 

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from config.run import Virtual
 from storage.bank.reading import open_bank
 from tests.system.telling import Listener, capture
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.orders import give_order, orders_path
 from wavefocus.campaign.truth import compare_with_truth
-from wavefocus.config.run import Virtual
 from wavefocus.console import finish_clock
 from wavefocus.rig.virtual_bench import virtual_rig
 

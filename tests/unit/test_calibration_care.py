@@ -8,11 +8,11 @@ from datetime import timedelta
 import pytest
 
 from acquisition.engine.timeouts import bounded
+from config.rig import RigConfig, default_rig
 from drivers.identity import DeviceIdentity
 from mocks.settings import VirtualSettings
 from mocks.virtual_rig import VirtualRig
 from tests.unit.test_config_calibration import AT, measured
-from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.rig.calibration_care import calibrated_elsewhere, calibration_warnings, identities_of
 
 THERE = {role: DeviceIdentity("", role[0]) for role in ("mirror", "recorder", "player")}

@@ -12,9 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.identity import DeviceIdentity
-from storage.errors import InputError
-from wavefocus.config.calibration_file import (
+from config.calibration_file import (
     ActuatorMeasured,
     ActuatorsMeasured,
     CalibrationRecord,
@@ -24,10 +22,12 @@ from wavefocus.config.calibration_file import (
     OutputMeasured,
     OutputsMeasured,
 )
-from wavefocus.config.calibration_toml import write_calibration
-from wavefocus.config.loading import load_calibration, load_rig, plan_sha256
-from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.config.run import default_run
+from config.calibration_toml import write_calibration
+from config.loading import load_calibration, load_rig, plan_sha256
+from config.rig import RigConfig, default_rig
+from config.run import default_run
+from drivers.identity import DeviceIdentity
+from storage.errors import InputError
 from wavefocus.rig.virtual_bench import virtual_settings
 
 AT = datetime(2026, 11, 21, 22, 10, tzinfo=UTC)

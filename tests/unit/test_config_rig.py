@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from config.loading import load_rig
+from config.rig import RigConfig, default_rig
 from storage.errors import InputError
-from wavefocus.config.loading import load_rig
-from wavefocus.config.rig import RigConfig, default_rig
 
 
 def test_default_rig_has_20_actuators_on_the_rim_wired_in_order() -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from acquisition.quality.limits import QualityLimits
+from config.loading import check_together, configuration_from_json, load_run, plan_sha256
+from config.rig import RigConfig, default_rig
+from config.run import Quality, RunConfig, default_run
 from storage.errors import InputError
-from wavefocus.config.loading import check_together, configuration_from_json, load_run, plan_sha256
-from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.config.run import Quality, RunConfig, default_run
 
 POSITIONS = np.array([[0.0, 0.0], [4.0, 0.0]])
 

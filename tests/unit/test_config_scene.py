@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
+from config.scene import SceneConfig, load_scene
 from rendering.scene import paths, signals
 from rendering.scene.model import Output, Regularisation, Scene
 from rendering.scene.svg_path import SvgPath
 from rendering.scene.text_path import TextPath
 from storage.errors import InputError
-from wavefocus.config.scene import SceneConfig, load_scene
 
 POINT = "[[source]]\npath = { kind = 'point', at_mm = [1, 2] }\nsignal = { kind = 'impulse' }\n"
 MOVING = "[[source]]\nspeed_mm_s = 80\nstep_mm = 4\nsignal = { kind = 'impulse' }\n"

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from config.loading import load_rig, load_run
+from config.rig import RigConfig, default_rig
 from storage.errors import InputError
-from wavefocus.config.loading import load_rig, load_run
-from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.rig.instruments import open_rig, openers
 from wavefocus.rig.sensors import RoomSensor, watch_of
 

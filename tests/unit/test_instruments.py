@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import pytest
 
+from config.rig import RigConfig, default_rig
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Mirror, Recorder
-from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.rig.instruments import Openers, in_time, open_rig, openers
 
 REAL = {

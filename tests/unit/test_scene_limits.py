@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from config.scene import SceneConfig, read_scene
 from rendering.drive.inverse_filter import inverse_filter
 from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
@@ -28,7 +29,6 @@ from rendering.scene.scene_size import MOST_SECONDS, check_scene_size, scene_siz
 from rendering.scene.svg_commands import flatten
 from rendering.scene.svg_path import SvgPath
 from storage.errors import InputError
-from wavefocus.config.scene import SceneConfig, read_scene
 
 RATE_HZ = 1000.0
 LINE = '{ kind = "line", start_mm = [-12, 0], end_mm = [12, 0] }'

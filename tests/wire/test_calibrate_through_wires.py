@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from calibration.rig.mirror_map import MirrorMap
+from config.calibration_file import CalibrationRecord
 from mocks.chain import output_errors
 from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
-from wavefocus.config.calibration_file import CalibrationRecord
 
 pytestmark = pytest.mark.long
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from config.scene import load_scene
 from rendering.scene.scene_rows import scene_rows
 from storage.errors import InputError
-from wavefocus.config.scene import load_scene
 
 
 def needed_by(

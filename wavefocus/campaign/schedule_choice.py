@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from acquisition.durations import hours
 from acquisition.engine.events import ScheduleSettled
+from config.run import Capture, RunConfig
 from storage.bank.reading import open_bank
 from storage.errors import InputError
 from wavefocus.campaign.blueprint import Blueprint, bank_configuration, blueprint_of
-from wavefocus.config.run import Capture, RunConfig
 from wavefocus.console import say
 from wavefocus.rig.compose import open_setup
 

@@ -11,12 +11,12 @@ from pathlib import Path
 from acquisition.by_hand.level import LevelMeter
 from acquisition.calibration_procedures.operator import Operator
 from acquisition.engine.setup import Setup
+from config.calibration_file import PARTS, CalibrationRecord
+from config.calibration_naming import name_calibration
+from config.calibration_toml import write_calibration
+from config.loading import load_rig
 from drivers.errors import InstrumentError
 from storage.errors import InputError
-from wavefocus.config.calibration_file import PARTS, CalibrationRecord
-from wavefocus.config.calibration_naming import name_calibration
-from wavefocus.config.calibration_toml import write_calibration
-from wavefocus.config.loading import load_rig
 from wavefocus.console import say
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit

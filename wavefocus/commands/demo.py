@@ -15,6 +15,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from config.run import Virtual
 from storage.bank.reading import open_bank
 from storage.errors import InputError, WavefocusError
 from wavefocus.campaign.blueprint import bank_configuration
@@ -23,7 +24,6 @@ from wavefocus.commands import check, init, plan, status
 from wavefocus.commands import predict as prediction
 from wavefocus.commands import render as rendering
 from wavefocus.commands import verify as verification
-from wavefocus.config.run import Virtual
 from wavefocus.console import people, say
 from wavefocus.exits import Exit
 from wavefocus.render_options import RenderOptions

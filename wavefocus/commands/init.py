@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wavefocus.config.templates import write_templates
+from config.templates import write_templates
 from wavefocus.console import say
 
 

@@ -14,12 +14,12 @@ from acquisition.durations import hours
 from acquisition.engine.roles import names_of
 from acquisition.schedule.expectation import ASSUMED_SNR_DB, schedule_name
 from acquisition.schedule.plan import Plan
+from config.rig import RigConfig
+from config.run import RunConfig
 from storage.errors import InputError
 from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.campaign.comparison import compared
 from wavefocus.campaign.grid_advice import Waves, advice_lines, grid_advice, top_hz_of
-from wavefocus.config.rig import RigConfig
-from wavefocus.config.run import RunConfig
 from wavefocus.console import answer
 from wavefocus.rig.compose import open_setup
 
@@ -113,9 +113,9 @@ def _needed_by_scenes(
     """Positions that some scenes need, and the scenes; all positions where there is none."""
     if not files:
         return range(plan.positions), []
+    from config.scene import load_scene  # with them comes what renders
     from rendering.scene.scene_size import check_scene_size
     from wavefocus.campaign.scene_positions import needed_by
-    from wavefocus.config.scene import load_scene  # with them comes what renders
 
     scenes = []
     for file in files:

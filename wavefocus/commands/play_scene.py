@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from acquisition.durations import hours
 from acquisition.engine.timeouts import BoundedPlayer
+from config.rig import RigConfig
+from config.scene import load_scene
 from rendering.drive.streamed_drive import StreamedDrive
 from rendering.scene.model import Scene
 from rendering.wav.interface_rate import InterfaceRate
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
-from wavefocus.config.rig import RigConfig
-from wavefocus.config.scene import load_scene
 from wavefocus.console import progress, say
 from wavefocus.ended_by_input import ended_by_input
 from wavefocus.ending_at_once import ending_at_once

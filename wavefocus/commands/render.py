@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.schedule.grid import stadium_rim
+from config.rig import RigConfig
+from config.scene import load_scene
 from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
 from rendering.drive.inverse_filter import REGULARISATION_DB, InverseReport, inverse_filter
@@ -23,8 +25,6 @@ from storage.errors import InputError
 from storage.output_files import require_outputs, write_whole
 from storage.units import quantity
 from wavefocus.commands.render_stream import render_streamed, too_large
-from wavefocus.config.rig import RigConfig
-from wavefocus.config.scene import load_scene
 from wavefocus.console import progress, say
 from wavefocus.input_files import input_files
 from wavefocus.render_options import RenderOptions

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from config.rig import RigConfig
 from rendering.drive.streamed_drive import StreamedDrive
 from rendering.scene.model import Scene
 from rendering.scene.scene_size import check_scene_size, size_words
@@ -18,7 +19,6 @@ from storage.bank.reading import Bank
 from storage.drive_file import DriveAbout, drive_in_blocks
 from storage.errors import InputError
 from storage.units import quantity
-from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress, say
 from wavefocus.render_options import RenderOptions
 from wavefocus.rig.render_rig import DEFAULT_FULL_SCALE_V, DEFAULT_INTERFACE_RATE_HZ, interface_of, limited_words

@@ -15,6 +15,9 @@ from acquisition.engine.events import Event
 from acquisition.quality.point_status import median_snr_db
 from acquisition.quality.sentinel import DriftLimits
 from acquisition.schedule.grid import stadium_rim
+from config.loading import Configuration, load_rig
+from config.rig import RigConfig, default_rig
+from config.scene import load_scene
 from rendering.field.metrics import grid_spacing_mm
 from rendering.field.model import predict as predict_field
 from rendering.report.page import build_report
@@ -46,9 +49,6 @@ from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.drift_history import read_drift
 from wavefocus.campaign.positions import parse_positions
 from wavefocus.commands.render import rendered
-from wavefocus.config.loading import Configuration, load_rig
-from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.config.scene import load_scene
 from wavefocus.console import Report, progress, say
 from wavefocus.ended_by_file import ended_by_file
 from wavefocus.ending_at_once import ending_at_once

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime
 
+from config.calibration_file import PARTS
+from config.rig import RigConfig
 from drivers.identity import DeviceIdentity
 from drivers.protocols import Instruments
-from wavefocus.config.calibration_file import PARTS
-from wavefocus.config.rig import RigConfig
 
 ROLE_OF = {"inputs": "recorder", "outputs": "player", "mirror": "mirror", "actuators": "player"}
 """Whose device a part of a calibration belongs to."""

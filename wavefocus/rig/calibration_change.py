@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from config.plan_hash import plan_sha256
+from config.rig import RigConfig
 from drivers.protocols import Instruments
 from storage.bank.reading import open_bank
 from storage.errors import InputError
 from wavefocus.campaign.blueprint import Blueprint, bank_configuration
-from wavefocus.config.plan_hash import plan_sha256
-from wavefocus.config.rig import RigConfig
 from wavefocus.console import say
 from wavefocus.rig.calibration_care import calibrated_elsewhere, identities_of
 

@@ -14,9 +14,9 @@ from acquisition.calibration_procedures.marks import default_marks_mm
 from acquisition.calibration_procedures.mirror import fitted_marks
 from acquisition.schedule.grid import inside_stadium
 from calibration.rig.mirror_fit import LEAST_MARKS
+from config.calibration_file import PARTS
+from config.rig import RigConfig
 from storage.errors import InputError
-from wavefocus.config.calibration_file import PARTS
-from wavefocus.config.rig import RigConfig
 from wavefocus.rig.levels import safe_amplitude_v
 
 # The listening distance, as a share of the surface's width.

@@ -29,7 +29,7 @@ from acquisition.calibration_procedures.probe import NotMeasuredError, Probe
 from acquisition.engine.roles import names_of
 from acquisition.engine.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
-from wavefocus.config.calibration_file import (
+from config.calibration_file import (
     FORMAT,
     FORMAT_VERSION,
     PARTS,
@@ -42,8 +42,8 @@ from wavefocus.config.calibration_file import (
     OutputMeasured,
     OutputsMeasured,
 )
-from wavefocus.config.fields import Table
-from wavefocus.config.rig import RigConfig
+from config.fields import Table
+from config.rig import RigConfig
 from wavefocus.console import progress
 from wavefocus.rig.calibration_care import identities_of
 from wavefocus.rig.calibration_request import Request, amplitude_v, listening, marks

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from acquisition.engine.setup import Setup
 from acquisition.engine.timeouts import RECONNECTING, bounded
 from calibration.rig.mirror_map import MirrorMap
+from config.calibration_merge import calibrated
+from config.rig import RigConfig
+from config.run import RunConfig
 from drivers.errors import InstrumentError
 from drivers.protocols import OffersRanges
-from wavefocus.config.calibration_merge import calibrated
-from wavefocus.config.rig import RigConfig
-from wavefocus.config.run import RunConfig
 from wavefocus.console import say
 from wavefocus.rig.calibration_care import calibration_warnings, identities_of
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers

@@ -9,10 +9,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from acquisition.doctor.findings import Act, Finding, Findings
+from config.rig import RigConfig
 from drivers.identity import DeviceIdentity
 from rendering.inner_loops import inner_loops
 from storage.network_mount import is_network_mount
-from wavefocus.config.rig import RigConfig
 from wavefocus.rig.calibration_care import calibration_warnings
 
 PACKAGES = ("wavefocus", "numpy", "scipy", "h5py", "pydantic", "pyserial", "nidaqmx", "grpcio", "sounddevice", "pyusb")

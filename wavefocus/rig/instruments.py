@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, TypeVar
 from acquisition.engine.call_thread import HungError, Lane
 from acquisition.engine.timeouts import REMEDY
 from acquisition.quality.watch import Sensor
+from config.rig import RigConfig
+from config.rig_recorder import RecorderSection
+from config.run import Virtual
 from drivers.clock import WallClock
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder
 from wavefocus.address_space import require_address_space
-from wavefocus.config.rig import RigConfig
-from wavefocus.config.rig_recorder import RecorderSection
-from wavefocus.config.run import Virtual
 
 if TYPE_CHECKING:
     from drivers.daq.ni_channel import TlsFiles

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from wavefocus.config.rig import RigConfig
-from wavefocus.config.rig_player import PlayerSection
+from config.rig import RigConfig
+from config.rig_player import PlayerSection
 
 MOST_AMPLITUDE_V = 1.0
 # An output that puts out four times what the rig believes is still within the limit.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from acquisition.doctor.findings import Act, Finding
+from config.rig import RigConfig
 from storage.errors import InputError
-from wavefocus.config.rig import RigConfig
 from wavefocus.rig.messages import AppriseOutbox, addresses
 
 REMEDY = "correct the address, or look whether its server can be reached from here"

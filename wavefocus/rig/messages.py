@@ -16,9 +16,9 @@ from typing import Protocol
 
 from acquisition.durations import hours
 from acquisition.engine.events import Drift, Event, Fault, SessionEnded, State, StateChanged
+from config.rig_messages import MessagesSection
 from storage.errors import InputError
 from wavefocus.campaign.go_on import resume_line
-from wavefocus.config.rig_messages import MessagesSection
 from wavefocus.console import say
 
 ADDRESSES_VARIABLE = "WAVEFOCUS_MESSAGES"

@@ -16,9 +16,9 @@ from acquisition.by_hand.single_sweep import SingleSweeps, SweepOrder, SweepResu
 from acquisition.engine.roles import asking, instrument_of, names_of, silence
 from acquisition.engine.setup import Setup
 from acquisition.quality.watch import Sensor
+from config.rig import RigConfig
 from drivers.errors import InstrumentError, TransientInstrumentError
 from storage.errors import InputError
-from wavefocus.config.rig import RigConfig
 from wavefocus.rig.levels import safe_amplitude_v
 from wavefocus.rig.operation_orders import (
     BAND_HZ,

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from acquisition.by_hand.single_sweep import SweepOrder, excitation_of
+from config.rig import RigConfig
 from storage.errors import InputError
-from wavefocus.config.rig import RigConfig
 from wavefocus.plain_text import one_line
 from wavefocus.rig.levels import largest_sine_v, safe_amplitude_v
 

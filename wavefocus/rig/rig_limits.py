@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from config.rig_player import PlayerSection
 from rendering.drive.coil_limits import DriveLimits, largest_rms
 from rendering.scene.model import Output
 from storage.drive_file import Drive
 from storage.errors import InputError
-from wavefocus.config.rig_player import PlayerSection
 
 PLAYED_UNITS = ("V", "1")
 """Units of drives that are played as volts; 1 is that of a bank that knows no other."""

@@ -6,10 +6,10 @@ from typing import Protocol
 
 from acquisition.engine.call_thread import HungError, Lane
 from acquisition.quality.watch import Band, Sensor, Watch
+from config.rig import RigConfig
+from config.rig_recorder import VibrometerSection
+from config.rig_watch import RoomSection
 from drivers.errors import InstrumentError
-from wavefocus.config.rig import RigConfig
-from wavefocus.config.rig_recorder import VibrometerSection
-from wavefocus.config.rig_watch import RoomSection
 from wavefocus.rig.instruments import OpenedRig
 
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from acquisition.engine.timeouts import BoundedPlayer
+from config.rig import RigConfig
 from drivers.protocols import Clock
-from wavefocus.config.rig import RigConfig
 from wavefocus.console import say
 from wavefocus.rig.instruments import openers
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from config.rig import RigConfig
+from config.rig_emulation import Emulation, strength
+from config.run import Virtual
 from mocks.chain import output_errors
 from mocks.faults import Fault
 from mocks.geometry import MirrorGeometry
 from mocks.settings import VirtualSettings
 from mocks.virtual_rig import VirtualRig
-from wavefocus.config.rig import RigConfig
-from wavefocus.config.rig_emulation import Emulation, strength
-from wavefocus.config.run import Virtual
 
 
 def virtual_rig(rig: RigConfig, virtual: Virtual | None = None) -> VirtualRig:

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from acquisition.schedule.grid import inside_stadium, stadium_rim
-from wavefocus.config.calibration_merge import with_calibration
-from wavefocus.config.fields import PointMm, Positive, Table, Text, mistake
-from wavefocus.config.rig_care import CalibrationSection, RecoverySection, UsbDevice
-from wavefocus.config.rig_emulation import Emulation
-from wavefocus.config.rig_messages import MessagesSection
-from wavefocus.config.rig_mirror import MirrorSection
-from wavefocus.config.rig_player import PlayerSection
-from wavefocus.config.rig_recorder import RecorderSection, VibrometerSection
-from wavefocus.config.rig_watch import WatchSection
+from config.calibration_merge import with_calibration
+from config.fields import PointMm, Positive, Table, Text, mistake
+from config.rig_care import CalibrationSection, RecoverySection, UsbDevice
+from config.rig_emulation import Emulation
+from config.rig_messages import MessagesSection
+from config.rig_mirror import MirrorSection
+from config.rig_player import PlayerSection
+from config.rig_recorder import RecorderSection, VibrometerSection
+from config.rig_watch import WatchSection
 
 DEFAULT_ACTUATORS = 20
 DEFAULT_INSET_MM = 6.0

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from calibration.rig.mirror_map import MirrorMap
-from wavefocus.config.driver_keys import check_driver_keys, with_driver_defaults
-from wavefocus.config.fields import Finite, NonNegative, Positive, Table, Text, Whole, like, mistake
+from config.driver_keys import check_driver_keys, with_driver_defaults
+from config.fields import Finite, NonNegative, Positive, Table, Text, Whole, like, mistake
 
 MirrorDriver = Literal["virtual", "asi-tiger", "mirrorcle-mti", "generic", "optotune-mre2"]
 

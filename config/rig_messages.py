@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from wavefocus.config.fields import NonNegative, Table, Text
+from config.fields import NonNegative, Table, Text
 
 About = Literal["finished", "failed", "stopped", "suspended", "drift"]
 ABOUT: tuple[About, ...] = ("finished", "failed", "suspended", "drift")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from wavefocus.config.fields import mistake
-from wavefocus.config.mistakes import shown
+from config.fields import mistake
+from config.mistakes import shown
 
 
 class _Driven(Protocol):

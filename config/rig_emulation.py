@@ -6,8 +6,8 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from wavefocus.config.fields import Finite, NonNegative, Table, Text, Whole, mistake
-from wavefocus.config.rig_mirror import Matrix
+from config.fields import Finite, NonNegative, Table, Text, Whole, mistake
+from config.rig_mirror import Matrix
 
 Actuator = Annotated[Whole, Field(ge=0, le=1023)]
 

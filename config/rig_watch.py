@@ -9,8 +9,8 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from acquisition.quality.watch import Band
-from wavefocus.config.fields import Finite, NonNegative, Positive, Table, mistake
-from wavefocus.config.rig_recorder import AnalogInput
+from config.fields import Finite, NonNegative, Positive, Table, mistake
+from config.rig_recorder import AnalogInput
 
 # Without thresholds of its own a condition must come back by this share of its limit.
 INSIDE = 0.1

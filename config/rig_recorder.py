@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from wavefocus.config.driver_keys import check_driver_keys, with_driver_defaults
-from wavefocus.config.fields import Finite, NonNegative, Positive, Table, Text, Whole, like, mistake
-from wavefocus.config.rig_mirror import check_port
+from config.driver_keys import check_driver_keys, with_driver_defaults
+from config.fields import Finite, NonNegative, Positive, Table, Text, Whole, like, mistake
+from config.rig_mirror import check_port
 
 RecorderDriver = Literal["virtual", "nidaqmx"]
 Terminal = Literal["differential", "rse", "nrse", "pseudodifferential"]

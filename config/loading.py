@@ -14,12 +14,12 @@ from pydantic import BaseModel, ValidationError
 
 from acquisition.schedule.grid import read_positions_file, stadium_grid
 from acquisition.text_file import read_text
+from config.calibration_file import FORMAT, FORMAT_VERSION, CalibrationRecord
+from config.mistakes import one_line, printable, shown
+from config.plan_hash import plan_sha256
+from config.rig import RigConfig, default_rig
+from config.run import FaultFile, RunConfig
 from storage.errors import InputError
-from wavefocus.config.calibration_file import FORMAT, FORMAT_VERSION, CalibrationRecord
-from wavefocus.config.mistakes import one_line, printable, shown
-from wavefocus.config.plan_hash import plan_sha256
-from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.config.run import FaultFile, RunConfig
 
 Model = TypeVar("Model", bound=BaseModel)
 

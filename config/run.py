@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from wavefocus.config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, mistake
+from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, mistake
 
 STAGGER_OVER_RESPONSE = 1.2
 """Staggered responses come apart when each is over before the next begins; measured for this design."""

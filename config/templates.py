@@ -6,9 +6,9 @@ import os
 from importlib.resources import files
 from pathlib import Path
 
+from config.mistakes import printable
 from storage.errors import InputError
 from storage.output_files import new_file
-from wavefocus.config.mistakes import printable
 
 
 def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:

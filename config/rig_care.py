@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from wavefocus.config.calibration_file import CalibrationRecord
-from wavefocus.config.fields import NonNegative, Positive, Table, Text, Whole
+from config.calibration_file import CalibrationRecord
+from config.fields import NonNegative, Positive, Table, Text, Whole
 
 
 class CalibrationSection(Table):

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 
+from config.calibration_file import CalibrationRecord
+from config.mistakes import printable
 from storage.errors import InputError
 from storage.output_files import new_file
-from wavefocus.config.calibration_file import CalibrationRecord
-from wavefocus.config.mistakes import printable
 
 HEAD = """\
 # Measured by wavefocus calibrate; named in rig.toml by [calibration] file, and stronger than what stands there.

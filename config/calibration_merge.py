@@ -6,8 +6,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from wavefocus.config.calibration_file import CalibrationRecord
-from wavefocus.config.fields import mistake
+from config.calibration_file import CalibrationRecord
+from config.fields import mistake
 
 
 def with_calibration(data: dict[str, Any]) -> dict[str, Any]:

@@ -7,12 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from rendering.scene import paths, signals
-from rendering.scene.model import Output, Regularisation, Scene, Source
-from rendering.scene.svg_path import SvgPath
-from rendering.scene.text_path import TextPath
-from storage.errors import InputError
-from wavefocus.config.fields import (
+from config.fields import (
     Finite,
     NonNegative,
     PointMm,
@@ -23,8 +18,13 @@ from wavefocus.config.fields import (
     Whole,
     mistake,
 )
-from wavefocus.config.loading import named_file, parse_toml, read_toml, validated
-from wavefocus.config.mistakes import printable
+from config.loading import named_file, parse_toml, read_toml, validated
+from config.mistakes import printable
+from rendering.scene import paths, signals
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.svg_path import SvgPath
+from rendering.scene.text_path import TextPath
+from storage.errors import InputError
 
 
 class SceneTable(Table):

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, Field, model_validator
 
+from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
+from config.rig_mirror import Matrix
 from drivers.identity import DeviceIdentity
-from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
-from wavefocus.config.rig_mirror import Matrix
 
 FORMAT = "wavefocus-calibration"
 FORMAT_VERSION = 1

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.config.rig import RigConfig
-from wavefocus.config.run import RunConfig, Virtual
+from config.rig import RigConfig
+from config.run import RunConfig, Virtual
 
 
 def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> str:
