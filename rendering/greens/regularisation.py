@@ -29,7 +29,7 @@ def rms_map(bank: GreenSource) -> Float64Array:
     Parameters
     ----------
     bank : GreenSource
-        Read once, row by row.
+        Rows whose rms is not stored with the bank (`storage.bank.reading.Bank.rms`) are read, one by one.
 
     Returns
     -------
@@ -42,7 +42,11 @@ def rms_map(bank: GreenSource) -> Float64Array:
         A row in use holds NaN or infinity.
     """
     rms = np.full((bank.positions, bank.actuators), np.nan)
-    for position in np.flatnonzero(usable(bank)):
+    in_use = usable(bank)
+    stored = getattr(bank, "rms", None)
+    if stored is not None:
+        rms[in_use] = stored[in_use]
+    for position in np.flatnonzero(in_use & np.isnan(rms).all(axis=1)):
         row = read_row(bank, int(position))
         if not row.silent:
             rms[position] = np.ldexp(_rms(row), row.exponent)
@@ -57,7 +61,7 @@ def saturation_threshold(regularisation: Regularisation, bank: GreenSource) -> f
     regularisation : Regularisation
         Saturation as a fraction of the median rms over all measured positions and all actuators, or absolute.
     bank : GreenSource
-        Read in full only where saturation is a fraction.
+        As of `rms_map`, where saturation is a fraction.
 
     Returns
     -------

@@ -30,6 +30,7 @@ class ForeignFacts(TypedDict):
     time_s: Float64Array
     band_hz: tuple[float, float] | None
     quality: dict[str, Float32Array]
+    rms: Float64Array
     response_unit: str
     drive_unit: str
     rig_json: str | None
@@ -127,6 +128,7 @@ def read_foreign(file: h5py.File, path: Path) -> tuple[ForeignFacts, ForeignRows
         time_s=time_s,
         band_hz=_band(file, path, rate),
         quality=_quality(file, path, positions, actuators),
+        rms=np.full((positions, actuators), np.nan),
         response_unit=hdf5_safety.text(file, "response_unit", path) or "m/s/V",
         drive_unit=hdf5_safety.text(file, "drive_unit", path) or "V",
         rig_json=hdf5_safety.text(file, "rig", path),

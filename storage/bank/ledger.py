@@ -95,13 +95,19 @@ def ledger_dtype(actuators: int) -> np.dtype[np.void]:
         {
             "names": [
                 "magic", "crc", "version", "position", "actuators", "taps",
-                "status", "attempts", "green_crc", "moved", "reference", "quality",
+                "status", "attempts", "green_crc", "moved", "reference", "quality", "rms",
             ],
-            "formats": ["S8", "<u4", "<u4", "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u2", "<u2", ("<f4", (4,
-            actuators))], "offsets": [0, 8, 12, 16, 24, 28, 32, 36, 40, 44, 46, _QUALITY_AT], "itemsize":
-            ledger_row_bytes(actuators),
+            "formats": ["S8", "<u4", "<u4", "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u2", "<u2",
+                        ("<f4", (4, actuators)), ("<f8", (_rms_figures(actuators),))],
+            "offsets": [0, 8, 12, 16, 24, 28, 32, 36, 40, 44, 46, _QUALITY_AT, _QUALITY_AT + 16 * actuators],
+            "itemsize": ledger_row_bytes(actuators),
         }
     )  # fmt: skip
+
+
+def _rms_figures(actuators: int) -> int:
+    """Number of rms figures in a ledger row: all actuators, or none where the row has no room for them."""
+    return actuators if _QUALITY_AT + 24 * actuators <= ledger_row_bytes(actuators) else 0
 
 
 def encode_row(position: int, record: PointRecord, green: Float32Array) -> bytes:
@@ -120,6 +126,7 @@ def encode_row(position: int, record: PointRecord, green: Float32Array) -> bytes
     row["green_crc"] = zlib.crc32(green.astype("<f4", copy=False).data)
     for index, name in enumerate(_PER_ACTUATOR):
         row["quality"][index] = getattr(record, name)
+    row["rms"] = np.sqrt(np.square(green, dtype=np.float64).mean(axis=1))[: _rms_figures(actuators)]
     return sealed(bytearray(row.tobytes()))
 
 
@@ -139,6 +146,9 @@ class Ledger:
         Status bits, 0 where the row does not hold.
     quality : dict of float32 arrays
         As ``/quality``: (P, N); ``attempts``, ``moved_mm`` and ``reference_db`` (P,).
+    rms : float64 array (P, N)
+        Root mean square over the taps of each Green's function; NaN where the row does not hold, is silent, or was
+        written by an older version.
     """
 
     holds: NDArray[np.bool_]
@@ -146,6 +156,7 @@ class Ledger:
     green_crc: NDArray[np.uint32]
     status: NDArray[np.uint8]
     quality: dict[str, Float32Array]
+    rms: NDArray[np.float64]
 
     @property
     def damaged(self) -> NDArray[np.bool_]:
@@ -162,12 +173,16 @@ def decode_rows(content: bytes | bytearray | memoryview, actuators: int, taps: i
     holds = whole & (rows["magic"] == _LEDGER_MAGIC) & (rows["version"] == 1)
     holds &= (rows["position"] == first + np.arange(len(rows))) & (rows["actuators"] == actuators)
     holds &= (rows["taps"] == taps) & (rows["status"] >= 1) & (rows["status"] <= _ALL_BITS)
+    rms = np.full((len(rows), actuators), np.nan)
+    stored = holds & rows["rms"].any(axis=1)
+    rms[:, : rows["rms"].shape[1]] = np.where(stored[:, None], rows["rms"], np.nan)
     return Ledger(
         holds=holds,
         empty=np.asarray(np.frombuffer(content, np.uint64).reshape(len(rows), -1).max(axis=1) == 0),
         green_crc=np.where(holds, rows["green_crc"], 0).astype(np.uint32),
         status=np.where(holds, rows["status"], 0).astype(np.uint8),
         quality=_quality_of(rows, holds),
+        rms=rms,
     )
 
 

@@ -79,6 +79,9 @@ class Bank(Closing):
     quality : dict of float32 arrays
         ``snr_db``, ``residual_db``, ``coherence``, ``peak_v`` (P, N) and ``attempts`` (P,); NaN (attempts
         0) where the file does not say.
+    rms : array (P, N)
+        Root mean square over the taps of each Green's function, float64, as computed when the position was committed
+        and covered by its checksum; NaN in rows that are not measured or silent, of an older version, or foreign.
     response_unit, drive_unit : str
         Units; g is in response units per drive unit. ``"m/s/V"`` and ``"V"`` when the file does not say.
     rig_json, run_json, plan_sha256, software : str or None
@@ -95,6 +98,7 @@ class Bank(Closing):
     time_s: Float64Array
     band_hz: tuple[float, float] | None
     quality: dict[str, Float32Array]
+    rms: Float64Array
     response_unit: str
     drive_unit: str
     rig_json: str | None
@@ -225,6 +229,7 @@ def open_bank(path: str | Path) -> Bank:
         time_s=np.arange(header.taps) / header.sample_rate_hz,
         band_hz=header.band_hz,
         quality=rows.ledger.quality,
+        rms=rows.ledger.rms,
         response_unit=header.response_unit,
         drive_unit=header.drive_unit,
         rig_json=header.rig_json,

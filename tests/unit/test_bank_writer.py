@@ -10,6 +10,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calibration.check.bank import check_bank
+from rendering.greens.regularisation import rms_map
 from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
@@ -565,6 +567,64 @@ def test_plain_h5py_during_a_run_then_reads_status_and_quality(tmp_path: Path) -
                 assert np.array_equal(file["green"][position], green_of(position))
             with open_bank(path) as bank:
                 assert np.array_equal(bank.green(position), green_of(position))
+
+
+# --- stored rms -----------------------------------------------------------------------------------------
+
+
+def _true_rms(positions: list[int]) -> np.ndarray:
+    green = np.array([green_of(position) for position in positions], np.float64)
+    return np.sqrt(np.mean(green**2, axis=2))
+
+
+def test_the_rms_of_each_committed_position_is_stored_and_a_silent_or_new_one_has_none(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    create_bank(path, header())
+    with BankWriter.open(path) as writer:
+        for position in (0, 1):
+            writer.commit(position, green_of(position), record_of(position))
+        writer.commit(1, green_of(1, attempt=2), record_of(1, attempt=2))
+        writer.commit(1, green_of(1), record_of(1))
+        writer.set_status(1, 5)
+        writer.commit(2, np.zeros((2, 16), np.float32), record_of(2, status=8))
+    with open_bank(path) as bank:
+        np.testing.assert_allclose(bank.rms[:2], _true_rms([0, 1]), rtol=1e-14)
+        assert np.isnan(bank.rms[2:]).all()
+
+
+def test_a_row_without_room_for_its_rms_is_read_by_who_needs_it(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    create_bank(path, header(1, 200, 3))
+    with BankWriter.open(path) as writer:
+        writer.commit(0, green_of(0, 1, 200, 3), record_of(0, 1, 200))
+    with open_bank(path) as bank:
+        assert np.isnan(bank.rms).all()
+        expected = np.sqrt(np.mean(green_of(0, 1, 200, 3).astype(np.float64) ** 2, axis=1))
+        np.testing.assert_allclose(rms_map(bank)[0], expected, rtol=1e-14)
+
+
+def _without_stored_rms(path: Path, position: int) -> None:
+    """Write a ledger row as versions before the stored rms did."""
+    with h5py.File(path, "r") as file:
+        offset = file["durability/ledger"].id.get_offset() + 4096 * position
+    content = bytearray(path.read_bytes())
+    page = content[offset : offset + 4096]
+    page[48 + 16 * 2 :] = bytes(4096 - 48 - 16 * 2)
+    page[8:12] = zlib.crc32(page[12:], zlib.crc32(page[:8])).to_bytes(4, "little")
+    content[offset : offset + 4096] = page
+    path.write_bytes(content)
+
+
+def test_only_rows_of_an_older_version_are_read_for_the_rms_of_a_bank(tmp_path: Path) -> None:
+    path = measured(tmp_path / "bank.h5")
+    _without_stored_rms(path, 2)
+    with open_bank(path) as bank:
+        assert np.isnan(bank.rms).all(axis=1).tolist() == [False, False, True, False]
+        np.testing.assert_allclose(rms_map(bank), _true_rms([0, 1, 2, 3]), rtol=1e-12)
+    with h5py.File(path, "r+", locking=False) as file:
+        file["green"][0] = 0  # a row that no scene visits
+    with open_bank(path) as bank:
+        np.testing.assert_allclose(rms_map(bank), _true_rms([0, 1, 2, 3]), rtol=1e-12)
 
 
 # --- figures that came later ----------------------------------------------------------------------------
