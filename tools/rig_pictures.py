@@ -57,12 +57,12 @@ def take(out: Path, rig: Path) -> None:
 
     from gui.rig.tab import RigTab
     from gui.shell.application import make_application
-    from gui.shell.memory import Memory
+    from gui.shell.settings import Settings
     from gui.shell.window import Window
     from wavefocus.commands.gui import front_door
 
     application = make_application()
-    memory = Memory(QSettings(str(rig.with_name("memory.ini")), QSettings.Format.IniFormat))
+    memory = Settings(QSettings(str(rig.with_name("memory.ini")), QSettings.Format.IniFormat))
     window = Window(front_door(), memory)
     window.resize(*SIZE)
     window.open_file(rig)

@@ -101,13 +101,13 @@ def take(out: Path, run_file: Path, what: str) -> None:
 
     from gui.campaign.tab import CampaignTab
     from gui.shell.application import make_application
-    from gui.shell.memory import Memory
+    from gui.shell.settings import Settings
     from gui.shell.window import Window
     from wavefocus.commands.gui import front_door
 
     application = make_application()
     settings = QSettings(str(run_file.with_name("memory.ini")), QSettings.Format.IniFormat)
-    window = Window(front_door(), Memory(settings))
+    window = Window(front_door(), Settings(settings))
     tab = window.tabs[0]
     assert isinstance(tab, CampaignTab)
     bank = run_file.with_name("plate.h5")
@@ -134,13 +134,13 @@ def take(out: Path, run_file: Path, what: str) -> None:
         tab.map_panel.map.show_position(100)
         until(lambda: tab.position_panel.greens is not None)
         keep("running")
-        tab.run.closing()
+        tab.run.closing_question()
         window.close()
         keep("closing")
-        window.messages.put_away()
+        window.messages.dismiss()
         until(lambda: tab.run.own is None)
     until(lambda: tab.campaign.surface is not None and tab.campaign.measured == tab.campaign.surface.positions)
-    window.messages.put_away()
+    window.messages.dismiss()
     tab.map_panel.map.show_position(71 if what == "over" else 100)
     tab.map_panel.map.select([60, 71])
     tab.events.weight.setCurrentIndex(2)
@@ -172,7 +172,7 @@ def verify(
     until(tab.row.start.isEnabled)
     tab.row.start.trigger()
     until(lambda: tab.results is not None)
-    window.messages.put_away()
+    window.messages.dismiss()
     for shown, (theme, name) in enumerate(looks):
         window.choose_theme(theme)
         tab.maps.third.setCurrentIndex(shown)
@@ -190,7 +190,7 @@ def draw(
     window.open_file(run_file.with_name("scene.toml"))
     tab.document.use_bank(run_file.with_name("plate.h5"))
     until(lambda: tab.live.idle and tab.results.complete)
-    window.messages.put_away()
+    window.messages.dismiss()
     for theme, name in looks:
         window.choose_theme(theme)
         keep(f"scene-{name}")

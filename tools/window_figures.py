@@ -39,12 +39,12 @@ UP_CODE = """
 import sys, time
 from wavefocus.commands.gui import front_door
 from gui.shell.application import make_application
-from gui.shell.memory import Memory
+from gui.shell.settings import Settings
 from gui.shell.window import Window
 from PyQt5.QtCore import QSettings
 from pathlib import Path
 application = make_application()
-window = Window(front_door(), Memory(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
+window = Window(front_door(), Settings(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
 window.open_file(Path(sys.argv[1]))
 window.show()
 application.processEvents()
@@ -136,12 +136,12 @@ def drawing(bank: Path, seconds: float) -> list[tuple[str, str, str]]:
     from PyQt5.QtCore import QSettings, QTimer
 
     from gui.shell.application import make_application
-    from gui.shell.memory import Memory
+    from gui.shell.settings import Settings
     from gui.shell.window import Window
     from wavefocus.commands.gui import front_door
 
     application = make_application()
-    window = Window(front_door(), Memory(QSettings(str(bank.with_name("memory.ini")), QSettings.Format.IniFormat)))
+    window = Window(front_door(), Settings(QSettings(str(bank.with_name("memory.ini")), QSettings.Format.IniFormat)))
     window.resize(1280, 800)
     window.open_file(bank)
     window.show()
@@ -258,7 +258,7 @@ def _position(number: int) -> list[str]:
 def _resident_bytes() -> int:
     import gc
 
-    gc.collect()
+    gc.poll()
     for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith("VmRSS"):
             return int(line.split()[1]) * 1024

@@ -14,9 +14,8 @@ from acquisition.durations import hours
 from gui.campaign.follower import same_file
 from gui.process.command_process import Answer, Errand
 from gui.process.own_run import OwnRun
-from gui.shell.desk import Desk, sentence_of
-from gui.shell.long_text import show_text
-from gui.shell.tab import Question
+from gui.shell.tab import Question, TabContext, error_text
+from gui.shell.widgets import show_text
 
 _STOPPED = 130
 _LISTENS_EVERY_S = 0.5
@@ -27,14 +26,14 @@ class CampaignRun:
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Starts commands and tells sentences.
     owner : QWidget
         Owns actions and dialogs.
     """
 
-    def __init__(self, desk: Desk, owner: QWidget) -> None:
-        self._desk = desk
+    def __init__(self, context: TabContext, owner: QWidget) -> None:
+        self._context = context
         self._owner = owner
         self.own: OwnRun | None = None
         self._errand: Errand | None = None
@@ -52,7 +51,7 @@ class CampaignRun:
     def start(self, arguments: Sequence[str], bank: Path, *, virtual: bool = False) -> None:
         """Start a capture in a process of its own, unless one of the window's own is running."""
         if self.own is not None and self.own.alive:
-            self._desk.messages.warn(f"this window's capture of {self.own.subject} is still running; stop it first")
+            self._context.messages.warn(f"this window's capture of {self.own.subject} is still running; stop it first")
             return
         extra = []
         for action, option in (
@@ -64,9 +63,9 @@ class CampaignRun:
                 action.setChecked(False)
         self._arguments, self._virtual = tuple(arguments), virtual
         try:
-            self.own = OwnRun(self._desk.front, [*arguments, *extra], bank, self._desk.front.said_path(bank))
+            self.own = OwnRun(self._context.front, [*arguments, *extra], bank, self._context.front.said_path(bank))
         except OSError as failure:
-            self._desk.messages.fault(f"the capture cannot be started: {sentence_of(failure)}")
+            self._context.messages.fault(f"the capture cannot be started: {error_text(failure)}")
 
     def order(self, word: str, bank: Path | None, done: Callable[[], object] | None = None) -> None:
         """Give an order to whichever process owns the bank; `done` is called when it was heard."""
@@ -76,14 +75,14 @@ class CampaignRun:
         def answered(answer: Answer) -> None:
             self._errand = None
             if answer.code != 0:
-                self._desk.messages.fault(answer.sentence or f"{word} was not carried out")
+                self._context.messages.fault(answer.sentence or f"{word} was not carried out")
                 return
-            self._desk.messages.note(answer.sentence)
+            self._context.messages.note(answer.sentence)
             if done is not None:
                 done()
 
-        self._desk.messages.warn(f"{word}: waiting for the capture to hear it…", ("Wait no longer", self._cancel))
-        self._errand = self._desk.run([word, str(bank), "--json"], answered)
+        self._context.messages.warn(f"{word}: waiting for the capture to hear it…", ("Wait no longer", self._cancel))
+        self._errand = self._context.run([word, str(bank), "--json"], answered)
 
     def plan(self, run_file: Path) -> None:
         """Dry run: tell what the plan takes."""
@@ -91,7 +90,7 @@ class CampaignRun:
         def answered(answer: Answer) -> None:
             self._errand = None
             if answer.code != 0:
-                self._desk.messages.fault(answer.sentence or "the dry run was ended")
+                self._context.messages.fault(answer.sentence or "the dry run was ended")
                 return
             facts = json.loads(answer.out)
             everything = "\n".join(facts["lines"])
@@ -100,12 +99,12 @@ class CampaignRun:
                 f"{facts['positions']} positions, {facts['actuators']} actuators, {hours(facts['duration_s'])}, "
                 f"finished {finish:%a %d %b %H:%M}; bank {facts['bank_bytes'] / 1e6:.0f} MB"
             )
-            self._desk.messages.warn(
+            self._context.messages.warn(
                 f"{run_file.name}: {main}", ("Everything", lambda: show_text("Dry run", everything, self._owner))
             )
 
-        self._desk.messages.warn(f"dry run of {run_file.name}…", ("Cancel", self._cancel))
-        self._errand = self._desk.run(["plan", str(run_file), "--json"], answered)
+        self._context.messages.warn(f"dry run of {run_file.name}…", ("Cancel", self._cancel))
+        self._errand = self._context.run(["plan", str(run_file), "--json"], answered)
 
     def look(self) -> None:
         """Tell when the own run has ended, and how."""
@@ -115,16 +114,16 @@ class CampaignRun:
         self.own = None
         ending = own.ending()
         if not ending:
-            self._desk.messages.note(own.last_said() or "the capture is done")
+            self._context.messages.note(own.last_said() or "the capture is done")
         elif own.exit_code == _STOPPED:
-            self._desk.messages.note("stopped; nothing measured is lost, Resume goes on")
+            self._context.messages.note("stopped; nothing measured is lost, Resume goes on")
         elif "--accept-drift" in ending:
             again = [*self._arguments, "--accept-drift"]
-            self._desk.messages.fault(
+            self._context.messages.fault(
                 ending, ("Go on all the same", lambda: self.start(again, own.subject, virtual=self._virtual))
             )
         else:
-            self._desk.messages.fault(ending)
+            self._context.messages.fault(ending)
 
     def held(self) -> str:
         """What the own run has the instruments for: the beginning of a sentence; empty where it has none."""
@@ -145,7 +144,7 @@ class CampaignRun:
             self._said = self.own.last_said()
         return self._said
 
-    def closing(self) -> Question | None:
+    def closing_question(self) -> Question | None:
         """What is to become of the own run; None when there is none."""
         if self.own is None or not self.own.alive:
             return None

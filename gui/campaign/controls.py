@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from PyQt5.QtWidgets import QAction, QHBoxLayout, QToolButton, QWidget
 
 from gui.campaign.standing import Order
-from gui.shell.actions import make_action, make_button
+from gui.shell.widgets import make_action, make_button
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,7 +163,7 @@ class EventList(QWidget):
         if time.monotonic() >= self._count_due_s:
             self._tell_count()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours and the text's size."""
         self.lines.theme = theme
         line = self.fontMetrics().height()

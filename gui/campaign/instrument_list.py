@@ -62,7 +62,7 @@ class InstrumentList(QWidget):
                     item.setForeground(QColor(colours[instrument.state]))
                 self.table.setItem(row, column, item)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours and the text's size."""
         self._theme = theme
         self._seen = -1

@@ -55,7 +55,7 @@ class Legend(QWidget):
         self._bar.show_range(title, unit, low, high, beyond)
         self._stack.setCurrentWidget(self._bar)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
         for look, swatch, _ in self._swatches:

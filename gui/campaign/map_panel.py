@@ -65,10 +65,10 @@ class MapPanel(QWidget):
             self._seen["map"] = seen["map"]
             self._redraw()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
-        self.map.dress(theme)
-        self.legend.dress(theme)
+        self.map.apply_theme(theme)
+        self.legend.apply_theme(theme)
         self._redraw()
 
     def _redraw(self) -> None:

@@ -161,10 +161,10 @@ class DriftPlot(QWidget):
             plot.getPlotItem().getAxis("left").setWidth(96)
             column.addWidget(plot)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         for plot in self.plots:
-            plot.dress(theme)
+            plot.apply_theme(theme)
 
     def show_drift(self, points: Sequence[DriftPoint]) -> None:
         """Draw the history."""

@@ -28,7 +28,7 @@ from PyQt5.QtWidgets import (
 from gui.campaign.model import Attempt, Campaign
 from gui.campaign.plots import DriftPlot, GreenPlot, Greens, RecordingPlot, SpectrumPlot
 from gui.campaign.statuses import status_text
-from gui.shell.desk import Desk
+from gui.shell.tab import TabContext
 from gui.shell.theme import Theme
 
 if TYPE_CHECKING:
@@ -45,11 +45,11 @@ Raw = tuple["Recordings | None", float]
 class PositionPanel(QTabWidget):
     """Shows one position; what it needs from the disk is read in the background."""
 
-    def __init__(self, desk: Desk, campaign: Campaign) -> None:
+    def __init__(self, context: TabContext, campaign: Campaign) -> None:
         super().__init__()
         self.setDocumentMode(True)
         self.setAccessibleName("Details of the position")
-        self._desk = desk
+        self._context = context
         self._campaign = campaign
         self.position = -1
         self.greens: Greens | None = None
@@ -98,7 +98,9 @@ class PositionPanel(QTabWidget):
             self._clear()
             return
         path = surface.bank
-        self._desk.background.ask("position", lambda: _read(path, position), self._show, self._desk.tell_failure)
+        self._context.background.ask(
+            "position", lambda: _read(path, position), self._show, self._context.report_failure
+        )
         self._read_recordings()
         self._fill_attempts()
 
@@ -126,10 +128,10 @@ class PositionPanel(QTabWidget):
         if before.get("drift") != seen["drift"]:
             self.drift_plot.show_drift(self._campaign.drift)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         for plot in (self.green_plot, self.spectrum_plot, self.recording_plot, self.drift_plot):
-            plot.dress(theme)
+            plot.apply_theme(theme)
         self.drift_plot.show_drift(self._campaign.drift)
         self._draw_plots()
         self._draw_recording()
@@ -164,11 +166,11 @@ class PositionPanel(QTabWidget):
         surface = self._campaign.surface
         if surface is None or self.position < 0 or self.currentWidget() is not self.recording_plot.parentWidget():
             return
-        path, position = self._desk.front.raw_path(surface.bank), self.position
+        path, position = self._context.front.raw_path(surface.bank), self.position
         if not path.exists():
             self._say_raw(f"no recordings were kept: there is no {path.name} (run.toml: capture.keep_raw = true)")
             return
-        self._desk.background.ask(
+        self._context.background.ask(
             "recordings", lambda: _read_raw(path, position), self._show_raw, lambda failure: self._say_raw(str(failure))
         )
 

@@ -9,8 +9,8 @@ from PyQt5.QtWidgets import QGridLayout, QLabel, QProgressBar, QSizePolicy, QWid
 from acquisition.engine.events import State
 from gui.campaign.model import Pace
 from gui.campaign.standing import Extra, Standing
-from gui.shell.progress import Badge, finish_words, put
 from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import Badge, finish_words, put
 
 _TROUBLED = (State.FAILED, Extra.GONE, Extra.SILENT)
 _WAITING = (State.SUSPENDED, State.RECOVERING, State.PAUSING, State.PAUSED, State.STOPPING)
@@ -56,10 +56,10 @@ class ProgressRow(QWidget):
             self.bar.setValue(done)
         put(self.figures, _figures(pace) if measuring and pace is not None else "")
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
-        self.state.dress(theme)
+        self.state.apply_theme(theme)
 
     def _colour(self, standing: Standing) -> str:
         theme = self._theme

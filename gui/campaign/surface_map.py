@@ -14,7 +14,7 @@ from gui.campaign.figures import Figure, Float32Array
 from gui.campaign.picking import PickingBox
 from gui.campaign.status_look import LOOKS, look_index
 from gui.campaign.statuses import status_text
-from gui.shell.theme import LIGHT, Theme, dress_axes
+from gui.shell.theme import LIGHT, Theme, theme_axes
 from gui.surface.spots import Spots
 from gui.surface.surface import Surface
 from gui.surface.walking import STEPS, next_position
@@ -74,7 +74,7 @@ class SurfaceMap(pyqtgraph.PlotWidget):
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.box.clicked.connect(self._clicked)
         self.box.surrounded.connect(self._surrounded)
-        self.dress(LIGHT)
+        self.apply_theme(LIGHT)
 
     @property
     def levels(self) -> tuple[float, float] | None:
@@ -147,11 +147,11 @@ class SurfaceMap(pyqtgraph.PlotWidget):
         self._put(self._chosen, sorted(self.selected))
         self.selection_changed.emit(len(self.selected))
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours; the owner colours the positions anew."""
         self._theme = theme
         self.setBackground(theme.base)
-        dress_axes(self.getPlotItem(), theme)
+        theme_axes(self.getPlotItem(), theme)
         self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1))  # wider ones take ten times longer to paint
         self._actuators.setPen(pyqtgraph.mkPen(theme.text, width=1.5))
         self._actuators.setBrush(pyqtgraph.mkBrush(theme.base))

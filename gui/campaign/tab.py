@@ -20,14 +20,11 @@ from gui.campaign.position_panel import PositionPanel
 from gui.campaign.progress_row import ProgressRow
 from gui.campaign.standing import possible
 from gui.campaign.statuses import FAILED, OVER_RANGE, POOR_SIGNAL
-from gui.shell.actions import copy_text, make_action
-from gui.shell.desk import Desk
-from gui.shell.divided import side_by_side, stacked
-from gui.shell.path_field import PathField
-from gui.shell.tab import Question, Tab
+from gui.shell.file_choice import PathField
+from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
-from gui.shell.toml_file import TomlKind, toml_kind
-from gui.shell.which_rig import runs_on_virtual_rig
+from gui.shell.toml_files import TomlKind, runs_on_virtual_rig, toml_kind
+from gui.shell.widgets import copy_text, make_action, side_by_side, stacked
 from rendering.verify.names import FIELD_NAMES, RECORD_NAME
 
 _BAD = POOR_SIGNAL | OVER_RANGE | FAILED
@@ -44,17 +41,17 @@ class CampaignTab(Tab):
     title = "Campaign"
     opens = (".h5", ".toml")
 
-    def __init__(self, desk: Desk) -> None:
-        super().__init__(desk)
+    def __init__(self, context: TabContext) -> None:
+        super().__init__(context)
         self.campaign = Campaign()
         self.follower: Follower | None = None
-        self.run = CampaignRun(desk, self)
+        self.run = CampaignRun(context, self)
         self._told_trouble = ""
         self._run_file: Path | None = None
         self._drawn: tuple[int, ...] = ()
         self._draw_due_s = 0.0
-        self.run_field = PathField("&Run", ".toml", "run file", desk.memory)
-        self.bank_field = PathField("&Bank", ".h5", "bank file", desk.memory, saves=True)
+        self.run_field = PathField("&Run", ".toml", "run file", context.settings)
+        self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings, saves=True)
         self.controls = Controls(
             {
                 "plan": self._plan,
@@ -68,7 +65,7 @@ class CampaignTab(Tab):
         )
         self.progress = ProgressRow()
         self.map_panel = MapPanel(self.campaign)
-        self.position_panel = PositionPanel(desk, self.campaign)
+        self.position_panel = PositionPanel(context, self.campaign)
         self.events = EventList(self.campaign)
         self.instruments = InstrumentList(self.campaign)
         self._lay_out()
@@ -108,25 +105,25 @@ class CampaignTab(Tab):
             if same_file(self.follower.bank, bank):
                 return
             self.follower.end()
-        self.desk.messages.withdraw(self._told_trouble)
+        self.context.messages.withdraw(self._told_trouble)
         self._told_trouble = ""
         self.campaign.forget()
         self.map_panel.map.clear_surface()
-        self.follower = Follower(bank, self.desk.front)
+        self.follower = Follower(bank, self.context.front)
         self.follower.start()
 
-    def collect(self) -> None:
+    def poll(self) -> None:
         """Take up what the follower saw, and how the own run is."""
         if self.follower is not None:
             for seen in self.follower.take(_FINDINGS_PER_TICK):
                 self.campaign.take(seen)
         if self.campaign.trouble != self._told_trouble:
-            self.desk.messages.withdraw(self._told_trouble)
+            self.context.messages.withdraw(self._told_trouble)
             self._told_trouble = self.campaign.trouble
             if details := self.campaign.trouble_details:
-                self.desk.messages.fault(self._told_trouble, ("Copy details", lambda: copy_text(details)))
+                self.context.messages.fault(self._told_trouble, ("Copy details", lambda: copy_text(details)))
             elif self._told_trouble:
-                self.desk.messages.fault(self._told_trouble)
+                self.context.messages.fault(self._told_trouble)
         self.run.look()
 
     def draw(self) -> None:
@@ -160,10 +157,10 @@ class CampaignTab(Tab):
         self.events.draw()
         self.instruments.draw()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take a theme's colours."""
         for part in (self.progress, self.map_panel, self.position_panel, self.events, self.instruments):
-            part.dress(theme)
+            part.apply_theme(theme)
 
     def run_file(self) -> Path | None:
         """The run file."""
@@ -176,26 +173,26 @@ class CampaignTab(Tab):
             return f"process {owner.pid} on {owner.host} measures {self.bank_field.path}"
         return self.run.held()
 
-    def closing(self) -> Question | None:
+    def closing_question(self) -> Question | None:
         """Ask what is to become of a run that this window started."""
-        return self.run.closing()
+        return self.run.closing_question()
 
-    def keep(self) -> None:
+    def save_settings(self) -> None:
         """Remember run and bank, and how the room is divided."""
-        super().keep()
+        super().save_settings()
         for name, field in (("run", self.run_field), ("bank", self.bank_field)):
-            self.desk.memory.keep(f"campaign/{name}", str(field.path or ""))
+            self.context.settings.keep(f"campaign/{name}", str(field.path or ""))
 
-    def recall(self) -> None:
+    def restore_settings(self) -> None:
         """Open run and bank of last time, where they are still there."""
-        run, bank = (self.desk.memory.text(f"campaign/{name}") for name in ("run", "bank"))
+        run, bank = (self.context.settings.text(f"campaign/{name}") for name in ("run", "bank"))
         if run and Path(run).is_file():
             self.run_field.show_path(Path(run))
             self._run_file = Path(run)
         if bank and (Path(bank).is_file() or self.run_field.path is not None):
             self.follow(Path(bank))
 
-    def closed(self) -> None:
+    def shut_down(self) -> None:
         """End following; leave the run alone."""
         if self.follower is not None:
             self.follower.end()
@@ -218,7 +215,7 @@ class CampaignTab(Tab):
 
     def _run_chosen(self, path: Path) -> None:
         """Take a run; a bank that was chosen stays, unless it was another run's."""
-        self.desk.memory.opened(path)
+        self.context.settings.opened(path)
         former, self._run_file = self._run_file, path
         another = former is not None and not same_file(former, path)
         bank = self.bank_field.path
@@ -226,7 +223,7 @@ class CampaignTab(Tab):
             self.follow(path.parent / _DEFAULT_BANK)
 
     def _bank_chosen(self, path: Path) -> None:
-        self.desk.memory.opened(path)
+        self.context.settings.opened(path)
         self.follow(path)
 
     def _plan(self) -> None:
@@ -246,19 +243,19 @@ class CampaignTab(Tab):
 
     def _claim(self, word: str, arguments: list[str], bank: Path, *, virtual: bool) -> None:
         def start() -> None:
-            self.desk.memory.opened(bank)  # at hand in the other tabs, too
+            self.context.settings.opened(bank)  # at hand in the other tabs, too
             self.follow(bank)
             self.run.start(arguments, bank, virtual=virtual)
 
-        self.desk.claim_instruments(self, word, start, virtual=virtual)
+        self.context.claim_instruments(self, word, start, virtual=virtual)
 
     def _pause_or_go_on(self) -> None:
         word = "go-on" if self.controls.actions_by_name["pause"].text() == "Go on" else "pause"
         self.run.order(word, self.bank_field.path)
 
     def _share_selection(self) -> None:
-        self.desk.selection.bank = self.bank_field.path
-        self.desk.selection.rows = frozenset(self.map_panel.map.selected)
+        self.context.selection.bank = self.bank_field.path
+        self.context.selection.rows = frozenset(self.map_panel.map.selected)
 
     def _remeasure_selected(self) -> None:
         rows = ",".join(str(row) for row in sorted(self.map_panel.map.selected))

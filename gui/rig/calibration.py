@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gui.rig.facts import ChannelLevel, maybe
 from gui.rig.lines_process import LinesProcess, Told
-from gui.shell.desk import Desk
+from gui.shell.tab import TabContext
 
 Pair = tuple[float, float]
 
@@ -54,7 +54,7 @@ class Calibration:
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Starts commands, tells sentences.
 
     Attributes
@@ -75,8 +75,8 @@ class Calibration:
         Counts changes of ``"ask"`` and ``"level"``.
     """
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, context: TabContext) -> None:
+        self._context = context
         self._process: LinesProcess | None = None
         self.revision = {"ask": 0, "level": 0}
         self._forget()
@@ -104,7 +104,7 @@ class Calibration:
             return
         self._forget()
         arguments = ["calibrate", str(rig), "--operator", "lines", *options]
-        self._process = LinesProcess.started(self._desk, arguments, "the calibration cannot be started")
+        self._process = LinesProcess.started(self._context, arguments, "the calibration cannot be started")
         self._changed("ask")
 
     def answer(self, word: str, **numbers: float) -> None:
@@ -131,7 +131,7 @@ class Calibration:
             else:
                 self._process.interrupt()
 
-    def collect(self, then: Callable[[], object]) -> None:
+    def poll(self, then: Callable[[], object]) -> None:
         """Take up what came in; `then` is called when it is over."""
         process = self._process
         if process is not None and process.hand_over(self._hear):
@@ -141,7 +141,7 @@ class Calibration:
             self.ending = "cancelled; the outputs are muted, the mirror is parked" if cancelled else process.ending()
             self._changed("ask")
             if self.ending and not cancelled and self.outcome is None:
-                self._desk.messages.fault(self.ending)
+                self._context.messages.fault(self.ending)
             then()
 
     def let_go(self) -> None:
@@ -165,9 +165,9 @@ class Calibration:
                     self.reference, self.response = ChannelLevel.told(reference), ChannelLevel.told(response)
                     self._changed("level")
             case "refused":
-                self._desk.messages.warn(str(told.get("sentence")))
+                self._context.messages.warn(str(told.get("sentence")))
             case "fault":
-                self._desk.messages.fault(str(told.get("sentence")))
+                self._context.messages.fault(str(told.get("sentence")))
             case "done":
                 self.outcome = told
                 self._changed("ask")

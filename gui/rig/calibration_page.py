@@ -12,9 +12,9 @@ from gui.rig.calibration_start import CalibrationStart
 from gui.rig.level_meter import LevelMeter
 from gui.rig.residual_table import ResidualTable
 from gui.rig.surface_picture import SurfacePicture
-from gui.shell.divided import side_by_side
-from gui.shell.memory import Memory
+from gui.shell.settings import Settings
 from gui.shell.theme import Theme
+from gui.shell.widgets import side_by_side
 
 _STEPS_MRAD = (0.05, 0.2, 1.0, 5.0, 20.0)
 
@@ -26,18 +26,18 @@ class CalibrationPage(QWidget):
     ----------
     calibration : Calibration
         Asks and is answered.
-    memory : Memory
+    settings : Settings
         Knows folders.
     """
 
-    def __init__(self, calibration: Calibration, memory: Memory) -> None:
+    def __init__(self, calibration: Calibration, settings: Settings) -> None:
         super().__init__()
         self._calibration = calibration
         self._seen = {"ask": -1, "level": -1}
         self._marks: list[Pair] = []
         self.picture = SurfacePicture("Surface with the marks of the mirror map")
         self.picture.setToolTip("Squares: marks, filled once they were met. Arrow keys move the beam by a step")
-        self.start = CalibrationStart(memory)
+        self.start = CalibrationStart(settings)
         self.question, self.note = QLabel(), QLabel()
         self.question.setAccessibleName("What is to be done")
         self.question.setProperty("role", "strong")
@@ -85,10 +85,10 @@ class CalibrationPage(QWidget):
             self._seen["level"] = calibration.revision["level"]
             self.meter.show_levels(calibration.reference, calibration.response, None)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
-        self.picture.dress(theme)
-        self.meter.dress(theme)
+        self.picture.apply_theme(theme)
+        self.meter.apply_theme(theme)
         self.residuals.theme = theme
         if self._marks:
             self.picture.show_marks(self._marks, -1, 0)

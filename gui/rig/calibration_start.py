@@ -19,8 +19,8 @@ from PyQt5.QtWidgets import (
 )
 
 from acquisition.calibration_procedures.marks import default_marks_mm
-from gui.shell.memory import Memory
-from gui.shell.path_field import PathField
+from gui.shell.file_choice import PathField
+from gui.shell.settings import Settings
 
 _PARTS = (
     ("inputs", "&Inputs: how much later the response is sampled", "You plug the loopback into both inputs"),
@@ -37,7 +37,7 @@ class CalibrationStart(QWidget):
 
     started = pyqtSignal(list)
 
-    def __init__(self, memory: Memory) -> None:
+    def __init__(self, settings: Settings) -> None:
         super().__init__()
         self.size_mm = (250.0, 150.0)
         self._folder: tempfile.TemporaryDirectory[str] | None = None
@@ -59,7 +59,7 @@ class CalibrationStart(QWidget):
         self.marks.addItems(["seven places: middle, corners, ends", "five places: corners, middle", "a file of marks"])
         self.marks.setAccessibleName("Marks on the surface")
         self.marks.setToolTip("Where the beam is brought to; four marks decide the map, each more checks it")
-        self.file = PathField("&File", ".csv", "file of marks", memory)
+        self.file = PathField("&File", ".csv", "file of marks", settings)
         self.file.setToolTip("x_mm,y_mm of each mark; with x_mrad,y_mrad nothing is jogged")
         self.limit_mm = QDoubleSpinBox()
         self.limit_mm.setRange(0.01, 100.0)

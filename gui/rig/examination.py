@@ -8,7 +8,7 @@ from pathlib import Path
 from gui.rig.examination_page import ExaminationPage
 from gui.rig.lines_process import LinesProcess, Told
 from gui.rig.remedies import Finding
-from gui.shell.desk import Desk
+from gui.shell.tab import TabContext
 
 _STOPPED = 130
 
@@ -18,14 +18,14 @@ class Examination:
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Starts commands, tells sentences.
     page : ExaminationPage
         Shows the findings.
     """
 
-    def __init__(self, desk: Desk, page: ExaminationPage) -> None:
-        self._desk, self._page = desk, page
+    def __init__(self, context: TabContext, page: ExaminationPage) -> None:
+        self._context, self._page = context, page
         self._process: LinesProcess | None = None
 
     @property
@@ -37,7 +37,7 @@ class Examination:
         """Start one."""
         quiet = [] if self._page.plays.isChecked() else ["--no-play"]
         arguments = ["doctor", str(rig), "--lines", *quiet, *options]
-        self._process = LinesProcess.started(self._desk, arguments, "the examination cannot be started")
+        self._process = LinesProcess.started(self._context, arguments, "the examination cannot be started")
         if self._process is not None:
             self._page.begin()
 
@@ -46,7 +46,7 @@ class Examination:
         if self._process is not None:
             self._process.interrupt()
 
-    def collect(self) -> None:
+    def poll(self) -> None:
         """Take up what came in."""
         process = self._process
         if process is not None and process.hand_over(self._hear):
@@ -74,4 +74,4 @@ class Examination:
             self._page.finish("cancelled; the instruments were put to rest")
         else:
             self._page.finish("the examination did not come to its end")
-            self._desk.messages.fault(process.ending())
+            self._context.messages.fault(process.ending())

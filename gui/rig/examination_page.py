@@ -130,7 +130,7 @@ class ExaminationPage(QWidget):
         self.plays.setEnabled(not busy)
         self.cancel.setVisible(busy)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
         for row in range(self.table.rowCount()):

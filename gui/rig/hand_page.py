@@ -7,8 +7,8 @@ from PyQt5.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidg
 from gui.rig.hands import Hands
 from gui.rig.jog_panel import JogPanel
 from gui.rig.sound_panel import SoundPanel
-from gui.shell.divided import side_by_side
 from gui.shell.theme import Theme
+from gui.shell.widgets import side_by_side
 
 _STATES = {
     "released": "○ the instruments are free",
@@ -76,7 +76,7 @@ class HandPage(QWidget):
         chosen = facts is not None and 0 <= actuator < len(facts.actuator_mm)
         self.jog.picture.show_chosen(tuple(facts.actuator_mm[actuator]) if facts is not None and chosen else None)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
-        self.jog.dress(theme)
-        self.sound.dress(theme)
+        self.jog.apply_theme(theme)
+        self.sound.apply_theme(theme)

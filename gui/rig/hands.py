@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gui.rig.facts import ChannelLevel, RigFacts, Spot, Sweep
 from gui.rig.lines_process import LinesProcess, Told
-from gui.shell.desk import Desk
+from gui.shell.tab import TabContext
 
 # x and y in millimetres.
 Place = tuple[float, float]
@@ -20,7 +20,7 @@ class Hands:
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Starts commands, tells sentences.
 
     Attributes
@@ -45,8 +45,8 @@ class Hands:
         Counts changes of ``"state"``, ``"spot"``, ``"level"`` and ``"sweep"``.
     """
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, context: TabContext) -> None:
+        self._context = context
         self._process: LinesProcess | None = None
         self._then: Callable[[], object] | None = None
         self.revision = {"state": 0, "spot": 0, "level": 0, "sweep": 0}
@@ -80,7 +80,7 @@ class Hands:
         if self._process is not None:
             return
         self._forget()
-        self._process = LinesProcess.started(self._desk, ["operate", str(rig)], "the instruments cannot be taken")
+        self._process = LinesProcess.started(self._context, ["operate", str(rig)], "the instruments cannot be taken")
         if self._process is not None:
             self._enter("opening")
 
@@ -140,7 +140,7 @@ class Hands:
         """Open an instrument afresh."""
         self._order(order="reconnect", instrument=role)
 
-    def collect(self) -> None:
+    def poll(self) -> None:
         """Take up what came in."""
         process = self._process
         if process is not None and process.hand_over(self._hear):
@@ -176,7 +176,7 @@ class Hands:
             case "done":
                 self._done(told)
             case "refused":
-                self._desk.messages.warn(str(told.get("sentence")))
+                self._context.messages.warn(str(told.get("sentence")))
             case "fault":
                 self._hear_fault(told)
 
@@ -193,7 +193,7 @@ class Hands:
         answers = []
         if self.state == "ready" and role in ("mirror", "recorder", "player"):
             answers = [(f"Connect the {role} afresh", lambda: self.reconnect(role))]
-        self._desk.messages.fault(sentence, *answers)
+        self._context.messages.fault(sentence, *answers)
         if not told.get("passing"):
             self.listening = False
             self._changed("level")
@@ -212,7 +212,7 @@ class Hands:
             self._under_way, self.sweeping = None, False  # orders that waited were dropped without an answer
             self._changed("sweep")
         elif order == "reconnect" and told.get("ok"):
-            self._desk.messages.note("connected afresh")
+            self._context.messages.note("connected afresh")
 
     def _ended(self, process: LinesProcess) -> None:
         self._process = None
@@ -221,9 +221,9 @@ class Hands:
         self._enter("released")
         ending = process.ending()
         if ending:
-            self._desk.messages.fault(ending)
+            self._context.messages.fault(ending)
         elif not wanted:
-            self._desk.messages.warn("wavefocus operate has ended; the outputs are muted, the mirror is parked")
+            self._context.messages.warn("wavefocus operate has ended; the outputs are muted, the mirror is parked")
         then, self._then = self._then, None
         if then is not None and not ending:
             then()

@@ -91,9 +91,9 @@ class JogPanel(QWidget):
             believed = "\n▲ The mirror map is not measured: places are as good as the rig file's" if unmapped else ""
             self.where.setText(f"The beam: {told}{believed}")
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
-        self.picture.dress(theme)
+        self.picture.apply_theme(theme)
 
 
 def _coordinate(axis: str) -> QDoubleSpinBox:

@@ -54,7 +54,7 @@ class LevelMeter(QWidget):
         self._held_v.clear()
         self.update()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
         self.update()

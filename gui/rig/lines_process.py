@@ -14,8 +14,8 @@ from contextlib import suppress
 from typing import IO
 
 from gui.shell.apart import leave, start_apart
-from gui.shell.desk import Desk, sentence_of
 from gui.shell.front_door import FrontDoor
+from gui.shell.tab import TabContext, error_text
 
 Told = dict[str, object]
 
@@ -62,12 +62,12 @@ class LinesProcess:
             thread.start()
 
     @classmethod
-    def started(cls, desk: Desk, arguments: Sequence[str], failing: str) -> LinesProcess | None:
+    def started(cls, context: TabContext, arguments: Sequence[str], failing: str) -> LinesProcess | None:
         """Start one; where that fails, None, and a message that begins with `failing`."""
         try:
-            return cls(desk.front, arguments)
+            return cls(context.front, arguments)
         except OSError as failure:
-            desk.messages.fault(f"{failing}: {sentence_of(failure)}")
+            context.messages.fault(f"{failing}: {error_text(failure)}")
             return None
 
     @property

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from acquisition.text_file import read_text
-from gui.shell.toml_file import tables_of
-from gui.shell.which_rig import is_virtual
+from gui.shell.toml_files import is_virtual, tables_of
 from storage.errors import InputError
 
 Pair = tuple[float, float]

@@ -118,12 +118,12 @@ class SoundPanel(QWidget):
                 self.length_s.value(),
             )
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
-        self.meter.dress(theme)
+        self.meter.apply_theme(theme)
         for plot in (self.waveform, self.spectrum):
-            plot.dress(theme)
+            plot.apply_theme(theme)
         self._seen["sweep"] = -1
 
     def _lay_out(self) -> None:

@@ -10,7 +10,7 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent
 
 from acquisition.schedule.grid import stadium_rim
-from gui.shell.theme import LIGHT, Theme, dress_axes
+from gui.shell.theme import LIGHT, Theme, theme_axes
 
 Pair = tuple[float, float]
 
@@ -59,7 +59,7 @@ class SurfacePicture(pyqtgraph.PlotWidget):
         for side in ("left", "bottom"):
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.scene().sigMouseClicked.connect(self._mouse_clicked)
-        self.dress(LIGHT)
+        self.apply_theme(LIGHT)
 
     def show_surface(self, length_mm: float, width_mm: float, actuator_mm: Sequence[Pair]) -> None:
         """Show a stadium and where its actuators touch it."""
@@ -127,11 +127,11 @@ class SurfacePicture(pyqtgraph.PlotWidget):
         self._tips.setData(pos=ends)
         return times
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
         self.setBackground(theme.base)
-        dress_axes(self.getPlotItem(), theme)
+        theme_axes(self.getPlotItem(), theme)
         self._outline.setPen(pyqtgraph.mkPen(theme.text, width=1.5))
         self._actuators.setBrush(pyqtgraph.mkBrush(theme.faint))
         self._actuators.setPen(pyqtgraph.mkPen(theme.text))

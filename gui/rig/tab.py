@@ -16,13 +16,11 @@ from gui.rig.examination_page import ExaminationPage
 from gui.rig.hand_page import HandPage
 from gui.rig.hands import Hands
 from gui.rig.rig_file import RigFile, line_of, read_rig_file
-from gui.shell.actions import make_action
-from gui.shell.desk import Desk
-from gui.shell.path_field import PathField
-from gui.shell.tab import Question, Tab
+from gui.shell.file_choice import PathField
+from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
-from gui.shell.toml_file import TomlKind, toml_kind
-from gui.shell.which_rig import rig_of_run
+from gui.shell.toml_files import TomlKind, rig_of_run, toml_kind
+from gui.shell.widgets import make_action
 from storage.errors import InputError
 
 
@@ -32,19 +30,19 @@ class RigTab(Tab):
     title = "Rig"
     opens = (".toml",)
 
-    def __init__(self, desk: Desk) -> None:
-        super().__init__(desk)
+    def __init__(self, context: TabContext) -> None:
+        super().__init__(context)
         self.rig: RigFile | None = None
-        self.hands = Hands(desk)
-        self.calibration = Calibration(desk)
-        self.rig_field = PathField("Ri&g", ".toml", "rig file", desk.memory)
+        self.hands = Hands(context)
+        self.calibration = Calibration(context)
+        self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings)
         self.of_run = QPushButton("Of the &run")
         self.of_run.setAccessibleName("Take the rig of the run file")
         self.of_run.setToolTip("Take the rig file that the Campaign tab's run file names")
         self.examination_page = ExaminationPage()
-        self.examination = Examination(desk, self.examination_page)
+        self.examination = Examination(context, self.examination_page)
         self.hand_page = HandPage(self.hands)
-        self.calibration_page = CalibrationPage(self.calibration, desk.memory)
+        self.calibration_page = CalibrationPage(self.calibration, context.settings)
         self.pages = QTabWidget()
         self.pages.setAccessibleName("Pages of the rig")
         self.pages.setDocumentMode(True)
@@ -70,7 +68,7 @@ class RigTab(Tab):
         self.hand_page.take.clicked.connect(self.take)
         self.calibration_page.start.started.connect(self.calibrate)
         self._actions = self._make_actions()
-        remembered = desk.memory.text("rig/file")
+        remembered = context.settings.text("rig/file")
         if remembered and Path(remembered).is_file():
             self._show_rig(Path(remembered))
 
@@ -85,8 +83,8 @@ class RigTab(Tab):
     def open_file(self, path: Path) -> None:
         """Take another rig; the instruments of the one before are given back first."""
         self.hands.release()
-        self.desk.memory.opened(path)
-        self.desk.memory.keep("rig/file", str(path.absolute()))
+        self.context.settings.opened(path)
+        self.context.settings.keep("rig/file", str(path.absolute()))
         self._show_rig(path)
 
     def examine(self, *options: str) -> None:
@@ -112,7 +110,7 @@ class RigTab(Tab):
             case "test-message":
                 self.examine("--test-message")
             case "reset-usb":
-                self.desk.messages.ask(
+                self.context.messages.ask(
                     f"Reset the USB device of the {on}? It is switched off and on; whatever uses it loses it.",
                     ("Reset it", lambda: self.examine("--reset-usb", on)),
                     ("Leave it", lambda: None),
@@ -124,20 +122,20 @@ class RigTab(Tab):
                 clipboard = QApplication.clipboard()
                 if clipboard is not None:
                     clipboard.setText(on)
-                self.desk.messages.note(f"copied: {on}; paste it into a terminal")
+                self.context.messages.note(f"copied: {on}; paste it into a terminal")
             case "edit-rig":
                 line = line_of(rig.path, on)
                 where = f", line {line}" if line else ""
-                self.desk.messages.warn(f"{on} stands in {rig.path}{where}; save it there, then Examine again")
+                self.context.messages.warn(f"{on} stands in {rig.path}{where}; save it there, then Examine again")
                 self._open(rig.path)
             case "open-folder":
                 self._open(Path(on))
 
-    def collect(self) -> None:
+    def poll(self) -> None:
         """Take up what processes told."""
-        self.examination.collect()
-        self.hands.collect()
-        self.calibration.collect(self._calibrated)
+        self.examination.poll()
+        self.hands.poll()
+        self.calibration.poll(self._calibrated)
 
     def draw(self) -> None:
         """Draw what changed."""
@@ -147,10 +145,10 @@ class RigTab(Tab):
         self.hand_page.draw(has_rig=has_rig and not busy)
         self.calibration_page.draw(has_rig=has_rig and not self.examination.running)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take a theme's colours."""
         for page in (self.examination_page, self.hand_page, self.calibration_page):
-            page.dress(theme)
+            page.apply_theme(theme)
 
     def instruments_held(self) -> str:
         """What it does with the instruments."""
@@ -159,11 +157,11 @@ class RigTab(Tab):
             return ""
         return f"the Rig tab has the instruments of {self.rig.path.name}"
 
-    def closing(self) -> Question | None:
+    def closing_question(self) -> Question | None:
         """Nothing to ask: instruments are put to rest whatever happens."""
         return None
 
-    def closed(self) -> None:
+    def shut_down(self) -> None:
         """Let go of the instruments: muted and parked by the processes that hold them."""
         self.hands.let_go()
         self.calibration.let_go()
@@ -190,7 +188,7 @@ class RigTab(Tab):
         try:
             self.rig = read_rig_file(path)
         except InputError as wrong:
-            self.desk.messages.fault(str(wrong))
+            self.context.messages.fault(str(wrong))
         rig = self.rig
         self.hand_page.jog.picture.show_surface(rig.length_mm, rig.width_mm, rig.actuator_mm)
         self.calibration_page.show_surface(rig.length_mm, rig.width_mm, rig.actuator_mm)
@@ -199,34 +197,34 @@ class RigTab(Tab):
         """Do something that needs the instruments, once nobody else in this window has them."""
         rig = self.rig
         if rig is None:
-            self.desk.messages.warn("choose a rig file first")
+            self.context.messages.warn("choose a rig file first")
             return
         if self.examination.running or self.calibration.running:
             what = "examined" if self.examination.running else "calibrated"
-            self.desk.messages.warn(f"{rig.path.name} is being {what}; wait for its end, or cancel it")
+            self.context.messages.warn(f"{rig.path.name} is being {what}; wait for its end, or cancel it")
             return
-        self.desk.claim_instruments(self, word, lambda: self.hands.release(lambda: act(rig)), virtual=rig.is_virtual)
+        self.context.claim_instruments(self, word, lambda: self.hands.release(lambda: act(rig)), virtual=rig.is_virtual)
 
     def _calibrated(self) -> None:
         outcome = self.calibration.outcome
         if outcome is not None and outcome.get("file"):
-            self.desk.messages.note(f"written: {outcome['file']}")
+            self.context.messages.note(f"written: {outcome['file']}")
 
     def _take_rig_of_run(self) -> None:
-        run = self.desk.run_file()
+        run = self.context.run_file()
         if run is None:
-            self.desk.messages.warn("the Campaign tab has no run file")
+            self.context.messages.warn("the Campaign tab has no run file")
             return
         try:
             rig = rig_of_run(run)
         except InputError as wrong:
-            self.desk.messages.fault(str(wrong))
+            self.context.messages.fault(str(wrong))
             return
         if rig is None:
-            self.desk.messages.warn(f'{run}: names no rig file (rig = "virtual" has none)')
+            self.context.messages.warn(f'{run}: names no rig file (rig = "virtual" has none)')
             return
         self.open_file(rig)
 
     def _open(self, path: Path) -> None:
         if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
-            self.desk.messages.warn(f"the desktop opens nothing for {path}; open it by hand")
+            self.context.messages.warn(f"the desktop opens nothing for {path}; open it by hand")

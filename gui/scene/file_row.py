@@ -7,8 +7,8 @@ from pathlib import Path
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QHBoxLayout, QLineEdit, QSizePolicy, QToolButton, QWidget
 
-from gui.shell.chosen_files import choose_file
-from gui.shell.memory import Memory
+from gui.shell.file_choice import choose_file
+from gui.shell.settings import Settings
 
 
 class FileRow(QWidget):
@@ -20,15 +20,15 @@ class FileRow(QWidget):
         What the file is: ``"drawing"``.
     endings : sequence of str
         Of such files.
-    memory : Memory
+    settings : Settings
         Knows the folder of last time.
     """
 
     edited = pyqtSignal(object)
 
-    def __init__(self, kind: str, endings: tuple[str, ...], memory: Memory) -> None:
+    def __init__(self, kind: str, endings: tuple[str, ...], settings: Settings) -> None:
         super().__init__()
-        self._kind, self._endings, self._memory = kind, endings, memory
+        self._kind, self._endings, self._settings = kind, endings, settings
         self.line = QLineEdit()
         self.line.setReadOnly(True)
         self.line.setAccessibleName(f"The {kind}'s file")
@@ -52,9 +52,9 @@ class FileRow(QWidget):
 
     def browse(self) -> None:
         """Let somebody choose; nothing is held up meanwhile."""
-        folder = self._memory.folder(self._endings[0])
+        folder = self._settings.folder(self._endings[0])
         choose_file(self, f"Choose a {self._kind}", folder, self._kind, self._endings, self._chosen)
 
     def _chosen(self, path: Path) -> None:
-        self._memory.keep(f"folder/{self._endings[0]}", str(path.parent))
+        self._settings.keep(f"folder/{self._endings[0]}", str(path.parent))
         self.edited.emit(str(path))

@@ -13,9 +13,8 @@ from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QWidget
 
 from gui.scene.document import SceneDocument
-from gui.shell.chosen_files import choose_place
-from gui.shell.desk import Desk
-from gui.shell.tab import Question
+from gui.shell.file_choice import choose_place
+from gui.shell.tab import Question, TabContext
 from storage.errors import WavefocusError
 from storage.output_files import new_file
 
@@ -30,7 +29,7 @@ class SceneFiles(QObject):
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Messages and memory.
     document : SceneDocument
         What is saved.
@@ -40,15 +39,15 @@ class SceneFiles(QObject):
 
     opened = pyqtSignal()
 
-    def __init__(self, desk: Desk, document: SceneDocument, owner: QWidget) -> None:
+    def __init__(self, context: TabContext, document: SceneDocument, owner: QWidget) -> None:
         super().__init__(owner)
-        self._desk, self._document, self._owner = desk, document, owner
+        self._context, self._document, self._owner = context, document, owner
         self._seen_ns = 0
         self._others_text = False
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
         self._soon.setInterval(_KEPT_AFTER_MS)
-        self._soon.timeout.connect(self.keep)
+        self._soon.timeout.connect(self.save_settings)
         document.changed.connect(self._soon.start)
 
     @property
@@ -70,7 +69,7 @@ class SceneFiles(QObject):
         if path is None:
             self.save_as(then)
         elif self._seen_ns and _written_ns(path) not in (0, self._seen_ns):
-            self._desk.messages.ask(
+            self._context.messages.ask(
                 f"{path} has been changed by another program since it was opened here; what is to become of that?",
                 ("Save over it", lambda: self._save(path, then)),
                 ("Save under another name", lambda: self.save_as(then)),
@@ -81,10 +80,10 @@ class SceneFiles(QObject):
 
     def save_as(self, then: Then | None = None) -> None:
         """Ask for a file and save to it; nothing is held up meanwhile."""
-        file = self._document.path or self._desk.memory.folder(".toml") / "scene.toml"
+        file = self._document.path or self._context.settings.folder(".toml") / "scene.toml"
         choose_place(self._owner, "Save the scene", file, "scene", ".toml", lambda chosen: self._save(chosen, then))
 
-    def closing(self) -> Question | None:
+    def closing_question(self) -> Question | None:
         """What to ask before the window closes."""
         if self._nothing_to_lose:
             return None
@@ -97,34 +96,34 @@ class SceneFiles(QObject):
             ),
         )
 
-    def keep(self) -> None:
+    def save_settings(self) -> None:
         """Keep what is not saved where the next window finds it, should this one come to harm."""
-        memory, document = self._desk.memory, self._document
+        settings, document = self._context.settings, self._document
         unsaved = not document.saved and bool(document.draft.sources)
         if not unsaved:
             if self._is_ours():
-                memory.keep(_TEXT, "")
+                settings.keep(_TEXT, "")
             return
-        memory.keep(_TEXT, document.toml())
-        memory.keep(_PLACE, str(document.path or ""))
-        memory.keep(_OWNER, os.getpid())
+        settings.keep(_TEXT, document.toml())
+        settings.keep(_PLACE, str(document.path or ""))
+        settings.keep(_OWNER, os.getpid())
 
     def take_up_what_was_kept(self) -> None:
         """Go on with the scene that was not saved last time, unless another window is at it."""
-        memory = self._desk.memory
-        text, place = memory.text(_TEXT), memory.text(_PLACE)
-        if not text or (not self._is_ours() and _lives(memory.whole(_OWNER, 0))):
+        settings = self._context.settings
+        text, place = settings.text(_TEXT), settings.text(_PLACE)
+        if not text or (not self._is_ours() and _lives(settings.whole(_OWNER, 0))):
             return
         path = Path(place) if place else None
         try:
             self._document.take_up(text, path)
         except WavefocusError:
-            memory.keep(_TEXT, "")  # of an older version: it would be told again for ever
+            settings.keep(_TEXT, "")  # of an older version: it would be told again for ever
             return
         self._seen_ns = 0 if path is None else _written_ns(path)
         words = f"{path.name} has changes of last time" if path else "The scene of last time is back, which was"
-        self._desk.messages.note(f"{words} that were not saved" if path else f"{words} not saved")
-        self.keep()
+        self._context.messages.note(f"{words} that were not saved" if path else f"{words} not saved")
+        self.save_settings()
 
     @property
     def _nothing_to_lose(self) -> bool:
@@ -135,7 +134,7 @@ class SceneFiles(QObject):
         if self._nothing_to_lose:
             act()
             return
-        self._desk.messages.ask(
+        self._context.messages.ask(
             f"{self.name} has changes that are not saved; save them before {doing}?",
             ("Save", lambda: self.save(act)),
             ("Do not save", act),
@@ -146,10 +145,10 @@ class SceneFiles(QObject):
         try:
             self._document.load(path)
         except (WavefocusError, OSError) as failure:
-            self._desk.tell_failure(failure)
+            self._context.report_failure(failure)
             return
         self._seen_ns, self._others_text = _written_ns(path), True
-        self.keep()
+        self.save_settings()
         self.opened.emit()
 
     def _save(self, path: Path, then: Then | None) -> None:
@@ -157,12 +156,12 @@ class SceneFiles(QObject):
             told = self._put_aside(path) if path == self._document.path else ""
             self._document.save(path)
         except (WavefocusError, OSError) as failure:
-            self._desk.tell_failure(failure)
+            self._context.report_failure(failure)
             return
         self._seen_ns, self._others_text = _written_ns(path), False
-        self._desk.memory.opened(path)
-        self.keep()
-        self._desk.messages.note(f"{path} is saved{told}")
+        self._context.settings.opened(path)
+        self.save_settings()
+        self._context.messages.note(f"{path} is saved{told}")
         if then is not None:
             then()
 
@@ -181,7 +180,7 @@ class SceneFiles(QObject):
         close()
 
     def _is_ours(self) -> bool:
-        return self._desk.memory.whole(_OWNER, 0) == os.getpid()
+        return self._context.settings.whole(_OWNER, 0) == os.getpid()
 
 
 def _written_ns(path: Path) -> int:

@@ -15,7 +15,7 @@ from gui.scene.document import SceneDocument
 from gui.scene.draft import SceneDraft
 from gui.scene.surface.ground import Ground, bare_ground, ground_of
 from gui.scene.surface.trace import Trace, Tracer
-from gui.shell.desk import Desk
+from gui.shell.tab import TabContext
 from storage.errors import WavefocusError
 
 
@@ -49,7 +49,7 @@ class Live(QObject):
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Tells what is wrong with a bank.
     document : SceneDocument
         What is drawn.
@@ -58,11 +58,11 @@ class Live(QObject):
     came = pyqtSignal()
     ground_changed = pyqtSignal()
 
-    def __init__(self, desk: Desk, document: SceneDocument) -> None:
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__(document)
-        self._desk, self._document = desk, document
+        self._context, self._document = context, document
         self._background = Background(self)
-        self._tracer = Tracer(desk.front)
+        self._tracer = Tracer(context.front)
         self.ground = bare_ground()
         self.drawn = Drawn(document.draft, self.ground, [], "", "")
         self._at_work = self._stale = self._ended = False
@@ -129,7 +129,7 @@ class Live(QObject):
     def _no_bank(self, bank: Path, why: Exception) -> None:
         if self._document.bank == bank:
             self._stand_on(bare_ground())
-        self._desk.tell_failure(why)
+        self._context.report_failure(why)
 
     def _stand_on(self, ground: Ground) -> None:
         self.ground = ground

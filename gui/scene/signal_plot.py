@@ -43,9 +43,9 @@ class SignalPlot(Plot):
             self.line(time_ms, samples, colour)
         plot.getViewBox().autoRange()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
-        super().dress(theme)
+        super().apply_theme(theme)
         samples, rate_hz = self._shown
         self._shown = "", 0.0
         self.show_signal(samples, rate_hz)

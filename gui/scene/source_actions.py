@@ -16,8 +16,8 @@ from gui.scene.live import Live
 from gui.scene.source_form import moving
 from gui.scene.surface.handles import box_of, shifted
 from gui.scene.toml_text import source_toml
-from gui.shell.chosen_files import choose_file
-from gui.shell.desk import Desk
+from gui.shell.file_choice import choose_file
+from gui.shell.tab import TabContext
 from storage.errors import WavefocusError
 
 # A drawing that is larger than the surface, or too small to be felt, is brought to this share of its width.
@@ -33,7 +33,7 @@ class SourceActions(QObject):
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Messages, memory and background work.
     document : SceneDocument
         What is edited.
@@ -45,9 +45,9 @@ class SourceActions(QObject):
 
     added = pyqtSignal(object)
 
-    def __init__(self, desk: Desk, document: SceneDocument, live: Live, owner: QWidget) -> None:
+    def __init__(self, context: TabContext, document: SceneDocument, live: Live, owner: QWidget) -> None:
         super().__init__(owner)
-        self._desk, self._document, self._live, self._owner = desk, document, live, owner
+        self._context, self._document, self._live, self._owner = context, document, live, owner
 
     def add(self, path: PathDraft) -> None:
         """Add a source on a path; all else is as the chosen source, or the last one, has it."""
@@ -90,12 +90,14 @@ class SourceActions(QObject):
         clipboard = QApplication.clipboard()
         text = "" if clipboard is None else clipboard.text()
         if "[[source]]" not in text:
-            self._desk.messages.warn("nothing is pasted: the clipboard holds no text with a [[source]] of a scene file")
+            self._context.messages.warn(
+                "nothing is pasted: the clipboard holds no text with a [[source]] of a scene file"
+            )
             return
         try:
             pasted = self._document.sources_of(text)
         except WavefocusError as failure:
-            self._desk.messages.fault(f"nothing is pasted: {str(failure).removeprefix(f'{self._document.place}: ')}")
+            self._context.messages.fault(f"nothing is pasted: {str(failure).removeprefix(f'{self._document.place}: ')}")
             return
         sources = self._document.draft.sources
         draft = self._document.draft.with_sources((*sources, *pasted))
@@ -103,25 +105,25 @@ class SourceActions(QObject):
 
     def choose_drawing(self, _checked: bool = False) -> None:
         """Let somebody choose an SVG file to add; nothing is held up meanwhile."""
-        folder = self._desk.memory.folder(".svg")
+        folder = self._context.settings.folder(".svg")
         choose_file(self._owner, "Add a drawing", folder, "drawing", [".svg"], self.add_drawing)
 
     def add_drawing(self, file: Path) -> None:
         """Add the first path of an SVG file, in the middle of the surface and of a size that fits."""
-        self._desk.memory.keep("folder/.svg", str(file.parent))
+        self._context.settings.keep("folder/.svg", str(file.parent))
         outline_mm = self._live.ground.outline_mm
         (left, bottom), (right, top) = box_of(outline_mm.tolist())
         size_mm = right - left, top - bottom
         middle = (left + right) / 2, (bottom + top) / 2
-        self._desk.background.ask(
-            "fit", partial(_fitted, file, size_mm, middle), self.add, self._desk.tell_failure
+        self._context.background.ask(
+            "fit", partial(_fitted, file, size_mm, middle), self.add, self._context.report_failure
         )  # fmt: skip
 
     def use_sound(self, file: Path) -> None:
         """Let the chosen source emit a sound file."""
         source = self._document.source
         if source is None:
-            self._desk.messages.warn(f"{file}: no source is chosen that could emit it; draw or choose one first")
+            self._context.messages.warn(f"{file}: no source is chosen that could emit it; draw or choose one first")
             return
         self._document.edit_source("use a sound", replace(source, signal=FileDraft(str(file))))
 

@@ -30,7 +30,7 @@ from gui.scene.surface.handles import anchor_of, shifted
 from gui.scene.surface.keys import MOTION_KEYS, PATH_KEYS, SIGNAL_KEYS
 from gui.scene.surface.vertices import Vertices
 from gui.scene.words import figures_of
-from gui.shell.desk import Desk
+from gui.shell.tab import TabContext
 
 _PATH_WORDS = {
     "point": "point, stands still", "line": "line", "circle": "circle or arc", "polyline": "polyline",
@@ -46,15 +46,15 @@ class SourceForm(QWidget):
 
     Parameters
     ----------
-    desk : Desk
-        Memory and background work.
+    context : TabContext
+        Settings and background work.
     document : SceneDocument
         What is edited.
     """
 
-    def __init__(self, desk: Desk, document: SceneDocument) -> None:
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__()
-        self._desk, self._document = desk, document
+        self._context, self._document = context, document
         self._listed: tuple[str, float] = "", 0.0
         self.path_kind = ChoiceField("Kind of path", [(one.kind, _PATH_WORDS[one.kind]) for one in PATHS],
                                      "Where the source goes")  # fmt: skip
@@ -64,9 +64,9 @@ class SourceForm(QWidget):
         self.signals = {kind: Form(keys) for kind, keys in SIGNAL_KEYS.items()}
         self.motion = Form(MOTION_KEYS)
         self.vertices = Vertices()
-        self.drawing = FileRow("drawing", (".svg",), desk.memory)
+        self.drawing = FileRow("drawing", (".svg",), context.settings)
         self.path_ids = ChoiceField("Which path of the drawing", [], "Which of the drawing's paths, by its id")
-        self.sound = FileRow("sound", (".wav", ".flac", ".ogg", ".aiff"), desk.memory)
+        self.sound = FileRow("sound", (".wav", ".flac", ".ogg", ".aiff"), context.settings)
         self.figures = QLabel()
         self.figures.setWordWrap(True)
         self.figures.setProperty("role", "faint")
@@ -198,7 +198,7 @@ class SourceForm(QWidget):
         self._listed = listed
         self._show_ids([], path.path_id)
         if path.file:
-            self._desk.background.ask("drawing", lambda: _path_ids(file), self._ids_came, lambda _why: None)
+            self._context.background.ask("drawing", lambda: _path_ids(file), self._ids_came, lambda _why: None)
 
     def _ids_came(self, path_ids: tuple[str, ...]) -> None:
         source = self._document.source

@@ -20,8 +20,8 @@ from gui.scene.document import SceneDocument
 from gui.scene.surface.picture import source_colour
 from gui.scene.surface.trace import Trace
 from gui.scene.words import title_of
-from gui.shell.actions import make_button
 from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import make_button
 
 _LINES = 4
 _SWATCH = 12
@@ -93,7 +93,7 @@ class SourceList(QWidget):
         self._none.setVisible(not sources)
         shown.setVisible(bool(sources))
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
         for index in range(self.list.count()):

@@ -27,13 +27,11 @@ from gui.scene.source_actions import SourceActions
 from gui.scene.source_form import SourceForm
 from gui.scene.source_list import SourceList
 from gui.scene.surface.surface_panel import SurfacePanel
-from gui.shell.actions import make_action, make_button
-from gui.shell.desk import Desk
-from gui.shell.divided import side_by_side, stacked
-from gui.shell.path_field import PathField
-from gui.shell.tab import Question, Tab
+from gui.shell.file_choice import PathField
+from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
-from gui.shell.toml_file import TomlKind, toml_kind
+from gui.shell.toml_files import TomlKind, toml_kind
+from gui.shell.widgets import make_action, make_button, side_by_side, stacked
 
 
 class SceneTab(Tab):
@@ -42,22 +40,22 @@ class SceneTab(Tab):
     title = "Scene"
     opens = (".toml", ".svg", ".wav")
 
-    def __init__(self, desk: Desk) -> None:
-        super().__init__(desk)
-        self.document = SceneDocument(desk.front, self)
-        self.live = Live(desk, self.document)
-        self.files = SceneFiles(desk, self.document, self)
-        self.acts = SourceActions(desk, self.document, self.live, self)
+    def __init__(self, context: TabContext) -> None:
+        super().__init__(context)
+        self.document = SceneDocument(context.front, self)
+        self.live = Live(context, self.document)
+        self.files = SceneFiles(context, self.document, self)
+        self.acts = SourceActions(context, self.document, self.live, self)
         self.actions_by_name = self._make_actions()
-        self.bank_field = PathField("&Bank", ".h5", "bank file", desk.memory)
+        self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings)
         self.sources = SourceList(
             self.document,
             [self.actions_by_name[name] for name in ("duplicate", "delete", "up", "down")],
         )
-        self.source_form = SourceForm(desk, self.document)
+        self.source_form = SourceForm(context, self.document)
         self.scene_form = SceneForm(self.document)
         self.surface = SurfacePanel(self.document, self.live, self.acts)
-        self.results = ResultsPanel(desk, self.document)
+        self.results = ResultsPanel(context, self.document)
         self._file = QLabel()
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
@@ -93,38 +91,38 @@ class SceneTab(Tab):
         else:
             self.files.open(path)
 
-    def collect(self) -> None:
+    def poll(self) -> None:
         """Take up what came in."""
-        self.results.collect()
+        self.results.poll()
 
     def draw(self) -> None:
         """Draw what changed."""
         self.results.draw()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take a theme's colours."""
         for part in (self.sources, self.surface, self.results):
-            part.dress(theme)
+            part.apply_theme(theme)
 
     def instruments_held(self) -> str:
         """What is played."""
         return self.results.playing.held()
 
-    def closing(self) -> Question | None:
+    def closing_question(self) -> Question | None:
         """Ask what is to become of changes that are not saved."""
-        return self.files.closing()
+        return self.files.closing_question()
 
-    def closed(self) -> None:
+    def shut_down(self) -> None:
         """Let go of threads."""
         self.live.end()
-        self.results.closed()
+        self.results.shut_down()
 
-    def keep(self) -> None:
+    def save_settings(self) -> None:
         """Remember how the room is divided, and what is not saved."""
-        super().keep()
-        self.desk.memory.keep("scene/snaps", int(self.surface.tools.snaps.isChecked()))
-        self.desk.memory.keep("scene/bank", str(self.document.bank or ""))
-        self.files.keep()
+        super().save_settings()
+        self.context.settings.keep("scene/snaps", int(self.surface.tools.snaps.isChecked()))
+        self.context.settings.keep("scene/bank", str(self.document.bank or ""))
+        self.files.save_settings()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
         """Stand on the bank as it is now, or the one at hand where none was chosen, and take the keys."""
@@ -188,7 +186,7 @@ class SceneTab(Tab):
         column.setContentsMargins(4, 6, 4, 4)
         column.addLayout(top)
         column.addWidget(columns, stretch=1)
-        self.surface.tools.snaps.setChecked(bool(self.desk.memory.whole("scene/snaps", 0)))
+        self.surface.tools.snaps.setChecked(bool(self.context.settings.whole("scene/snaps", 0)))
 
     def _name_undo(self, words: str) -> None:
         self.actions_by_name["undo"].setText(f"&Undo {words}".strip())
@@ -197,13 +195,13 @@ class SceneTab(Tab):
         self.actions_by_name["redo"].setText(f"&Redo {words}".strip())
 
     def _bank_chosen(self, path: Path) -> None:
-        self.desk.memory.opened(path)
+        self.context.settings.opened(path)
         self.document.use_bank(path)
 
     def _bank_at_hand(self) -> Path | None:
         """The bank of last time, or the one opened last in any tab."""
-        last = self.desk.memory.text("scene/bank")
-        recent = [path for path in self.desk.memory.recent() if path.suffix.lower() == ".h5"]
+        last = self.context.settings.text("scene/bank")
+        recent = [path for path in self.context.settings.recent() if path.suffix.lower() == ".h5"]
         found = [path for path in ([Path(last)] if last else []) + recent if not path.name.endswith(".raw.h5")]
         return next((path for path in found if path.is_file()), None)
 

@@ -11,8 +11,8 @@ from PyQt5.QtGui import QFontDatabase, QGuiApplication
 from PyQt5.QtWidgets import QApplication
 
 from gui.shell.front_door import FrontDoor
-from gui.shell.memory import Memory
-from gui.shell.tick_style import TickStyle
+from gui.shell.settings import Settings
+from gui.shell.theme import TickStyle
 from gui.shell.window import Window
 from storage.errors import InputError
 
@@ -57,11 +57,11 @@ def require_fonts() -> None:
 def show(front: FrontDoor, files: Sequence[Path]) -> int:
     """Show the window until it is closed."""
     application = make_application()
-    window = Window(front, Memory())
+    window = Window(front, Settings())
     for path in files:
         window.open_file(path)
     if not files:
-        window.recall()
+        window.restore_settings()
     window.show()
     former = signal.signal(signal.SIGTERM, lambda _number, _frame: window.close_at_once())
     try:

@@ -49,7 +49,7 @@ class MessageBar(QFrame):
         self._shut.setToolTip("Put this message away (Esc)")
         self._shut.setAccessibleName("Put message away")
         self._shut.setShortcut("Esc")
-        self._shut.clicked.connect(self.put_away)
+        self._shut.clicked.connect(self.dismiss)
         row = QHBoxLayout(self)
         row.setContentsMargins(10, 4, 6, 4)
         row.addWidget(self._label, stretch=1)
@@ -57,7 +57,7 @@ class MessageBar(QFrame):
         row.addWidget(self._shut)
         self._fade = QTimer(self)
         self._fade.setSingleShot(True)
-        self._fade.timeout.connect(self.put_away)
+        self._fade.timeout.connect(self.dismiss)
         self._keep_room()
         self._clear()
 
@@ -91,7 +91,7 @@ class MessageBar(QFrame):
         self._show("question", sentence, answers)
         self._asking = True
 
-    def put_away(self) -> None:
+    def dismiss(self) -> None:
         """Show no message, or the next that waits."""
         self._asking = False
         self._fade.stop()
@@ -100,18 +100,18 @@ class MessageBar(QFrame):
         else:
             self._clear()
 
-    def put_away_old(self) -> None:
+    def dismiss_old(self) -> None:
         """Put away what an earlier action left; a question stays."""
         if not self._asking:
-            self.put_away()
+            self.dismiss()
 
     def withdraw(self, sentence: str) -> None:
         """Put a sentence away that is no longer true."""
         self._waiting = [one for one in self._waiting if one[1] != sentence]
         if sentence and sentence == self._sentence and not self._asking:
-            self.put_away()
+            self.dismiss()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
         self._colour()
@@ -186,7 +186,7 @@ class MessageBar(QFrame):
         self._label.setToolTip(self._sentence if shown != self._sentence else "")
 
     def _answered(self, act: Callable[[], object]) -> None:
-        self.put_away()
+        self.dismiss()
         act()
 
     def _colour(self) -> None:

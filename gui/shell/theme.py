@@ -1,4 +1,4 @@
-"""Light and dark: the colours of widgets and plots, chosen so that nobody needs to tell red from green."""
+"""Light and dark theme: colours of widgets and plots, and the style of check boxes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pyqtgraph
-from PyQt5.QtGui import QColor, QPalette
-from PyQt5.QtWidgets import QApplication
+from PyQt5.QtCore import QPointF, QRectF, Qt
+from PyQt5.QtGui import QColor, QPainter, QPalette, QPen, QPolygonF
+from PyQt5.QtWidgets import QApplication, QProxyStyle, QStyle, QStyleOption, QWidget
 
 if TYPE_CHECKING:
     from pyqtgraph import PlotItem
@@ -93,7 +94,7 @@ def palette_of(theme: Theme) -> QPalette:
     return palette
 
 
-def put_on(application: QApplication, theme: Theme) -> None:
+def set_theme(application: QApplication, theme: Theme) -> None:
     """Dress the application; plots that exist are dressed by their owners."""
     application.setPalette(palette_of(theme))
     pyqtgraph.setConfigOptions(background=theme.base, foreground=theme.text)
@@ -108,7 +109,7 @@ def put_on(application: QApplication, theme: Theme) -> None:
         application.setStyleSheet(sheet)
 
 
-def dress_axes(plot: PlotItem, theme: Theme) -> None:
+def theme_axes(plot: PlotItem, theme: Theme) -> None:
     """Give a plot's axes and title the theme's colours."""
     for name in ("left", "bottom", "right", "top"):
         axis = plot.getAxis(name)
@@ -123,3 +124,64 @@ def resized_text(application: QApplication, step: int) -> int:
     font.setPointSize(size_pt)
     application.setFont(font)
     return size_pt
+
+
+_BOXES = (QStyle.PrimitiveElement.PE_IndicatorCheckBox, QStyle.PrimitiveElement.PE_IndicatorItemViewItemCheck)
+_ROUNDING = 0.15
+_STROKE = 0.13
+# Corners of the tick, as parts of the box's side.
+_TICK = ((0.24, 0.52), (0.43, 0.71), (0.77, 0.31))
+_BAR = ((0.25, 0.5), (0.75, 0.5))
+
+
+class TickStyle(QProxyStyle):
+    """Fusion, with boxes drawn from the palette: accent and a tick when on, a bar when only a part is on."""
+
+    def __init__(self) -> None:
+        super().__init__("Fusion")
+
+    def drawPrimitive(  # noqa: N802
+        self,
+        element: QStyle.PrimitiveElement,
+        option: QStyleOption | None,
+        painter: QPainter | None,
+        widget: QWidget | None = None,
+    ) -> None:
+        """Draw a box here, and all else as Fusion does."""
+        if element in _BOXES and option is not None and painter is not None:
+            _draw_box(option, painter)
+        else:
+            super().drawPrimitive(element, option, painter, widget)
+
+
+def _draw_box(option: QStyleOption, painter: QPainter) -> None:
+    state, palette, flags = option.state, option.palette, QStyle.StateFlag
+    enabled = bool(state & flags.State_Enabled)
+    on, part = bool(state & flags.State_On), bool(state & flags.State_NoChange)
+    faint, accent = palette.color(QPalette.ColorRole.PlaceholderText), palette.color(QPalette.ColorRole.Highlight)
+    ground = palette.color(QPalette.ColorRole.Base if enabled else QPalette.ColorRole.Window)
+    outline, sign = faint, faint
+    if enabled and (on or part):
+        ground, outline, sign = accent, accent, palette.color(QPalette.ColorRole.HighlightedText)
+    elif enabled and state & flags.State_MouseOver:
+        outline = accent
+    elif not enabled:
+        outline = _between(faint, ground)
+    side = min(option.rect.width(), option.rect.height()) - 1.0
+    box = QRectF(0.0, 0.0, side, side)
+    box.moveCenter(QRectF(option.rect).center())
+    painter.save()
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    painter.setPen(QPen(outline, 1.0))
+    painter.setBrush(ground)
+    painter.drawRoundedRect(box, _ROUNDING * side, _ROUNDING * side)
+    if on or part:
+        pen = QPen(sign, _STROKE * side, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap, Qt.PenJoinStyle.RoundJoin)
+        painter.setPen(pen)
+        corners = [QPointF(box.left() + x * side, box.top() + y * side) for x, y in (_TICK if on else _BAR)]
+        painter.drawPolyline(QPolygonF(corners))
+    painter.restore()
+
+
+def _between(one: QColor, other: QColor) -> QColor:
+    return QColor((one.red() + other.red()) // 2, (one.green() + other.green()) // 2, (one.blue() + other.blue()) // 2)

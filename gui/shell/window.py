@@ -23,15 +23,14 @@ from PyQt5.QtWidgets import (
 )
 
 from gui.process.background import Background
-from gui.shell.actions import copy_text, make_action
-from gui.shell.chosen_files import dropped_files, make_dialog
-from gui.shell.desk import Desk
+from gui.shell.error_hook import Unexpected
+from gui.shell.file_choice import dropped_files, make_dialog
 from gui.shell.front_door import FrontDoor
-from gui.shell.memory import Memory
 from gui.shell.message_bar import MessageBar
-from gui.shell.tab import Act, Question, Tab, make_tabs
-from gui.shell.theme import CHOICES, put_on, resized_text, theme_named
-from gui.shell.unexpected import Unexpected
+from gui.shell.settings import Settings
+from gui.shell.tab import Act, Question, Tab, TabContext, make_tabs
+from gui.shell.theme import CHOICES, resized_text, set_theme, theme_named
+from gui.shell.widgets import copy_text, make_action
 
 DRAWS_EVERY_MS = 50
 _SIZE, _LEAST, _FRAME = QSize(1240, 720), QSize(800, 560), QSize(16, 48)
@@ -45,18 +44,18 @@ class Window(QMainWindow):
     ----------
     front : FrontDoor
         Starts commands, names files.
-    memory : Memory
+    settings : Settings
         What is remembered.
     """
 
-    def __init__(self, front: FrontDoor, memory: Memory) -> None:
+    def __init__(self, front: FrontDoor, settings: Settings) -> None:
         super().__init__()
-        self.memory = memory
+        self.settings = settings
         self.setWindowTitle("wavefocus")
         self.setAcceptDrops(True)
         self.messages = MessageBar()
         self.background = Background(self)
-        self.desk = Desk(front, self.messages, self.background, memory, self)
+        self.context = TabContext(front, self.messages, self.background, settings, self)
         self._unexpected = Unexpected(self.tell_unexpected, self.close)
         self._unexpected.install()
         application = QApplication.instance()
@@ -66,9 +65,9 @@ class Window(QMainWindow):
         self._may_close = False
         self.mishaps: list[str] = []
         self._let_go = False
-        put_on(application, theme_named(memory.text("theme", "system"), self._system_palette))
-        self.tabs = self.desk.tabs
-        self.tabs += make_tabs(self.desk)
+        set_theme(application, theme_named(settings.text("theme", "system"), self._system_palette))
+        self.tabs = self.context.tabs
+        self.tabs += make_tabs(self.context)
         self._pages = QTabWidget()
         self._pages.setDocumentMode(True)
         self._pages.setAccessibleName("Tabs")
@@ -88,10 +87,10 @@ class Window(QMainWindow):
         self.setCentralWidget(centre)
         self._recent = QMenu("Open &recent", self)
         self._make_menus()
-        self._text_size = memory.whole("text_pt", application.font().pointSize())
+        self._text_size = settings.whole("text_pt", application.font().pointSize())
         self._resize_text(self._text_size - application.font().pointSize())
-        self.choose_theme(memory.text("theme", "system"))
-        if not self.restoreGeometry(memory.bytes("geometry")):
+        self.choose_theme(settings.text("theme", "system"))
+        if not self.restoreGeometry(settings.bytes("geometry")):
             self._fit_screen()
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.refresh)
@@ -106,7 +105,7 @@ class Window(QMainWindow):
     def refresh(self) -> None:
         """Let tabs take up what came in, and draw what is seen."""
         for tab in self.tabs:
-            tab.collect()
+            tab.poll()
         shown = self._pages.currentWidget()
         if isinstance(shown, Tab) and self.isVisible() and not self.isMinimized():
             shown.draw()
@@ -114,19 +113,19 @@ class Window(QMainWindow):
     def open_file(self, path: Path) -> None:
         """Open a file in the tab that it belongs to."""
         path = path.absolute()
-        self.messages.put_away_old()
+        self.messages.dismiss_old()
         for tab in self.tabs:
             if tab.accepts(path):
                 self._pages.setCurrentWidget(tab)
                 tab.open_file(path)
-                self.memory.opened(path)
+                self.settings.opened(path)
                 return
         self.messages.warn(f"{path}: no tab opens such a file; they open {', '.join(self._endings())}")
 
-    def recall(self) -> None:
+    def restore_settings(self) -> None:
         """Open what was open last time."""
         for tab in self.tabs:
-            tab.recall()
+            tab.restore_settings()
 
     def tell_unexpected(self, sentence: str, details: str) -> None:
         """Tell an error that nobody caught."""
@@ -139,20 +138,22 @@ class Window(QMainWindow):
     def choose_theme(self, choice: str) -> None:
         """Dress everything."""
         theme = theme_named(choice, self._system_palette)
-        put_on(self._application, theme)
-        self.messages.dress(theme)
+        set_theme(self._application, theme)
+        self.messages.apply_theme(theme)
         for tab in self.tabs:
-            tab.dress(theme)
-        self.memory.keep("theme", choice)
+            tab.apply_theme(theme)
+        self.settings.keep("theme", choice)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802
         """Ask first what tabs have to ask, one after the other, inside the window."""
         assert event is not None
-        questions = [] if self._may_close else [asked for tab in self.tabs if (asked := tab.closing()) is not None]
+        questions = (
+            [] if self._may_close else [asked for tab in self.tabs if (asked := tab.closing_question()) is not None]
+        )
         if not questions:
-            self.memory.keep("geometry", self.saveGeometry())
+            self.settings.keep("geometry", self.saveGeometry())
             for tab in self.tabs:
-                tab.keep()
+                tab.save_settings()
             self.let_go()
             event.accept()
             return
@@ -171,7 +172,7 @@ class Window(QMainWindow):
         self._let_go = True
         self._timer.stop()
         for tab in self.tabs:
-            tab.closed()
+            tab.shut_down()
         self.background.end()
         self._unexpected.remove()
 
@@ -225,7 +226,7 @@ class Window(QMainWindow):
             words = {"system": "Colours as the &desktop", "light": "&Light", "dark": "&Dark"}[choice]
             action = _add(view, words, partial(self.choose_theme, choice))
             action.setCheckable(True)
-            action.setChecked(self.memory.text("theme", "system") == choice)
+            action.setChecked(self.settings.text("theme", "system") == choice)
             group.addAction(action)
         view.addSeparator()
         _add(view, "L&arger text", lambda: self._resize_text(1), QKeySequence.StandardKey.ZoomIn)
@@ -235,7 +236,7 @@ class Window(QMainWindow):
             _add(view, tab.title, partial(self._pages.setCurrentIndex, index), f"Alt+{index + 1}")
 
     def _choose_file(self) -> None:
-        dialog = make_dialog(self, "Open", self.memory.folder(".h5"), "What the window opens", self._endings())
+        dialog = make_dialog(self, "Open", self.settings.folder(".h5"), "What the window opens", self._endings())
         dialog.setNameFilters([*dialog.nameFilters(), "All files (*)"])
         dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
         dialog.filesSelected.connect(self._open_named)
@@ -250,13 +251,13 @@ class Window(QMainWindow):
 
     def _list_recent(self) -> None:
         self._recent.clear()
-        for path in self.memory.recent():
+        for path in self.settings.recent():
             _add(self._recent, str(path), partial(self.open_file, path))
         self._recent.addSeparator()
-        _add(self._recent, "&Forget these", self.memory.forget_recent)
+        _add(self._recent, "&Forget these", self.settings.forget_recent)
 
     def _resize_text(self, step: int) -> None:
-        self.memory.keep("text_pt", resized_text(self._application, step))
+        self.settings.keep("text_pt", resized_text(self._application, step))
 
 
 def _menu(menu: QMenu | None) -> QMenu:

@@ -9,7 +9,7 @@ from PyQt5.QtCore import QRectF, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPainterPath, QResizeEvent
 from PyQt5.QtWidgets import QGraphicsPathItem
 
-from gui.shell.theme import LIGHT, Theme, dress_axes
+from gui.shell.theme import LIGHT, Theme, theme_axes
 from gui.surface.colours import magnitude_map, signed_map
 from gui.surface.ground import Float64Array, Ground, actuator_triangles
 from gui.surface.signs import cross_path, ring_path, sign_of
@@ -77,7 +77,7 @@ class FieldMap(pyqtgraph.PlotWidget):
         self.box.clicked.connect(self._clicked)
         self.box.everything_wanted.connect(self.show_everything)
         self.box.sigRangeChangedManually.connect(lambda *_: self._keep_view())
-        self.dress(LIGHT)
+        self.apply_theme(LIGHT)
 
     def link(self, other: FieldMap) -> None:
         """Show the same part of the surface as another map, for ever."""
@@ -159,11 +159,11 @@ class FieldMap(pyqtgraph.PlotWidget):
         """What its colour bar shows."""
         return signed_map(self._theme) if self._signed else magnitude_map()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
         self.setBackground(theme.base)
-        dress_axes(self.getPlotItem(), theme)
+        theme_axes(self.getPlotItem(), theme)
         self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1))
         self._actuators.setPen(pyqtgraph.mkPen(theme.text, width=1))
         self._cross.setPen(pyqtgraph.mkPen(theme.traces[3], width=2.5))  # neither blue nor orange

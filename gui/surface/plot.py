@@ -7,7 +7,7 @@ import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtCore import Qt
 
-from gui.shell.theme import LIGHT, Theme, dress_axes
+from gui.shell.theme import LIGHT, Theme, theme_axes
 
 Real = NDArray[np.float32] | NDArray[np.float64]
 
@@ -46,11 +46,11 @@ class Plot(pyqtgraph.PlotWidget):
         super().mouseDoubleClickEvent(event)
         self.getPlotItem().getViewBox().autoRange()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self.theme = theme
         self.setBackground(theme.base)
-        dress_axes(self.getPlotItem(), theme)
+        theme_axes(self.getPlotItem(), theme)
         if self._legend is not None:
             self._legend.setLabelTextColor(theme.text)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.schedule.grid import stadium_rim
-from gui.shell.which_rig import is_virtual
+from gui.shell.toml_files import is_virtual
 
 if TYPE_CHECKING:
     from gui.surface.raster import Raster

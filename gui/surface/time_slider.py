@@ -163,7 +163,7 @@ class TimeSlider(QWidget):
         """Stand still."""
         self.play.setChecked(False)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self.slider.theme = theme
         self.slider.update()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum, auto
 from pathlib import Path
 
-from gui.shell.toml_file import TomlKind, toml_kind
+from gui.shell.toml_files import TomlKind, toml_kind
 from gui.verification.results import record_of
 
 

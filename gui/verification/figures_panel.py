@@ -18,8 +18,8 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.shell.progress import Badge
 from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import Badge
 from gui.verification.results import Results
 from rendering.report.number_words import number, precise
 from rendering.verify.reading import RecordedFigure, VerificationRecord
@@ -116,10 +116,10 @@ class FiguresPanel(QWidget):
         ]
         return "\n".join([*lines, *("\t".join(_cells(one)) for one in record.figures)]) + "\n"
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
-        self.verdict.dress(theme)
+        self.verdict.apply_theme(theme)
         self._fill()
 
     def _fill(self) -> None:

@@ -99,11 +99,11 @@ class MapsPanel(QWidget):
         for field_map in self.maps:
             field_map.mark(index)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
-        self.time.dress(theme)
+        self.time.apply_theme(theme)
         for field_map, bar in zip(self.maps, self.bars, strict=True):
-            field_map.dress(theme)
+            field_map.apply_theme(theme)
             bar.take_map(field_map.colour_map)
 
     def _moved(self, sample: int) -> None:

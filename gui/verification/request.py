@@ -9,9 +9,9 @@ from pathlib import Path
 
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QSpinBox, QWidget
 
-from gui.shell.desk import Desk
-from gui.shell.path_field import PathField
-from gui.shell.which_rig import names_virtual_rig
+from gui.shell.file_choice import PathField
+from gui.shell.tab import TabContext
+from gui.shell.toml_files import names_virtual_rig
 from rendering.verify.names import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 from storage.errors import InputError
 
@@ -49,18 +49,18 @@ class RequestForm(QWidget):
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Knows what was chosen last time, and what the Campaign tab has selected.
     """
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, context: TabContext) -> None:
         super().__init__()
-        self._desk = desk
-        memory = desk.memory
-        self.scene = PathField("&Scene", ".toml", "scene file", memory)
-        self.bank = PathField("&Bank", ".h5", "bank to verify", memory)
-        self.rig = PathField("Ri&g", ".toml", "rig file", memory)
-        self.out = PathField("F&older", "", "folder for the report", memory)
+        self._context = context
+        settings = context.settings
+        self.scene = PathField("&Scene", ".toml", "scene file", settings)
+        self.bank = PathField("&Bank", ".h5", "bank to verify", settings)
+        self.rig = PathField("Ri&g", ".toml", "rig file", settings)
+        self.out = PathField("F&older", "", "folder for the report", settings)
         self.virtual = QCheckBox("virtual")
         self.virtual.setToolTip("Play on the virtual rig that comes with wavefocus, without a rig file")
         self.virtual.setAccessibleName("Virtual rig")
@@ -101,7 +101,7 @@ class RequestForm(QWidget):
         self._align_labels()
         self.bank.chosen.connect(self.take_bank)
         for field in (self.scene, self.rig):
-            field.chosen.connect(memory.opened)
+            field.chosen.connect(settings.opened)
         self.virtual.toggled.connect(self.rig.setDisabled)
         self.positions.currentIndexChanged.connect(self._show_choice)
         self._recall()
@@ -110,7 +110,7 @@ class RequestForm(QWidget):
     def take_bank(self, bank: Path) -> None:
         """Verify a bank; what lies beside it is taken where nothing was chosen yet."""
         self.bank.show_path(bank)
-        self._desk.memory.opened(bank)
+        self._context.settings.opened(bank)
         for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml")):
             if field.path is None and (beside := bank.with_name(name)).is_file():
                 field.show_path(beside)
@@ -148,15 +148,15 @@ class RequestForm(QWidget):
             arguments += ["--positions", positions]
         return Request(tuple(arguments), out, names_virtual_rig(rig))
 
-    def keep(self) -> None:
+    def save_settings(self) -> None:
         """Remember what is chosen."""
-        memory = self._desk.memory
+        settings = self._context.settings
         for name, field in self._fields().items():
-            memory.keep(f"verification/{name}", str(field.path or ""))
-        memory.keep("verification/virtual", int(self.virtual.isChecked()))
-        memory.keep("verification/positions", str(self.positions.currentData()))
-        memory.keep("verification/step", self.step.value())
-        memory.keep("verification/rows", self.rows.text())
+            settings.keep(f"verification/{name}", str(field.path or ""))
+        settings.keep("verification/virtual", int(self.virtual.isChecked()))
+        settings.keep("verification/positions", str(self.positions.currentData()))
+        settings.keep("verification/step", self.step.value())
+        settings.keep("verification/rows", self.rows.text())
 
     def _positions(self, bank: Path) -> str:
         match self.positions.currentData():
@@ -174,7 +174,7 @@ class RequestForm(QWidget):
         return ""
 
     def _selected(self, bank: Path) -> str:
-        selection = self._desk.selection
+        selection = self._context.selection
         if not selection.rows or selection.bank is None:
             raise InputError("nothing is selected on the campaign's map; Ctrl-click or Shift-drag there selects")
         if selection.bank.absolute() != bank.absolute():
@@ -191,14 +191,14 @@ class RequestForm(QWidget):
         self.rows.setVisible(key == "rows")
 
     def _recall(self) -> None:
-        memory = self._desk.memory
+        settings = self._context.settings
         for name, field in self._fields().items():
-            if text := memory.text(f"verification/{name}"):
+            if text := settings.text(f"verification/{name}"):
                 field.show_path(Path(text))
-        self.virtual.setChecked(memory.whole("verification/virtual", 0) == 1)
-        self.positions.setCurrentIndex(max(0, self.positions.findData(memory.text("verification/positions", "all"))))
-        self.step.setValue(memory.whole("verification/step", 4))
-        self.rows.setText(memory.text("verification/rows"))
+        self.virtual.setChecked(settings.whole("verification/virtual", 0) == 1)
+        self.positions.setCurrentIndex(max(0, self.positions.findData(settings.text("verification/positions", "all"))))
+        self.step.setValue(settings.whole("verification/step", 4))
+        self.rows.setText(settings.text("verification/rows"))
 
     def _fields(self) -> dict[str, PathField]:
         return {"scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out}

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from gui.process.log_tail import LogTail
 from gui.process.own_run import OwnRun
-from gui.shell.desk import Desk, sentence_of
-from gui.shell.tab import Question
+from gui.shell.tab import Question, TabContext, error_text
 from gui.verification.request import Request
 from rendering.verify.names import LOG_NAME, RECORD_NAME, STOP_NAME
 
@@ -50,14 +49,14 @@ class VerificationRun:
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Starts commands and tells sentences.
     done : callable
         Called with the record's path when a verification has one.
     """
 
-    def __init__(self, desk: Desk, done: Callable[[Path], object]) -> None:
-        self._desk = desk
+    def __init__(self, context: TabContext, done: Callable[[Path], object]) -> None:
+        self._context = context
         self._done = done
         self.own: OwnRun | None = None
         self.out: Path | None = None
@@ -82,7 +81,7 @@ class VerificationRun:
     def start(self, request: Request) -> None:
         """Start it, unless one is running."""
         if self.running:
-            self._desk.messages.warn("a verification is still running; cancel it first, or wait for its end")
+            self._context.messages.warn("a verification is still running; cancel it first, or wait for its end")
             return
         self._start(request)
 
@@ -126,9 +125,9 @@ class VerificationRun:
             self._tell_end(code if isinstance(code, int) else None, None)
         elif time.time() - self._last_s > _SILENT_AFTER_S:
             self._forget()
-            self._desk.messages.warn("the verification of another process has told nothing for five minutes")
+            self._context.messages.warn("the verification of another process has told nothing for five minutes")
 
-    def closing(self) -> Question | None:
+    def closing_question(self) -> Question | None:
         """What is to become of the own verification; None when there is none."""
         if not self.alive or self.out is None:
             return None
@@ -158,7 +157,7 @@ class VerificationRun:
                 (out / name).unlink(missing_ok=True)
             self._listen(out)
             self.own = OwnRun(
-                self._desk.front,
+                self._context.front,
                 request.arguments,
                 out,
                 out / _SAID_NAME,
@@ -167,7 +166,7 @@ class VerificationRun:
             )
         except OSError as failure:
             self._forget()
-            self._desk.messages.fault(f"the verification cannot be started: {sentence_of(failure)}")
+            self._context.messages.fault(f"the verification cannot be started: {error_text(failure)}")
             return
         self.progress, self.is_virtual = Progress(), request.is_virtual
 
@@ -216,7 +215,7 @@ class VerificationRun:
             (self.out / STOP_NAME).touch()
         except OSError as failure:
             self.stopping = False
-            self._desk.messages.fault(f"the order to stop cannot be given: {sentence_of(failure)}")
+            self._context.messages.fault(f"the order to stop cannot be given: {error_text(failure)}")
 
     def _tell_end(self, code: int | None, own: OwnRun | None) -> None:
         out, ended = self.out, self._ended
@@ -225,7 +224,7 @@ class VerificationRun:
         with suppress(OSError):
             (out / STOP_NAME).unlink(missing_ok=True)
         reason = str(ended.get("reason", "")) if ended is not None else ""
-        messages, record = self._desk.messages, out / RECORD_NAME
+        messages, record = self._context.messages, out / RECORD_NAME
         if ended is not None and code == 0:
             messages.note(f"Verified. {reason}")
             self._done(record)

@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 from PyQt5.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QWidget
 
-from gui.shell.actions import make_action, make_button
-from gui.shell.progress import Badge, finish_words, put
 from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import Badge, finish_words, make_action, make_button, put
 from gui.verification.run import Progress
 
 # The steps' names in the log, and what people read.
@@ -88,10 +87,10 @@ class RunRow(QWidget):
         put(self.figures, told)
         self.figures.setToolTip(told)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
-        self.state.dress(theme)
+        self.state.apply_theme(theme)
 
 
 def _told(progress: Progress) -> str:

@@ -9,11 +9,10 @@ from PyQt5.QtGui import QDesktopServices, QDragEnterEvent, QDropEvent
 from PyQt5.QtWidgets import QAction, QApplication, QLabel, QStackedWidget, QVBoxLayout
 
 from gui.process.background import Background
-from gui.shell.chosen_files import choose_file, dropped_files
-from gui.shell.desk import Desk, sentence_of
-from gui.shell.divided import side_by_side, stacked
-from gui.shell.tab import Question, Tab
+from gui.shell.file_choice import choose_file, dropped_files
+from gui.shell.tab import Question, Tab, TabContext, error_text
 from gui.shell.theme import Theme
+from gui.shell.widgets import side_by_side, stacked
 from gui.verification.dropped import Dropped, kind_of
 from gui.verification.figures_panel import FiguresPanel
 from gui.verification.maps_panel import MapsPanel
@@ -39,13 +38,13 @@ class VerificationTab(Tab):
     title = "Verification"
     opens = (".json",)
 
-    def __init__(self, desk: Desk) -> None:
-        super().__init__(desk)
+    def __init__(self, context: TabContext) -> None:
+        super().__init__(context)
         self.results: Results | None = None
         self.background = Background(self)  # reading some hundred megabytes must hold up no other tab
         self.reading = Reading(self.background, self._show, self._tell)
-        self.run = VerificationRun(desk, self.open_record)
-        self.form = RequestForm(desk)
+        self.run = VerificationRun(context, self.open_record)
+        self.form = RequestForm(context)
         self.row = RunRow(self.form.choice, self._start, self.run.cancel, self._choose_record)
         self.maps = MapsPanel()
         self.waveforms = WaveformPanel()
@@ -73,7 +72,7 @@ class VerificationTab(Tab):
 
     def open_record(self, record: Path) -> None:
         """Read a verification and show it when it is there."""
-        self.desk.memory.opened(record)
+        self.context.settings.opened(record)
         self.reading.read(record)
 
     def show_position(self, index: int) -> None:
@@ -82,7 +81,7 @@ class VerificationTab(Tab):
         self.waveforms.show_position(index)
         self.waveforms.show_time(self.maps.time.time_s)
 
-    def collect(self) -> None:
+    def poll(self) -> None:
         """Take up how far a verification is, and how it ended."""
         self.run.look()
 
@@ -93,30 +92,30 @@ class VerificationTab(Tab):
             self.run.progress, stopping=self.run.stopping, missing=self.form.missing(), reading=self.reading.told()
         )
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         for part in (self.row, self.maps, self.waveforms, self.figures):
-            part.dress(theme)
+            part.apply_theme(theme)
 
-    def closing(self) -> Question | None:
+    def closing_question(self) -> Question | None:
         """Ask what is to become of a verification that this window started."""
-        return self.run.closing()
+        return self.run.closing_question()
 
     def instruments_held(self) -> str:
         """A verification plays and records; of another process's nobody knows the rig."""
         busy = self.run.running and not self.run.is_virtual
         return f"a verification into {self.run.out} plays and scans" if busy else ""
 
-    def closed(self) -> None:
+    def shut_down(self) -> None:
         """Let go of what is read; leave a verification to itself."""
         self.reading.give_up()
         self.background.end()
         self.run.let_go()
 
-    def keep(self) -> None:
+    def save_settings(self) -> None:
         """Remember what is chosen, and how the room is divided."""
-        super().keep()
-        self.form.keep()
+        super().save_settings()
+        self.form.save_settings()
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
         """Take what a verification is made of, and what one left."""
@@ -146,7 +145,7 @@ class VerificationTab(Tab):
             case Dropped.FOLDER:
                 self.form.out.show_path(path)
             case Dropped.STRANGE:
-                self.desk.messages.warn(
+                self.context.messages.warn(
                     f"{path}: drop a scene, a bank, a rig, a folder, or the verify.json of an earlier verification"
                 )
 
@@ -168,10 +167,10 @@ class VerificationTab(Tab):
         try:
             request = self.form.request()
         except InputError as wrong:
-            self.desk.messages.warn(sentence_of(wrong))
+            self.context.messages.warn(error_text(wrong))
             return
         self.form.out.show_path(request.out)
-        self.desk.claim_instruments(self, "Verify", lambda: self.run.start(request), virtual=request.is_virtual)
+        self.context.claim_instruments(self, "Verify", lambda: self.run.start(request), virtual=request.is_virtual)
 
     def _folder_chosen(self, folder: Path) -> None:
         """An earlier verification of that folder is shown; one of another process is followed."""
@@ -181,7 +180,7 @@ class VerificationTab(Tab):
             self.open_record(record)
 
     def _choose_record(self) -> None:
-        folder = self.form.out.path or self.desk.memory.folder(".json")
+        folder = self.form.out.path or self.context.settings.folder(".json")
         choose_file(self, "Open an earlier verification", folder, "Verifications", self.opens, self.open_record)
 
     def _show(self, results: Results) -> None:
@@ -193,7 +192,7 @@ class VerificationTab(Tab):
         self.show_position(self._first_position(results))
 
     def _tell(self, failure: Exception) -> None:
-        self.desk.tell_failure(failure)
+        self.context.report_failure(failure)
 
     @staticmethod
     def _first_position(results: Results) -> int:
@@ -217,15 +216,15 @@ class VerificationTab(Tab):
 
     def _open(self, path: Path) -> None:
         if not path.exists():
-            self.desk.messages.fault(f"{path} is gone; run the verification again")
+            self.context.messages.fault(f"{path} is gone; run the verification again")
         elif not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
-            self.desk.messages.warn(f"this desktop opens nothing with {path.name}; it lies at {path}")
+            self.context.messages.warn(f"this desktop opens nothing with {path.name}; it lies at {path}")
 
     def _copy(self) -> None:
         clipboard = QApplication.clipboard()
         if clipboard is not None:
             clipboard.setText(self.figures.as_text())
-            self.desk.messages.note("the figures are on the clipboard")
+            self.context.messages.note("the figures are on the clipboard")
 
 
 def _hint() -> QLabel:

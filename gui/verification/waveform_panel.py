@@ -101,9 +101,9 @@ class WaveformPanel(QWidget):
         """Mark the instant that the maps show."""
         self._instant.setValue(1e3 * time_s)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
-        self.plot.dress(theme)
+        self.plot.apply_theme(theme)
         self.legend.setText(
             "   ".join(f'<span style="color:{colour}">━ {name}</span>' for name, colour in _lines(theme))
         )

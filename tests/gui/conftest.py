@@ -21,7 +21,7 @@ from pytestqt.qtbot import QtBot
 
 from gui.campaign.tab import CampaignTab
 from gui.shell.application import require_fonts
-from gui.shell.memory import Memory
+from gui.shell.settings import Settings
 from gui.shell.window import Window
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
@@ -90,13 +90,13 @@ def long_run(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def memory(tmp_path: Path) -> Memory:
+def memory(tmp_path: Path) -> Settings:
     """What the windows of a test remember."""
-    return Memory(QSettings(str(tmp_path / "memory.ini"), QSettings.Format.IniFormat))
+    return Settings(QSettings(str(tmp_path / "memory.ini"), QSettings.Format.IniFormat))
 
 
 @pytest.fixture
-def open_window(qtbot: QtBot, memory: Memory) -> Generator[Callable[..., Window]]:
+def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Window]]:
     """Opens windows, and fails when anything went wrong in them that the test did not ask for."""
     opened: list[Window] = []
     require_fonts()

@@ -24,7 +24,7 @@ from acquisition.quality.point_status import STATUS_WORDS
 from gui.campaign import statuses
 from gui.campaign.surface_map import SurfaceMap
 from gui.campaign.tab import CampaignTab
-from gui.shell.memory import Memory
+from gui.shell.settings import Settings
 from gui.shell.theme import DARK
 from gui.shell.window import Window
 from storage.bank.reading import open_bank
@@ -176,7 +176,7 @@ def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_lis
 
 
 def test_given_a_dropped_file_then_it_is_opened_and_stands_among_the_recent_ones(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path, memory: Memory, tmp_path: Path
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path, memory: Settings, tmp_path: Path
 ) -> None:
     window = open_window()
     other = write_lab(tmp_path / "other", 2, 2)
@@ -196,7 +196,7 @@ def test_given_a_dropped_file_then_it_is_opened_and_stands_among_the_recent_ones
 
 
 def test_given_a_theme_and_larger_text_then_they_are_remembered(
-    qtbot: QtBot, open_window: Callable[..., Window], memory: Memory
+    qtbot: QtBot, open_window: Callable[..., Window], memory: Settings
 ) -> None:
     window = open_window()
     window.choose_theme("dark")

@@ -21,12 +21,12 @@ from pathlib import Path
 from PyQt5.QtCore import QSettings, QTimer
 from PyQt5.QtWidgets import QApplication
 from gui.shell.application import make_application
-from gui.shell.memory import Memory
+from gui.shell.settings import Settings
 from gui.shell.window import Window
 from wavefocus.commands.gui import front_door
 application = make_application()
 assert QApplication.platformName() == "xcb", QApplication.platformName()
-window = Window(front_door(), Memory(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
+window = Window(front_door(), Settings(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
 window.open_file(Path(sys.argv[1]))
 window.resize(1200, 760)
 window.show()

@@ -38,7 +38,7 @@ from gui.scene.surface.canvas import SceneCanvas
 from gui.scene.surface.handles import handles_of, shifted, with_handle_at
 from gui.scene.tab import SceneTab
 from gui.scene.toml_text import draft_of, scene_toml
-from gui.shell.memory import Memory
+from gui.shell.settings import Settings
 from gui.shell.window import Window
 from rendering.scene import paths, signals
 from rendering.scene.model import Output, Regularisation, Scene, Source
@@ -82,7 +82,7 @@ def scene_of(window: Window) -> SceneTab:
 def window(qapp: QApplication, tmp_path_factory: pytest.TempPathFactory) -> Generator[Window]:
     """One window for all tests that neither close nor crash it."""
     folder = tmp_path_factory.mktemp("window")
-    memory = Memory(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
+    memory = Settings(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
     memory.keep("folder/.toml", str(folder))
     shown = Window(front_door(), memory)
     scene_of(shown)
@@ -101,7 +101,7 @@ def tab(qtbot: QtBot, window: Window) -> Generator[SceneTab]:
     shown.surface.canvas.use_tool("")
     shown.surface.tools.snaps.setChecked(False)
     shown.surface.canvas.setFocus()
-    window.messages.put_away()
+    window.messages.dismiss()
     wait(qtbot, lambda: shown.surface.canvas.isVisible() and shown.live.ground.surface is None and shown.live.idle)
     shown.surface.canvas.box.autoRange()
     laid_out(shown.surface.canvas)
@@ -110,7 +110,7 @@ def tab(qtbot: QtBot, window: Window) -> Generator[SceneTab]:
 
 
 @pytest.fixture
-def own_tab(qtbot: QtBot, open_window: Callable[..., Window], memory: Memory, tmp_path: Path) -> SceneTab:
+def own_tab(qtbot: QtBot, open_window: Callable[..., Window], memory: Settings, tmp_path: Path) -> SceneTab:
     """The Scene tab of a window that may be closed."""
     memory.keep("folder/.toml", str(tmp_path))
     shown = scene_of(open_window())
@@ -369,10 +369,10 @@ def test_given_sources_then_they_are_copied_as_text_pasted_duplicated_reordered_
     assert [source.path.kind for source in document.draft.sources] == ["line", "point", "line"]
     clipboard.setText("[[source]]\npath = 3\n")
     named["paste"].trigger()
-    assert "nothing is pasted: source[0].path" in tab.desk.messages.sentence
+    assert "nothing is pasted: source[0].path" in tab.context.messages.sentence
     clipboard.setText("a shopping list")
     named["paste"].trigger()
-    assert "holds no text with a [[source]]" in tab.desk.messages.sentence
+    assert "holds no text with a [[source]]" in tab.context.messages.sentence
 
 
 def test_given_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene(
@@ -390,7 +390,7 @@ def test_given_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same
     assert not document.saved
     tab.actions_by_name["save"].trigger()
     assert document.saved
-    assert "two.toml~" in tab.desk.messages.sentence
+    assert "two.toml~" in tab.context.messages.sentence
     assert file.with_name("two.toml~").read_text(encoding="utf-8") == SCENE
     assert load_scene(file) == document.scene()
     assert load_scene(file).sources[0].amplitude == 0.25
@@ -423,7 +423,7 @@ def test_given_unsaved_changes_then_closing_asks_and_saving_closes(
 
 
 def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_them(
-    qtbot: QtBot, open_window: Callable[..., Window], own_tab: SceneTab, memory: Memory, tmp_path: Path
+    qtbot: QtBot, open_window: Callable[..., Window], own_tab: SceneTab, memory: Settings, tmp_path: Path
 ) -> None:
     file = tmp_path / "two.toml"
     file.write_text(SCENE, encoding="utf-8")
@@ -433,7 +433,7 @@ def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_
     other = scene_of(open_window())
     assert other.document.draft == own_tab.document.draft
     assert (other.document.path, other.document.saved) == (file, False)
-    assert "two.toml has changes of last time that were not saved" in other.desk.messages.sentence
+    assert "two.toml has changes of last time that were not saved" in other.context.messages.sentence
     other.actions_by_name["save"].trigger()
     assert load_scene(file).name == "three"
     assert memory.text("scene/unsaved") == ""
@@ -448,9 +448,9 @@ def test_given_a_file_that_another_program_changed_then_saving_asks(
     file.write_text(SCENE.replace("80.0", "81.0"), encoding="utf-8")
     tab.document.edit("edit", replace(tab.document.draft, name="three"))
     tab.actions_by_name["save"].trigger()
-    assert "changed by another program" in tab.desk.messages.sentence
+    assert "changed by another program" in tab.context.messages.sentence
     assert load_scene(file).sources[0].speed_mm_s == 81.0
-    over = next(button for button in tab.desk.messages.buttons() if button.text() == "Save over it")
+    over = next(button for button in tab.context.messages.buttons() if button.text() == "Save over it")
     qtbot.mouseClick(over, LEFT)
     assert load_scene(file).name == "three"
 
@@ -479,7 +479,7 @@ def test_given_a_drawing_then_it_comes_in_at_a_size_that_fits_and_its_paths_can_
     wait(qtbot, lambda: "source[0].path.file" in tab.surface.trouble)
     assert "must be a file" in tab.surface.trouble
     window.open_file(file)
-    wait(qtbot, lambda: "cannot be read" in tab.desk.messages.sentence)
+    wait(qtbot, lambda: "cannot be read" in tab.context.messages.sentence)
 
 
 @pytest.mark.parametrize(
@@ -499,8 +499,8 @@ def test_given_a_wrong_scene_file_then_a_sentence_says_where_and_the_scene_stays
     file = tmp_path / "wrong.toml"
     file.write_text(text, encoding="utf-8")
     tab.open_file(file)
-    assert str(file) in tab.desk.messages.sentence
-    assert sentence in tab.desk.messages.sentence
+    assert str(file) in tab.context.messages.sentence
+    assert sentence in tab.context.messages.sentence
     assert tab.document.draft == before
 
 

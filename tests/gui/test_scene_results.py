@@ -40,12 +40,12 @@ def drawn(end_mm: float = 4.5, amplitude: float = 1.0, **output: float) -> Scene
 
 
 class Bench:
-    """A results panel on a desk, with the scene that it shows."""
+    """A results panel on a context, with the scene that it shows."""
 
     def __init__(self, qtbot: QtBot, window: Window, bank: Path | None) -> None:
         self.qtbot, self.window = qtbot, window
-        self.document = SceneDocument(window.desk.front, window)
-        self.panel = ResultsPanel(window.desk, self.document)
+        self.document = SceneDocument(window.context.front, window)
+        self.panel = ResultsPanel(window.context, self.document)
         self.numbers: list[int] = []
         self._ticks = QTimer(self.panel)
         self._ticks.timeout.connect(self._tick)
@@ -55,7 +55,7 @@ class Bench:
         self.document.use_bank(bank)
 
     def _tick(self) -> None:
-        self.panel.collect()
+        self.panel.poll()
         if self.panel.driven is not None and self.panel.driven.number not in self.numbers:
             self.numbers.append(self.panel.driven.number)
 
@@ -77,7 +77,7 @@ class Bench:
 def bench(qtbot: QtBot, open_window: Callable[..., Window], finished: Path) -> Generator[Bench]:
     made = Bench(qtbot, open_window(), finished)
     yield made
-    made.panel.closed()
+    made.panel.shut_down()
     made.panel.deleteLater()
 
 
@@ -147,7 +147,7 @@ def look_at_field(qtbot: QtBot, bench: Bench) -> None:
     assert view.time_s >= at_s - 1e-9
     assert view.map.marked == 6
     for theme in (DARK,):
-        panel.dress(theme)
+        panel.apply_theme(theme)
 
 
 def click(shown, x_mm: float, y_mm: float) -> None:
@@ -268,7 +268,7 @@ def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench: Bench,
     wait(bench.qtbot, lambda: panel.playing.state == OPENING)
     process = panel.playing._process
     assert process is not None
-    panel.closed()
+    panel.shut_down()
     _, status = os.waitpid(process.pid, 0)  # the window does not wait for it; it ends by itself, muted
     assert os.waitstatus_to_exitcode(status) != 0
 

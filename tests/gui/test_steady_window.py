@@ -19,7 +19,7 @@ from gui.process.own_run import OwnRun
 from gui.scene.draft import SceneDraft, SourceDraft, TextDraft
 from gui.scene.results.scene_job import SceneJob
 from gui.scene.tab import SceneTab
-from gui.shell.memory import Memory
+from gui.shell.settings import Settings
 from gui.shell.window import Window
 from gui.surface.plot import MOST_COLUMNS, thinned
 from storage.errors import InputError
@@ -91,7 +91,7 @@ def test_given_large_text_and_a_long_message_then_the_window_still_fits_a_small_
 
 
 def test_given_a_window_that_was_resized_then_the_next_one_is_as_large(
-    qtbot: QtBot, open_window: Callable[..., Window], memory: Memory
+    qtbot: QtBot, open_window: Callable[..., Window], memory: Settings
 ) -> None:
     window = open_window()
     window.resize(780, 560)
@@ -112,7 +112,7 @@ def test_given_a_message_then_no_control_is_moved_by_it(qtbot: QtBot, open_windo
         assert window.messages.sentence == sentence
     assert window.messages._label.text().endswith("…")
     assert window.messages._label.toolTip() == window.messages.sentence
-    window.messages.put_away()
+    window.messages.dismiss()
     qtbot.wait(20)
     assert button.mapTo(window, button.rect().center()) == before
 
@@ -142,7 +142,7 @@ def test_given_a_run_and_a_bank_then_the_next_window_opens_them_again(
     window.close()
     again = open_window()
     assert campaign_of(again).bank_field.path is None
-    again.recall()
+    again.restore_settings()
     tab = campaign_of(again)
     assert (tab.run_field.path, tab.bank_field.path) == (finished.with_name("run.toml"), finished)
     wait(qtbot, lambda: tab.campaign.measured == 12)
@@ -240,7 +240,7 @@ def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_comma
         document.scene()
     tab.scene_form.large.setChecked(True)
     assert document.scene().allow_large
-    job = SceneJob(window.desk, document, "", lambda _words: None)
+    job = SceneJob(window.context, document, "", lambda _words: None)
     assert "--allow-large" in job.render()
     job.close()
     wait(qtbot, lambda: bool(tab.live.idle and tab.live.drawn.traces and not tab.live.drawn.traces[0].problem))

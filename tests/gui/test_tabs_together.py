@@ -18,8 +18,7 @@ from gui.rig.tab import RigTab
 from gui.scene.draft import LineDraft, SceneDraft, SineDraft, SourceDraft
 from gui.scene.results.rig_play import IDLE
 from gui.scene.tab import SceneTab
-from gui.shell.theme import DARK, LIGHT, Theme, palette_of
-from gui.shell.tick_style import TickStyle
+from gui.shell.theme import DARK, LIGHT, Theme, TickStyle, palette_of
 from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
 from storage.bank.creation import create_bank
@@ -52,11 +51,11 @@ os.environ["QT_QPA_PLATFORM"] = "offscreen"
 from pathlib import Path
 from PyQt5.QtCore import QSettings
 from gui.shell.application import make_application
-from gui.shell.memory import Memory
+from gui.shell.settings import Settings
 from gui.shell.window import Window
 from wavefocus.commands.gui import front_door
 application = make_application()
-window = Window(front_door(), Memory(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
+window = Window(front_door(), Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
 window.show()
 application.processEvents()
 assert len(window.tabs) == 4
@@ -122,7 +121,7 @@ def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments
         assert f"process {owner} on " in window.messages.sentence
         assert window.messages.sentence.endswith(f"measures {bank}, so the instruments are busy: stop it first")
         assert [button.text() for button in window.messages.buttons()] == [f"{word} all the same"]
-        window.messages.put_away()
+        window.messages.dismiss()
 
     rig.examine()
     refused("Examine")

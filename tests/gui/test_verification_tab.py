@@ -303,7 +303,7 @@ def test_given_files_then_each_is_opened_or_put_where_it_belongs(
     assert chosen == [lab / "scene.toml", lab / "plate.h5", lab / "rig.toml", lab / "empty"]
     tab.take_dropped(lab / "positions.csv")
     assert "positions.csv: drop a scene" in window.messages.sentence
-    tab.keep()
+    tab.save_settings()
     again = verification_of(open_window())
     assert [field.path for field in (again.form.scene, again.form.bank, again.form.rig, again.form.out)] == chosen
 
@@ -328,10 +328,10 @@ def test_given_choices_of_positions_then_the_command_says_so_or_a_sentence_what_
     form.positions.setCurrentIndex(form.positions.findData("selected"))
     tab.row.start.trigger()
     assert "nothing is selected" in window.messages.sentence
-    window.desk.selection.bank, window.desk.selection.rows = lab / "other.h5", frozenset({3})
+    window.context.selection.bank, window.context.selection.rows = lab / "other.h5", frozenset({3})
     tab.row.start.trigger()
     assert "other.h5" in window.messages.sentence
-    window.desk.selection.bank, window.desk.selection.rows = lab / "plate.h5", frozenset({5, 3})
+    window.context.selection.bank, window.context.selection.rows = lab / "plate.h5", frozenset({5, 3})
     assert choose("selected") == ["--positions", "3,5"]
     form.virtual.setChecked(True)
     arguments = form.request().arguments

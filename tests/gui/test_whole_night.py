@@ -14,8 +14,8 @@ from pytestqt.qtbot import QtBot
 
 from acquisition.quality.point_status import not_valid
 from gui.scene.tab import SceneTab
-from gui.shell.memory import Memory
-from gui.shell.path_field import PathField
+from gui.shell.file_choice import PathField
+from gui.shell.settings import Settings
 from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
 from rendering.verify.names import RECORD_NAME
@@ -105,7 +105,7 @@ def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("spacing_mm", [16.0, pytest.param(4.0, marks=pytest.mark.long)])
 def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rendered_and_verified_with_the_mouse_alone(
-    qtbot: QtBot, open_window: Callable[..., Window], memory: Memory, tmp_path: Path, spacing_mm: float
+    qtbot: QtBot, open_window: Callable[..., Window], memory: Settings, tmp_path: Path, spacing_mm: float
 ) -> None:
     assert run(["init", str(tmp_path / "lab")]) == 0
     lab = tmp_path / "lab"

@@ -20,12 +20,11 @@ from PyQt5.QtWidgets import (
 
 from gui.scene.results.rig_play import IDLE, STOPPING, RigPlay
 from gui.scene.results.saving import DRIVE, ENDINGS, MOVIE, WAV, Saving
-from gui.shell.actions import make_action, make_button
-from gui.shell.chosen_files import choose_place
-from gui.shell.desk import Desk
-from gui.shell.path_field import PathField
+from gui.shell.file_choice import PathField, choose_place
+from gui.shell.tab import TabContext
 from gui.shell.theme import Theme
-from gui.shell.which_rig import VIRTUAL
+from gui.shell.toml_files import VIRTUAL
+from gui.shell.widgets import make_action, make_button
 
 # Word, what it saves, key, tooltip.
 _SAVES = (
@@ -41,20 +40,20 @@ class ActionsBar(QWidget):
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Its memory knows the rig file of last time.
     saving, playing : Saving, RigPlay
         What the buttons are for.
     """
 
-    def __init__(self, desk: Desk, saving: Saving, playing: RigPlay) -> None:
+    def __init__(self, context: TabContext, saving: Saving, playing: RigPlay) -> None:
         super().__init__()
-        self._desk, self._saving, self._playing = desk, saving, playing
+        self._context, self._saving, self._playing = context, saving, playing
         self.save_asked: Callable[[str, Path], object] = lambda _kind, _path: None
         self.play_asked: Callable[[], object] = lambda: None
-        self.rig_field = PathField("Ri&g", ".toml", "rig file", desk.memory, words=(VIRTUAL,))
+        self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings, words=(VIRTUAL,))
         self.rig_field.line.setToolTip("Rig file whose limits count and that plays the scene; virtual for the built-in")
-        self.rig_field.line.setText(desk.memory.text("scene/rig"))
+        self.rig_field.line.setText(context.settings.text("scene/rig"))
         self.gain = QDoubleSpinBox()
         self.gain.setRange(-60.0, 60.0)
         self.gain.setSingleStep(1.0)
@@ -116,7 +115,7 @@ class ActionsBar(QWidget):
         self.said.setText("; ".join(words))
         self.said.setToolTip(self.said.text())
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         colour = theme.warning
         self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {colour}; font-weight: 600; }}")

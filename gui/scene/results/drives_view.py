@@ -10,8 +10,8 @@ from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from gui.scene.results.messages import Driven
-from gui.shell.divided import side_by_side, stacked
 from gui.shell.theme import Theme
+from gui.shell.widgets import side_by_side, stacked
 from gui.surface.plot import Plot, Real, thinning_curve, whole_ticks
 from storage.units import quantity
 
@@ -73,10 +73,10 @@ class DrivesView(QWidget):
             self.actuator.blockSignals(False)
         self._draw()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         for plot in (self.traces, self.levels, self.gains):
-            plot.dress(theme)
+            plot.apply_theme(theme)
         self._draw()
 
     def _draw(self) -> None:

@@ -9,8 +9,8 @@ from PyQt5.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QSiz
 
 from gui.scene.results.instants import between
 from gui.scene.results.messages import Driven, FieldBegun, Plate
-from gui.shell.divided import stacked
 from gui.shell.theme import Theme
+from gui.shell.widgets import stacked
 from gui.surface.colour_bar import ColourBar
 from gui.surface.field_map import FieldMap
 from gui.surface.ground import Ground
@@ -105,11 +105,11 @@ class FieldView(QWidget):
         self.waveform.show_response(words, self.field[:, place], self.begun)
         self.waveform.show_time(self.time_s)
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
-        self.map.dress(theme)
-        self.slider.dress(theme)
-        self.waveform.dress(theme)
+        self.map.apply_theme(theme)
+        self.slider.apply_theme(theme)
+        self.waveform.apply_theme(theme)
         self._scale()
         self.show_position(self.map.marked)
 

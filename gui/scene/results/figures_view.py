@@ -66,7 +66,7 @@ class FiguresView(QWidget):
         self.warnings.setText("\n".join(f"• {warning}" for warning in warnings))
         self.warnings.setVisible(bool(warnings))
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
         self.show_figures(self.figures, [line[2:] for line in self.warnings.text().split("\n") if line])

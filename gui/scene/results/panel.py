@@ -40,9 +40,9 @@ from gui.scene.results.messages import (
 )
 from gui.scene.results.rig_play import RigPlay
 from gui.scene.results.saving import Saving
-from gui.shell.desk import Desk
+from gui.shell.tab import TabContext
 from gui.shell.theme import Theme
-from gui.shell.which_rig import names_virtual_rig
+from gui.shell.toml_files import names_virtual_rig
 
 _FINDINGS_PER_TICK = 8
 # A movie needs more frames than the field has samples while it is edited.
@@ -63,17 +63,17 @@ class ResultsPanel(QWidget):
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         What the tabs share.
     document : SceneDocument
         The scene and its bank.
     """
 
-    def __init__(self, desk: Desk, document: SceneDocument) -> None:
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__()
         self.setAccessibleName("Results of the scene")
-        self._desk, self._document = desk, document
-        self.calculation = Calculation(desk.front)
+        self._context, self._document = context, document
+        self.calculation = Calculation(context.front)
         self._wanted = self._stopped = False
         self._plate: Plate | None = None
         self.driven: Driven | None = None
@@ -82,8 +82,8 @@ class ResultsPanel(QWidget):
         self._gathered = 0
         self.complete = False
         self.drives, self.field, self.figures = DrivesView(), FieldView(), FiguresView()
-        self.saving, self.playing = Saving(desk, document, self), RigPlay(desk, document, self)
-        self.bar = ActionsBar(desk, self.saving, self.playing)
+        self.saving, self.playing = Saving(context, document, self), RigPlay(context, document, self)
+        self.bar = ActionsBar(context, self.saving, self.playing)
         self.stage, self.state = QLabel(), QLabel()
         self.stage.setAccessibleName("Stage of the calculation")
         self.stage.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
@@ -120,7 +120,7 @@ class ResultsPanel(QWidget):
         """What the buttons do, for the tab's menu."""
         return [*self.bar.saves.values(), None, self.bar.play, self.bar.stop]
 
-    def collect(self) -> None:
+    def poll(self) -> None:
         """Ask for the latest scene, and take up what was told about it."""
         if self._wanted and self.isVisible():
             self._wanted = False
@@ -131,12 +131,12 @@ class ResultsPanel(QWidget):
     def draw(self) -> None:
         """Nothing is drawn but when it changes."""
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         for part in (self.drives, self.field, self.figures, self.bar):
-            part.dress(theme)
+            part.apply_theme(theme)
 
-    def closed(self) -> None:
+    def shut_down(self) -> None:
         """End the calculation; what plays falls silent."""
         self._wanted = False
         self.saving.close()
@@ -155,7 +155,7 @@ class ResultsPanel(QWidget):
         """Play the scene as it is now on the rig."""
         lasts_s = 0.0 if self.driven is None else self.driven.lasts_s
         rig, gain_db, loops = self.bar.rig, self.bar.gain.value(), self.bar.loops.value()
-        self._desk.claim_instruments(
+        self._context.claim_instruments(
             self, "Play", lambda: self.playing.play(rig, gain_db, loops, lasts_s), virtual=names_virtual_rig(rig)
         )
 
@@ -189,7 +189,7 @@ class ResultsPanel(QWidget):
     def _rig_changed(self) -> None:
         if self.bar.rig != self._rig:
             self._rig = self.bar.rig
-            self._desk.memory.keep("scene/rig", self._rig)
+            self._context.settings.keep("scene/rig", self._rig)
             self.bar.show_state()
             self._edited()
 
@@ -209,7 +209,7 @@ class ResultsPanel(QWidget):
                 allow_large=document.allow_large,
             )
         except OSError as failure:
-            self._desk.tell_failure(failure)
+            self._context.report_failure(failure)
             return
         self.complete = self._stopped = False
         self._progress("scene", 0.0)

@@ -11,8 +11,8 @@ from acquisition.durations import hours
 from gui.rig.lines_process import LinesProcess, Told
 from gui.scene.document import SceneDocument
 from gui.scene.results.scene_job import CANCELLED, SceneJob
-from gui.shell.desk import Desk, sentence_of
-from gui.shell.which_rig import names_virtual_rig
+from gui.shell.tab import TabContext, error_text
+from gui.shell.toml_files import names_virtual_rig
 
 IDLE, RENDERING, OPENING, PLAYING, STOPPING = "silent", "rendering", "opening the rig", "playing", "stopping"
 _STOPPED_BY_USER = 130
@@ -27,7 +27,7 @@ class RigPlay(QObject):
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Starts commands and tells how they ended.
     document : SceneDocument
         The scene.
@@ -37,9 +37,9 @@ class RigPlay(QObject):
 
     changed = pyqtSignal()
 
-    def __init__(self, desk: Desk, document: SceneDocument, parent: QObject) -> None:
+    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
         super().__init__(parent)
-        self._desk, self._document = desk, document
+        self._context, self._document = context, document
         self._job: SceneJob | None = None
         self._process: LinesProcess | None = None
         self._began_s = 0.0
@@ -83,9 +83,9 @@ class RigPlay(QObject):
         if self.state != IDLE:
             return
         try:
-            self._job = SceneJob(self._desk, self._document, rig, lambda _words: None)
+            self._job = SceneJob(self._context, self._document, rig, lambda _words: None)
         except OSError as failure:
-            self._desk.messages.fault(f"nothing is played: {sentence_of(failure)}")
+            self._context.messages.fault(f"nothing is played: {error_text(failure)}")
             return
         self._rig, self._lasts_s = rig, loops * lasts_s
         arguments = ["play", str(self._job.drive_file), "--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}",
@@ -119,12 +119,12 @@ class RigPlay(QObject):
             return
         if code != 0:
             if code == CANCELLED and not sentence:
-                self._desk.messages.note("nothing was played: stopped before anything sounded")
+                self._context.messages.note("nothing was played: stopped before anything sounded")
             else:
-                self._desk.messages.fault(f"nothing is played: {sentence or 'rendering ended without a word'}")
+                self._context.messages.fault(f"nothing is played: {sentence or 'rendering ended without a word'}")
             self._over()
             return
-        self._process = LinesProcess.started(self._desk, arguments, "nothing is played")
+        self._process = LinesProcess.started(self._context, arguments, "nothing is played")
         if self._process is None:
             self._over()
             return
@@ -153,11 +153,11 @@ class RigPlay(QObject):
         if self._job is not None:
             sentence = sentence.replace(str(self._job.drive_file), "the scene")
         if code is None or code < 0:
-            self._desk.messages.fault("the process that played was ended by force; look whether the rig is silent")
+            self._context.messages.fault("the process that played was ended by force; look whether the rig is silent")
         elif code in (0, _STOPPED_BY_USER):
-            self._desk.messages.note(sentence or "played; the outputs are muted")
+            self._context.messages.note(sentence or "played; the outputs are muted")
         else:
-            self._desk.messages.fault(sentence or f"playing ended with exit code {code}")
+            self._context.messages.fault(sentence or f"playing ended with exit code {code}")
         self._over()
 
     def _insist(self) -> None:

@@ -9,7 +9,7 @@ from PyQt5.QtCore import QObject, pyqtSignal
 
 from gui.scene.document import SceneDocument
 from gui.scene.results.scene_job import CANCELLED, SceneJob
-from gui.shell.desk import Desk, sentence_of
+from gui.shell.tab import TabContext, error_text
 
 DRIVE, WAV, MOVIE = "drive", "WAV", "movie"
 ENDINGS = {DRIVE: ".h5", WAV: ".wav", MOVIE: ".gif"}
@@ -20,7 +20,7 @@ class Saving(QObject):
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Starts commands and tells how they ended.
     document : SceneDocument
         The scene.
@@ -30,9 +30,9 @@ class Saving(QObject):
 
     changed = pyqtSignal()
 
-    def __init__(self, desk: Desk, document: SceneDocument, parent: QObject) -> None:
+    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
         super().__init__(parent)
-        self._desk, self._document = desk, document
+        self._context, self._document = context, document
         self._job: SceneJob | None = None
         self.words = ""
 
@@ -46,7 +46,7 @@ class Saving(QObject):
         scene = self._document.path
         stem = scene.stem if scene is not None else "scene"
         name = f"{stem}-drive.h5" if kind == DRIVE else f"{stem}{ENDINGS[kind]}"
-        return self._desk.memory.folder(_folder_kind(kind), scene) / name
+        return self._context.settings.folder(_folder_kind(kind), scene) / name
 
     def save(self, kind: str, path: Path, rig: str, rate_hz: float | None) -> None:
         """Save the scene as it is now.
@@ -65,9 +65,9 @@ class Saving(QObject):
         if self._job is not None:
             return
         try:
-            job = SceneJob(self._desk, self._document, rig, self._tell)
+            job = SceneJob(self._context, self._document, rig, self._tell)
         except OSError as failure:
-            self._desk.messages.fault(f"{path.name} is not saved: {sentence_of(failure)}")
+            self._context.messages.fault(f"{path.name} is not saved: {error_text(failure)}")
             return
         self._job = job
         if kind == DRIVE:
@@ -100,9 +100,9 @@ class Saving(QObject):
                 return
             self._job.close()
             self._job, self.words = None, ""
-            messages = self._desk.messages
+            messages = self._context.messages
             if code == 0:
-                self._desk.memory.keep(f"folder/{_folder_kind(kind)}", str(path.parent))
+                self._context.settings.keep(f"folder/{_folder_kind(kind)}", str(path.parent))
                 messages.note(f"{path} is saved: {sentence}" if sentence else f"{path} is saved")
             elif code == CANCELLED and not sentence:
                 messages.note(f"{path.name} is not saved: you cancelled it")

@@ -9,7 +9,7 @@ from pathlib import Path
 from gui.process.command_process import Answer, Errand
 from gui.scene.document import SceneDocument
 from gui.scene.toml_text import scene_toml
-from gui.shell.desk import Desk
+from gui.shell.tab import TabContext
 
 CANCELLED = -1
 _DRIVE, _FIELD = "drive.h5", "field.h5"
@@ -20,7 +20,7 @@ class SceneJob:
 
     Parameters
     ----------
-    desk : Desk
+    context : TabContext
         Starts commands.
     document : SceneDocument
         The scene, as it is now; later edits do not matter.
@@ -35,8 +35,8 @@ class SceneJob:
         There is no room for the folder.
     """
 
-    def __init__(self, desk: Desk, document: SceneDocument, rig: str, told: Callable[[str], object]) -> None:
-        self._desk, self._told = desk, told
+    def __init__(self, context: TabContext, document: SceneDocument, rig: str, told: Callable[[str], object]) -> None:
+        self._context, self._told = context, told
         self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-scene-", ignore_cleanup_errors=True)
         self._named = document.path.name if document.path else "the scene"
         self._bank = str(document.bank)
@@ -91,7 +91,7 @@ class SceneJob:
                 self.run(rest, done)
 
         self._told(words)
-        self._errand = self._desk.run(arguments, answered)
+        self._errand = self._context.run(arguments, answered)
 
     def cancel(self) -> None:
         """End what runs; files are left as they were."""

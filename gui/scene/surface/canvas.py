@@ -27,7 +27,7 @@ from gui.scene.surface.handles import (
 )
 from gui.scene.surface.picture import ScenePicture, sketched
 from gui.scene.surface.tools import Tool, tool_of
-from gui.shell.theme import LIGHT, Theme, dress_axes
+from gui.shell.theme import LIGHT, Theme, theme_axes
 
 _HANDLE_PX, _LINE_PX = 9.0, 7.0
 _NUDGE_MM, _LONG_NUDGE_MM = 1.0, 10.0
@@ -90,7 +90,7 @@ class SceneCanvas(pyqtgraph.PlotWidget):
         document.chosen_changed.connect(self._let_go)
         live.came.connect(self.show_scene)
         live.ground_changed.connect(self._show_ground)
-        self.dress(LIGHT)
+        self.apply_theme(LIGHT)
         self._show_ground()
 
     @property
@@ -122,11 +122,11 @@ class SceneCanvas(pyqtgraph.PlotWidget):
         self.picture.show_traces(drawn.traces if drawn.ground is self._live.ground else [], self._document.chosen)
         self._show_handles()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self.setBackground(theme.base)
-        dress_axes(self.getPlotItem(), theme)
-        self.picture.dress(theme)
+        theme_axes(self.getPlotItem(), theme)
+        self.picture.apply_theme(theme)
         self.show_scene()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802

@@ -121,7 +121,7 @@ class ScenePicture:
         """Show a path that is being drawn."""
         self._sketch.setData(points_mm[:, 0], points_mm[:, 1])
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours; the owner shows the traces anew."""
         self._theme = theme
         self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1))

@@ -74,11 +74,11 @@ class SurfacePanel(QWidget):
         live.came.connect(self._show_drawn)
         self._tell()
 
-    def dress(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
         self._theme = theme
-        self.canvas.dress(theme)
-        self.signal.dress(theme)
+        self.canvas.apply_theme(theme)
+        self.signal.apply_theme(theme)
         self._tell()
 
     def _show_drawn(self) -> None:

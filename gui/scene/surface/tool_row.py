@@ -9,7 +9,7 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QCheckBox, QHBoxLayout, QToolButton, QWidget
 
 from gui.scene.surface.canvas import SceneCanvas
-from gui.shell.actions import make_action
+from gui.shell.widgets import make_action
 
 _TOOLS = (
     ("", "Select", "V", "Choose, move and shape paths"),

@@ -1,15 +1,67 @@
-"""A file's name: typed, chosen, or dropped on the window."""
+"""File dialogs that do not block, dropped files, and a field for a path."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
-from PyQt5.QtCore import pyqtSignal
+from PyQt5.QtCore import Qt, QUrl, pyqtSignal
+from PyQt5.QtGui import QDropEvent
 from PyQt5.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QLineEdit, QToolButton, QWidget
 
-from gui.shell.chosen_files import make_dialog
-from gui.shell.memory import Memory
+from gui.shell.settings import Settings
+
+Chosen = Callable[[Path], None]
+
+
+def make_dialog(owner: QWidget, title: str, folder: Path, kind: str, endings: Sequence[str]) -> QFileDialog:
+    """Make a dialog that is still to be told what it is for, and to be shown.
+
+    Parameters
+    ----------
+    owner : QWidget
+        It lies above this one, and lives no longer.
+    title : str
+        Of the dialog.
+    folder : Path
+        Where it begins.
+    kind : str
+        What the files are called.
+    endings : sequence of str
+        Of such files, ``".h5"``.
+    """
+    dialog = QFileDialog(owner, title, str(folder), f"{kind} ({' '.join(f'*{ending}' for ending in endings)})")
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+    dialog.setModal(False)
+    return dialog
+
+
+def choose_file(owner: QWidget, title: str, folder: Path, kind: str, endings: Sequence[str], chosen: Chosen) -> None:
+    """Let somebody choose a file that is there; `chosen` gets it."""
+    dialog = make_dialog(owner, title, folder, kind, endings)
+    dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+    _show(dialog, chosen)
+
+
+def choose_place(owner: QWidget, title: str, suggested: Path, kind: str, ending: str, chosen: Chosen) -> None:
+    """Let somebody choose a file to save to; `chosen` gets it."""
+    dialog = make_dialog(owner, title, suggested.parent, kind, [ending])
+    dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+    dialog.setDefaultSuffix(ending.lstrip("."))
+    dialog.selectFile(suggested.name)
+    _show(dialog, chosen)
+
+
+def dropped_files(event: QDropEvent) -> list[Path]:
+    """Files of this machine in a drop."""
+    content = event.mimeData()
+    urls: list[QUrl] = [] if content is None else content.urls()
+    return [Path(url.toLocalFile()) for url in urls if url.isLocalFile()]
+
+
+def _show(dialog: QFileDialog, chosen: Chosen) -> None:
+    dialog.fileSelected.connect(lambda name: chosen(Path(name)))
+    dialog.show()
 
 
 class PathField(QWidget):
@@ -23,7 +75,7 @@ class PathField(QWidget):
         Of the files, ``".h5"``, and what they are called; an empty ending for folders.
     saves : bool
         Whether the file may not exist yet.
-    memory : Memory
+    settings : Settings
         Knows the folder of last time.
     words : collection of str
         What may stand in place of a path.
@@ -32,11 +84,11 @@ class PathField(QWidget):
     chosen = pyqtSignal(object)
 
     def __init__(
-        self, word: str, ending: str, kind: str, memory: Memory, *, saves: bool = False, words: Collection[str] = ()
+        self, word: str, ending: str, kind: str, settings: Settings, *, saves: bool = False, words: Collection[str] = ()
     ) -> None:
         super().__init__()
         self._words = words
-        self._ending, self._kind, self._memory, self._saves = ending, kind, memory, saves
+        self._ending, self._kind, self._settings, self._saves = ending, kind, settings, saves
         self._last: Path | None = None
         self.line = QLineEdit()
         self.line.setAccessibleName(kind)
@@ -78,7 +130,7 @@ class PathField(QWidget):
             self.chosen.emit(path)
 
     def _browse(self) -> None:
-        folder = self.path.parent if self.path else self._memory.folder(self._ending)
+        folder = self.path.parent if self.path else self._settings.folder(self._ending)
         dialog = make_dialog(self, f"Choose {self._kind}", folder, self._kind, [self._ending])
         if not self._ending:
             # One that does not exist yet can be typed.

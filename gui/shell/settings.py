@@ -1,4 +1,4 @@
-"""What the window remembers from one time to the next."""
+"""Settings that are kept between sessions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from PyQt5.QtCore import QByteArray, QSettings
 MOST_RECENT = 10
 
 
-class Memory:
+class Settings:
     """Window places, folders, recent files and choices, in the place that the system has for such things.
 
     Parameters

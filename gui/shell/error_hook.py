@@ -1,4 +1,4 @@
-"""Errors that nobody caught become a sentence in the window, which lives on; Qt would abort the process."""
+"""Uncaught errors as messages in the window."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import TracebackType
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from gui.shell.desk import sentence_of
+from gui.shell.tab import error_text
 from storage.errors import WavefocusError
 
 Tell = Callable[[str, str], object]
@@ -58,9 +58,9 @@ class Unexpected(QObject):
         if issubclass(kind, KeyboardInterrupt):
             self._quit.emit()
         elif isinstance(failure, WavefocusError | OSError):
-            self._told.emit(sentence_of(failure), "")
+            self._told.emit(error_text(failure), "")
         else:
-            told = f"{kind.__name__}: {sentence_of(failure)}"
+            told = f"{kind.__name__}: {error_text(failure)}"
             self._told.emit(
                 f"Something in the window went wrong ({told}). A run is not touched by it, and the window goes on; "
                 "please send the details to whoever looks after wavefocus.",
