@@ -23,12 +23,12 @@ from acquisition.schedule.grid import inside_stadium
 from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from mocks.virtual_rig import VirtualRig
 from rendering.drive.rendering import render_with_report
-from rendering.greens.grid_spacing import needed_grid
-from rendering.greens.interpolation import GRID_KINDS, KINDS, Interpolation, interpolation
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.kernel import KernelInterpolation
+from rendering.greens.interpolation.left_out_errors import left_out_errors
+from rendering.greens.interpolation.methods import GRID_KINDS, KINDS, Interpolation, interpolation
+from rendering.greens.interpolation.needed_grid import needed_grid
+from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenArray, GreenSource
-from rendering.kernel.interpolation import KernelInterpolation
-from rendering.kernel.left_out_errors import left_out_errors
 from rendering.scene.model import Output, Scene, Source
 from rendering.scene.paths import Circle
 from rendering.scene.signals import Noise
@@ -180,7 +180,7 @@ def grids_needed(bank: GreenArray, points_mm: Float64Array, errors: tuple[float,
 
 
 def _in_a_cell(kind: Interpolation, point_mm: Float64Array) -> bool:
-    from rendering.greens.interpolation import OffGridError
+    from rendering.greens.interpolation.methods import OffGridError
 
     try:
         kind.nodes(point_mm[None])

@@ -11,8 +11,7 @@ from benchmarks.paper_measures import SPEEDS_CM_S, LineScene
 from rendering.field.crosstalk import CrosstalkTable
 from rendering.field.green_correlation import DistanceCorrelation
 from rendering.field.path_spectrum import PathSpectrum
-from rendering.report.canvas import FAINT, INK, Canvas, Picture, drawn_in_style
-from rendering.report.surface import Surface, draw_cells, draw_surface
+from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

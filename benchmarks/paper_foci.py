@@ -16,8 +16,7 @@ from rendering.field import metrics
 from rendering.field.impulse_travel import impulse_travel
 from rendering.field.model import predict
 from rendering.greens.regularisation import focus_gain_map
-from rendering.report.canvas import Picture
-from rendering.report.surface import Surface
+from rendering.report.canvas import Picture, Surface
 
 Float64Array = NDArray[np.float64]
 

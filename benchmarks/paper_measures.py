@@ -17,9 +17,8 @@ from rendering.field.path_spectrum import PathSpectrum, path_spectrum
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenArray, read_row, usable
 from rendering.scene.model import Output, Regularisation, Scene, Source
-from rendering.scene.paths import Circle, Line, Path, Point, Strokes
+from rendering.scene.paths import Circle, Line, Path, Point, Strokes, TextPath
 from rendering.scene.signals import Impulse, Noise
-from rendering.scene.text_path import TextPath
 from rendering.verify.scan import Scan, ScanPlan, scan
 from storage.drive_file import Drive
 

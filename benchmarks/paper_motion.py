@@ -12,8 +12,7 @@ from benchmarks.rig_bank import PaperBank
 from rendering.field import metrics
 from rendering.field.crosstalk import CrosstalkTable
 from rendering.field.green_correlation import correlation_over_distance
-from rendering.report.canvas import Picture
-from rendering.report.surface import Surface
+from rendering.report.canvas import Picture, Surface
 from rendering.scene.signals import Impulse
 
 NEGLIGIBLE = 0.01

@@ -9,8 +9,8 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from rendering.greens.interpolation import interpolation
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.methods import interpolation
+from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenArray, read_row
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Polyline

@@ -22,8 +22,8 @@ from config.loading import named_file, parse_toml, read_toml, validated
 from config.mistakes import printable
 from rendering.scene import paths, signals
 from rendering.scene.model import Output, Regularisation, Scene, Source
-from rendering.scene.svg_path import SvgPath
-from rendering.scene.text_path import TextPath
+from rendering.scene.paths import TextPath
+from rendering.scene.svg import SvgPath
 from storage.errors import InputError
 
 
@@ -186,7 +186,7 @@ class SceneConfig(Table):
         file : Path
             The scene file: what it names is relative to its folder, and messages begin with it.
         allow_large : bool
-            Whether it may be larger than the limits of `rendering.scene.scene_size`.
+            Whether it may be larger than the limits of `rendering.scene.size`.
 
         Raises
         ------
@@ -228,7 +228,7 @@ def load_scene(path: Path, *, allow_large: bool = False) -> Scene:
     path : Path
         The scene file; paths in it are relative to its folder.
     allow_large : bool
-        Whether it may be larger than the limits of `rendering.scene.scene_size`.
+        Whether it may be larger than the limits of `rendering.scene.size`.
 
     Raises
     ------

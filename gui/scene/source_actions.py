@@ -138,7 +138,7 @@ def _fitted(file: Path, size_mm: tuple[float, float], middle_mm: tuple[float, fl
     """A drawing on the surface: in its own scale where that can be."""
     import numpy as np
 
-    from rendering.scene.svg_path import SvgPath
+    from rendering.scene.svg import SvgPath
 
     drawing = SvgPath(file)
     points = drawing.point_at(np.linspace(0.0, drawing.length_mm, _LOOKED_AT))

@@ -231,7 +231,7 @@ def _first(kinds: tuple[type[Any], ...], kind: str) -> Any:
 
 
 def _path_ids(file: Path) -> tuple[str, ...]:
-    from rendering.scene.svg_path import svg_path_ids
+    from rendering.scene.svg import svg_path_ids
 
     return svg_path_ids(file)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rendering.drive.coil_limits import DriveLimits
-    from rendering.report.drift import DriftPoint
+    from rendering.report.figures import DriftPoint
     from rendering.scene.model import Scene
 
 

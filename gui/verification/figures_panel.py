@@ -21,7 +21,7 @@ from PyQt5.QtWidgets import (
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import Badge
 from gui.verification.results import Results
-from rendering.report.number_words import number, precise
+from rendering.report.words import number, precise
 from rendering.verify.reading import RecordedFigure, VerificationRecord
 
 _COLUMNS = (

@@ -23,11 +23,10 @@ from rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive
 from rendering.drive.limits import scale_to_limit
 from rendering.field.metrics import band_weights
 from rendering.greens.bank_rows import BankRows
-from rendering.greens.interpolation import Nodes
+from rendering.greens.interpolation.methods import Nodes
 from rendering.greens.source import GreenSource, drive_unit
 from rendering.scene.model import Regularisation, Scene
-from rendering.scene.sampled_scene import sample_scene
-from rendering.scene.sampling import SampledSource
+from rendering.scene.sampling import SampledSource, sample_scene
 from storage.drive_file import Drive
 from storage.errors import InputError
 

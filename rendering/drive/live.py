@@ -25,8 +25,7 @@ from rendering.drive.upsampling import MULTIPLE
 from rendering.greens.bank_rows import BankRows
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene
-from rendering.scene.sampled_scene import sample_scene
-from rendering.scene.sampling import Method, SampledSource
+from rendering.scene.sampling import Method, SampledSource, sample_scene
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]

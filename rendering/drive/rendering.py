@@ -18,13 +18,12 @@ from rendering.drive.limits import scale_to_limit
 from rendering.drive.omission import LEAST_NORM, relative_bound, row_norms, tolerance_of
 from rendering.drive.upsampling import MULTIPLE
 from rendering.greens.bank_rows import BankRows
-from rendering.greens.interpolation_errors import InterpolationErrors, interpolation_errors, judge_interpolation
+from rendering.greens.interpolation.errors import InterpolationErrors, interpolation_errors, judge_interpolation
 from rendering.greens.source import GreenSource, drive_unit
 from rendering.report.render_report import RenderReport, RenderWarning, report_render
 from rendering.reused_memory import reused
 from rendering.scene.model import Scene
-from rendering.scene.sampled_scene import sample_scene
-from rendering.scene.sampling import Method, SampledSource
+from rendering.scene.sampling import Method, SampledSource, sample_scene
 from storage.drive_file import Drive
 from storage.errors import InputError
 

@@ -21,13 +21,13 @@ from rendering.drive.live import LiveDrive
 from rendering.drive.omission import relative_bound, tolerance_of
 from rendering.drive.rendering import STRICTER
 from rendering.drive.running_levels import RunningLevels
-from rendering.greens.between_positions import scene_interpolation
-from rendering.greens.interpolation_errors import interpolation_errors, judge_interpolation
+from rendering.drive.wav import Interface, InterfaceRate, largest_of
+from rendering.greens.interpolation.errors import interpolation_errors, judge_interpolation
+from rendering.greens.interpolation.registry import scene_interpolation
 from rendering.greens.source import GreenSource
 from rendering.report.render_report import RenderReport, report_render
 from rendering.scene.model import Scene
 from rendering.scene.sampling import Method
-from rendering.wav.interface_rate import Interface, InterfaceRate, largest_of
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 import soundfile
 
+from rendering.drive.wav import sound_failures
 from rendering.export.bank_rows import BankRows, OnProgress
-from rendering.wav.wav_stream import sound_failures
 from storage.errors import InputError
 from storage.output_files import require_room, staged_folder
 

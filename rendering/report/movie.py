@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, BinaryIO, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource
-from rendering.report.canvas import CSS_PPI, FAINT, INK, STYLE, Canvas, Picture, drawn_in_style
+from rendering.report.canvas import (
+    CSS_PPI,
+    FAINT,
+    INK,
+    STYLE,
+    Canvas,
+    Picture,
+    Surface,
+    draw_cells,
+    draw_surface,
+    drawn_in_style,
+)
 from rendering.report.figures import scaled_unit
-from rendering.report.gif_stream import GifStream
 from rendering.report.movie_frames import Foci, FramePlan, colour_limit, read_frames
-from rendering.report.surface import Surface, draw_cells, draw_surface
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.field_rows import FieldRowReader
@@ -230,3 +241,73 @@ def _speed(slowed: float) -> str:
     if abs(slowed - 1) < 0.005:
         return "at its own speed"
     return f"{slowed:.3g} times slower" if slowed > 1 else f"{1 / slowed:.3g} times faster"
+
+
+GIF_COLOURS = 256
+CENTISECONDS = 100
+
+
+class GifStream:
+    """Writes an endless GIF; a context manager.
+
+    All frames have the first one's palette, and parts of a frame replace what was there.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Where to, from its present place.
+    first : uint8 array, shape (height, width, 3)
+        The first frame, and what the others are drawn upon.
+    palette_of : uint8 array, shape (height, width, 3)
+        A picture that has all the colours that will be needed.
+    frame_rate_hz : float
+        Frames a second; GIF counts in hundredths of a second, at least 2.
+    """
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        first: NDArray[np.uint8],
+        palette_of: NDArray[np.uint8],
+        frame_rate_hz: float,
+    ) -> None:
+        from PIL import Image
+
+        self._file = file
+        self._delay = max(2, round(CENTISECONDS / frame_rate_hz))
+        self._palette = Image.fromarray(palette_of).quantize(GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+        colours = bytes(self._palette.getpalette() or b"").ljust(3 * GIF_COLOURS, b"\0")
+        height, width = first.shape[:2]
+        file.write(b"GIF89a" + struct.pack("<HHBBB", width, height, 0b1111_0111, 0, 0) + colours)
+        file.write(b"\x21\xff\x0bNETSCAPE2.0\x03\x01" + struct.pack("<H", 0) + b"\0")
+        self.add(first)
+
+    def add(self, pixels: NDArray[np.uint8], left: int = 0, top: int = 0) -> None:
+        """Add a frame that changes a part of the picture.
+
+        Parameters
+        ----------
+        pixels : uint8 array, shape (height, width, 3)
+            The part.
+        left, top : int
+            Where it is.
+        """
+        from PIL import GifImagePlugin, Image
+
+        part = Image.fromarray(pixels).quantize(palette=self._palette, dither=Image.Dither.NONE)
+        milliseconds = 1000 // CENTISECONDS * self._delay
+        for data in GifImagePlugin.getdata(part, (left, top), duration=milliseconds, disposal=1):
+            self._file.write(data)
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """The rate that the hundredths of a second come to."""
+        return CENTISECONDS / self._delay
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.write(b";")

@@ -14,12 +14,10 @@ from acquisition.quality.sentinel import DriftLimits
 from rendering.field import metrics
 from rendering.greens.regularisation import focus_gain_map
 from rendering.report import figures as report_figures
-from rendering.report.canvas import Picture
-from rendering.report.drift import DriftPoint, drift_over_time
-from rendering.report.number_words import number, precise
-from rendering.report.surface import Surface
+from rendering.report.canvas import Picture, Surface
+from rendering.report.figures import DriftPoint, drift_over_time
 from rendering.report.waves import wave_figures, waves_of, waves_picture
-from rendering.report.words import figures, remarks, summary
+from rendering.report.words import figures, number, precise, remarks, summary
 from rendering.verify.names import REPORT_NAME
 from rendering.verify.verdict import Check, Verification
 from storage.output_files import write_whole

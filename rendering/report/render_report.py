@@ -13,7 +13,7 @@ from scipy import fft as scipy_fft
 from rendering.drive.accumulate import Accumulated
 from rendering.drive.coil_limits import Limiting, dynamic_range_db
 from rendering.greens.bank_rows import BankRows
-from rendering.greens.interpolation_errors import InterpolationErrors
+from rendering.greens.interpolation.errors import InterpolationErrors
 from rendering.greens.response_tail import ResponseTail, response_tail
 from rendering.greens.source import DOUBTFUL_BITS, GreenSource
 from rendering.greens.wave_speed import wave_speed_mm_s

@@ -16,8 +16,7 @@ from rendering.field.impulse_travel import IMPULSE_BAND_HZ, SPAN_MM, ImpulseTrav
 from rendering.field.path_spectrum import PathSpectrum, path_spectrum
 from rendering.greens.source import usable
 from rendering.report.canvas import FAINT, Canvas, Picture, drawn_in_style
-from rendering.report.number_words import number
-from rendering.report.words import Figure
+from rendering.report.words import Figure, number
 from storage.errors import InputError
 
 if TYPE_CHECKING:

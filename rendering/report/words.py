@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -9,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
-from rendering.report.number_words import number, percent, precise
 from rendering.verify.scan import Scan
 
 if TYPE_CHECKING:
@@ -219,3 +219,32 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
             f"The renderer left out parts of the drive; their relative error is at most {percent(drive.omitted_bound)}."
         )
     return found
+
+
+def number(value: float | None, unit: str = "") -> str:
+    """Three digits and the unit; a dash where there is no value."""
+    if value is None or math.isnan(value):
+        return "\N{EN DASH}"
+    if math.isinf(value):
+        text = "\N{INFINITY}" if value > 0 else "\N{MINUS SIGN}\N{INFINITY}"
+    else:
+        # A hundredth of a millimetre and of a decibel is as far as any of these figures can be trusted.
+        digits = ".2f" if unit in ("mm", "dB") and abs(value) < 10 else ".3g"
+        text = f"{value:{digits}}" if abs(value) < 1000 else f"{value:,.0f}"
+        text = text.removeprefix("-") if not text.strip("-0.") else text
+        text = text.replace("-", "\N{MINUS SIGN}")
+    return text if unit == "1" else f"{text} {unit}".rstrip()
+
+
+def precise(value: float | None) -> str:
+    """A correlation, which differs from 1 in its last digits only."""
+    return number(value) if value is None or math.isnan(value) else f"{value:.4f}".replace("-", "\N{MINUS SIGN}")
+
+
+def percent(value: float | None) -> str:
+    """A ratio of amplitudes in per cent and dB."""
+    if value is None or math.isnan(value):
+        return number(None)
+    if not (value > 0.0 and math.isfinite(value)):
+        return number(100.0 * value, "%")
+    return f"{number(100.0 * value, '%')} ({number(20.0 * math.log10(value), 'dB')})"

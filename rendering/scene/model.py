@@ -144,7 +144,7 @@ class Scene:
     output : Output
         Interpolation and limit.
     allow_large : bool
-        Whether it may be larger than the limits of `rendering.scene.scene_size`.
+        Whether it may be larger than the limits of `rendering.scene.size`.
 
     Raises
     ------

@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.drive.block_size import choose_fft_samples
-from rendering.greens.interpolation import Interpolation, Nodes, OffGridError
+from rendering.greens.interpolation.methods import Interpolation, Nodes, OffGridError
+from rendering.greens.interpolation.registry import scene_interpolation
+from rendering.greens.source import GreenSource
 from rendering.scene.emission import ContinuousEmission, Emission, PointEmission
-from rendering.scene.model import Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Point
+from rendering.scene.size import check_scene_size
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -234,3 +237,32 @@ class _Whereabouts:
 
 def _show(point_mm: Float64Array) -> str:
     return f"({point_mm[0]:.6g}, {point_mm[1]:.6g})"
+
+
+def sample_scene(scene: Scene, bank: GreenSource, method: Method) -> tuple[Interpolation, list[SampledSource]]:
+    """Sample the sources of a scene, once its size is found to be within the limits.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    bank : GreenSource
+        Its rate, length, positions and, for some interpolations, its Green's functions.
+    method : {"sampled", "exact"}
+        As for `rendering.scene.sampling.sample_source`.
+
+    Raises
+    ------
+    InputError
+        The scene is larger than allowed, or does not fit the bank.
+    """
+    rate_hz, taps = float(bank.sample_rate_hz), bank.taps
+    for index, source in enumerate(scene.sources):
+        point_count(source, index)
+    check_scene_size(scene, sample_rate_hz=rate_hz, taps=taps, actuators=bank.actuators)
+    kind = scene_interpolation(scene, bank)
+    sources = [
+        sample_source(source, index, kind, sample_rate_hz=rate_hz, taps=taps, method=method)
+        for index, source in enumerate(scene.sources)
+    ]
+    return kind, sources

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
-from rendering.greens.interpolation import Interpolation, OffGridError, interpolation
-from rendering.greens.snapping import PositionGrid
-from rendering.kernel.neighbourhoods import NEIGHBOURS
+from rendering.greens.interpolation.methods import Interpolation, OffGridError, interpolation
+from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS
+from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.scene.model import Scene
 from rendering.scene.paths import Path
 from rendering.scene.sampling import MOST_POINTS as LARGEST_POINTS
-from rendering.scene.scene_size import MOST_PATH_POINTS
+from rendering.scene.size import MOST_PATH_POINTS
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]

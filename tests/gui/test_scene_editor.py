@@ -42,8 +42,8 @@ from gui.shell.settings import Settings
 from gui.shell.window import Window
 from rendering.scene import paths, signals
 from rendering.scene.model import Output, Regularisation, Scene, Source
-from rendering.scene.svg_path import SvgPath
-from rendering.scene.text_path import TextPath
+from rendering.scene.paths import TextPath
+from rendering.scene.svg import SvgPath
 from storage.errors import InputError
 from tests.gui.conftest import wait
 from tests.gui.test_details import click, drag, pixel

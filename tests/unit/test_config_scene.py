@@ -7,8 +7,8 @@ import pytest
 from config.scene import SceneConfig, load_scene
 from rendering.scene import paths, signals
 from rendering.scene.model import Output, Regularisation, Scene
-from rendering.scene.svg_path import SvgPath
-from rendering.scene.text_path import TextPath
+from rendering.scene.paths import TextPath
+from rendering.scene.svg import SvgPath
 from storage.errors import InputError
 
 POINT = "[[source]]\npath = { kind = 'point', at_mm = [1, 2] }\nsignal = { kind = 'impulse' }\n"

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.greens.interpolation import OffGridError, interpolation
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.methods import OffGridError, interpolation
+from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
 
 LATTICE = np.array([(4.0 * x, 4.0 * y) for y in range(5) for x in range(6)])

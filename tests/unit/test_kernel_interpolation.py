@@ -9,12 +9,11 @@ import pytest
 
 from calibration.neighbours.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
 from mocks.plates import SOFT_PLATE
-from rendering.greens.interpolation import OffGridError
+from rendering.greens.interpolation.kernel import KernelInterpolation
+from rendering.greens.interpolation.left_out_errors import RowValues, left_out_errors
+from rendering.greens.interpolation.methods import OffGridError
+from rendering.greens.interpolation.neighbourhoods import Neighbourhoods
 from rendering.greens.source import GreenArray
-from rendering.kernel.interpolation import KernelInterpolation
-from rendering.kernel.left_out_errors import left_out_errors
-from rendering.kernel.neighbourhoods import Neighbourhoods
-from rendering.kernel.row_values import RowValues
 from storage.errors import InputError
 from tests.unit.plate_banks import SPACING_MM, SQUARE_MM, errors_at, plate_bank, plate_greens
 
@@ -133,8 +132,8 @@ def test_the_error_found_by_leaving_positions_out_is_the_error_within_a_factor_o
 
 @pytest.mark.parametrize("name", ["nearest", "bilinear", "bicubic"])
 def test_the_error_of_other_kinds_is_found_too(name):
-    from rendering.greens.interpolation import interpolation
-    from rendering.greens.snapping import PositionGrid
+    from rendering.greens.interpolation.methods import interpolation
+    from rendering.greens.interpolation.position_grid import PositionGrid
 
     bank, kernel = kernel_on("square", -60.0)
     nodes = interpolation(name, PositionGrid(bank.position_mm)).nodes(POINTS_MM)

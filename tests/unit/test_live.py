@@ -10,12 +10,11 @@ import soundfile
 
 from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
+from rendering.drive.wav import stream_wav, write_wav
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Output, Scene, Source
 from rendering.scene.paths import Circle, Line, Point
 from rendering.scene.signals import Noise, Sine
-from rendering.wav.drive_wav import write_wav
-from rendering.wav.wav_stream import stream_wav
 from storage.errors import InputError
 
 RATE_HZ = 1000.0

@@ -9,10 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.scene.paths import Circle, Line, Point, Polyline, Strokes
-from rendering.scene.svg_commands import flatten
-from rendering.scene.svg_path import SvgPath
-from rendering.scene.text_path import TextPath
+from rendering.scene.paths import Circle, Line, Point, Polyline, Strokes, TextPath
+from rendering.scene.svg import SvgPath, flatten
 from storage.errors import InputError
 
 NAN = float("nan")

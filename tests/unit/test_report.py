@@ -18,10 +18,9 @@ from PIL import Image
 from rendering.drive.rendering import render_with_report
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
-from rendering.report.drift import DriftPoint
-from rendering.report.number_words import number
+from rendering.report.figures import DriftPoint
 from rendering.report.page import build_report
-from rendering.report.words import remarks
+from rendering.report.words import number, remarks
 from rendering.scene.model import Output, Regularisation, Scene, Source
 from rendering.scene.paths import Line
 from rendering.scene.signals import Impulse

@@ -19,15 +19,14 @@ from rendering.drive.inverse_filter import inverse_filter
 from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
 from rendering.drive.streamed_drive import StreamedDrive
-from rendering.greens.grid_spacing import wave_number_rad_mm
+from rendering.greens.interpolation.needed_grid import wave_number_rad_mm
 from rendering.greens.regularisation import row_weights
 from rendering.greens.row_scaling import scale_row
 from rendering.greens.source import GreenArray
-from rendering.scene.scene_picture import scene_picture
+from rendering.report.scene_picture import scene_picture
 from rendering.scene.scene_rows import scene_rows
-from rendering.scene.scene_size import MOST_SECONDS, check_scene_size, scene_size
-from rendering.scene.svg_commands import flatten
-from rendering.scene.svg_path import SvgPath
+from rendering.scene.size import MOST_SECONDS, check_scene_size, scene_size
+from rendering.scene.svg import SvgPath, flatten
 from storage.errors import InputError
 
 RATE_HZ = 1000.0

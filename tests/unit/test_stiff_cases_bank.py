@@ -44,8 +44,8 @@ def test_rows_10_to_12_a_path_off_the_grid_is_warned_about_with_the_error_per_fr
     assert "Hz" in warnings[0]
     errors = report.interpolation_errors
     # The truth: nearest 42 % at 250 Hz and 67 % at 450 Hz (notes/rendering.md).
-    from rendering.greens.interpolation import interpolation
-    from rendering.greens.snapping import PositionGrid
+    from rendering.greens.interpolation.methods import interpolation
+    from rendering.greens.interpolation.position_grid import PositionGrid
 
     nodes = interpolation(kind, PositionGrid(bank().position_mm)).nodes(BETWEEN_MM)
     greens = np.einsum("pn,pnat->pat", nodes.weights, bank().values[nodes.rows])

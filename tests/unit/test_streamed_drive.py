@@ -13,10 +13,10 @@ from rendering.drive.coil_limits import DriveLimits, largest_rms
 from rendering.drive.rendering import render_with_report
 from rendering.drive.running_levels import RunningLevels
 from rendering.drive.streamed_drive import StreamedDrive
+from rendering.drive.wav import Interface, InterfaceRate
 from rendering.scene.model import Output, Regularisation, Scene, Source
 from rendering.scene.paths import Circle, Point
 from rendering.scene.signals import Impulse, Sine
-from rendering.wav.interface_rate import Interface, InterfaceRate
 from storage.errors import InputError
 from tests.unit.test_live import MOVING, RATE_HZ, REPEATING, STANDING, make_bank
 

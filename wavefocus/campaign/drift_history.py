@@ -10,7 +10,7 @@ from types import TracebackType
 
 from acquisition.engine.events import Drift, Event
 from acquisition.schedule.row_ranges import row_ranges
-from rendering.report.drift import DriftPoint
+from rendering.report.figures import DriftPoint
 from storage.sidecar_files import Log
 from wavefocus.campaign.event_log import EventLines
 

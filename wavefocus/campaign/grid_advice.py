@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from acquisition.durations import hours
 from calibration.blas import one_blas_thread
-from rendering.greens.grid_spacing import needed_grid, wave_number_rad_mm
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.needed_grid import needed_grid, wave_number_rad_mm
+from rendering.greens.interpolation.position_grid import PositionGrid
 
 if TYPE_CHECKING:
     from rendering.scene.model import Scene

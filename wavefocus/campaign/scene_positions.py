@@ -27,7 +27,7 @@ def needed_by(
     checks : bool
         Whether the scenes shall be verified.
     allow_large : bool
-        Whether scenes may be larger than the limits of `rendering.scene.scene_size`.
+        Whether scenes may be larger than the limits of `rendering.scene.size`.
 
     Raises
     ------

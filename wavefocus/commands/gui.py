@@ -13,7 +13,7 @@ from wavefocus.campaign.heartbeat import SILENT_AFTER_S, read_heartbeat
 from wavefocus.campaign.sidecar_files import log_path, raw_path
 
 if TYPE_CHECKING:
-    from rendering.report.drift import DriftPoint
+    from rendering.report.figures import DriftPoint
     from rendering.scene.model import Scene
 
 

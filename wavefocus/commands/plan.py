@@ -114,7 +114,7 @@ def _needed_by_scenes(
     if not files:
         return range(plan.positions), []
     from config.scene import load_scene  # with them comes what renders
-    from rendering.scene.scene_size import check_scene_size
+    from rendering.scene.size import check_scene_size
     from wavefocus.campaign.scene_positions import needed_by
 
     scenes = []

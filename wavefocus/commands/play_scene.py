@@ -18,8 +18,8 @@ from acquisition.engine.timeouts import BoundedPlayer
 from config.rig import RigConfig
 from config.scene import load_scene
 from rendering.drive.streamed_drive import StreamedDrive
+from rendering.drive.wav import InterfaceRate
 from rendering.scene.model import Scene
-from rendering.wav.interface_rate import InterfaceRate
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
 from wavefocus.console import progress, say

@@ -15,10 +15,10 @@ from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
 from rendering.drive.inverse_filter import REGULARISATION_DB, InverseReport, inverse_filter
 from rendering.drive.rendering import render_with_report
+from rendering.drive.wav import write_wav
 from rendering.field.focus_peak import predicted_focus_peak
 from rendering.report.render_report import RenderReport
 from rendering.scene.model import Regularisation, Scene
-from rendering.wav.drive_wav import write_wav
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, write_drive
 from storage.errors import InputError
@@ -230,7 +230,7 @@ def _write_wav(path: Path, drive: Drive, rig: RigConfig | None) -> None:
 
 def write_picture(path: Path, scene_file: Path, scene: Scene, bank: Bank, rig: RigConfig | None) -> None:
     """Draw the scene before and after snapping."""
-    from rendering.scene.scene_picture import scene_picture
+    from rendering.report.scene_picture import scene_picture
 
     outline_mm = None
     if rig is not None:

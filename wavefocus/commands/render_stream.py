@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from config.rig import RigConfig
 from rendering.drive.streamed_drive import StreamedDrive
+from rendering.drive.wav import stream_wav
 from rendering.scene.model import Scene
-from rendering.scene.scene_size import check_scene_size, size_words
-from rendering.wav.wav_stream import stream_wav
+from rendering.scene.size import check_scene_size, size_words
 from storage.bank.reading import Bank
 from storage.drive_file import DriveAbout, drive_in_blocks
 from storage.errors import InputError

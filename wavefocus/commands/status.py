@@ -13,7 +13,7 @@ from acquisition.durations import a_while, hours
 from acquisition.engine.events import Progress, State
 from acquisition.quality.point_status import median_snr_db, status_counts
 from acquisition.schedule.row_ranges import row_ranges
-from rendering.report.drift import DriftPoint, drift_over_time
+from rendering.report.figures import DriftPoint, drift_over_time
 from storage.bank.owner import Owner, bank_owner
 from storage.bank.reading import open_bank
 from storage.errors import InputError

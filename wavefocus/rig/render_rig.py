@@ -10,8 +10,8 @@ import numpy as np
 from config.loading import load_rig
 from config.rig import RigConfig, default_rig
 from rendering.drive.coil_limits import Limiting
+from rendering.drive.wav import Interface
 from rendering.scene.model import Scene
-from rendering.wav.interface_rate import Interface
 from storage.bank.reading import Bank
 from storage.errors import InputError
 from wavefocus.campaign.blueprint import bank_configuration

@@ -13,7 +13,7 @@ from acquisition.schedule.grid import stadium_rim
 from gui.surface.surface import Surface, surface_of
 
 if TYPE_CHECKING:
-    from rendering.greens.snapping import PositionGrid
+    from rendering.greens.interpolation.position_grid import PositionGrid
 
 Float64Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ def ground_of(path: Path) -> Ground:
         It is no bank that can be read.
     """
     from rendering.field.model import field_unit
-    from rendering.greens.snapping import PositionGrid
+    from rendering.greens.interpolation.position_grid import PositionGrid
     from rendering.greens.source import usable
     from storage.bank.reading import open_bank  # read in the background, where h5py and scipy are loaded
 

@@ -17,7 +17,7 @@ from gui.shell.front_door import FrontDoor
 from storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
-    from rendering.greens.snapping import PositionGrid
+    from rendering.greens.interpolation.position_grid import PositionGrid
     from rendering.scene.model import Source
 
 Float64Array = NDArray[np.float64]

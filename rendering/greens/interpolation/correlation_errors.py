@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0
 
-from rendering.greens.error_bands import ErrorBands
-from rendering.greens.interpolation import GridInterpolation
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.methods import GridInterpolation
+from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource, read_rows, usable
 
 Float64Array = NDArray[np.float64]
@@ -130,3 +130,26 @@ def _transform(taps: int, turns_per_sample: tuple[float, ...]) -> NDArray[np.flo
     turns = np.outer(np.arange(taps), np.array(turns_per_sample))
     phase = -2.0 * np.pi * np.remainder(turns, 1.0)
     return np.concatenate([np.cos(phase), np.sin(phase)], axis=1).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorBands:
+    """Relative errors at some points, by band.
+
+    Parameters
+    ----------
+    frequency_hz : float64 array, shape (bands,)
+        Centres of bands, ascending.
+    median, worst : float64 array, shape (bands,)
+        Over the points.
+    power : float64 array, shape (bands,)
+        Mean power of the bank's rows there, up to a factor.
+    kernel : float64 array, shape (bands,)
+        Median error of "kernel"; infinite where it is not known to be better.
+    """
+
+    frequency_hz: Float64Array
+    median: Float64Array
+    worst: Float64Array
+    power: Float64Array
+    kernel: Float64Array

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.interpolation import Interpolation, interpolation
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.methods import Interpolation, interpolation
+from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene
 
@@ -32,7 +32,7 @@ def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:
     """
     if scene.output.interpolation == "kernel":
         # The only one who needs it; other scenes shall not wait for its imports.
-        from rendering.kernel.interpolation import KernelInterpolation
+        from rendering.greens.interpolation.kernel import KernelInterpolation
 
         return KernelInterpolation(bank, scene_points(scene))
     return interpolation(scene.output.interpolation, PositionGrid(bank.position_mm))

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource
 from rendering.scene.paths import Path
 from storage.errors import InputError

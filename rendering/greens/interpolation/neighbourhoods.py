@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]

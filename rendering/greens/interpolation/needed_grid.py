@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.neighbours.wave_model import PatchKernel, WaveModel, plane_waves
-from rendering.greens.interpolation import GRID_KINDS, KINDS, interpolation
-from rendering.greens.snapping import PositionGrid
-from rendering.kernel.neighbourhoods import NEIGHBOURS
+from rendering.greens.interpolation.methods import GRID_KINDS, KINDS, interpolation
+from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS
+from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]

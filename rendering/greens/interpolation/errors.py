@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from rendering.greens.between_positions import scene_points
-from rendering.greens.correlation_errors import expected_errors
-from rendering.greens.error_bands import ErrorBands
-from rendering.greens.interpolation import GridInterpolation, Interpolation, OffGridError
+from rendering.greens.interpolation.correlation_errors import ErrorBands, expected_errors
+from rendering.greens.interpolation.methods import GridInterpolation, Interpolation, OffGridError
+from rendering.greens.interpolation.registry import scene_points
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene
 from storage.errors import InputError
@@ -201,9 +200,8 @@ def _thorough(
 ) -> ErrorBands | None:
     if not thorough and isinstance(kind, GridInterpolation):
         return None
-    from rendering.kernel.interpolation import KernelInterpolation
-    from rendering.kernel.left_out_errors import left_out_errors
-    from rendering.kernel.row_values import RowValues
+    from rendering.greens.interpolation.kernel import KernelInterpolation
+    from rendering.greens.interpolation.left_out_errors import RowValues, left_out_errors
 
     kernel, nodes = kind, None
     if not isinstance(kernel, KernelInterpolation):

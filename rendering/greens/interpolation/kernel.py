@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from calibration.neighbours.wave_fit import fit_waves
 from calibration.neighbours.wave_model import WaveModel
-from rendering.greens.interpolation import Follow, Nodes, OffGridError, near, show_mm
-from rendering.greens.snapping import PositionGrid
+from rendering.greens.interpolation.kernel_rows import KernelRows
+from rendering.greens.interpolation.left_out_errors import RowValues
+from rendering.greens.interpolation.methods import Follow, Nodes, OffGridError, near, show_mm
+from rendering.greens.interpolation.neighbourhoods import Neighbourhoods, Patch, SparseError
+from rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
+from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_row, usable
-from rendering.kernel.kernel_rows import KernelRows
-from rendering.kernel.neighbourhoods import Neighbourhoods, Patch, SparseError
-from rendering.kernel.path_nodes import PathNodes, node_spacing_mm
-from rendering.kernel.row_values import RowValues
 from rendering.scene.paths import Path
 from rendering.threads import one_blas_thread
 

@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 
 from acquisition.quality.point_status import Status
 from calibration.neighbours.wave_model import PatchKernel, WaveModel
+from rendering.greens.interpolation.neighbourhoods import Neighbourhoods, Patch
 from rendering.greens.source import GreenSource, read_row
-from rendering.kernel.neighbourhoods import Neighbourhoods, Patch
 from rendering.threads import one_blas_thread
 
 Float64Array = NDArray[np.float64]

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.regularisation import row_weights, saturation_threshold
-from rendering.greens.snapping import PositionGrid
 from rendering.greens.source import GreenSource, read_row, refusal, usable
-from rendering.report.canvas import FAINT, INK, Canvas, Picture, drawn_in_style
-from rendering.report.surface import Surface, draw_cells, draw_surface
+from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
 from rendering.scene.model import Scene, Source
-from rendering.scene.sampled_scene import sample_scene
+from rendering.scene.sampling import sample_scene
 from storage.errors import InputError
 
 if TYPE_CHECKING:

@@ -1,1 +1,0 @@
-"""Drives as sound files at an audio interface's rate."""
