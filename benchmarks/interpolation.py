@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.schedule.grid import inside_stadium
 from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
+from config.stadium import inside_stadium
 from mocks.virtual_rig import VirtualRig
 from rendering.drive.rendering import render_with_report
 from rendering.greens.interpolation.kernel import KernelInterpolation

@@ -6,9 +6,9 @@ import re
 import tomllib
 from pathlib import Path
 
-from acquisition.text_file import read_text
 from storage.errors import InputError
 from storage.output_files import write_whole
+from storage.text_file import read_text
 
 _TABLE = re.compile(r"^\s*\[\s*calibration\s*\]\s*(#.*)?$")
 _ANY_TABLE = re.compile(r"^\s*\[")

@@ -2,122 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from acquisition.schedule.grid import read_positions_file, stadium_grid
-from acquisition.text_file import read_text
 from config.calibration_file import FORMAT, FORMAT_VERSION, CalibrationRecord
 from config.mistakes import one_line, printable, shown
-from config.plan_hash import plan_sha256
-from config.rig import RigConfig, default_rig
-from config.run import FaultFile, RunConfig
 from storage.errors import InputError
+from storage.text_file import read_text
 
 Model = TypeVar("Model", bound=BaseModel)
-
-
-@dataclass(frozen=True, slots=True)
-class Configuration:
-    """A run file with all that it names, checked against each other.
-
-    Parameters
-    ----------
-    run : RunConfig
-        The run.
-    rig : RigConfig
-        The rig that the run names.
-    position_mm : float64 array, shape (positions, 2)
-        The grid in the order of measurement.
-    """
-
-    run: RunConfig
-    rig: RigConfig
-    position_mm: NDArray[np.float64]
-
-    @property
-    def plan_sha256(self) -> str:
-        """Hash of all that a resume must not change."""
-        return plan_sha256(self.rig, self.run, self.position_mm)
-
-
-def load_run(path: Path) -> Configuration:
-    """Read a run file, the rig and the position list that it names.
-
-    Parameters
-    ----------
-    path : Path
-        The run file; paths in it are relative to its folder.
-
-    Raises
-    ------
-    InputError
-        Anything in the files is wrong, alone or against each other.
-    """
-    data = read_toml(path)
-    if "settled" in data:
-        raise InputError(
-            f"{path}: settled: comes from the trial before a staggered campaign and stands in its bank alone"
-        )
-    virtual = data.get("virtual")
-    if isinstance(virtual, dict) and isinstance(virtual.get("fault_plan"), str):
-        plan_file = named_file(path, "virtual.fault_plan", virtual["fault_plan"])
-        faults = validated(FaultFile, read_toml(plan_file), str(plan_file))
-        data["virtual"] = {**virtual, "fault_plan": faults.model_dump()["fault"]}
-    run = validated(RunConfig, data, str(path))
-    rig = default_rig() if run.rig == "virtual" else load_rig(named_file(path, "rig", run.rig))
-    check_together(run, rig, str(path))
-    surface = rig.surface
-    if run.grid.positions_file is not None:
-        positions_file = named_file(path, "grid.positions_file", run.grid.positions_file)
-        position_mm = read_positions_file(positions_file, surface.length_mm, surface.width_mm)
-    else:
-        try:
-            grid = run.grid
-            position_mm = stadium_grid(
-                surface.length_mm, surface.width_mm, grid.margin_mm, grid.spacing_mm, grid.lattice
-            )
-        except InputError as error:
-            raise InputError(printable(f"{path}: grid.{error}")) from None
-    _check_mirror_reach(rig, position_mm, str(path))
-    return Configuration(run, rig, position_mm)
-
-
-def load_rig(path: Path) -> RigConfig:
-    """Read a rig file.
-
-    Parameters
-    ----------
-    path : Path
-        The rig file.
-
-    Raises
-    ------
-    InputError
-        Anything in the file is wrong.
-    """
-    data = read_toml(path)
-    care = data.get("calibration")
-    if isinstance(care, dict):
-        if "measured" in care:
-            raise InputError(f"{path}: calibration.measured: comes from the file that calibration.file names")
-        if isinstance(care.get("file"), str):
-            record = load_calibration(named_file(path, "calibration.file", care["file"]))
-            data["calibration"] = {**care, "measured": record.model_dump()}
-    recorder = data.get("recorder")
-    if isinstance(recorder, dict):
-        for key in ("tls_root", "tls_certificate", "tls_key"):
-            if isinstance(recorder.get(key), str):
-                # A bank holds the rig; it may be resumed from any folder.
-                recorder[key] = str(named_file(path, f"recorder.{key}", recorder[key]).absolute())
-    return validated(RigConfig, data, str(path))
 
 
 def load_calibration(path: Path) -> CalibrationRecord:
@@ -138,92 +34,6 @@ def load_calibration(path: Path) -> CalibrationRecord:
         version = shown(data.get("format_version"))
         raise InputError(f"{path}: format_version = {version}: must be {FORMAT_VERSION}; a newer wavefocus wrote it")
     return validated(CalibrationRecord, data, str(path))
-
-
-def configuration_from_json(
-    rig_json: str, run_json: str, position_mm: NDArray[np.float64], source: str
-) -> Configuration:
-    """Take up the configuration that a bank carries.
-
-    Parameters
-    ----------
-    rig_json, run_json : str
-        The validated configuration as ``model_dump_json`` wrote it.
-    position_mm : float64 array, shape (positions, 2)
-        The bank's grid.
-    source : str
-        The bank's name, for messages.
-
-    Raises
-    ------
-    InputError
-        The texts are no configuration of this version.
-    """
-    rig = validated(RigConfig, _from_json(rig_json, f"{source}: attribute rig"), f"{source}: attribute rig")
-    run = validated(RunConfig, _from_json(run_json, f"{source}: attribute run"), f"{source}: attribute run")
-    check_together(run, rig, source)
-    return Configuration(run, rig, position_mm)
-
-
-def with_rig(configuration: Configuration, rig: RigConfig, source: str) -> Configuration:
-    """Put another rig in the place of a configuration's own, checked against its run and grid.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        What a bank carries.
-    rig : RigConfig
-        The other rig.
-    source : str
-        Its file's name, for messages.
-
-    Raises
-    ------
-    InputError
-        The run cannot be carried out with it.
-    """
-    check_together(configuration.run, rig, source)
-    _check_mirror_reach(rig, configuration.position_mm, source)
-    return replace(configuration, rig=rig)
-
-
-def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
-    """Check what neither run nor rig can tell alone.
-
-    Parameters
-    ----------
-    run, rig : RunConfig, RigConfig
-        Each valid by itself.
-    source : str
-        The run file's name, for messages.
-
-    Raises
-    ------
-    InputError
-        A virtual setting without a virtual rig, or a sweep that the wiring cannot carry.
-    """
-    if run.virtual is not None and not rig.is_virtual:
-        raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
-    actuators = len(rig.actuators.position_mm)
-    if run.capture.groups > actuators:
-        allowed = f"must be at most {actuators}, the number of actuators"
-        raise InputError(f"{source}: capture.groups = {run.capture.groups}: {allowed}")
-    amplitude_v, key = run.sweep.amplitude_v, f"{source}: sweep.amplitude_v"
-    if amplitude_v > rig.player.limit_v:
-        allowed = f"must be at most player.limit_v = {rig.player.limit_v:g} of the rig"
-        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
-    weakest_v = min(rig.player.output_full_scale_v[one] for one in (*rig.player.channels, rig.player.loopback_channel))
-    if amplitude_v > weakest_v:
-        allowed = f"must be at most {weakest_v:g}, the full scale of the rig's weakest output"
-        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
-    rms_limit = rig.player.rms_limit
-    if rms_limit is not None and amplitude_v / 2**0.5 > rms_limit[1]:
-        allowed = f"must be at most {rms_limit[1] * 2**0.5:.4g}, or its rms is beyond the rig's {rms_limit[0]}"
-        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
-    loudest_v = rig.recorder.reference_range_v / rig.recorder.reference_gain
-    if amplitude_v > loudest_v:
-        allowed = f"must be at most {loudest_v:g} (the rig's recorder.reference_range_v / reference_gain)"
-        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -302,25 +112,3 @@ def named_file(path: Path, key: str, name: str) -> Path:
     except (OSError, ValueError):  # a name that no file can have
         pass
     raise InputError(printable(f"{path}: {key} = {shown(name)}: must be a file; none found from {path.parent}/"))
-
-
-def _from_json(text: str, source: str) -> object:
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(printable(f"{source}: not JSON: {error}")) from None
-
-
-def _check_mirror_reach(rig: RigConfig, position_mm: NDArray[np.float64], source: str) -> None:
-    try:
-        angles = rig.mirror.angles_mrad(position_mm)
-    except InputError as error:
-        raise InputError(f"{source}: grid: {error}; the rig's mirror.map must reach every position") from None
-    beyond = np.flatnonzero(~(np.abs(angles).max(axis=1) <= rig.mirror.limit_mrad))
-    if len(beyond):
-        row = int(beyond[0])
-        (x_mm, y_mm), (x_mrad, y_mrad) = position_mm[row], angles[row]
-        raise InputError(
-            f"{source}: grid: position {row} at ({x_mm:g}, {y_mm:g}) mm needs mirror angles of "
-            f"({x_mrad:.1f}, {y_mrad:.1f}) mrad; the rig's mirror.limit_mrad = {rig.mirror.limit_mrad:g}"
-        )

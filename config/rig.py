@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from acquisition.schedule.grid import inside_stadium, stadium_rim
 from config.calibration_merge import with_calibration
 from config.fields import PointMm, Positive, Table, Text, mistake
 from config.rig_care import CalibrationSection, RecoverySection, UsbDevice
@@ -18,6 +17,7 @@ from config.rig_mirror import MirrorSection
 from config.rig_player import PlayerSection
 from config.rig_recorder import RecorderSection, VibrometerSection
 from config.rig_watch import WatchSection
+from config.stadium import inside_stadium, stadium_rim
 
 DEFAULT_ACTUATORS = 20
 DEFAULT_INSET_MM = 6.0

@@ -23,16 +23,6 @@ class WireFaultTable(Table):
     count: Whole = 1
     seconds: Finite = 0.0
 
-    @model_validator(mode="after")
-    def _known_to_the_far_sides(self) -> WireFaultTable:
-        from mocks.wire.faults import WireFault  # only a rig with a fault plan needs them
-
-        try:
-            WireFault(**self.model_dump())
-        except ValueError as error:
-            raise mistake("", self.model_dump(exclude_defaults=True), str(error)) from None
-        return self
-
 
 class Emulation(Table):
     """What `wavefocus emulate` builds, and what the virtual rig is like; real instruments take no notice of it.

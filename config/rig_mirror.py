@@ -7,10 +7,8 @@ import re
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from calibration.rig.mirror_map import MirrorMap
 from config.driver_keys import check_driver_keys, with_driver_defaults
 from config.fields import Finite, NonNegative, Positive, Table, Text, Whole, like, mistake
 
@@ -72,21 +70,6 @@ class MirrorSection(Table):
         if self.map is not None:
             return self.map
         return ((1 / self.distance_mm, 0.0, 0.0), (0.0, 1 / self.distance_mm, 0.0), (0.0, 0.0, 1.0))
-
-    def angles_mrad(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Mirror angles of surface points, as the engine will command them.
-
-        Parameters
-        ----------
-        points_mm : float64 array, shape (points, 2)
-            x and y in millimetres.
-
-        Raises
-        ------
-        InputError
-            A place that no angle can reach.
-        """
-        return np.column_stack(MirrorMap(self.matrix).angles_mrad(points_mm[:, 0], points_mm[:, 1]))
 
     @model_validator(mode="before")
     @classmethod

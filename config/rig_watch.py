@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from acquisition.quality.watch import Band
 from config.fields import Finite, NonNegative, Positive, Table, mistake
 from config.rig_recorder import AnalogInput
 
@@ -52,18 +50,6 @@ class BandSection(Table):
             if edge < lower:
                 raise mistake(name, edge, f"must be at least {lower_name} = {lower:g}")
         return self
-
-    def band(self, words: str, unit: str) -> Band:
-        """The band that the engine watches."""
-        return Band(
-            words,
-            unit,
-            leaves_below=-math.inf if self.leaves_below is None else self.leaves_below,
-            leaves_above=math.inf if self.leaves_above is None else self.leaves_above,
-            returns_above=-math.inf if self.returns_above is None else self.returns_above,
-            returns_below=math.inf if self.returns_below is None else self.returns_below,
-            settle_s=self.settle_s,
-        )
 
 
 class RoomSection(BandSection):

@@ -119,16 +119,6 @@ class Fault(Table):
     tries: Annotated[Whole, Field(ge=0)] = 1
     spot_mm: tuple[Finite, Finite, Positive] | None = None
 
-    @model_validator(mode="after")
-    def _known_to_the_virtual_instruments(self) -> Fault:
-        from mocks import faults  # only a run with a fault plan needs them
-
-        try:
-            faults.Fault(**self.model_dump())
-        except ValueError as error:
-            raise mistake("", self.model_dump(exclude_defaults=True), str(error)) from None
-        return self
-
 
 class FaultFile(Table):
     """A file of faults, as ``fault_plan`` may name one."""

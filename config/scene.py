@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -18,13 +17,6 @@ from config.fields import (
     Whole,
     mistake,
 )
-from config.loading import named_file, parse_toml, read_toml, validated
-from config.mistakes import printable
-from rendering.scene import paths, signals
-from rendering.scene.model import Output, Regularisation, Scene, Source
-from rendering.scene.paths import TextPath
-from rendering.scene.svg import SvgPath
-from storage.errors import InputError
 
 
 class SceneTable(Table):
@@ -177,129 +169,3 @@ class SceneConfig(Table):
     source: Annotated[tuple[SourceTable, ...], Field(min_length=1, max_length=1000)]
     regularisation: RegularisationTable = RegularisationTable()
     output: OutputTable = OutputTable()
-
-    def build(self, file: Path, *, allow_large: bool = False) -> Scene:
-        """Make the scene that rendering works on.
-
-        Parameters
-        ----------
-        file : Path
-            The scene file: what it names is relative to its folder, and messages begin with it.
-        allow_large : bool
-            Whether it may be larger than the limits of `rendering.scene.size`.
-
-        Raises
-        ------
-        InputError
-            A file that the scene names is missing or cannot be understood.
-        """
-        built = []
-        for index, table in enumerate(self.source):
-            key = f"source[{index}]"
-            try:
-                built.append(
-                    Source(
-                        path=_path(table.path, file, f"{key}.path", allow_large=allow_large),
-                        signal=_signal(table.signal, file, f"{key}.signal"),
-                        start_s=table.start_s,
-                        speed_mm_s=table.speed_mm_s or 0.0,
-                        step_mm=table.step_mm or 0.0,
-                        amplitude=table.amplitude,
-                        emission=table.emission,
-                    )
-                )
-            except InputError as error:
-                told = str(error)
-                raise InputError(printable(told if told.startswith(str(file)) else f"{file}: {key}: {told}")) from None
-        return Scene(
-            name=self.scene.name,
-            sources=tuple(built),
-            regularisation=Regularisation(**self.regularisation.model_dump()),
-            output=Output(**self.output.model_dump()),
-            allow_large=allow_large,
-        )
-
-
-def load_scene(path: Path, *, allow_large: bool = False) -> Scene:
-    """Read a scene file with all that it names.
-
-    Parameters
-    ----------
-    path : Path
-        The scene file; paths in it are relative to its folder.
-    allow_large : bool
-        Whether it may be larger than the limits of `rendering.scene.size`.
-
-    Raises
-    ------
-    InputError
-        Anything in the files is wrong.
-    """
-    return validated(SceneConfig, read_toml(path), str(path)).build(path, allow_large=allow_large)
-
-
-def read_scene(text: str, path: Path, *, allow_large: bool = False) -> Scene:
-    """Make the scene of a text, as `load_scene` would of a file of that text.
-
-    Parameters
-    ----------
-    text : str
-        What the scene file holds, or would hold.
-    path : Path
-        The scene file, which need not exist; paths in it are relative to its folder.
-    allow_large : bool
-        As for `load_scene`.
-
-    Raises
-    ------
-    InputError
-        Anything in the text or in the files that it names is wrong.
-    """
-    return validated(SceneConfig, parse_toml(text, str(path)), str(path)).build(path, allow_large=allow_large)
-
-
-def read_scene_tables(text: str, path: Path) -> dict[str, Any]:
-    """Take the tables of a scene file's text, valid and with all their defaults, without the files that it names.
-
-    Parameters
-    ----------
-    text : str
-        What the scene file holds.
-    path : Path
-        The scene file, for messages.
-
-    Raises
-    ------
-    InputError
-        Anything in the text is wrong.
-    """
-    return validated(SceneConfig, parse_toml(text, str(path)), str(path)).model_dump()
-
-
-def _path(table: PathTable, file: Path, key: str, *, allow_large: bool) -> paths.Path:
-    match table:
-        case PointTable():
-            return paths.Point(table.at_mm)
-        case LineTable():
-            return paths.Line(table.start_mm, table.end_mm)
-        case CircleTable():
-            return paths.Circle(table.centre_mm, table.radius_mm, table.turns, table.start_deg)
-        case PolylineTable():
-            return paths.Polyline(table.points_mm, table.closed)
-        case SvgTable():
-            drawing = named_file(file, f"{key}.file", table.file)
-            return SvgPath(drawing, table.path_id, table.scale, table.origin_mm, allow_large)
-        case TextTable():
-            return TextPath(table.string, table.height_mm, table.centre_mm, allow_large)
-
-
-def _signal(table: SignalTable, file: Path, key: str) -> signals.Signal:
-    match table:
-        case ImpulseTable():
-            return signals.Impulse()
-        case SineTable():
-            return signals.Sine(table.frequency_hz, table.duration_s)
-        case NoiseTable():
-            return signals.Noise(table.band_hz, table.duration_s, table.seed)
-        case FileTable():
-            return signals.SoundFile(named_file(file, f"{key}.path", table.path))

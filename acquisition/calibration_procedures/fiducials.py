@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from acquisition.text_file import read_text
 from storage.errors import InputError
+from storage.text_file import read_text
 
 PLACES = ["x_mm", "y_mm"]
 PLACES_AND_ANGLES = [*PLACES, "x_mrad", "y_mrad"]

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from acquisition.text_file import read_text
 from gui.shell.toml_files import is_virtual, tables_of
 from storage.errors import InputError
+from storage.text_file import read_text
 
 Pair = tuple[float, float]
 

@@ -9,7 +9,7 @@ import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent
 
-from acquisition.schedule.grid import stadium_rim
+from config.stadium import stadium_rim
 from gui.shell.theme import LIGHT, Theme, theme_axes
 
 Pair = tuple[float, float]

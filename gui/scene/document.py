@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QUndoStack
 
-from acquisition.text_file import read_text
 from gui.scene.draft import OutputDraft, SceneDraft, SourceDraft
 from gui.scene.history import Stand, Step
 from gui.scene.toml_text import draft_of, scene_toml
 from gui.shell.front_door import FrontDoor
 from storage.errors import InputError
 from storage.output_files import replacement
+from storage.text_file import read_text
 
 if TYPE_CHECKING:
     from rendering.scene.model import Scene

@@ -8,8 +8,8 @@ from enum import Enum, auto
 from pathlib import Path
 from typing import Any
 
-from acquisition.text_file import read_text
 from storage.errors import InputError
+from storage.text_file import read_text
 
 
 class TomlKind(Enum):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.schedule.grid import stadium_rim
+from config.stadium import stadium_rim
 from gui.shell.toml_files import is_virtual
 
 if TYPE_CHECKING:

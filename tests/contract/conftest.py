@@ -14,7 +14,6 @@ from typing import TypeVar
 
 import pytest
 
-from config.loading import load_rig
 from config.rig import RigConfig, default_rig
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Clock, Mirror, Player, Recorder
@@ -25,6 +24,7 @@ from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import TcpWire
 from tests.wire.emulated import free_port, rig_text
 from wavefocus.commands.emulate import wiring_of
+from wavefocus.configuration import load_rig
 from wavefocus.rig.instruments import Openers, openers
 from wavefocus.rig.virtual_bench import virtual_settings
 

@@ -15,7 +15,6 @@ from PyQt5.QtGui import QMouseEvent
 from PyQt5.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFileDialog, QLineEdit
 from pytestqt.qtbot import QtBot
 
-from config.scene import load_scene, read_scene_tables
 from gui.scene.document import NEW_SCENE, SceneDocument
 from gui.scene.draft import (
     CircleDraft,
@@ -41,6 +40,7 @@ from gui.scene.toml_text import draft_of, scene_toml
 from gui.shell.settings import Settings
 from gui.shell.window import Window
 from rendering.scene import paths, signals
+from rendering.scene.loading import load_scene, read_scene_tables
 from rendering.scene.model import Output, Regularisation, Scene, Source
 from rendering.scene.paths import TextPath
 from rendering.scene.svg import SvgPath

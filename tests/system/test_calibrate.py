@@ -18,10 +18,11 @@ import pytest
 from acquisition.calibration_procedures.marks import default_marks_mm
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration_file import CalibrationRecord
-from config.loading import load_calibration, load_rig
+from config.loading import load_calibration
 from mocks.chain import output_errors
 from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
+from wavefocus.configuration import load_rig
 
 SEED, SPREAD_S, SPREAD_DB, DELAY_S = 7, 20e-6, 1.0, 8.3e-6
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.scene import load_scene
 from rendering.drive.rendering import render_with_report
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
+from rendering.scene.loading import load_scene
 from rendering.scene.model import Scene
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/render-and-play.md"

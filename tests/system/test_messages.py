@@ -14,11 +14,11 @@ from collections.abc import Iterator
 import pytest
 
 from acquisition.engine.events import Drift, Fault, SessionEnded, State, StateChanged
-from config.loading import load_rig
 from config.rig_messages import MessagesSection
 from storage.errors import InputError
 from tests.system.conftest import ACTUATORS
 from wavefocus.__main__ import run
+from wavefocus.configuration import load_rig
 from wavefocus.rig.message_check import message_findings
 from wavefocus.rig.messages import AppriseOutbox, Messenger, messenger_for
 

@@ -16,8 +16,8 @@ from acquisition.calibration_procedures.operator import Here, Jog, JogView
 from acquisition.calibration_procedures.outputs import OutputFigures, OutputsTask, measure_outputs
 from acquisition.calibration_procedures.probe import NotMeasuredError, Probe
 from acquisition.engine.setup import Setup
-from acquisition.schedule.grid import inside_stadium
 from calibration.rig.mirror_map import MirrorMap
+from config.stadium import inside_stadium
 from drivers.errors import InstrumentLostError
 from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
 from storage.errors import InputError

@@ -23,11 +23,13 @@ from config.calibration_file import (
     OutputsMeasured,
 )
 from config.calibration_toml import write_calibration
-from config.loading import load_calibration, load_rig, plan_sha256
+from config.loading import load_calibration
+from config.plan_hash import plan_sha256
 from config.rig import RigConfig, default_rig
 from config.run import default_run
 from drivers.identity import DeviceIdentity
 from storage.errors import InputError
+from wavefocus.configuration import load_rig
 from wavefocus.rig.virtual_bench import virtual_settings
 
 AT = datetime(2026, 11, 21, 22, 10, tzinfo=UTC)

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.loading import load_rig
+from calibration.rig.mirror_map import MirrorMap
 from config.rig import RigConfig, default_rig
 from storage.errors import InputError
+from wavefocus.configuration import load_rig
 
 
 def test_default_rig_has_20_actuators_on_the_rim_wired_in_order() -> None:
@@ -22,8 +23,9 @@ def test_default_rig_has_20_actuators_on_the_rim_wired_in_order() -> None:
 
 
 def test_default_mirror_points_straight_at_the_surface_from_a_metre() -> None:
-    angles = default_rig().mirror.angles_mrad(np.array([[0.0, 0.0], [100.0, -50.0]]))
-    np.testing.assert_allclose(angles, [[0, 0], [1000 * math.atan(0.1), -1000 * math.atan(0.05)]])
+    x_mrad, y_mrad = MirrorMap(default_rig().mirror.matrix).angles_mrad([0.0, 100.0], [0.0, -50.0])
+    np.testing.assert_allclose(x_mrad, [0, 1000 * math.atan(0.1)])
+    np.testing.assert_allclose(y_mrad, [0, -1000 * math.atan(0.05)])
 
 
 def test_rig_with_its_own_actuators_gets_a_channel_for_each() -> None:

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from config.scene import SceneConfig, load_scene
+from config.scene import SceneConfig
 from rendering.scene import paths, signals
+from rendering.scene.loading import load_scene
 from rendering.scene.model import Output, Regularisation, Scene
 from rendering.scene.paths import TextPath
 from rendering.scene.svg import SvgPath

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from config.loading import load_rig, load_run
 from config.rig import RigConfig, default_rig
 from storage.errors import InputError
+from wavefocus.configuration import load_rig, load_run
 from wavefocus.rig.instruments import open_rig, openers
-from wavefocus.rig.sensors import RoomSensor, watch_of
+from wavefocus.rig.sensors import RoomSensor, band_of, watch_of
 
 REAL = """
 [mirror]
@@ -34,7 +34,7 @@ def _rig(tmp_path: Path, text: str) -> RigConfig:
 
 def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path: Path) -> None:
     rig = _rig(tmp_path, "[watch.reference]\nleaves_below = -3\nleaves_above = 2.0\nsettle_s = 5")
-    band = rig.watch.reference.band("reference level", "dB") if rig.watch.reference else None
+    band = band_of(rig.watch.reference, "reference level", "dB") if rig.watch.reference else None
     assert band is not None
     assert (band.leaves_below, band.returns_above) == (-3.0, pytest.approx(-2.7))
     assert (band.leaves_above, band.returns_below) == (2.0, pytest.approx(1.8))

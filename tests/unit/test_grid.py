@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.schedule.grid import inside_stadium, read_positions_file, stadium_grid, stadium_rim
+from acquisition.schedule.grid import read_positions_file, stadium_grid
+from config.stadium import inside_stadium, stadium_rim
 from storage.errors import InputError
 
 

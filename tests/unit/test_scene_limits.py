@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from config.scene import SceneConfig, read_scene
+from config.scene import SceneConfig
 from rendering.drive.inverse_filter import inverse_filter
 from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
@@ -24,6 +24,7 @@ from rendering.greens.regularisation import row_weights
 from rendering.greens.row_scaling import scale_row
 from rendering.greens.source import GreenArray
 from rendering.report.scene_picture import scene_picture
+from rendering.scene.loading import build_scene, read_scene
 from rendering.scene.scene_rows import scene_rows
 from rendering.scene.size import MOST_SECONDS, check_scene_size, scene_size
 from rendering.scene.svg import SvgPath, flatten
@@ -273,7 +274,7 @@ def test_any_numbers_of_a_scene_give_finite_drives_or_one_sentence(tables: dict)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            scene = SceneConfig.model_validate(tables).build(Path("scene.toml"))
+            scene = build_scene(SceneConfig.model_validate(tables), Path("scene.toml"))
             drive, _ = render_with_report(scene, bank())
         except (InputError, ValidationError):
             return

@@ -9,13 +9,13 @@ import pytest
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from config.loading import Configuration, load_rig, load_run
 from config.rig import RigConfig, default_rig
 from config.run import Fault, RunConfig, Virtual, default_run
-from config.scene import load_scene
 from config.templates import write_templates
 from mocks.faults import ANYWHERE, CORRUPTING
+from rendering.scene.loading import load_scene
 from storage.errors import InputError
+from wavefocus.configuration import Configuration, load_rig, load_run
 
 
 def test_virtual_templates_are_the_defaults(tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 import pytest
 
-from config.loading import load_rig
 from mocks.virtual_rig import VirtualRig
 from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
+from wavefocus.configuration import load_rig
 from wavefocus.rig.virtual_bench import virtual_settings
 
 pytestmark = pytest.mark.long

@@ -337,7 +337,7 @@ def test_given_a_rig_file_without_an_address_then_the_library_is_loaded_in_a_pro
         """
 import os
 from pathlib import Path
-from config.loading import load_rig
+from wavefocus.configuration import load_rig
 from wavefocus.rig.instruments import openers
 recorder = openers(load_rig(Path(os.environ["RIG_FILE"]))).recorder()
 answers["name"] = recorder.identify()

@@ -13,12 +13,12 @@ from acquisition.quality.sentinel import DriftLimits
 from acquisition.schedule.plan import Plan
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
-from config.loading import Configuration, configuration_from_json, load_rig, load_run, with_rig
 from config.plan_hash import rig_differences
 from config.rig import default_rig
 from storage.bank.header import BankHeader
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
+from wavefocus.configuration import Configuration, configuration_from_json, load_rig, load_run, with_rig
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,11 @@ from acquisition.engine.measuring import position_estimator
 from acquisition.schedule.plan import Plan
 from calibration.estimator.position import Channels, PositionEstimator
 from calibration.estimator.raw_estimation import estimator_of
-from config.loading import configuration_from_json
 from storage.errors import InputError
 from storage.raw.header import RawHeader
 from storage.raw.reading import RawFile
 from wavefocus.campaign.blueprint import blueprint_of
+from wavefocus.configuration import configuration_from_json
 
 
 def own_plan(header: RawHeader, raw: Path) -> Plan | None:

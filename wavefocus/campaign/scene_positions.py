@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from config.scene import load_scene
+from rendering.scene.loading import load_scene
 from rendering.scene.scene_rows import scene_rows
 from storage.errors import InputError
 

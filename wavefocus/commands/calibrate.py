@@ -14,9 +14,9 @@ from acquisition.engine.setup import Setup
 from config.calibration_file import PARTS, CalibrationRecord
 from config.calibration_naming import name_calibration
 from config.calibration_toml import write_calibration
-from config.loading import load_rig
 from drivers.errors import InstrumentError
 from storage.errors import InputError
+from wavefocus.configuration import load_rig
 from wavefocus.console import say
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit

@@ -13,9 +13,9 @@ from rich.table import Table
 from acquisition.doctor.examination import Patient, examine
 from acquisition.doctor.findings import Act, Finding
 from calibration.rig.mirror_map import MirrorMap
-from config.loading import load_rig
 from config.rig import RigConfig
 from storage.errors import InputError
+from wavefocus.configuration import load_rig
 from wavefocus.console import answer, answers, people, say
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquisition.engine.stopping import StopRequest, stop_on_signals
-from config.loading import load_rig
 from config.rig import RigConfig
 from mocks.wire.faults import WireFault
 from storage.errors import InputError
+from wavefocus.configuration import load_rig
 from wavefocus.console import say
 from wavefocus.exits import Exit
 from wavefocus.rig.virtual_bench import virtual_settings

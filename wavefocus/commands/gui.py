@@ -62,20 +62,20 @@ def _pulse(bank: Path) -> Pulse | None:
 
 
 def _scene(text: str, path: Path, allow_large: bool = False) -> Scene:
-    from config.scene import read_scene  # when somebody draws one
+    from rendering.scene.loading import read_scene  # when somebody draws one
 
     return read_scene(text, path, allow_large=allow_large)
 
 
 def _scene_tables(text: str, path: Path) -> dict[str, Any]:
-    from config.scene import read_scene_tables
+    from rendering.scene.loading import read_scene_tables
 
     return read_scene_tables(text, path)
 
 
 def _rig_limits(path: Path) -> RigLimits:
-    from config.loading import load_rig  # in the process that calculates scenes
     from config.rig import default_rig
+    from wavefocus.configuration import load_rig  # in the process that calculates scenes
     from wavefocus.rig.rig_limits import limits_of
 
     player = (default_rig() if str(path) == "virtual" else load_rig(path)).player

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.schedule.grid import stadium_rim
+from config.stadium import stadium_rim
 from rendering.report.movie import snapshots, surface_of, write_movie
 from rendering.report.movie_frames import FramePlan, plan_frames
 from storage.bank.reading import Bank, open_bank

@@ -11,10 +11,10 @@ from acquisition.by_hand.gate import GatedPlayer
 from acquisition.engine.call_thread import HungError, Lane
 from acquisition.engine.timeouts import RECONNECTING
 from acquisition.quality.watch import Sensor
-from config.loading import load_rig
 from config.rig import RigConfig, default_rig
 from drivers.errors import InstrumentError
 from storage.errors import InputError
+from wavefocus.configuration import load_rig
 from wavefocus.console import say
 from wavefocus.ending_at_once import ending_at_once
 from wavefocus.exits import Exit

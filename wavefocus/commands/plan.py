@@ -113,7 +113,7 @@ def _needed_by_scenes(
     """Positions that some scenes need, and the scenes; all positions where there is none."""
     if not files:
         return range(plan.positions), []
-    from config.scene import load_scene  # with them comes what renders
+    from rendering.scene.loading import load_scene  # with them comes what renders
     from rendering.scene.size import check_scene_size
     from wavefocus.campaign.scene_positions import needed_by
 

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
-from config.loading import load_rig
 from config.rig import RigConfig, default_rig
 from drivers.protocols import Clock
 from storage.drive_file import Drive, read_drive
 from storage.errors import InputError
+from wavefocus.configuration import load_rig
 from wavefocus.console import Report, progress, say
 from wavefocus.ended_by_input import ended_by_input
 from wavefocus.ending_at_once import ending_at_once

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from acquisition.durations import hours
 from acquisition.engine.timeouts import BoundedPlayer
 from config.rig import RigConfig
-from config.scene import load_scene
 from rendering.drive.streamed_drive import StreamedDrive
 from rendering.drive.wav import InterfaceRate
+from rendering.scene.loading import load_scene
 from rendering.scene.model import Scene
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError

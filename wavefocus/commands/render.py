@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.schedule.grid import stadium_rim
 from config.rig import RigConfig
-from config.scene import load_scene
+from config.stadium import stadium_rim
 from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
 from rendering.drive.inverse_filter import REGULARISATION_DB, InverseReport, inverse_filter
@@ -18,6 +17,7 @@ from rendering.drive.rendering import render_with_report
 from rendering.drive.wav import write_wav
 from rendering.field.focus_peak import predicted_focus_peak
 from rendering.report.render_report import RenderReport
+from rendering.scene.loading import load_scene
 from rendering.scene.model import Regularisation, Scene
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, write_drive

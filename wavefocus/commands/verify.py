@@ -14,14 +14,13 @@ from acquisition.durations import hours
 from acquisition.engine.events import Event
 from acquisition.quality.point_status import median_snr_db
 from acquisition.quality.sentinel import DriftLimits
-from acquisition.schedule.grid import stadium_rim
-from config.loading import Configuration, load_rig
 from config.rig import RigConfig, default_rig
-from config.scene import load_scene
+from config.stadium import stadium_rim
 from rendering.field.metrics import grid_spacing_mm
 from rendering.field.model import predict as predict_field
 from rendering.report.page import build_report
 from rendering.report.words import summary
+from rendering.scene.loading import load_scene
 from rendering.scene.model import Scene
 from rendering.scene.scene_rows import scene_rows
 from rendering.verify.names import (
@@ -49,6 +48,7 @@ from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.drift_history import read_drift
 from wavefocus.campaign.positions import parse_positions
 from wavefocus.commands.render import rendered
+from wavefocus.configuration import Configuration, load_rig
 from wavefocus.console import Report, progress, say
 from wavefocus.ended_by_file import ended_by_file
 from wavefocus.ending_at_once import ending_at_once

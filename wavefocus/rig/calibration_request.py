@@ -12,10 +12,11 @@ from acquisition.calibration_procedures.actuators import listening_places
 from acquisition.calibration_procedures.fiducials import Pair, read_fiducials
 from acquisition.calibration_procedures.marks import default_marks_mm
 from acquisition.calibration_procedures.mirror import fitted_marks
-from acquisition.schedule.grid import inside_stadium
 from calibration.rig.mirror_fit import LEAST_MARKS
+from calibration.rig.mirror_map import MirrorMap
 from config.calibration_file import PARTS
 from config.rig import RigConfig
+from config.stadium import inside_stadium
 from storage.errors import InputError
 from wavefocus.rig.levels import safe_amplitude_v
 
@@ -97,7 +98,10 @@ def marks(rig: RigConfig, request: Request) -> tuple[tuple[Pair, ...], tuple[Pai
         places, angles = read_fiducials(request.fiducials)
     if "mirror" in request.parts:
         # Better told now than when the last mark is met: the first guess stands in for angles not known yet.
-        guessed = rig.mirror.angles_mrad(np.array(places)).tolist() if angles is None else angles
+        if angles is None:
+            guessed = np.column_stack(MirrorMap(rig.mirror.matrix).angles_mrad(*np.array(places).T)).tolist()
+        else:
+            guessed = list(angles)
         fitted_marks(places, guessed)
         if len(places) == LEAST_MARKS:
             raise InputError(

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from config.loading import load_rig
 from config.rig import RigConfig, default_rig
 from rendering.drive.coil_limits import Limiting
 from rendering.drive.wav import Interface
@@ -15,6 +14,7 @@ from rendering.scene.model import Scene
 from storage.bank.reading import Bank
 from storage.errors import InputError
 from wavefocus.campaign.blueprint import bank_configuration
+from wavefocus.configuration import load_rig
 from wavefocus.rig.rig_limits import stricter
 
 # A bank made by other means does not know the interface; then the WAV says volts at the common rate.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 from acquisition.engine.call_thread import HungError, Lane
 from acquisition.quality.watch import Band, Sensor, Watch
 from config.rig import RigConfig
 from config.rig_recorder import VibrometerSection
-from config.rig_watch import RoomSection
+from config.rig_watch import BandSection, RoomSection
 from drivers.errors import InstrumentError
 from wavefocus.rig.instruments import OpenedRig
 
@@ -97,6 +98,19 @@ class BoundedSensor:
             raise InstrumentError(f"sensor {self._name}", "reading", cause, "look after its cable and power") from None
 
 
+def band_of(section: BandSection, words: str, unit: str) -> Band:
+    """The band that the engine watches; a limit that is left out is infinite."""
+    return Band(
+        words,
+        unit,
+        leaves_below=-math.inf if section.leaves_below is None else section.leaves_below,
+        leaves_above=math.inf if section.leaves_above is None else section.leaves_above,
+        returns_above=-math.inf if section.returns_above is None else section.returns_above,
+        returns_below=math.inf if section.returns_below is None else section.returns_below,
+        settle_s=section.settle_s,
+    )
+
+
 def watch_of(rig: RigConfig, opened: OpenedRig) -> Watch:
     """What a rig's configuration says is to be watched, with the sensors for it.
 
@@ -117,7 +131,7 @@ def watch_of(rig: RigConfig, opened: OpenedRig) -> Watch:
         ("room", section.room, "room temperature", "degrees C"),
     ):
         if of_name is not None:
-            bands[name] = of_name.band(words, unit)
+            bands[name] = band_of(of_name, words, unit)
     for name in bands.keys() & {"light", "room"}:
         if rig.is_virtual:
             sensors[name] = opened.virtual_sensors[name]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.schedule.grid import stadium_rim
+from config.stadium import stadium_rim
 from gui.surface.surface import Surface, surface_of
 
 if TYPE_CHECKING:
