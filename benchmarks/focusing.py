@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rig_bank import QUICK_ERROR_DB, default_grid, true_bank
-from mocks.virtual_rig import VirtualRig
+from mocks.virtual.rig import VirtualRig
 from rendering.drive.inverse_filter import inverse_filter
 from rendering.drive.rendering import render_with_report
 from rendering.field import metrics

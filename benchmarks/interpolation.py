@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from config.stadium import inside_stadium
-from mocks.virtual_rig import VirtualRig
+from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
 from rendering.greens.interpolation.kernel import KernelInterpolation
 from rendering.greens.interpolation.left_out_errors import left_out_errors

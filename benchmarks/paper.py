@@ -1,7 +1,7 @@
 """The paper's figures on the virtual rig, and its numbers beside ours, misses included.
 
 Run as ``python -m benchmarks.paper``. The plate is a soft plate fitted to the paper's group velocity and
-attenuation (`mocks.plates`), without the reflections of a real one's rim; the actuators lie on the rim.
+attenuation (`mocks.plates.soft`), without the reflections of a real one's rim; the actuators lie on the rim.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from benchmarks import paper_figures, paper_measures
 from benchmarks.paper_measures import CLEAR_MM, SATURATION
 from benchmarks.paper_table import Row
 from benchmarks.rig_bank import BAND_HZ, PaperBank
-from mocks.geometry import stadium_rim
+from mocks.virtual.geometry import stadium_rim
 from rendering.field import metrics
 from rendering.field.impulse_travel import impulse_travel
 from rendering.field.model import predict

@@ -27,7 +27,7 @@ from benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, rig_setup
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
 from drivers.protocols import Recording, Take
-from mocks.virtual_rig import VirtualRig
+from mocks.virtual.rig import VirtualRig
 from storage.raw.writer import RawWriter, create_raw
 
 NIGHT = 1500

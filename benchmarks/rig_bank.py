@@ -16,7 +16,7 @@ from acquisition.schedule.grid import stadium_grid
 from acquisition.schedule.plan import Plan
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
-from mocks.virtual_rig import VirtualRig
+from mocks.virtual.rig import VirtualRig
 from rendering.field.metrics import band_weights
 from rendering.greens.source import GreenArray
 from storage.bank.creation import create_bank

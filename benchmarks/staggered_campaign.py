@@ -25,7 +25,7 @@ from acquisition.schedule.trial import check_position, run_trial
 from benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, rig_setup
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
-from mocks.virtual_rig import VirtualRig, VirtualSettings
+from mocks.virtual.rig import VirtualRig, VirtualSettings
 from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.reading import open_bank

@@ -29,15 +29,14 @@ from acquisition.schedule.plan import Plan
 from calibration.clock.timing import ClockFitter
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
-from drivers.audio.band_limited import converted, lead_samples, rate_ratio
-from drivers.audio.signal_shelf import HALF_STEP
+from drivers.audio.resampling import converted, lead_samples, rate_ratio
+from drivers.audio.signals import HALF_STEP
 from drivers.audio.stream_player import StreamPlayer
-from drivers.clock import WallClock
 from drivers.daq.ni_recorder import NiRecorder
 from drivers.errors import TransientInstrumentError
 from drivers.mirror.serial_mirror import SerialMirror
-from drivers.protocols import Float64Array, Instruments, Take
-from mocks.settings import VirtualSettings
+from drivers.protocols import Float64Array, Instruments, Take, WallClock
+from mocks.virtual.settings import VirtualSettings
 from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.writer import BankWriter

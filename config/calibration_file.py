@@ -8,7 +8,7 @@ from pydantic import AwareDatetime, Field, model_validator
 
 from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
 from config.rig_mirror import Matrix
-from drivers.identity import DeviceIdentity
+from drivers.protocols import DeviceIdentity
 
 FORMAT = "wavefocus-calibration"
 FORMAT_VERSION = 1

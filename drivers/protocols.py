@@ -1,15 +1,14 @@
-"""What the three roles of a rig must do; the engine knows these and no device."""
+"""The three roles of a rig, as the engine knows them: it knows no device."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-
-from drivers.identity import DeviceIdentity
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -282,3 +281,35 @@ class Instruments:
     recorder: Recorder
     player: Player
     clock: Clock
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceIdentity:
+    """Who a device says it is, without its settings and without the way to it; equal for the same device in any run.
+
+    Parameters
+    ----------
+    maker, product, serial : str
+        As the device states them; empty where it does not. A device that answers with one text, whose parts nobody
+        has specified, has that text as its product.
+    """
+
+    maker: str
+    product: str
+    serial: str = ""
+
+    def __str__(self) -> str:
+        name = f"{self.maker} {self.product}".strip()
+        return f"{name}, serial number {self.serial}" if self.serial else name
+
+
+class WallClock:
+    """Real time; implements `drivers.protocols.Clock`."""
+
+    def now_s(self) -> float:
+        """Seconds since an arbitrary start, from a clock that nobody sets."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Let `seconds` pass; a negative time is none."""
+        time.sleep(max(0.0, seconds))

@@ -40,7 +40,7 @@ CLASSES: dict[str, tuple[float, ...]] = {
     "dead_response": (0.0,),
     "missing_reference": (0.0,),
 }
-"""Levels in dB of each kind of fault, as of `mocks.faults.Fault`; 0 where the kind has none."""
+"""Levels in dB of each kind of fault, as of `mocks.virtual.faults.Fault`; 0 where the kind has none."""
 
 ACTUATOR_MM = ((110.0, 0.0), (60.0, 60.0), (-60.0, 60.0), (-110.0, 10.0), (-60.0, -60.0), (60.0, -60.0))
 TAPS = 1000
@@ -58,7 +58,7 @@ class Case:
     Parameters
     ----------
     kind : str
-        As of `mocks.faults.Fault`.
+        As of `mocks.virtual.faults.Fault`.
     level_db : float
         Its level.
     schedule : str

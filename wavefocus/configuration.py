@@ -71,7 +71,7 @@ def load_run(path: Path) -> Configuration:
     run = validated(RunConfig, data, str(path))
     rig = default_rig() if run.rig == "virtual" else load_rig(named_file(path, "rig", run.rig))
     if run.virtual is not None and run.virtual.fault_plan:
-        from mocks.faults import Fault
+        from mocks.virtual.faults import Fault
 
         _check_faults(Fault, run.virtual.fault_plan, f"{path}: virtual.fault_plan")
     check_together(run, rig, str(path))

@@ -6,8 +6,7 @@ import threading
 from collections.abc import Mapping
 
 from drivers.errors import InstrumentError
-from drivers.identity import DeviceIdentity
-from drivers.protocols import Float64Array, Player
+from drivers.protocols import DeviceIdentity, Float64Array, Player
 
 
 class ShutError(InstrumentError):

@@ -14,8 +14,7 @@ from acquisition.doctor.sound import Told, check_loopback, check_response, check
 from acquisition.engine.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentLostError
-from drivers.identity import DeviceIdentity
-from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder
+from drivers.protocols import Clock, DeviceIdentity, Instruments, Mirror, Player, Recorder
 
 # Longest waits, on top of what a question takes by its nature.
 OPEN_S, ANSWER_S = 60.0, 30.0

@@ -8,8 +8,8 @@ from typing import TypeVar
 from acquisition.engine.call_thread import HungError, Lane
 from acquisition.engine.roles import Role
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.identity import DeviceIdentity
 from drivers.protocols import (
+    DeviceIdentity,
     Float64Array,
     Instruments,
     Mirror,

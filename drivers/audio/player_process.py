@@ -15,11 +15,9 @@ from dataclasses import asdict
 
 import numpy as np
 
-from drivers.audio.devices import DeviceChoiceError
-from drivers.audio.output_stream import StreamRequest, WatchedStream, load_sounddevice
-from drivers.audio.piece_by_piece import PieceByPiece
-from drivers.audio.playback import FADE_S, Ended, Float32Array, Play, Voice
-from drivers.message_pipe import Message, MessagePipe
+from drivers.audio.playback import FADE_S, Ended, Float32Array, PieceByPiece, Play, Voice
+from drivers.audio.portaudio import DeviceChoiceError, StreamRequest, WatchedStream, load_sounddevice
+from drivers.process import Message, MessagePipe
 
 CLOSING_S = 3.0
 """Closing a stream whose host is gone hangs, and JACK takes a period for each channel; then the process just ends."""

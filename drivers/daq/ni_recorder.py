@@ -8,14 +8,11 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.daq.ni_channel import TlsFiles
 from drivers.daq.ni_errors import REPEAT
-from drivers.daq.ni_limits import check_request, check_wiring
-from drivers.daq.ni_session import NiSession
-from drivers.daq.ni_task import RecordTask, Timing, Wiring
+from drivers.daq.ni_session import NiSession, TlsFiles
+from drivers.daq.ni_task import RecordTask, Timing, Wiring, check_request, check_wiring
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.identity import DeviceIdentity
-from drivers.protocols import Recording, RecordRequest
+from drivers.protocols import DeviceIdentity, Recording, RecordRequest
 
 ANSWER_S = 5.0
 """How long a server may take to answer beyond what a call asks for, in s."""

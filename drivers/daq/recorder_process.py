@@ -1,6 +1,8 @@
-"""The process that runs NI-DAQmx: what its library keeps broken after a replug ends with it.
+"""An NI device on this computer as a recorder, with NI-DAQmx in a process of its own.
 
-Run as ``python -P -m drivers.daq.recorder_process`` with pipes for input and output; see `process_recorder`.
+After a device was unplugged and plugged in again, properties of the nidaqmx package may fail until the process that
+has loaded NI's library ends (an open issue of nidaqmx-python). So every reconnection starts a fresh one; a call that
+hangs in the library is ended with it.
 """
 
 from __future__ import annotations
@@ -9,17 +11,200 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
+from itertools import count
 from queue import SimpleQueue
 from typing import Any
 
+import numpy as np
+
 from drivers.daq.ni_recorder import NiRecorder
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.identity import DeviceIdentity
-from drivers.message_pipe import Message, MessagePipe
-from drivers.protocols import RecordRequest, Take
+from drivers.process import OPENING_S, DriverProcess, Message, MessagePipe, ProcessGoneError
+from drivers.protocols import DeviceIdentity, Recording, RecordRequest, Take
+
+CALL_S = 15.0
+"""A call to a device that is well takes milliseconds; a first task, or a reset, takes seconds."""
+
+REMEDY = "check its USB cable and its power, then connect again, which starts NI-DAQmx afresh"
+ERRORS: dict[str, type[InstrumentError]] = {
+    kind.__name__: kind for kind in (InstrumentError, InstrumentLostError, TransientInstrumentError)
+}
+
+
+class ProcessRecorder:
+    """Records reference and response; implements `drivers.protocols.Recorder`.
+
+    Parameters
+    ----------
+    device : str
+        Name in NI MAX: ``"Dev1"``.
+    reference_input, response_input, terminal, trigger
+        As of `drivers.daq.ni_recorder.NiRecorder`.
+
+    Raises
+    ------
+    InstrumentLostError
+        The device is not there.
+    InstrumentError
+        A package, the driver, a device of that name, an input or a terminal configuration is missing.
+    """
+
+    def __init__(
+        self, device: str, *, reference_input: str, response_input: str, terminal: str, trigger: str | None
+    ) -> None:
+        self._instrument = f"recorder {device}"
+        self._wiring = {
+            "device": device,
+            "reference_input": reference_input,
+            "response_input": response_input,
+            "terminal": terminal,
+            "trigger": trigger,
+        }
+        self._identity: DeviceIdentity | None = None
+        self._owned = False
+        self._ranges_v: tuple[float, ...] = ()
+        self._numbers = count(1)
+        self._connecting = threading.Lock()
+        self._closed = False
+        self._life: _Life | None = None
+        self._open("opening")
+
+    @property
+    def process_id(self) -> int | None:
+        """The process that runs NI-DAQmx; None where there is none."""
+        return None if self._life is None else self._life.process.pid
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Product and serial number of the device."""
+        assert self._identity is not None  # known since it was opened
+        return self._identity
+
+    @property
+    def input_ranges_v(self) -> tuple[float, ...]:
+        """Input ranges that the device has, ascending; none where it does not say."""
+        return self._ranges_v
+
+    def identify(self) -> str:
+        """Product, serial number, driver version and inputs of the device."""
+        return str(self._call("identifying", "identify")[0]["text"])
+
+    def start(self, request: RecordRequest) -> None:
+        """Start one finite record and return at once. Raises InstrumentError."""
+        self._call(
+            f"starting {request.take}",
+            "start",
+            samples=request.samples,
+            sample_rate_hz=request.sample_rate_hz,
+            range_v=request.range_v,
+            take=asdict(request.take),
+        )
+
+    def read(self, timeout_s: float) -> Recording:
+        """Wait for the record to end and fetch it. Raises InstrumentError after `timeout_s`."""
+        told, payload = self._call("reading", "read", CALL_S + timeout_s, timeout_s=timeout_s)
+        volts = np.frombuffer(bytearray(payload), dtype=np.float32).reshape(2, -1)
+        step_v, over_range = told["volts_per_count"], told["over_range"]
+        return Recording(volts, (step_v[0], step_v[1]), (over_range[0], over_range[1]))
+
+    def read_input_v(self, name: str) -> float:
+        """Volts at another input, see `drivers.daq.ni_recorder.NiRecorder.read_input_v`."""
+        return float(self._call(f"reading {name}", "read input", name=name)[0]["volts"])
+
+    def abort(self) -> None:
+        """Drop a record under way; harmless when there is none. A read that waits for it fails."""
+        if self._life is not None and not self._closed:
+            with suppress(InstrumentLostError):  # with the process, its record has ended too
+                self._call("aborting", "abort")
+
+    def reconnect(self) -> None:
+        """End the process that runs NI-DAQmx, start a fresh one, and open the same device in it.
+
+        Raises
+        ------
+        InstrumentLostError
+            The device is not there (yet).
+        InstrumentError
+            Another device answers in its place, or the recorder was closed.
+        """
+        self._check_open("reconnecting")
+        with self._connecting:
+            self._end()
+            self._open("reconnecting")
+
+    def close(self) -> None:
+        """Release the device. Safe to call twice."""
+        self._closed = True
+        with self._connecting:
+            self._end()
+
+    # -- inside --------------------------------------------------------------------------------------
+
+    def _open(self, doing: str) -> None:
+        self._life = _Life()
+        try:
+            known = None if self._identity is None else asdict(self._identity)
+            told, _ = self._call(doing, "open", OPENING_S, wiring=self._wiring, identity=known, owned=self._owned)
+        except BaseException:
+            self._end()
+            raise
+        self._identity, self._ranges_v = DeviceIdentity(**told["identity"]), tuple(told["ranges_v"])
+
+    def _end(self) -> None:
+        life, self._life = self._life, None
+        if life is not None:
+            with suppress(ProcessGoneError):
+                life.process.send(({"do": "close"}, b""))
+            life.process.close()
+
+    def _call(self, doing: str, order: str, limit_s: float = CALL_S, **content: Any) -> tuple[Message, bytes]:
+        """Have an order carried out and wait for its end."""
+        self._check_open(doing)
+        life = self._life
+        if life is None:
+            raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
+        number = next(self._numbers)
+        try:
+            life.process.send(({"do": order, "number": number, **content}, b""))
+            answer = life.process.wait_for(lambda: life.answers.get(number), time.monotonic() + limit_s)
+        except ProcessGoneError as gone:
+            raise InstrumentLostError(self._instrument, doing, gone.cause, REMEDY) from None
+        if answer is None:
+            cause = f"NI-DAQmx did not answer within {limit_s:g} s"
+            life.process.kill(cause)
+            raise InstrumentLostError(self._instrument, doing, cause, REMEDY)
+        del life.answers[number]
+        told, _ = answer
+        # A device that could not be opened may still be reserved by what was before.
+        self._owned = self._owned or bool(told["owned"])
+        if told["is"] == "failed":
+            failure = ERRORS[told["kind"]](*told["what"])
+            for note in told["notes"]:
+                failure.add_note(note)
+            raise failure
+        return answer
+
+    def _check_open(self, doing: str) -> None:
+        if self._closed:
+            raise InstrumentError(self._instrument, doing, "it is closed", "open the rig again")
+
+
+class _Life:
+    """One life of the process, and what it answered."""
+
+    def __init__(self) -> None:
+        self.answers: dict[int, tuple[Message, bytes]] = {}
+        self.process = DriverProcess("drivers.daq.recorder_process", "the process that runs NI-DAQmx", {}, self._note)
+
+    def _note(self, message: Message, payload: bytes) -> None:
+        if "number" in message:
+            self.answers[message["number"]] = (message, payload)
+
 
 CLOSING_S = 3.0
 """Closing a task in a library that hangs does not return; then the process just ends."""

@@ -21,9 +21,8 @@ import re
 from collections.abc import Callable
 
 from drivers.errors import InstrumentError
-from drivers.identity import DeviceIdentity
-from drivers.serial_line.dialogue import Dialogue
-from drivers.serial_line.question import Marker, Query, RefusedError, RestartedError, UnreadableError
+from drivers.protocols import DeviceIdentity
+from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
 
 # Type of a scanner's axes in the answer to BU X.
 SCANNER = "u"

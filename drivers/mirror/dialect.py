@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from drivers.identity import DeviceIdentity
-from drivers.serial_line.dialogue import Dialogue
-from drivers.serial_line.question import Marker
+from drivers.protocols import DeviceIdentity
+from drivers.serial_line.dialogue import Dialogue, Marker
 
 
 class Dialect(Protocol):

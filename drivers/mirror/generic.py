@@ -8,9 +8,8 @@ from collections.abc import Callable
 from functools import reduce
 from typing import TypeVar
 
-from drivers.identity import DeviceIdentity
-from drivers.serial_line.dialogue import Dialogue
-from drivers.serial_line.question import Marker, Query, RefusedError, UnreadableError
+from drivers.protocols import DeviceIdentity
+from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
 
 Answer = TypeVar("Answer")
 

@@ -18,9 +18,8 @@ from __future__ import annotations
 
 import re
 
-from drivers.identity import DeviceIdentity
-from drivers.serial_line.dialogue import Dialogue
-from drivers.serial_line.question import Marker, Query, RefusedError, RestartedError, UnreadableError
+from drivers.protocols import DeviceIdentity
+from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
 
 WITHIN_COMMAND_MODE = "MTI-ERR InvalidCommand"
 

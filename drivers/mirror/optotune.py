@@ -18,9 +18,8 @@ from __future__ import annotations
 import math
 import re
 
-from drivers.identity import DeviceIdentity
-from drivers.serial_line.dialogue import Dialogue
-from drivers.serial_line.question import Marker, Query, RefusedError, UnreadableError
+from drivers.protocols import DeviceIdentity
+from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
 
 IDENTITY = "Optotune MR-E-2"
 FULL_SCALE = math.tan(math.radians(50.0))

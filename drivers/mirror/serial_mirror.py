@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.identity import DeviceIdentity
 from drivers.mirror.asi_tiger import AsiTiger
 from drivers.mirror.dialect import Dialect
 from drivers.mirror.generic import GenericMirror
 from drivers.mirror.mirrorcle import MirrorcleMti
 from drivers.mirror.optotune import OptotuneMre2
-from drivers.protocols import Clock
+from drivers.protocols import Clock, DeviceIdentity
 from drivers.serial_line.dialogue import Dialogue
 from drivers.serial_line.line import LineSettings, SerialLine
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.errors import InstrumentLostError
-from drivers.serial_line.opening import open_failure
-from drivers.serial_line.ports import find_port, pyserial_missing
+from drivers.serial_line.ports import find_port, open_failure, pyserial_missing
 
 # How long pyserial waits for bytes before the deadline is looked at again.
 POLL_S = 0.02

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from drivers.usb.devices import Problem, UsbDevice
-from drivers.usb.remedies import permit
+from drivers.usb.devices import Problem, UsbDevice, permit
 
 
 class Verdict(StrEnum):

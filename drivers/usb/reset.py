@@ -6,12 +6,10 @@ import errno
 from collections.abc import Sequence
 from typing import Any
 
-from drivers.clock import WallClock
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.protocols import Clock
-from drivers.usb.devices import Problem, UsbDevice, list_with_handles
+from drivers.protocols import Clock, WallClock
+from drivers.usb.devices import Problem, UsbDevice, list_with_handles, permit
 from drivers.usb.matching import ExpectedUsbDevice, Verdict, match_devices
-from drivers.usb.remedies import permit
 
 RESETTING = "resetting it over USB"
 # DAQ boxes and audio interfaces load firmware after a reset; slower ones are left to the person's patience.

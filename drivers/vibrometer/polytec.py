@@ -16,9 +16,8 @@ import re
 from dataclasses import dataclass
 
 from drivers.errors import InstrumentError
-from drivers.serial_line.dialogue import Dialogue
+from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
 from drivers.serial_line.line import LineSettings, SerialLine
-from drivers.serial_line.question import Marker, Query, RefusedError, UnreadableError
 
 BAUD = 115200
 FULL_SIGNAL_LEVEL = 775

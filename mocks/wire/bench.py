@@ -12,12 +12,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mocks.clocks import NANOSECONDS
-from mocks.geometry import inside_stadium
-from mocks.patch_bay import PatchBay
-from mocks.settings import VirtualSettings
-from mocks.signals import SignalStore
-from mocks.synthesis import TAIL_S, Play, Spot, Synthesis
+from mocks.virtual.geometry import inside_stadium
+from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.signals import SignalStore
+from mocks.virtual.surroundings import NANOSECONDS, PatchBay
+from mocks.virtual.synthesis import TAIL_S, Play, Spot, Synthesis
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
-from mocks.settings import VirtualSettings
+from mocks.virtual.settings import VirtualSettings
 from mocks.wire.audio.jack_server import JackServer
 from mocks.wire.bench import WireBench
 from mocks.wire.faults import WireFault, WireFaultPlan
@@ -16,7 +16,7 @@ from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.ni.ni_server import NiServer
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import PtyWire, TcpWire, Wire
-from mocks.wire.vibrometer_device import PolytecDevice
+from mocks.wire.vibrometer import PolytecDevice
 
 SOCKET = "socket://"
 # What a velocity decoder of the emulated controller makes the response late by, where the rig does not say it.

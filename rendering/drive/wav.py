@@ -12,7 +12,7 @@ import numpy as np
 import soundfile
 from numpy.typing import NDArray
 
-from drivers.audio.band_limited import HALF_LENGTH, converted, lead_samples, rate_ratio
+from drivers.audio.resampling import HALF_LENGTH, converted, lead_samples, rate_ratio
 from rendering.drive.coil_limits import Reached
 from storage.errors import InputError
 from storage.output_files import replacement, require_room

@@ -44,7 +44,7 @@ def test_given_no_thread_can_be_started_then_instruments_still_fall_silent_and_n
     code = """
 from acquisition.engine.timeouts import bounded
 from drivers.errors import InstrumentError
-from mocks.virtual_rig import VirtualRig
+from mocks.virtual.rig import VirtualRig
 done = []
 class Told:
     def __init__(self, name): self.name = name

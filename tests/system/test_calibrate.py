@@ -19,7 +19,7 @@ from acquisition.calibration_procedures.marks import default_marks_mm
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration_file import CalibrationRecord
 from config.loading import load_calibration
-from mocks.chain import output_errors
+from mocks.virtual.chain import output_errors
 from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
 from wavefocus.configuration import load_rig

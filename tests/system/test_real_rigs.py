@@ -12,7 +12,7 @@ from config.rig import RigConfig
 from drivers.errors import InstrumentError
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import TcpWire
-from mocks.wire.vibrometer_device import PolytecDevice
+from mocks.wire.vibrometer import PolytecDevice
 from wavefocus.__main__ import run
 from wavefocus.rig.instruments import openers
 

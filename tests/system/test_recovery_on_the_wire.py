@@ -14,10 +14,8 @@ from acquisition.engine.setup import Setup
 from acquisition.engine.stopping import StopRequest
 from calibration.rig.mirror_map import MirrorMap
 from config.run import Virtual
-from drivers.clock import WallClock
 from drivers.errors import InstrumentLostError
-from drivers.identity import DeviceIdentity
-from drivers.protocols import Instruments, Mirror
+from drivers.protocols import DeviceIdentity, Instruments, Mirror, WallClock
 from storage.bank.creation import create_bank
 from storage.bank.writer import BankWriter
 from tests.wire.serial_bench import MirrorBench, mirror_bench

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from drivers.identity import DeviceIdentity
+from drivers.protocols import DeviceIdentity
 from tests.system.conftest import with_faults
 from tests.system.telling import events_of
 from wavefocus.__main__ import run

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocks.plates import SOFT_PLATE
+from mocks.plates.soft import SOFT_PLATE
 from rendering.greens.source import GreenArray
 
 RATE_HZ = 2000.0

@@ -15,9 +15,8 @@ from acquisition.by_hand.single_sweep import SingleSweeps, SweepOrder
 from acquisition.engine.pointing import point_at
 from acquisition.engine.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
-from drivers.identity import DeviceIdentity
-from drivers.protocols import Float64Array, Instruments
-from mocks.virtual_rig import VirtualRig, VirtualSettings
+from drivers.protocols import DeviceIdentity, Float64Array, Instruments
+from mocks.virtual.rig import VirtualRig, VirtualSettings
 from storage.errors import InputError
 
 RATE_HZ = 10_000.0

@@ -9,9 +9,9 @@ import pytest
 
 from acquisition.engine.timeouts import bounded
 from config.rig import RigConfig, default_rig
-from drivers.identity import DeviceIdentity
-from mocks.settings import VirtualSettings
-from mocks.virtual_rig import VirtualRig
+from drivers.protocols import DeviceIdentity
+from mocks.virtual.rig import VirtualRig
+from mocks.virtual.settings import VirtualSettings
 from tests.unit.test_config_calibration import AT, measured
 from wavefocus.rig.calibration_care import calibrated_elsewhere, calibration_warnings, identities_of
 

@@ -19,7 +19,7 @@ from acquisition.engine.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
 from config.stadium import inside_stadium
 from drivers.errors import InstrumentLostError
-from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from storage.errors import InputError
 
 RATE_HZ = 10_000.0

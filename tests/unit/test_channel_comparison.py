@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from calibration.clock.timing import ReferenceMissingError
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.channel_comparison import ChannelComparer, ResponseMissingError
-from mocks.signals import PlayedSignal
+from mocks.virtual.signals import PlayedSignal
 
 RATE_HZ = 10_000.0
 SWEEP = Excitation(RATE_HZ, 200.0, 4000.0, 0.5, 0.05, 1.0, 1)

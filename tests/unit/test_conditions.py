@@ -15,7 +15,7 @@ from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentError
 from drivers.protocols import Recording
-from mocks.virtual_rig import VirtualRig
+from mocks.virtual.rig import VirtualRig
 
 RATE_HZ = 10_000.0
 EXCITATION = Excitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, 1)

@@ -27,7 +27,7 @@ from config.loading import load_calibration
 from config.plan_hash import plan_sha256
 from config.rig import RigConfig, default_rig
 from config.run import default_run
-from drivers.identity import DeviceIdentity
+from drivers.protocols import DeviceIdentity
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.rig.virtual_bench import virtual_settings

@@ -13,7 +13,7 @@ from acquisition.doctor.examination import Patient, examine
 from acquisition.doctor.findings import Finding, Findings, HungError, bounded
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentError, TransientInstrumentError
-from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from wavefocus.rig.instruments import Vibrometer
 
 CORNERS = ((90.0, 50.0), (-90.0, 50.0), (-90.0, -50.0), (90.0, -50.0))

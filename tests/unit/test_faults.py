@@ -7,7 +7,7 @@ import pytest
 
 from drivers.errors import InstrumentLostError
 from drivers.protocols import RecordRequest, Take
-from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0
 

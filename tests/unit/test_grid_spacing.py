@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.neighbours.wave_model import PatchKernel, WaveModel
-from mocks.plates import SOFT_PLATE
+from mocks.plates.soft import SOFT_PLATE
 from rendering.greens.interpolation.methods import interpolation
 from rendering.greens.interpolation.needed_grid import expected_error, needed_grid, wave_number_rad_mm
 from rendering.greens.interpolation.neighbourhoods import Neighbourhoods

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.neighbours.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
-from mocks.plates import SOFT_PLATE
+from mocks.plates.soft import SOFT_PLATE
 from rendering.greens.interpolation.kernel import KernelInterpolation
 from rendering.greens.interpolation.left_out_errors import RowValues, left_out_errors
 from rendering.greens.interpolation.methods import OffGridError

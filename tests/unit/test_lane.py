@@ -13,7 +13,7 @@ import pytest
 from acquisition.engine.call_thread import HungError, Lane
 from acquisition.engine.timeouts import bounded
 from drivers.errors import InstrumentError, InstrumentLostError
-from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 SOON_S = 0.05
 

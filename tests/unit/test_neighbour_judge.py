@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.neighbours.judge import NeighbourJudge, RowSpectra, Verdict
-from mocks.thin_plate import ThinPlate
+from mocks.plates.thin import ThinPlate
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank
 
 POSITIONS, ACTUATORS = len(SQUARE_MM), len(ACTUATOR_MM)

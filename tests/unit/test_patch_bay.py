@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.protocols import Recording, RecordRequest, Take
-from mocks.chain import output_errors
-from mocks.patch_bay import PatchBay
-from mocks.virtual_rig import VirtualRig, VirtualSettings
+from mocks.virtual.chain import output_errors
+from mocks.virtual.rig import VirtualRig, VirtualSettings
+from mocks.virtual.surroundings import PatchBay
 
 RATE_HZ = 10_000.0
 QUIET = VirtualSettings(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
-from mocks.plates import SOFT_PLATE, DampedWave
-from mocks.plates import impulse_travel as travel_of_a_wave
+from mocks.plates.soft import SOFT_PLATE, DampedWave
+from mocks.plates.soft import impulse_travel as travel_of_a_wave
 from rendering.field import metrics
 from rendering.field.crosstalk import PathResponses, crosstalk_table
 from rendering.field.green_correlation import correlation_over_distance

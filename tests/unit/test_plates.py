@@ -7,10 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import hankel2
 
-from mocks.chain import chain_response
-from mocks.geometry import MirrorGeometry, inside_stadium, stadium_rim
-from mocks.plate_table import PlateTable
-from mocks.plates import (
+from mocks.plates.soft import (
     SOFT_PLATE,
     DampedWave,
     fit_damped_wave,
@@ -18,6 +15,9 @@ from mocks.plates import (
     mean_hankel,
     thin_plate_green,
 )
+from mocks.plates.soft_table import PlateTable
+from mocks.virtual.chain import chain_response
+from mocks.virtual.geometry import MirrorGeometry, inside_stadium, stadium_rim
 
 STEP_HZ = 5.0
 FREQUENCY_HZ = STEP_HZ * np.arange(1001)

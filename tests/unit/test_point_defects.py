@@ -19,7 +19,7 @@ from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
 from drivers.protocols import Take
-from mocks.virtual_rig import VirtualRig, VirtualSettings
+from mocks.virtual.rig import VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (60.0, -60.0))

@@ -17,10 +17,9 @@ from acquisition.engine.setup import Setup
 from acquisition.engine.states import FOLLOWS, IllegalStateError, Lifecycle
 from acquisition.engine.stopping import StoppedWhileWaitingError, StopRequest, stop_on_signals
 from calibration.rig.mirror_map import MirrorMap
-from drivers.clock import WallClock
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.protocols import Clock, Instruments
-from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from drivers.protocols import Clock, Instruments, WallClock
+from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 LOST = Fault("mirror", "move_to", "lost", at_call=1)
 

@@ -10,7 +10,7 @@ import scipy.fft
 
 from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
-from mocks.thin_plate import ThinPlate
+from mocks.plates.thin import ThinPlate
 from rendering.drive.inverse_filter import inverse_filter
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocks.plates import SOFT_PLATE, mean_hankel, thin_plate_green
-from mocks.thin_plate import ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s
+from mocks.plates.soft import SOFT_PLATE, mean_hankel, thin_plate_green
+from mocks.plates.thin import ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s
 
 GLASS = ThinPlate(0.24, 0.16, 1.566)
 """Glass of 1 mm: 70 GPa, 0.22, 2500 kg/m^3."""

@@ -7,7 +7,7 @@ import io
 import pytest
 
 from acquisition.calibration_procedures.operator import By, Here, Jog, JogView, To
-from mocks.patch_bay import PatchBay
+from mocks.virtual.surroundings import PatchBay
 from storage.errors import InputError
 from wavefocus.rig.terminal_operator import TerminalOperator, VirtualHands
 

@@ -13,7 +13,7 @@ from acquisition.engine.setup import Setup
 from calibration.clock.timing import ReferenceMissingError
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentLostError
-from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
 from rendering.verify.verdict import Scan, ScanPlan, Tolerances, compare, scan

@@ -7,7 +7,7 @@ import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from drivers.protocols import Recording, RecordRequest, Take
-from mocks.virtual_rig import Fault, VirtualRig, VirtualSettings
+from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0
 PRE_ROLL_S = 0.02

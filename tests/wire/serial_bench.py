@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.clock import WallClock
 from drivers.mirror.serial_mirror import SerialMirror
+from drivers.protocols import WallClock
 from mocks.wire.faults import WireFault, WireFaultPlan
 from mocks.wire.mirrors.mirror_devices import mirror_device
 from mocks.wire.mirrors.motion import MirrorMotion

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
-from mocks.wire.mirrors.asi_device import AsiTigerDevice
+from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
 from mocks.wire.mirrors.mirror_devices import mirror_device
 from tests.wire.serial_bench import LOCAL, mirror_bench
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.audio.devices import DeviceChoiceError, OutputDevice, choose
+from drivers.audio.portaudio import DeviceChoiceError, OutputDevice, choose
 from drivers.audio.stream_player import StreamPlayer
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.identity import DeviceIdentity
+from drivers.protocols import DeviceIdentity
 from mocks.wire.audio.alsa_file import AlsaFile
 from tests.wire.audio_bench import AudioBench, run_python
 
@@ -27,7 +27,7 @@ DEVICES = (
 OPENING = """
 from drivers.audio.stream_player import StreamPlayer
 from drivers.errors import InstrumentError
-from drivers.identity import DeviceIdentity
+from drivers.protocols import DeviceIdentity
 try:
     StreamPlayer(None, "filed", channels=2, channel_full_scale_v=(1.0, 1.0), interface_rate_hz=48_000)
 except InstrumentError as error:

@@ -9,10 +9,9 @@ from contextlib import ExitStack, suppress
 import numpy as np
 import pytest
 
-from drivers.audio.band_limited import converted, lead_samples, rate_ratio
+from drivers.audio.resampling import converted, lead_samples, rate_ratio
 from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.identity import DeviceIdentity
-from drivers.protocols import Player
+from drivers.protocols import DeviceIdentity, Player
 from tests.wire.audio_bench import (
     RATE_HZ,
     AudioBench,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.audio.piece_by_piece import PieceByPiece, Taken
-from drivers.audio.playback import FADE_S, MUTED, PLAYED, UNDERFLOW, Ended, Play, Playback, Voice
+from drivers.audio.playback import FADE_S, MUTED, PLAYED, UNDERFLOW, Ended, PieceByPiece, Play, Playback, Taken, Voice
 
 RATE_HZ = 48_000
 PERIOD = 512

@@ -183,7 +183,7 @@ device = "none"
 IN_A_PROCESS = """
 import os
 from pathlib import Path
-from drivers.daq.process_recorder import ProcessRecorder
+from drivers.daq.recorder_process import ProcessRecorder
 
 def in_a_process(device="Dev1", **changes):
     wiring = dict(reference_input="ai0", response_input="ai1", terminal="differential", trigger=None)

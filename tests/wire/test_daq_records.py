@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.identity import DeviceIdentity
+from drivers.protocols import DeviceIdentity
 from mocks.wire.ni.ni_products import DIFFERENTIAL, PRODUCTS, RSE
 from tests.wire.daq_bench import RATE_HZ, TAKE, Tone, Wires, ask, check_tone, daq_bench, take_one
 

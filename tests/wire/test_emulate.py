@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.clock import WallClock
 from drivers.mirror.serial_mirror import SerialMirror
+from drivers.protocols import WallClock
 from tests.wire.emulated import far_sides, free_port, rig_text
 from wavefocus.__main__ import run
 

@@ -8,13 +8,12 @@ from types import SimpleNamespace
 import pytest
 
 import tests.contract.test_mirror_contract as contract
-from drivers.clock import WallClock
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.identity import DeviceIdentity
 from drivers.mirror.generic import GenericMirror
-from mocks.wire.mirrors.asi_device import AsiTigerDevice
-from mocks.wire.mirrors.mirrorcle_device import MirrorcleDevice
-from mocks.wire.mirrors.optotune_device import OptotuneDevice
+from drivers.protocols import DeviceIdentity, WallClock
+from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
+from mocks.wire.mirrors.mirrorcle import MirrorcleDevice
+from mocks.wire.mirrors.optotune import OptotuneDevice
 from tests.wire.serial_bench import ALL, LIMIT_MRAD, LOCAL, PARK_MRAD, WIRES, mirror_bench
 
 CONTRACT = [test for name, test in vars(contract).items() if name.startswith("test_")]

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
-from mocks.wire.mirrors.generic_device import GenericMirrorDevice
+from mocks.wire.mirrors.generic import GenericMirrorDevice
 from tests.wire.serial_bench import ALL, LOCAL, PARK_MRAD, WIRES, mirror_bench
 
 TALKING = [f"{dialect}/{kind}" for dialect in ALL for kind in WIRES]

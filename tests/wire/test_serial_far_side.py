@@ -12,15 +12,15 @@ from urllib.parse import urlsplit
 import pytest
 
 from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.mirrors.asi_device import AsiTigerDevice
-from mocks.wire.mirrors.generic_device import GenericMirrorDevice
+from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
+from mocks.wire.mirrors.generic import GenericMirrorDevice
 from mocks.wire.mirrors.mirror_devices import mirror_device
-from mocks.wire.mirrors.mirrorcle_device import MirrorcleDevice
+from mocks.wire.mirrors.mirrorcle import MirrorcleDevice
 from mocks.wire.mirrors.motion import MirrorMotion
-from mocks.wire.mirrors.optotune_device import LEAVE_PRO_MODE, OptotuneDevice
+from mocks.wire.mirrors.optotune import LEAVE_PRO_MODE, OptotuneDevice
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import TcpWire
-from mocks.wire.vibrometer_device import PolytecDevice
+from mocks.wire.vibrometer import PolytecDevice
 from tests.wire.serial_bench import WIRES, wire
 
 REFERENCE = Path(__file__).parents[2] / "docs/reference/generic-mirror.md"

@@ -14,8 +14,7 @@ import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.serial_line.line import LineSettings, SerialLine
-from drivers.serial_line.opening import open_failure
-from drivers.serial_line.ports import SerialPort, find_port, serial_ports
+from drivers.serial_line.ports import SerialPort, find_port, open_failure, serial_ports
 
 REPOSITORY = Path(__file__).parents[2]
 PRESENT = (
@@ -162,7 +161,7 @@ def test_given_no_pyserial_then_the_drivers_import_and_opening_says_what_to_inst
         if (packages / name).exists():
             (tmp_path / name).symlink_to(packages / name, target_is_directory=True)
     program = (
-        "from drivers.clock import WallClock\n"
+        "from drivers.protocols import WallClock\n"
         "from drivers.mirror.serial_mirror import SerialMirror\n"
         "from drivers.vibrometer.polytec import read_sensitivity\n"
         "SerialMirror('generic', '/dev/ttyUSB0', settle_s=0, limit_mrad=1, park_mrad=(0, 0), clock=WallClock())\n"

@@ -12,7 +12,7 @@ from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.usb.devices import list_devices
 from drivers.usb.matching import ExpectedUsbDevice
 from drivers.usb.reset import reset_device
-from mocks.clocks import VirtualClock
+from mocks.virtual.surroundings import VirtualClock
 from mocks.wire.faults import WireFault
 from mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
 

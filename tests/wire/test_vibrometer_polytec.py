@@ -12,7 +12,7 @@ from drivers.errors import InstrumentError, InstrumentLostError, TransientInstru
 from drivers.vibrometer.polytec import read_sensitivity
 from mocks.wire.faults import WireFault, WireFaultPlan
 from mocks.wire.serial_far_side import SerialFarSide
-from mocks.wire.vibrometer_device import PolytecDevice
+from mocks.wire.vibrometer import PolytecDevice
 from tests.wire.serial_bench import LOCAL, WIRES, wire
 
 ANSWER_S = 0.3

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from mocks.virtual_rig import VirtualRig
+from mocks.virtual.rig import VirtualRig
 from storage.bank.reading import Bank
 
 # Bounds memory to some 20 MB.

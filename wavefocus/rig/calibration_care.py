@@ -7,8 +7,7 @@ from datetime import datetime
 
 from config.calibration_file import PARTS
 from config.rig import RigConfig
-from drivers.identity import DeviceIdentity
-from drivers.protocols import Instruments
+from drivers.protocols import DeviceIdentity, Instruments
 
 ROLE_OF = {"inputs": "recorder", "outputs": "player", "mirror": "mirror", "actuators": "player"}
 """Whose device a part of a calibration belongs to."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from acquisition.doctor.findings import Act, Finding, Findings
 from config.rig import RigConfig
-from drivers.identity import DeviceIdentity
+from drivers.protocols import DeviceIdentity
 from rendering.inner_loops import inner_loops
 from storage.network_mount import is_network_mount
 from wavefocus.rig.calibration_care import calibration_warnings

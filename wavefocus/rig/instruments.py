@@ -15,14 +15,13 @@ from acquisition.quality.watch import Sensor
 from config.rig import RigConfig
 from config.rig_recorder import RecorderSection
 from config.run import Virtual
-from drivers.clock import WallClock
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder
+from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock
 from wavefocus.address_space import require_address_space
 
 if TYPE_CHECKING:
-    from drivers.daq.ni_channel import TlsFiles
-    from mocks.patch_bay import PatchBay
+    from drivers.daq.ni_session import TlsFiles
+    from mocks.virtual.surroundings import PatchBay
 
 Opened = TypeVar("Opened")
 
@@ -231,7 +230,7 @@ def _ni_recorder(rig: RigConfig) -> Recorder:
 
         opener: Callable[..., Recorder] = partial(NiRecorder, address=recorder.address, tls=_tls_files(recorder))
     else:
-        from drivers.daq.process_recorder import ProcessRecorder
+        from drivers.daq.recorder_process import ProcessRecorder
 
         opener = ProcessRecorder
     return opener(
@@ -244,7 +243,7 @@ def _ni_recorder(rig: RigConfig) -> Recorder:
 
 
 def _tls_files(recorder: RecorderSection) -> TlsFiles | None:
-    from drivers.daq.ni_channel import TlsFiles
+    from drivers.daq.ni_session import TlsFiles
 
     if recorder.tls_root is None:
         return None

@@ -19,7 +19,7 @@ from acquisition.calibration_procedures.operator import (
     Operator,
     To,
 )
-from mocks.patch_bay import PatchBay
+from mocks.virtual.surroundings import PatchBay
 from storage.errors import InputError
 from wavefocus.console import say
 

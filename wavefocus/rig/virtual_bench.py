@@ -7,11 +7,11 @@ import numpy as np
 from config.rig import RigConfig
 from config.rig_emulation import Emulation, strength
 from config.run import Virtual
-from mocks.chain import output_errors
-from mocks.faults import Fault
-from mocks.geometry import MirrorGeometry
-from mocks.settings import VirtualSettings
-from mocks.virtual_rig import VirtualRig
+from mocks.virtual.chain import output_errors
+from mocks.virtual.faults import Fault
+from mocks.virtual.geometry import MirrorGeometry
+from mocks.virtual.rig import VirtualRig
+from mocks.virtual.settings import VirtualSettings
 
 
 def virtual_rig(rig: RigConfig, virtual: Virtual | None = None) -> VirtualRig:

@@ -14,8 +14,7 @@ from types import TracebackType
 
 from mocks.wire.audio.audio_ring import make_ring
 from mocks.wire.audio.jack_capture import PlayedAudio
-from mocks.wire.audio.jack_interface import DEVICE, START_S, STOP_S
-from mocks.wire.audio.jack_place import PLACE_S
+from mocks.wire.audio.jack_interface import DEVICE, PLACE_S, START_S, STOP_S
 from mocks.wire.faults import WireFault
 
 ANSWER_S = PLACE_S + START_S + 10.0

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from mocks.wire.mirrors.asi_device import AsiTigerDevice
-from mocks.wire.mirrors.generic_device import GenericMirrorDevice
-from mocks.wire.mirrors.mirrorcle_device import MirrorcleDevice
+from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
+from mocks.wire.mirrors.generic import GenericMirrorDevice
+from mocks.wire.mirrors.mirrorcle import MirrorcleDevice
 from mocks.wire.mirrors.motion import MirrorMotion
-from mocks.wire.mirrors.optotune_device import OptotuneDevice
+from mocks.wire.mirrors.optotune import OptotuneDevice
 from mocks.wire.serial_far_side import SerialDevice
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import deque
 from dataclasses import dataclass
 
-from mocks.mirror_moves import stood_between
+from mocks.virtual.mirror import stood_between
 
 NANOSECONDS = 1_000_000_000
 KEPT_MOVES = 4096
@@ -101,3 +102,11 @@ class MirrorMotion:
         with self._lock:
             moves = list(self._moves)
         return stood_between(moves, start_ns, stop_ns, lambda move: move.target_mrad)
+
+
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
+
+
+def number(text: str | None) -> float | None:
+    """The number that a text is, or None."""
+    return float(text) if text is not None and NUMBER.fullmatch(text) else None

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mocks.clocks import NANOSECONDS
+from mocks.virtual.surroundings import NANOSECONDS
 from mocks.wire.ni.ni_products import PRODUCTS
 from mocks.wire.ni.ni_server import NiServer
 

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mocks.clocks import NANOSECONDS
+from mocks.virtual.surroundings import NANOSECONDS
 from mocks.wire.ni import ni_errors
 from mocks.wire.ni.ni_errors import NiError
 from mocks.wire.ni.ni_products import Converter

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mocks.plates import MAGNET_RADIUS_MM, DampedWave
+from mocks.plates.soft import MAGNET_RADIUS_MM, DampedWave
 
 Float64Array = NDArray[np.float64]
 ComplexType = type[np.complex64] | type[np.complex128]

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.identity import DeviceIdentity
-from drivers.protocols import Take
-from mocks.chance import take_share
-from mocks.clocks import NANOSECONDS, VirtualClock
-from mocks.faults import FaultPlan
-from mocks.settings import VirtualSettings
-from mocks.signals import PlayedSignal, SignalStore
-from mocks.synthesis import Play
+from drivers.protocols import DeviceIdentity, Take
+from mocks.virtual.faults import FaultPlan
+from mocks.virtual.seeded_rng import take_share
+from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.signals import PlayedSignal, SignalStore
+from mocks.virtual.surroundings import NANOSECONDS, VirtualClock
+from mocks.virtual.synthesis import Play
 
 Float64Array = NDArray[np.float64]
 

@@ -12,8 +12,7 @@ the mirror is on.
 
 from __future__ import annotations
 
-from mocks.wire.device_numbers import number
-from mocks.wire.mirrors.motion import MirrorMotion
+from mocks.wire.mirrors.motion import MirrorMotion, number
 
 # Bias, largest difference and filter, as public drivers limit them.
 RANGES = {"VB": (0, 100), "VD": (0, 200), "BW": (50, 15000)}

@@ -4,15 +4,67 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.identity import DeviceIdentity
-from mocks.clocks import NANOSECONDS, VirtualClock
-from mocks.faults import FaultPlan
-from mocks.geometry import inside_stadium
-from mocks.mirror_moves import stood_between
-from mocks.settings import VirtualSettings
+from drivers.protocols import DeviceIdentity
+from mocks.virtual.faults import FaultPlan
+from mocks.virtual.geometry import inside_stadium
+from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.surroundings import NANOSECONDS, VirtualClock
+
+
+class Move(Protocol):
+    """A move, with the swinging at its end."""
+
+    @property
+    def start_ns(self) -> int:
+        """When it began."""
+        ...
+
+    @property
+    def settled_ns(self) -> int:
+        """When the mirror stood."""
+        ...
+
+
+SomeMove = TypeVar("SomeMove", bound=Move)
+Place = TypeVar("Place")
+
+
+def stood_between(
+    moves: Sequence[SomeMove], start_ns: int, stop_ns: int, where: Callable[[SomeMove], Place]
+) -> list[tuple[int, Place | None]]:
+    """Where the mirror stood between two instants.
+
+    Parameters
+    ----------
+    moves : sequence of Move
+        In the order of time.
+    start_ns, stop_ns : int
+        The instants.
+    where : callable
+        The place at which a move ends.
+
+    Returns
+    -------
+    list of (instant_ns, place)
+        From each instant on, the first being `start_ns`, it stands there; None while it moves or swings.
+    """
+    changes: list[tuple[int, Place | None]] = []
+    ends_ns = stop_ns
+    for move in reversed(moves):
+        if max(move.settled_ns, start_ns) < ends_ns:
+            changes.append((max(move.settled_ns, start_ns), where(move)))
+        if max(move.start_ns, start_ns) < min(move.settled_ns, ends_ns):
+            changes.append((max(move.start_ns, start_ns), None))
+        ends_ns = min(ends_ns, move.start_ns)
+        if ends_ns <= start_ns:
+            break
+    return changes[::-1]
+
 
 NAME = "virtual mirror"
 

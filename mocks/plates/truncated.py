@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from mocks.chain import chain_response
-from mocks.plate_table import PlateTable
-from mocks.plates import MAGNET_RADIUS_MM, SOFT_PLATE
+from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
+from mocks.plates.soft_table import PlateTable
+from mocks.virtual.chain import chain_response
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from functools import reduce
 
-from mocks.wire.device_numbers import number
-from mocks.wire.mirrors.motion import MirrorMotion
+from mocks.wire.mirrors.motion import MirrorMotion, number
 
 
 class GenericMirrorDevice:

@@ -1,7 +1,8 @@
-"""The parent's hold on a process that runs a driver: every wait has an end, and a process that hangs is killed."""
+"""A driver in a process of its own: every wait for it has an end, and a process that hangs is killed."""
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import subprocess
@@ -12,9 +13,58 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import IO, Any, TypeVar
 
-from drivers.message_pipe import Message, MessagePipe
+Message = dict[str, Any]
+
+BYTES = "bytes"
+
+
+class MessagePipe:
+    """One end of a pair of pipes; several threads may send, one receives.
+
+    Parameters
+    ----------
+    incoming, outgoing : binary file
+        What is read, and what is written.
+    """
+
+    def __init__(self, incoming: IO[bytes], outgoing: IO[bytes]) -> None:
+        self._incoming = incoming
+        self._outgoing = outgoing
+        self._lock = threading.Lock()
+
+    def send(self, message: Message, payload: bytes | memoryview = b"") -> None:
+        """Write one message.
+
+        Parameters
+        ----------
+        message : dict
+            What JSON can hold.
+        payload : bytes
+            Goes along.
+
+        Raises
+        ------
+        OSError, ValueError
+            The other end, or this one, is closed.
+        """
+        line = json.dumps({**message, BYTES: len(payload)}).encode() + b"\n"
+        with self._lock:
+            self._outgoing.write(line)
+            self._outgoing.write(payload)
+            self._outgoing.flush()
+
+    def receive(self) -> tuple[Message, bytes] | None:
+        """Wait for the next message; None when the other end is closed, be it in the middle of one."""
+        line = self._incoming.readline()
+        if not line.endswith(b"\n"):
+            return None
+        message: Message = json.loads(line)
+        size = message.pop(BYTES)
+        payload = self._incoming.read(size)
+        return (message, payload) if len(payload) == size else None
+
 
 ANSWER_S = 5.0
 """A process that is well answers within milliseconds; on a busy machine within a second."""
@@ -51,7 +101,7 @@ class DriverProcess:
     Parameters
     ----------
     module : str
-        What runs there; it reads and writes `drivers.message_pipe.MessagePipe` on its standard input and output.
+        What runs there; it reads and writes `drivers.process.MessagePipe` on its standard input and output.
     name : str
         What the process is, for messages: ``"the process that owns its stream"``.
     environment : mapping from str to str
@@ -117,7 +167,7 @@ class DriverProcess:
         Parameters
         ----------
         messages : tuple of message and payload
-            As of `drivers.message_pipe.MessagePipe.send`.
+            As of `drivers.process.MessagePipe.send`.
 
         Raises
         ------

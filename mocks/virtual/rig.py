@@ -6,16 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.protocols import Instruments
-from mocks.clocks import VirtualClock
-from mocks.faults import Fault
-from mocks.geometry import MirrorGeometry, stadium_rim
-from mocks.patch_bay import PatchBay
-from mocks.settings import VirtualSettings
-from mocks.synthesis import Synthesis
-from mocks.virtual_mirror import VirtualMirror
-from mocks.virtual_player import VirtualPlayer
-from mocks.virtual_recorder import VirtualRecorder
-from mocks.virtual_sensor import VirtualSensor
+from mocks.virtual.faults import Fault
+from mocks.virtual.geometry import MirrorGeometry, stadium_rim
+from mocks.virtual.mirror import VirtualMirror
+from mocks.virtual.player import VirtualPlayer
+from mocks.virtual.recorder import VirtualRecorder
+from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.surroundings import PatchBay, VirtualClock, VirtualSensor
+from mocks.virtual.synthesis import Synthesis
 
 __all__ = ["Fault", "MirrorGeometry", "VirtualRig", "VirtualSettings", "stadium_rim"]
 

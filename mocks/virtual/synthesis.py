@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len
 from scipy.special import jv
 
-from mocks.bounded_cache import BoundedCache
-from mocks.chain import actuator_gains, chain_response
-from mocks.plate_table import PlateTable, phase_ramp
-from mocks.plates import MAGNET_RADIUS_MM, SOFT_PLATE
-from mocks.settings import VirtualSettings
-from mocks.signals import PlayedSignal
-from mocks.truncated_plate import TruncatedPlate, impulse_length
+from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
+from mocks.plates.soft_table import PlateTable, phase_ramp
+from mocks.plates.truncated import TruncatedPlate, impulse_length
+from mocks.virtual.chain import actuator_gains, chain_response
+from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.signals import BoundedCache, PlayedSignal
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]

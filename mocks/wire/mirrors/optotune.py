@@ -22,8 +22,7 @@ from __future__ import annotations
 import math
 import re
 
-from mocks.wire.device_numbers import number
-from mocks.wire.mirrors.motion import MirrorMotion
+from mocks.wire.mirrors.motion import MirrorMotion, number
 
 LEAVE_PRO_MODE = "\x7e\x00\x06\x02\x00\x00\x00\x00\x7e"
 NOT_STABLE = 1 << 4

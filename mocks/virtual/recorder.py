@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.identity import DeviceIdentity
-from drivers.protocols import Recording, RecordRequest, Take
-from mocks.bounded_cache import BoundedCache
-from mocks.chance import DROPOUT, GROWING, NOISE, normal, take_generator
-from mocks.clocks import NANOSECONDS, VirtualClock
-from mocks.faults import Fault, FaultPlan
-from mocks.patch_bay import PatchBay
-from mocks.settings import VirtualSettings
-from mocks.synthesis import Spot, Synthesis
-from mocks.virtual_mirror import VirtualMirror
-from mocks.virtual_player import VirtualPlayer
+from drivers.protocols import DeviceIdentity, Recording, RecordRequest, Take
+from mocks.virtual.faults import Fault, FaultPlan
+from mocks.virtual.mirror import VirtualMirror
+from mocks.virtual.player import VirtualPlayer
+from mocks.virtual.seeded_rng import DROPOUT, GROWING, NOISE, normal, take_generator
+from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.signals import BoundedCache
+from mocks.virtual.surroundings import NANOSECONDS, PatchBay, VirtualClock
+from mocks.virtual.synthesis import Spot, Synthesis
 
 Float32Array = NDArray[np.float32]
 

@@ -26,8 +26,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from mocks.wire.device_numbers import number
-from mocks.wire.mirrors.motion import MirrorMotion
+from mocks.wire.mirrors.motion import MirrorMotion, number
 
 Board = Literal["mems", "dac_4ch", "signal_dac", "stage"]
 ASI_AXIS = re.compile(r"([A-Z])(?:=(\S+))?")

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from mocks.faults import Fault
-from mocks.geometry import MirrorGeometry, stadium_rim
+from mocks.virtual.faults import Fault
+from mocks.virtual.geometry import MirrorGeometry, stadium_rim
 
 # Small beside any record, and more than outputs and converters differ.
 MOST_DELAY_S = 1e-3

@@ -1,0 +1,1 @@
+"""Plates: how a wave leaves a small source and what arrives at a distance."""

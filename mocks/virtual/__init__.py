@@ -1,0 +1,1 @@
+"""A virtual rig: three instruments, one plate and one clock, without wires."""
