@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+
+from storage.exchange import EXPORTS
 
 app = typer.Typer(
     add_completion=False,
@@ -26,6 +29,18 @@ def _finite(value: float | None) -> float | None:
     if value is not None and not math.isfinite(value):
         raise typer.BadParameter(f"{value} is not a finite number")
     return value
+
+
+def _one_of(names: Iterable[str]) -> Callable[[str], str]:
+    """Refuse a name that a registry does not have."""
+    allowed = tuple(names)
+
+    def check(name: str) -> str:
+        if name not in allowed:
+            raise typer.BadParameter(f"{name!r} is not one of {', '.join(allowed)}")
+        return name
+
+    return check
 
 
 def _number(*names: str, **settings: Any) -> Any:
@@ -67,16 +82,6 @@ class ComputingDevice(StrEnum):
 
     CPU = "cpu"
     CUDA = "cuda"
-
-
-class ExportFormat(StrEnum):
-    """What ``export`` writes."""
-
-    SOFA = "sofa"
-    UFF = "uff"
-    WAV = "wav"
-    MAT = "mat"
-    NPZ = "npz"
 
 
 class Missing(StrEnum):
@@ -711,7 +716,15 @@ def verify(
 def export(
     bank: BankArgument,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; for wav a folder.")],
-    to: Annotated[ExportFormat, typer.Option("--to", help="SOFA, universal files, WAV, MATLAB or NumPy.")],
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            metavar="|".join(EXPORTS),
+            callback=_one_of(EXPORTS),
+            help=", ".join(one.title for one in EXPORTS.values()) + ".",
+        ),
+    ],
     positions: Annotated[
         str, typer.Option("--positions", metavar="I,J,...", help="Bank rows; by default all measured.")
     ] = "",
@@ -728,7 +741,7 @@ def export(
     command.export(
         bank,
         out,
-        to.value,
+        to,
         positions=positions,
         missing_as_nan=missing is Missing.NAN,
         per=per.value,

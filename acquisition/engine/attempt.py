@@ -12,7 +12,6 @@ from acquisition.engine.raw_keeping import keep_recordings
 from acquisition.quality.agreement import Row, in_band
 from acquisition.quality.judgement import Judgement, judge
 from acquisition.quality.limits import QualityLimits
-from acquisition.quality.point_status import Status
 from acquisition.schedule.plan import Plan
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.position import PositionEstimator
@@ -20,6 +19,7 @@ from calibration.estimator.sequential import Estimate
 from drivers.protocols import Recording
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter
+from storage.point_status import Status
 from storage.raw.writer import RawWriter
 
 

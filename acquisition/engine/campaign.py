@@ -27,12 +27,12 @@ from acquisition.quality.conditions import Conditions
 from acquisition.quality.drift_watch import DriftWatch
 from acquisition.quality.judgement import differing
 from acquisition.quality.neighbour_watch import NeighbourWatch
-from acquisition.quality.point_status import Status
 from acquisition.schedule.plan import Plan
 from calibration.blas import one_blas_thread
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import Recording
 from storage.bank.writer import BankWriter
+from storage.point_status import Status
 from storage.raw.writer import RawWriter
 
 # As many positions in a row without one good record mean a broken instrument, not a bad spot.

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from acquisition.engine.measuring import channels_of, heard_samples
 from acquisition.engine.record import record_samples
 from acquisition.engine.setup import Setup
-from acquisition.quality.point_status import Status
 from acquisition.schedule.plan import Plan
 from drivers.protocols import Recording
 from storage.errors import InputError
+from storage.point_status import Status
 from storage.raw.header import RawHeader
 from storage.raw.schedule import sequential
 from storage.raw.writer import RawWriter

@@ -18,8 +18,8 @@ from acquisition.engine.setup import Setup
 from acquisition.quality.defects import Cure
 from acquisition.quality.judgement import Judgement
 from acquisition.quality.limits import QualityLimits
-from acquisition.quality.point_status import Status
 from drivers.protocols import Float64Array
+from storage.point_status import Status
 
 # Steps aside, in units of the speckle step, towards the middle of the surface: there is no rim and no mirror limit.
 STEPS = ((1, 0), (0, 1), (1, 1), (2, 0), (0, 2), (2, 1), (1, 2), (2, 2))

@@ -28,11 +28,11 @@ from acquisition.engine.pace import Pace
 from acquisition.engine.setup import Setup
 from acquisition.engine.states import Lifecycle
 from acquisition.quality.judgement import Judgement
-from acquisition.quality.point_status import status_counts
 from acquisition.quality.sentinel import DriftFigures
 from acquisition.schedule.plan import Plan, sentinel_of
 from drivers.errors import InstrumentError
 from storage.bank.writer import BankWriter
+from storage.point_status import status_counts
 
 
 class Session:

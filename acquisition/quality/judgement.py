@@ -20,8 +20,8 @@ from acquisition.quality.defects import (
     records_named,
 )
 from acquisition.quality.limits import QualityLimits
-from acquisition.quality.point_status import Status
 from calibration.estimator.sequential import Estimate
+from storage.point_status import Status
 
 # The bands of calibration and campaign differ, and with them what coupling capacitors take of the reference's level.
 CALIBRATION_SPARE = 2.5

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from acquisition.quality.defects import Cure, Defect
 from acquisition.quality.judgement import Judgement
-from acquisition.quality.point_status import Status
 from acquisition.schedule.plan import Plan
 from calibration.neighbours.judge import Difference, NeighbourJudge, RowSpectra
 from storage.bank.writer import BankWriter
+from storage.point_status import Status
 
 NEIGHBOURHOOD = 250
 """So many nearest positions are enough to judge one."""

@@ -1,10 +1,9 @@
-"""Drives at an audio interface's rate, piece by piece: the same numbers as in one piece."""
+"""Drives at an audio interface's rate, and as WAV files, piece by piece: the same numbers as in one piece."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from drivers.audio.resampling import HALF_LENGTH, converted, lead_samples, rate_ratio
 from rendering.drive.coil_limits import Reached
 from storage.errors import InputError
+from storage.exchange.wav import sound_failures
 from storage.output_files import replacement, require_room
 
 Float64Array = NDArray[np.float64]
@@ -154,21 +154,6 @@ def largest_of(pieces: Iterable[Float64Array], actuators: int) -> Float64Array:
 
 CHUNK_SAMPLES = 2**15
 _HEADER_BYTES = 4096
-
-
-@contextmanager
-def sound_failures(path: Path) -> Iterator[None]:
-    """Name the file in failures of the library that writes sounds.
-
-    Raises
-    ------
-    InputError
-        It cannot be written.
-    """
-    try:
-        yield
-    except (soundfile.LibsndfileError, AssertionError) as error:  # the library asserts that all frames were written
-        raise InputError(f"{path} cannot be written ({error or 'not all samples were written'})") from error
 
 
 def stream_wav(

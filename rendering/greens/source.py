@@ -14,13 +14,12 @@ from rendering.greens.row_scaling import RawRow, ScaledRow, look_at_rows, scale_
 from rendering.inner_loops import InnerLoops
 from rendering.reused_memory import reused
 from storage.errors import InputError
+from storage.point_status import DOUBTFUL, USABLE, Status
+from storage.point_status import usable as usable_rows
 
 Float64Array = NDArray[np.float64]
 
-USABLE_BITS = 1 | 2 | 4
-"""Status bits of a row that holds a measurement: valid, over-range, poor signal."""
-DOUBTFUL_BITS = 2 | 4
-REFUSED_BITS = 8 | 16
+DOUBTFUL_BITS = int(DOUBTFUL)
 
 
 class GreenSource(Protocol):
@@ -229,9 +228,7 @@ class RowReader:
 
 def usable(bank: GreenSource) -> NDArray[np.bool_]:
     """Which rows hold a measurement that may be used, bool (positions,)."""
-    status = np.asarray(bank.status)
-    allowed: NDArray[np.bool_] = ((status & USABLE_BITS) != 0) & ((status & REFUSED_BITS) == 0)
-    return allowed
+    return usable_rows(np.asarray(bank.status))
 
 
 def drive_unit(bank: GreenSource) -> str:
@@ -241,11 +238,11 @@ def drive_unit(bank: GreenSource) -> str:
 
 def refusal(status: int) -> str | None:
     """Why a row of this status may not be used, or None."""
-    if status & 16:
+    if status & Status.DISABLED:
         return "disabled"
-    if status & 8:
+    if status & Status.FAILED:
         return "marked as failed"
-    if not status & USABLE_BITS:
+    if not status & USABLE:
         return "not measured"
     return None
 

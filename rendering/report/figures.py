@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.point_status import STATUS_WORDS, Status
 from acquisition.quality.sentinel import DriftLimits
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
 from rendering.field.metrics import normalised_error
 from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
+from storage.point_status import STATUS_WORDS, Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.point_status import Status
 from rendering.field.band_limit import MOST_DELAY_S, BandLimit
 from rendering.field.focus_figures import FocusInstant, emission_windows, focus_instants
 from rendering.field.metrics import RealArray, level_db
 from rendering.verify.scan import Scan
 from storage.errors import InputError
+from storage.point_status import Status
 
 if TYPE_CHECKING:
     from rendering.greens.source import GreenSource

@@ -19,7 +19,6 @@ from acquisition.engine.recovery import Recovery
 from acquisition.engine.setup import Setup
 from acquisition.engine.states import Lifecycle
 from acquisition.engine.stopping import StopRequest
-from acquisition.quality.point_status import Status
 from calibration.blas import one_blas_thread
 from calibration.clock.timing import ReferenceMissingError
 from drivers.errors import TransientInstrumentError
@@ -27,6 +26,7 @@ from drivers.protocols import Recording, Take
 from rendering.field.model import field_unit
 from rendering.verify.scan_signals import Aligned, Alignment, scan_signals
 from storage.errors import InputError
+from storage.point_status import Status
 
 if TYPE_CHECKING:
     from rendering.greens.source import GreenSource

@@ -20,7 +20,6 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from acquisition.quality.point_status import STATUS_WORDS
 from gui.campaign import statuses
 from gui.campaign.surface_map import SurfaceMap
 from gui.campaign.tab import CampaignTab
@@ -28,6 +27,7 @@ from gui.shell.settings import Settings
 from gui.shell.theme import DARK
 from gui.shell.window import Window
 from storage.bank.reading import open_bank
+from storage.point_status import STATUS_WORDS
 from tests.gui.conftest import campaign_of, wait, write_lab
 
 LEFT = Qt.MouseButton.LeftButton

@@ -12,7 +12,6 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QListView, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
-from acquisition.quality.point_status import not_valid
 from gui.scene.tab import SceneTab
 from gui.shell.file_choice import PathField
 from gui.shell.settings import Settings
@@ -21,6 +20,7 @@ from gui.verification.tab import VerificationTab
 from rendering.verify.names import RECORD_NAME
 from storage.bank.owner import bank_owner
 from storage.bank.reading import open_bank
+from storage.point_status import not_valid
 from tests.gui.conftest import campaign_of, wait
 from tests.gui.test_details import click, pixel
 from wavefocus.__main__ import run

@@ -8,11 +8,11 @@ import pytest
 from acquisition.quality.agreement import in_band
 from acquisition.quality.judgement import Judgement, judge
 from acquisition.quality.limits import QualityLimits
-from acquisition.quality.point_status import Status
 from calibration.estimator.position import Channels, JointEstimator
 from calibration.estimator.sequential import Estimate, Estimator
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
+from storage.point_status import Status
 
 RATE_HZ, BAND_HZ, TAPS, ACTUATORS = 10_000.0, (50.0, 500.0), 1000, 3
 SWEEP = Excitation(RATE_HZ, *BAND_HZ, duration_s=0.5, decay_s=0.1, amplitude_v=1.0, averages=2)

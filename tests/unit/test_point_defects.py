@@ -14,12 +14,12 @@ from acquisition.engine.setup import Setup
 from acquisition.quality.defects import Cure
 from acquisition.quality.judgement import Judgement, judge
 from acquisition.quality.limits import QualityLimits
-from acquisition.quality.point_status import Status
 from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
 from drivers.protocols import Take
 from mocks.virtual.rig import VirtualRig, VirtualSettings
+from storage.point_status import Status
 
 RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (60.0, -60.0))

@@ -5,8 +5,8 @@ import pytest
 
 from acquisition.quality.judgement import judge
 from acquisition.quality.limits import QualityLimits
-from acquisition.quality.point_status import Status, status_counts
 from calibration.estimator.sequential import Estimate
+from storage.point_status import Status, status_counts
 
 LIMITS = QualityLimits()
 

@@ -11,7 +11,6 @@ from acquisition.engine.event_publisher import EventPublisher
 from acquisition.engine.events import Event, State, Subscriber
 from acquisition.engine.raw_keeping import without_recordings
 from acquisition.engine.stopping import StopRequest, stop_on_signals
-from acquisition.quality.point_status import STATUS_WORDS, Status, not_valid
 from acquisition.schedule.row_ranges import row_ranges
 from drivers.errors import InstrumentError
 from storage.bank.creation import create_bank
@@ -19,6 +18,7 @@ from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter
 from storage.errors import ExistsError, InputError
 from storage.network_mount import is_network_mount
+from storage.point_status import STATUS_WORDS, Status, not_valid
 from wavefocus.campaign.attendance import Attendance
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_bank, blueprint_from_files, blueprint_with_rig
 from wavefocus.campaign.campaign_view import CampaignView

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from acquisition.durations import hours
 from acquisition.quality.judgement import judge
 from acquisition.quality.limits import QualityLimits
-from acquisition.quality.point_status import Status, status_counts
 from calibration.blas import one_blas_thread
 from calibration.estimator.estimation_memory import affordable_workers
 from calibration.estimator.raw_estimation import PositionResult, estimate_positions
@@ -24,6 +23,7 @@ from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter
 from storage.errors import InputError
 from storage.network_mount import is_network_mount
+from storage.point_status import Status, status_counts
 from storage.raw.header import RawHeader
 from storage.raw.reading import open_raw
 from wavefocus.campaign.raw_estimator import estimator_for, own_plan

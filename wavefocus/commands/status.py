@@ -11,13 +11,13 @@ import numpy as np
 
 from acquisition.durations import a_while, hours
 from acquisition.engine.events import Progress, State
-from acquisition.quality.point_status import median_snr_db, status_counts
 from acquisition.schedule.row_ranges import row_ranges
 from rendering.report.figures import DriftPoint, drift_over_time
 from storage.bank.owner import Owner, bank_owner
 from storage.bank.reading import open_bank
 from storage.errors import InputError
 from storage.output_files import require_outputs, write_whole
+from storage.point_status import median_snr_db, status_counts
 from wavefocus.campaign.campaign_state import Standing, standing
 from wavefocus.campaign.campaign_view import remaining
 from wavefocus.campaign.drift_history import drift_path, read_drift, suspect_rows

@@ -12,7 +12,6 @@ import numpy as np
 
 from acquisition.durations import hours
 from acquisition.engine.events import Event
-from acquisition.quality.point_status import median_snr_db
 from acquisition.quality.sentinel import DriftLimits
 from config.rig import RigConfig, default_rig
 from config.stadium import stadium_rim
@@ -42,6 +41,7 @@ from storage.drive_file import Drive, write_drive
 from storage.errors import InputError
 from storage.field_file import Field, write_field
 from storage.output_files import require_output_folder, staged_folder
+from storage.point_status import median_snr_db
 from storage.units import quantity
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.campaign_view import CampaignView

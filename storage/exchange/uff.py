@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rendering.export.bank_rows import BankRows, OnProgress
-from rendering.export.packages import needed
 from storage.errors import InputError
+from storage.exchange.bank_rows import BankRows, OnProgress, required_package
 from storage.output_files import replacement
 
 TIME_RESPONSE, NORMAL, TIME, VELOCITY = 1, 3, 17, 11
@@ -23,27 +22,14 @@ def actuator_node(rows: BankRows, actuator: int) -> int:
     return rows.bank.positions + 1 + actuator
 
 
-def write_uff(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
+def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
     """Write a universal file in ASCII: units (164), nodes (15), and a function (58) per position and actuator.
 
     A position's node number is its row in the bank plus 1. Responses are normal to the surface (+Z), of the type time
     response; the five identification lines say what the numbers of the format cannot.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    rows : BankRows
-        What to export, without NaN, row by row.
-    on_progress : callable, optional
-        Told rows written and rows in all.
-
-    Raises
-    ------
-    InputError
-        The package pyuff is missing, or rows are NaN, which the format does not know.
+    Rows must be measured: the format holds no NaN.
     """
-    pyuff, bank = needed("pyuff", "uff"), rows.bank
+    pyuff, bank = required_package("pyuff", "uff"), rows.bank
     if not rows.known.all():
         raise InputError(f"{path}: universal files hold no NaN; leave missing positions out")
     time_s = np.arange(bank.taps) / bank.sample_rate_hz

@@ -4,52 +4,32 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import soundfile
 
-from rendering.drive.wav import sound_failures
-from rendering.export.bank_rows import BankRows, OnProgress
 from storage.errors import InputError
+from storage.exchange.bank_rows import BankRows, OnProgress
 from storage.output_files import require_room, staged_folder
 
 MOST_CHANNELS = 1024
 """More than that is not a sound file for the library that writes them."""
 
-Per = Literal["position", "actuator"]
 TABLE_NAME = "bank.json"
 
 
-def write_sounds(folder: Path, rows: BankRows, per: Per, on_progress: OnProgress | None = None) -> Path:
-    """Write WAV files (float32) into a folder, with a ``bank.json`` that says what they are.
+def write(folder: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
+    """Write WAV files (float32) into a folder, with a ``bank.json`` that describes them.
 
-    All are divided by one power of two, so that nothing exceeds 1 and the numbers of the bank come back exactly:
-    value = sample * ``scale``.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to; made when missing.
-    rows : BankRows
-        What to export. Per position, one row is in memory; per actuator, the whole bank.
-    per : {"position", "actuator"}
-        One file per position with a channel per actuator, or the other way round.
-    on_progress : callable, optional
-        Told rows done and rows in all.
-
-    Returns
-    -------
-    Path
-        The ``bank.json``.
-
-    Raises
-    ------
-    InputError
-        A file would have too many channels, the rate is no whole number, or rows are NaN.
+    A file holds one position with a channel per actuator, or the other way round, as `rows.per` says; per actuator the
+    whole bank is in memory. All are divided by one power of two, so that nothing exceeds 1 and the numbers of the bank
+    come back exactly: value = sample * ``scale``.
     """
-    bank = rows.bank
+    bank, per = rows.bank, rows.per
     channels = bank.actuators if per == "position" else len(rows.row)
     if channels > MOST_CHANNELS:
         raise InputError(
@@ -76,7 +56,7 @@ def write_sounds(folder: Path, rows: BankRows, per: Per, on_progress: OnProgress
     with staged_folder(folder, TABLE_NAME) as staged:
         require_room(staged / TABLE_NAME, 4 * len(rows.row) * bank.actuators * bank.taps)
         files: list[dict[str, Any]] = []
-        names = sound_names(rows, per)
+        names = file_names(rows)[:-1]
         if per == "position":
             for name, (row, green) in zip(names, rows.each(on_progress), strict=True):
                 _write(staged / name, green.T / scale, rate_hz)
@@ -87,22 +67,30 @@ def write_sounds(folder: Path, rows: BankRows, per: Per, on_progress: OnProgress
                 _write(staged / name, green[:, actuator].T / scale, rate_hz)
                 files.append({"file": name, "actuator": actuator, "actuator_mm": _known(bank.actuator_mm[actuator])})
         (staged / TABLE_NAME).write_text(json.dumps({**facts, "files": files}, indent=1), encoding="utf-8")
-    return folder / TABLE_NAME
 
 
-def sound_names(rows: BankRows, per: Per) -> list[str]:
-    """Names of the sound files, in their order."""
-    if per == "position":
+def file_names(rows: BankRows) -> list[str]:
+    """Names of the files: sound files in their order, then the table."""
+    if rows.per == "position":
         width = len(str(rows.bank.positions - 1))
-        return [f"position-{row:0{width}d}.wav" for row in rows.row.tolist()]
+        return [*(f"position-{row:0{width}d}.wav" for row in rows.row.tolist()), TABLE_NAME]
     width = len(str(rows.bank.actuators - 1))
-    return [f"actuator-{actuator:0{width}d}.wav" for actuator in range(rows.bank.actuators)]
+    return [*(f"actuator-{actuator:0{width}d}.wav" for actuator in range(rows.bank.actuators)), TABLE_NAME]
 
 
 def _scale(rows: BankRows) -> float:
     """A power of two that nothing exceeds."""
     peak = max(float(np.abs(green).max()) for _, green in rows.each())
     return float(2.0 ** math.ceil(math.log2(peak))) if peak > 0 else 1.0
+
+
+@contextmanager
+def sound_failures(path: Path) -> Iterator[None]:
+    """Raise InputError with the file's name where the library that writes sounds fails."""
+    try:
+        yield
+    except (soundfile.LibsndfileError, AssertionError) as error:  # the library asserts that all frames were written
+        raise InputError(f"{path} cannot be written ({error or 'not all samples were written'})") from error
 
 
 def _write(path: Path, samples: Any, rate_hz: int) -> None:

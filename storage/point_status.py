@@ -1,4 +1,4 @@
-"""A position's status bits and their words, apart from what judges it: who counts measures nothing."""
+"""Status bits of a position and their words."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ class Status(IntFlag):
     DISABLED = 16
 
 
+USABLE = Status.VALID | Status.OVER_RANGE | Status.POOR_SIGNAL
+"""Bits of a row that holds a measurement."""
+DOUBTFUL = Status.OVER_RANGE | Status.POOR_SIGNAL
+REFUSED = Status.FAILED | Status.DISABLED
+
 STATUS_WORDS: dict[str, Status] = {
     "not-measured": Status.NOT_MEASURED,
     "valid": Status.VALID,
@@ -27,6 +32,11 @@ STATUS_WORDS: dict[str, Status] = {
     "failed": Status.FAILED,
     "disabled": Status.DISABLED,
 }
+
+
+def usable(status: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Rows that hold a measurement that may be used, bool (positions,)."""
+    return np.asarray(((status & USABLE) != 0) & ((status & REFUSED) == 0))
 
 
 def status_counts(status: NDArray[np.uint8]) -> dict[str, int]:

@@ -6,37 +6,22 @@ from pathlib import Path
 
 import numpy as np
 
-from rendering.export.bank_rows import BankRows, OnProgress
-from rendering.export.packages import needed
 from storage.errors import InputError
+from storage.exchange.bank_rows import BankRows, Float64Array, OnProgress, required_package
 from storage.output_files import replacement, require_room
 
 CONVENTION = "GeneralFIR-E"
 _METADATA_BYTES = 1 << 18
 
 
-def write_sofa(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
+def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
     """Write a SOFA file: measurements are positions, emitters are actuators, the one receiver is the laser's spot.
 
     Lengths are metres there; the listener stands at the position, the receiver at the listener. Actuators whose place
-    is unknown stand at NaN. Beside the convention's own data, ``BankPosition`` and ``BankStatus`` hold each
-    measurement's row and status in the bank.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    rows : BankRows
-        What to export; held in memory whole, as float64.
-    on_progress : callable, optional
-        Told rows read and rows in all.
-
-    Raises
-    ------
-    InputError
-        The package sofar is missing, or the bank is too large.
+    is unknown stand at NaN. ``BankPosition`` and ``BankStatus`` hold each measurement's row and status in the bank.
+    The bank is held in memory whole, as float64.
     """
-    sofar, bank = needed("sofar", "sofa"), rows.bank
+    sofar, bank = required_package("sofar", "sofa"), rows.bank
     sofa = sofar.Sofa(CONVENTION)
     sofa.Data_IR = np.ascontiguousarray(rows.green(np.float64, on_progress).transpose(0, 2, 1)[:, None, :, :])
     sofa.Data_SamplingRate = float(bank.sample_rate_hz)
@@ -67,7 +52,5 @@ def write_sofa(path: Path, rows: BankRows, on_progress: OnProgress | None = None
         named.replace(temporary)
 
 
-def _metres(
-    points_mm: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _metres(points_mm: Float64Array) -> Float64Array:
     return np.column_stack([points_mm / 1e3, np.zeros(len(points_mm))])

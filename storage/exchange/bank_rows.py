@@ -1,24 +1,27 @@
-"""Which rows of a bank are exported, and how they are read one after the other."""
+"""Rows of a bank that are exported, read one after the other."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.source import usable
 from storage.bank.reading import Bank
 from storage.errors import InputError
+from storage.point_status import usable
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 OnProgress = Callable[[int, int], None]
+Per = Literal["position", "actuator"]
 
 MOST_BYTES = 4 * 2**30
-"""What a format that takes a bank in one piece may hold in memory."""
+"""Largest array that a format which takes a bank in one piece may hold in memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,23 +31,26 @@ class BankRows:
     Parameters
     ----------
     bank : Bank
-        Where they are.
+        The bank.
     row : int64 array, shape (rows,)
         Their numbers in the bank.
     known : bool array, shape (rows,)
-        Which of them hold a measurement; the others are exported as NaN.
+        Rows that hold a measurement; the others are exported as NaN.
     left_out : int
-        How many rows of the bank were asked for and are not exported.
+        Number of rows that were asked for and are not exported.
+    per : {"position", "actuator"}
+        Content of one file, in formats that write a folder of files.
     """
 
     bank: Bank
     row: Int64Array
     known: NDArray[np.bool_]
     left_out: int
+    per: Per = "position"
 
     @property
     def position_mm(self) -> Float64Array:
-        """Their places, (rows, 2)."""
+        """Their positions, (rows, 2)."""
         return np.asarray(self.bank.position_mm[self.row])
 
     @property
@@ -53,7 +59,7 @@ class BankRows:
         return np.asarray(self.bank.status[self.row])
 
     def each(self, on_progress: OnProgress | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Give the number and the Green's functions (actuators, taps) of each row; NaN where it is not known."""
+        """Yield the number and the Green's functions (actuators, taps) of each row; NaN where unknown."""
         nothing = np.full((self.bank.actuators, self.bank.taps), np.nan, np.float32)
         for place, (row, known) in enumerate(zip(self.row.tolist(), self.known.tolist(), strict=True)):
             yield row, self.bank.green(row) if known else nothing
@@ -61,13 +67,7 @@ class BankRows:
                 on_progress(place + 1, len(self.row))
 
     def green(self, dtype: type[np.floating[Any]], on_progress: OnProgress | None = None) -> NDArray[Any]:
-        """Give all Green's functions at once, (rows, actuators, taps).
-
-        Raises
-        ------
-        InputError
-            They would take more than 4 GiB.
-        """
+        """All Green's functions at once, (rows, actuators, taps); raises InputError beyond 4 GiB."""
         shape = (len(self.row), self.bank.actuators, self.bank.taps)
         needed = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
         if needed > MOST_BYTES:
@@ -81,28 +81,27 @@ class BankRows:
         return green
 
 
-def choose_rows(bank: Bank, positions: Sequence[int] | None, *, missing_as_nan: bool) -> BankRows:
-    """Settle which rows are exported.
+def choose_rows(
+    bank: Bank, positions: Sequence[int] | None, *, missing_as_nan: bool, per: Per = "position"
+) -> BankRows:
+    """Choose the rows of an export: those asked for, by default all.
 
-    Parameters
-    ----------
-    bank : Bank
-        The bank.
-    positions : sequence of int, optional
-        Rows asked for; by default all.
-    missing_as_nan : bool
-        Whether rows that are not measured, failed or disabled are exported as NaN, or left out.
-
-    Raises
-    ------
-    InputError
-        No row is left.
+    Rows that are not measured, failed or disabled are exported as NaN or left out. Raises InputError where no
+    measured row is left.
     """
     wanted = np.arange(bank.positions) if positions is None else np.asarray(positions, dtype=np.int64)
-    known = usable(bank)[wanted]
+    known = usable(np.asarray(bank.status))[wanted]
     if not known.any():
         raise InputError(f"{bank.path}: none of these positions holds a measurement; there is nothing to export")
     if missing_as_nan:
-        return BankRows(bank, wanted.astype(np.int64), known, 0)
+        return BankRows(bank, wanted.astype(np.int64), known, 0, per)
     kept = wanted[known].astype(np.int64)
-    return BankRows(bank, kept, np.ones(len(kept), bool), int(np.count_nonzero(~known)))
+    return BankRows(bank, kept, np.ones(len(kept), bool), int(np.count_nonzero(~known)), per)
+
+
+def required_package(package: str, format_name: str) -> ModuleType:
+    """Import a package of the extra ``export``; raises InputError where it is not installed."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise InputError(f"--to {format_name} needs the package {package} ({error}): pip install {package}") from None

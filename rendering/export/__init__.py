@@ -1,1 +1,0 @@
-"""Banks in the formats of other fields: acoustics, modal analysis, sound, numerical tools."""

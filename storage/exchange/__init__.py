@@ -1,0 +1,42 @@
+"""Banks in the formats of other fields: acoustics, modal analysis, sound, numerical tools.
+
+A new format is a module here with `write`, an entry of `EXPORTS`, and a line in tests/system/test_export.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """A format that ``wavefocus export --to`` writes.
+
+    Parameters
+    ----------
+    module : str
+        Module with ``write(path, rows, on_progress)``; one that writes a folder has ``file_names(rows)`` too.
+    title : str
+        The format's name in the command's help.
+    folder : bool
+        It writes a folder of files instead of one file.
+    holds_nan : bool
+        It can hold rows without a measurement.
+    text_bytes : int
+        Bytes per tap of a format in ASCII; 0 for a binary one.
+    """
+
+    module: str
+    title: str
+    folder: bool = False
+    holds_nan: bool = True
+    text_bytes: int = 0
+
+
+EXPORTS = {
+    "sofa": Export("storage.exchange.sofa", "SOFA"),
+    "uff": Export("storage.exchange.uff", "universal files", holds_nan=False, text_bytes=20),
+    "wav": Export("storage.exchange.wav", "WAV", folder=True, holds_nan=False),
+    "mat": Export("storage.exchange.mat", "MATLAB"),
+    "npz": Export("storage.exchange.npz", "NumPy"),
+}
