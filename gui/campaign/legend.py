@@ -9,8 +9,8 @@ from PyQt5.QtGui import QColor, QIcon, QPainter, QPixmap
 from PyQt5.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QStackedLayout, QWidget
 
 from gui.campaign.status_look import LOOKS, Look, look_index
-from gui.shell.theme import LIGHT, Theme
-from gui.surface.colour_bar import ColourBar
+from gui.shell.theme import Theme
+from gui.surface.colours import ColourBar
 
 _SWATCH = 14
 
@@ -20,7 +20,6 @@ class Legend(QWidget):
 
     def __init__(self, colour_map: pyqtgraph.ColorMap) -> None:
         super().__init__()
-        self._theme = LIGHT
         self._bar = ColourBar(colour_map)
         self._statuses = QWidget()
         row = QHBoxLayout(self._statuses)
@@ -52,12 +51,12 @@ class Legend(QWidget):
 
     def show_range(self, title: str, unit: str, low: float, high: float, beyond: tuple[bool, bool]) -> None:
         """Say what the colours of a figure mean."""
-        self._bar.show_range(title, unit, low, high, beyond)
+        self._bar.show_range(title, unit, (low, high), beyond)
         self._stack.setCurrentWidget(self._bar)
 
     def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
-        self._theme = theme
+        self._bar.apply_theme(theme)
         for look, swatch, _ in self._swatches:
             swatch.setPixmap(_swatch(look, theme).pixmap(_SWATCH, _SWATCH))
 

@@ -10,7 +10,7 @@ from gui.campaign.model import Campaign
 from gui.campaign.surface_map import SurfaceMap
 from gui.shell.theme import Theme
 
-_WAYS = (("point", "Pan"), ("rectangle", "Rectangle"), ("lasso", "Lasso"))
+_WAYS = (("pan", "Pan"), ("rectangle", "Rectangle"), ("lasso", "Lasso"))
 
 
 class MapPanel(QWidget):
@@ -36,12 +36,12 @@ class MapPanel(QWidget):
             button.setText(words)
             button.setCheckable(True)
             button.setAutoExclusive(True)
-            button.setChecked(way == "point")
+            button.setChecked(way == "pan")
             button.setAccessibleName(f"Drag: {words}")
             button.clicked.connect(lambda _checked=False, way=way: self._drag(way))
             self.ways[way] = button
             row.addWidget(button)
-        self.ways["point"].setToolTip("A drag moves the map, the wheel zooms, a double click shows everything")
+        self.ways["pan"].setToolTip("A drag moves the map, the wheel zooms, a double click shows everything")
         self.ways["rectangle"].setToolTip("A drag selects positions in a rectangle; with Ctrl adds them")
         self.ways["lasso"].setToolTip("A drag selects positions inside a line drawn freely; with Ctrl adds them")
         self.colour_by.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
@@ -86,5 +86,4 @@ class MapPanel(QWidget):
         self.map.show_current(campaign.current)
 
     def _drag(self, way: str) -> None:
-        self.map.box.selects = way != "point"
-        self.map.box.lasso = way == "lasso"
+        self.map.drag_mode = way

@@ -108,7 +108,7 @@ class CampaignTab(Tab):
         self.context.messages.withdraw(self._told_trouble)
         self._told_trouble = ""
         self.campaign.forget()
-        self.map_panel.map.clear_surface()
+        self.map_panel.map.show_surface(None)
         self.follower = Follower(bank, self.context.front)
         self.follower.start()
 

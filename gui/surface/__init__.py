@@ -1,1 +1,1 @@
-"""What every tab draws surfaces and plots with."""
+"""The surface view that all tabs share: surfaces, maps, colour bars, the time slider and plots."""

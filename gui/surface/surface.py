@@ -1,9 +1,10 @@
-"""What a bank says that does not change while it fills: grid, actuators, outline, units."""
+"""What maps are drawn over: positions, actuators and outline, and the pixel picture that shows a value per position."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,48 +15,84 @@ from config.stadium import stadium_rim
 from gui.shell.toml_files import is_virtual
 
 if TYPE_CHECKING:
-    from gui.surface.raster import Raster
+    from scipy.spatial import cKDTree
+
     from storage.bank.reading import Bank
 
+Float64Array = NDArray[np.float64]
+
 _OUTLINE_POINTS = 181
+_MOST_PIXELS = 400_000
+_REACH = 1.5  # spacings
+# Pixels per spacing, and how far a cell reaches from its position, in spacings: with gaps between cells or without.
+_WITH_GAPS, _WITHOUT_GAPS = (12, 0.45), (4, 0.55)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Raster:
+    """Pixels of a surface.
+
+    Parameters
+    ----------
+    index : intp array (rows, columns)
+        Position that a pixel belongs to, `positions` where there is none; row 0 at the smallest y.
+    left_mm, bottom_mm, width_mm, height_mm : float
+        The rectangle that it covers.
+    spacing_mm : float
+        Median distance of neighbouring positions.
+    tree : cKDTree
+        Of the positions.
+    """
+
+    index: NDArray[np.intp]
+    left_mm: float
+    bottom_mm: float
+    width_mm: float
+    height_mm: float
+    spacing_mm: float
+    tree: cKDTree
+
+    def nearest(self, x_mm: float, y_mm: float) -> int:
+        """The position nearest to a point, -1 when it is too far away to be meant by a click."""
+        distance_mm, position = self.tree.query([x_mm, y_mm])
+        return int(position) if distance_mm <= max(_REACH * self.spacing_mm, self.width_mm / 40) else -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A bank without what is measured.
+    """A surface, and what its bank says beside the measurements.
 
     Parameters
     ----------
-    bank : Path
-        The file.
     position_mm : float64 array (positions, 2)
-        The grid.
+        The grid, in any order.
     actuator_mm : float64 array (actuators, 2)
         NaN where unknown.
     outline_mm : float64 array (points, 2) or None
-        Rim of the surface, closed; None where the bank does not say.
-    sample_rate_hz, taps : float, int
-        Of the Green's functions.
-    band_hz : tuple of float or None
-        Measured band.
-    unit : str
+        Rim of the surface, closed; None where unknown.
+    raster : Raster
+        Position of each pixel.
+    paths_mm : sequence of float64 array (points, 2)
+        Paths of sources, NaN where they jump.
+    bank : Path
+        The bank's file; ``Path()`` without a bank.
+    sample_rate_hz, taps, band_hz, unit : float, int, tuple of float or None, str
         Of the Green's functions.
     is_virtual : bool
-        Whether it was measured on a virtual rig, by its own words.
-    raster : Raster
-        Which position each pixel of a picture belongs to.
+        Whether the bank was measured on a virtual rig.
     """
 
-    bank: Path
-    position_mm: NDArray[np.float64]
-    actuator_mm: NDArray[np.float64]
-    outline_mm: NDArray[np.float64] | None
-    sample_rate_hz: float
-    taps: int
-    band_hz: tuple[float, float] | None
-    unit: str
-    is_virtual: bool
+    position_mm: Float64Array
+    actuator_mm: Float64Array
+    outline_mm: Float64Array | None
     raster: Raster
+    paths_mm: Sequence[Float64Array] = ()
+    bank: Path = Path()
+    sample_rate_hz: float = 1.0
+    taps: int = 0
+    band_hz: tuple[float, float] | None = None
+    unit: str = ""
+    is_virtual: bool = False
 
     @property
     def positions(self) -> int:
@@ -67,24 +104,53 @@ class Surface:
         """Number of actuators."""
         return len(self.actuator_mm)
 
+    def with_rows(self, rows: NDArray[np.int64]) -> Surface:
+        """The same surface with some of the positions, their cells without gaps, for fields."""
+        position_mm = self.position_mm[rows]
+        return replace(self, position_mm=position_mm, raster=raster_of(position_mm, gaps=False))
+
 
 def surface_of(bank: Bank) -> Surface:
-    """Return what an open bank says."""
-    from gui.surface.raster import raster_of  # scipy is loaded by whoever opens a bank, not by the window's start
-
+    """Return the surface of an open bank."""
     position_mm = np.asarray(bank.position_mm, np.float64)
     return Surface(
-        bank=bank.path,
         position_mm=position_mm,
         actuator_mm=np.asarray(bank.actuator_mm, np.float64),
         outline_mm=_outline_mm(bank.rig_json),
+        raster=raster_of(position_mm),
+        bank=bank.path,
         sample_rate_hz=bank.sample_rate_hz,
         taps=bank.taps,
         band_hz=bank.band_hz,
         unit=bank.response_unit,
         is_virtual=_is_virtual(bank.rig_json),
-        raster=raster_of(position_mm),
     )
+
+
+def raster_of(position_mm: Float64Array, *, gaps: bool = True) -> Raster:
+    """Assign each pixel to the nearest position within about half a spacing; takes tens of milliseconds."""
+    from scipy.spatial import cKDTree  # the window starts without scipy
+
+    pixels_per_spacing, cell = _WITH_GAPS if gaps else _WITHOUT_GAPS
+    tree = cKDTree(position_mm)
+    spacing_mm = float(np.median(tree.query(position_mm, k=[2])[0])) if len(position_mm) > 1 else 1.0
+    low, high = position_mm.min(axis=0) - spacing_mm, position_mm.max(axis=0) + spacing_mm
+    size_mm = high - low
+    pixel_mm = max(spacing_mm / pixels_per_spacing, float(np.sqrt(size_mm[0] * size_mm[1] / _MOST_PIXELS)))
+    columns, rows = (max(1, int(np.ceil(side / pixel_mm))) for side in size_mm)
+    x_mm = low[0] + (np.arange(columns) + 0.5) * size_mm[0] / columns
+    y_mm = low[1] + (np.arange(rows) + 0.5) * size_mm[1] / rows
+    pixels_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
+    # By the larger of both coordinates a cell is a square: right for square grids, and clear enough for others.
+    _, index = tree.query(pixels_mm, p=np.inf, distance_upper_bound=cell * spacing_mm)
+    left_mm, bottom_mm, width_mm, height_mm = (float(one) for one in (*low, *size_mm))
+    return Raster(index.reshape(rows, columns), left_mm, bottom_mm, width_mm, height_mm, spacing_mm, tree)
+
+
+def stadium_mm(length_mm: float, width_mm: float) -> Float64Array:
+    """Return a stadium's closed rim about the origin, shape (points, 2)."""
+    rim_mm = stadium_rim(length_mm, width_mm, 0.0, _OUTLINE_POINTS - 1)
+    return np.vstack([rim_mm, rim_mm[:1]])
 
 
 def _is_virtual(rig_json: str | None) -> bool:
@@ -95,7 +161,7 @@ def _is_virtual(rig_json: str | None) -> bool:
     return isinstance(rig, dict) and "mirror" in rig and is_virtual(rig)
 
 
-def _outline_mm(rig_json: str | None) -> NDArray[np.float64] | None:
+def _outline_mm(rig_json: str | None) -> Float64Array | None:
     """The rim by the rig's configuration; a bank made by another program may hold any text there."""
     try:
         surface = json.loads(rig_json or "")["surface"]
@@ -104,5 +170,4 @@ def _outline_mm(rig_json: str | None) -> NDArray[np.float64] | None:
         return None
     if surface.get("kind") != "stadium" or not 0 < width_mm <= length_mm < np.inf:
         return None
-    rim_mm = stadium_rim(length_mm, width_mm, 0.0, _OUTLINE_POINTS - 1)
-    return np.vstack([rim_mm, rim_mm[:1]])
+    return stadium_mm(length_mm, width_mm)

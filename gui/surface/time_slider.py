@@ -1,14 +1,14 @@
-"""A slider over the samples of a field: marks at chosen instants, play, pause, loop, and the time in milliseconds."""
+"""A slider over the samples of a field with marks at chosen instants, play, pause, loop, and the time in milliseconds."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from PyQt5.QtCore import QEvent, QLine, Qt, QTimer, pyqtSignal
-from PyQt5.QtGui import QColor, QHideEvent, QMouseEvent, QPainter, QPaintEvent
+from PyQt5.QtGui import QColor, QHideEvent, QIcon, QMouseEvent, QPainter, QPaintEvent, QPixmap
 from PyQt5.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -22,73 +22,74 @@ from PyQt5.QtWidgets import (
 )
 
 from gui.shell.theme import LIGHT, Theme
-from gui.surface.player_icons import player_icon
 
 FRAME_EVERY_MS = 50
-# How many times slower than life; waves of some hundred hertz can be followed with the eyes from about 1000 on.
+# Waves of some hundred hertz can be followed by eye at about 1/1000 of real time.
 SLOWER = (1, 10, 50, 100, 200, 500, 1000, 2000, 5000)
 _USUALLY_SLOWER = 200
+_ICON_PX = 32
+_ICONS = {
+    "play": QStyle.StandardPixmap.SP_MediaPlay,
+    "pause": QStyle.StandardPixmap.SP_MediaPause,
+    "previous": QStyle.StandardPixmap.SP_MediaSkipBackward,
+    "next": QStyle.StandardPixmap.SP_MediaSkipForward,
+    "loop": QStyle.StandardPixmap.SP_BrowserReload,
+}
 
 
 class TimeSlider(QWidget):
-    """Chooses a sample of a field; plays it slower than life.
-
-    Set the samples with ``show_samples``; ``moved`` tells each new sample, whoever moved it.
-    While it plays it goes on twenty times a second, and stops when it is hidden.
+    """Chooses a sample of a field, and plays it in slow motion until it is hidden.
 
     Parameters
     ----------
-    mark_word : str
-        What a mark is, for tooltips: "focus instant".
+    clock : callable
+        Seconds that only grow, for tests.
     """
 
-    #: The sample that is to be shown, 0 for the first of the field.
+    #: The sample to be shown, 0 for the first of the field.
     moved = pyqtSignal(int)
 
-    def __init__(self, mark_word: str = "focus instant") -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self.setAccessibleName("Time")
-        self._start_s = 0.0
-        self._rate_hz = 1.0
+        self._clock = clock
+        self._start_s, self._rate_hz = 0.0, 1.0
         self._marks: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._exact = 0.0
-        self._looked_s = 0.0
+        self._exact = self._shown_at_s = 0.0
         self._widest = ""
         self.slider = _MarkedSlider()
-        self.slider.setAccessibleName("Instant of the field")
-        self.back = _button("back", f"The {mark_word} before (Page Down)")
-        self.play = _button("play", "Play (Space)")
-        self.play.setCheckable(True)
-        self.on = _button("on", f"The next {mark_word} (Page Up)")
-        self.loop = _button("loop", "Start anew at the end")
-        self.loop.setCheckable(True)
+        self.previous = _button("Previous focus instant (Page Down)")
+        self.play = _button("Play (Space)", checkable=True)
+        self.next = _button("Next focus instant (Page Up)")
+        self.loop = _button("Loop: start again at the end", checkable=True)
         self.loop.setChecked(True)
         self.slower = QComboBox()
-        self.slower.setAccessibleName("How many times slower than life it plays")
-        self.slower.setToolTip("How many times slower than life it plays")
+        self.slower.setAccessibleName("Playing speed")
+        self.slower.setToolTip("How many times slower than real time the field is played")
         for factor in SLOWER:
-            self.slower.addItem("as in life" if factor == 1 else f"{factor} × slower", factor)
+            self.slower.addItem("real time" if factor == 1 else f"{factor} × slower", factor)
         self.slower.setCurrentIndex(SLOWER.index(_USUALLY_SLOWER))
-        self.read_out = QLabel()
-        self.read_out.setAccessibleName("Time shown")
-        self.read_out.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.time_label = QLabel()
+        self.time_label.setAccessibleName("Time shown")
+        self.time_label.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
-        for part in (self.back, self.play, self.on, self.loop):
+        for part in (self.previous, self.play, self.next, self.loop):
             row.addWidget(part)
         row.addWidget(self.slider, stretch=1)
-        row.addWidget(self.read_out)
+        row.addWidget(self.time_label)
         row.addWidget(self.slower)
         self._timer = QTimer(self)
         self._timer.setInterval(FRAME_EVERY_MS)
-        self._timer.timeout.connect(self._go_on)
+        self._timer.timeout.connect(self.advance)
         self.slider.valueChanged.connect(self._moved)
         self.play.toggled.connect(self._toggled)
-        self.back.clicked.connect(lambda: self.to_mark(-1))
-        self.on.clicked.connect(lambda: self.to_mark(1))
-        self.slider.wants_mark.connect(self.to_mark)
-        self.slider.wants_play.connect(self.play.toggle)
+        self.previous.clicked.connect(lambda: self.to_mark(-1))
+        self.next.clicked.connect(lambda: self.to_mark(1))
+        self.slider.mark_requested.connect(self.to_mark)
+        self.slider.play_requested.connect(self.play.toggle)
         self.show_samples(0.0, 1.0, 0)
+        self.apply_theme(LIGHT)
 
     @property
     def sample(self) -> int:
@@ -108,7 +109,7 @@ class TimeSlider(QWidget):
     def show_samples(
         self, start_s: float, sample_rate_hz: float, samples: int, marks: Sequence[int] | NDArray[np.int64] = ()
     ) -> None:
-        """Take up another field and go to its first mark, or its first sample.
+        """Show another field, at its first mark or else its first sample.
 
         Parameters
         ----------
@@ -117,7 +118,7 @@ class TimeSlider(QWidget):
         sample_rate_hz : float
             Rate, > 0.
         samples : int
-            How many; 0 disables everything.
+            Number of samples; 0 disables everything.
         marks : sequence of int
             Samples to be marked, in any order.
         """
@@ -128,143 +129,152 @@ class TimeSlider(QWidget):
         self.slider.marks = self._marks.tolist()
         self.slider.blockSignals(True)
         self.slider.setRange(0, max(0, samples - 1))
-        self.slider.setSingleStep(1)
         self.slider.setValue(int(self._marks[0]) if len(self._marks) else 0)
         self.slider.blockSignals(False)
         self.setEnabled(samples > 1)
-        for button in (self.back, self.on):
+        for button in (self.previous, self.next):
             button.setEnabled(len(self._marks) > 0)
         end_s = start_s + max(0, samples - 1) / sample_rate_hz
-        self._widest = max((_read_out(start_s), _read_out(end_s)), key=len)
-        self._size_read_out()
+        self._widest = max((_in_ms(start_s), _in_ms(end_s)), key=len)
+        self._size_time_label()
         self.slider.setToolTip(
-            f"{start_s * 1e3:.1f} ms to {end_s * 1e3:.1f} ms; the arrow keys go by one sample of "
-            f"{1e3 / sample_rate_hz:.3g} ms, Space plays"
+            f"{start_s * 1e3:.1f} ms to {end_s * 1e3:.1f} ms; arrow keys: one sample of {1e3 / sample_rate_hz:.3g} ms; "
+            "Space: play"
         )
-        self._moved(self.slider.value())
+        self._moved(self.sample)
 
     def go_to(self, sample: int) -> None:
         """Show a sample."""
         self.slider.setValue(sample)
 
     def to_mark(self, way: int) -> None:
-        """Go to the next mark after (1), or before (-1), what is shown; round at the ends."""
-        if not len(self._marks):
-            return
-        here = self.sample
-        if way > 0:
-            after = self._marks[self._marks > here]
-            self.go_to(int(after[0] if len(after) else self._marks[0]))
-        else:
-            before = self._marks[self._marks < here]
-            self.go_to(int(before[-1] if len(before) else self._marks[-1]))
+        """Go to the next mark (1) or the previous one (-1), and from the last one to the first."""
+        if len(self._marks):
+            place = np.searchsorted(self._marks, self.sample, side="right" if way > 0 else "left")
+            self.go_to(int(self._marks[(place if way > 0 else place - 1) % len(self._marks)]))
 
     def pause(self) -> None:
-        """Stand still."""
+        """Stop playing."""
         self.play.setChecked(False)
 
+<<<<<<< HEAD
     def apply_theme(self, theme: Theme) -> None:
         """Take the theme's colours."""
+=======
+    def advance(self) -> None:
+        """Show the sample that is due by the clock."""
+        now_s = self._clock()
+        step = (now_s - self._shown_at_s) * self._rate_hz / int(self.slower.currentData())
+        self._shown_at_s = now_s
+        if round(self._exact) != self.sample:  # moved by hand meanwhile
+            self._exact = float(self.sample)
+        self._exact += step
+        if self._exact > self.slider.maximum():
+            if not self.loop.isChecked():
+                self.go_to(self.slider.maximum())
+                self.pause()
+                return
+            self._exact = 0.0
+        self.go_to(round(self._exact))
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the theme's colours."""
+>>>>>>> 901ec1a (One surface view: outline, actuators, cells, marks, picking and panning in one class)
         self.slider.theme = theme
         self.slider.update()
-        play = "pause" if self.playing else "play"
-        for button, sign in ((self.back, "back"), (self.play, play), (self.on, "on"), (self.loop, "loop")):
-            button.setIcon(player_icon(sign, theme))
+        names = ("previous", "pause" if self.playing else "play", "next", "loop")
+        for button, name in zip((self.previous, self.play, self.next, self.loop), names, strict=True):
+            button.setIcon(self._icon(name, theme))
 
     def hideEvent(self, event: QHideEvent | None) -> None:  # noqa: N802
-        """Nobody looks: stand still."""
         super().hideEvent(event)
         self.pause()
 
     def changeEvent(self, event: QEvent | None) -> None:  # noqa: N802
-        """Make room for larger text."""
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.FontChange:
-            self._size_read_out()
+            self._size_time_label()
 
-    def _size_read_out(self) -> None:
-        """Of one size, whatever it says: else each text would lay out, and draw, the whole window anew."""
-        metrics = self.read_out.fontMetrics()
-        self.read_out.setFixedSize(metrics.horizontalAdvance(self._widest) + 8, metrics.height() + 4)
+    def _size_time_label(self) -> None:
+        """Give the label a fixed size: else each new text would lay out the whole window again."""
+        metrics = self.time_label.fontMetrics()
+        self.time_label.setFixedSize(metrics.horizontalAdvance(self._widest) + 8, metrics.height() + 4)
 
     def _toggled(self, plays: bool) -> None:
-        self.play.setIcon(player_icon("pause" if plays else "play", self.slider.theme))
+        self.play.setIcon(self._icon("pause" if plays else "play", self.slider.theme))
         self.play.setToolTip("Pause (Space)" if plays else "Play (Space)")
         self.play.setAccessibleName("Pause" if plays else "Play")
         if plays:
             if self.sample >= self.slider.maximum():
                 self.go_to(0)
-            self._exact, self._looked_s = float(self.sample), time.monotonic()
+            self._exact, self._shown_at_s = float(self.sample), self._clock()
             self._timer.start()
         else:
             self._timer.stop()
 
-    def _go_on(self) -> None:
-        now_s = time.monotonic()
-        step = (now_s - self._looked_s) * self._rate_hz / int(self.slower.currentData())
-        self._looked_s = now_s
-        if round(self._exact) != self.sample:  # somebody moved it meanwhile
-            self._exact = float(self.sample)
-        self._exact += step
-        last = self.slider.maximum()
-        if self._exact > last:
-            if not self.loop.isChecked():
-                self.go_to(last)
-                self.pause()
-                return
-            self._exact = 0.0
-        if round(self._exact) != self.sample:
-            self.go_to(round(self._exact))
-
     def _moved(self, sample: int) -> None:
-        self.read_out.setText(_read_out(self.time_s))
+        self.time_label.setText(_in_ms(self.time_s))
         self.moved.emit(sample)
+
+    def _icon(self, name: str, theme: Theme) -> QIcon:
+        """The style's icon in the colour of text: Qt's own are dark in a dark window, too."""
+        style = self.style()
+        assert style is not None
+        picture: QPixmap = style.standardIcon(_ICONS[name]).pixmap(_ICON_PX)
+        icon = QIcon()
+        for mode, state, colour in (
+            (QIcon.Mode.Normal, QIcon.State.Off, theme.text),
+            (QIcon.Mode.Normal, QIcon.State.On, theme.window),  # a checked button has the accent's colour
+            (QIcon.Mode.Disabled, QIcon.State.Off, theme.faint),
+            (QIcon.Mode.Disabled, QIcon.State.On, theme.faint),
+        ):
+            tinted = QPixmap(picture)
+            painter = QPainter(tinted)
+            painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_SourceIn)
+            painter.fillRect(tinted.rect(), QColor(colour))
+            painter.end()
+            icon.addPixmap(tinted, mode, state)
+        return icon
 
 
 class _MarkedSlider(QSlider):
-    """A slider with marks beneath its groove; a click goes there at once."""
+    """A slider with marks beside its groove; a click moves the handle there at once."""
 
-    wants_mark = pyqtSignal(int)
-    wants_play = pyqtSignal()
+    mark_requested = pyqtSignal(int)
+    play_requested = pyqtSignal()
 
     def __init__(self) -> None:
         super().__init__(Qt.Orientation.Horizontal)
+        self.setAccessibleName("Instant of the field")
         self.marks: list[int] = []
         self.theme = LIGHT
         self.setMinimumWidth(120)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802
-        """Marks first, the handle above them."""
         painter = QPainter(self)
         painter.setPen(QColor(self.theme.accent))
         handle, span = self._geometry()
-        low, high, foot = self.minimum(), self.maximum(), self.height() - 1
-        lines = []
+        foot = self.height() - 1
         for mark in self.marks:
-            x = handle // 2 + QStyle.sliderPositionFromValue(low, high, mark, span)
-            lines += [QLine(x, 0, x, 5), QLine(x, foot - 5, x, foot)]
-        if lines:
-            painter.drawLines(*lines)
+            x = handle // 2 + QStyle.sliderPositionFromValue(self.minimum(), self.maximum(), mark, span)
+            painter.drawLines(QLine(x, 0, x, 5), QLine(x, foot - 5, x, foot))
         painter.end()
         super().paintEvent(event)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        """Go where it was clicked, and on from there by dragging."""
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
             handle, span = self._geometry()
-            self.setValue(QStyle.sliderValueFromPosition(
-                self.minimum(), self.maximum(), event.pos().x() - handle // 2, span
-            ))  # fmt: skip
+            at = event.pos().x() - handle // 2
+            self.setValue(QStyle.sliderValueFromPosition(self.minimum(), self.maximum(), at, span))
         super().mousePressEvent(event)
 
     def keyPressEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
-        """Page keys go from mark to mark, Space plays."""
         ways = {Qt.Key.Key_PageUp: 1, Qt.Key.Key_PageDown: -1}
         if event.key() in ways:
-            self.wants_mark.emit(ways[event.key()])
+            self.mark_requested.emit(ways[event.key()])
         elif event.key() == Qt.Key.Key_Space:
-            self.wants_play.emit()
+            self.play_requested.emit()
         else:
             super().keyPressEvent(event)
 
@@ -278,14 +288,14 @@ class _MarkedSlider(QSlider):
         return handle, max(1, self.width() - handle)
 
 
-def _button(sign: str, tip: str) -> QToolButton:
+def _button(tip: str, *, checkable: bool = False) -> QToolButton:
     button = QToolButton()
-    button.setIcon(player_icon(sign, LIGHT))
     button.setToolTip(tip)
     button.setAccessibleName(tip.partition(" (")[0])
+    button.setCheckable(checkable)
     button.setAutoRaise(True)
     return button
 
 
-def _read_out(time_s: float) -> str:
+def _in_ms(time_s: float) -> str:
     return f"{time_s * 1e3:.2f} ms"

@@ -1,0 +1,346 @@
+"""The surface view: a plot of the plate with outline, actuators, coloured cells, paths, marks, picking, pan and zoom."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyqtgraph
+from numpy.typing import NDArray
+from PyQt5.QtCore import QRectF, Qt, pyqtSignal
+from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPainterPath, QResizeEvent
+from PyQt5.QtWidgets import QGraphicsItem, QGraphicsPathItem
+
+from gui.shell.theme import LIGHT, Theme, theme_axes
+from gui.surface.surface import Float64Array, Raster, Surface
+
+PointMm = tuple[float, float]
+Keys = Qt.KeyboardModifiers | Qt.KeyboardModifier
+
+#: Directions of the arrow keys.
+STEPS = {
+    int(Qt.Key.Key_Left): (-1.0, 0.0),
+    int(Qt.Key.Key_Right): (1.0, 0.0),
+    int(Qt.Key.Key_Up): (0.0, 1.0),
+    int(Qt.Key.Key_Down): (0.0, -1.0),
+}
+#: Colour of marks: visible on every colour of the maps, in either theme.
+MARK = "#ff7a1a"
+_AXIS_PX = 46
+_PADDING = 0.02
+# Cells that fill less than this share of the view are shown nearer.
+_CLOSER_BELOW = 0.4
+_RING_PX, _CROSS_PX = 6.0, 9.5
+
+
+class Spots(pyqtgraph.ScatterPlotItem):
+    """Spots that pass clicks on to the view; those of pyqtgraph accept every click on a spot."""
+
+    def mouseClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
+        event.ignore()
+
+
+class SurfaceView(pyqtgraph.PlotWidget):
+    """A map of the surface.
+
+    Clicks and drags arrive at `click_at`, `double_click_at`, `claims_drag` and `drag_to`, in millimetres; subclasses
+    override them. What no subclass claims pans the view; the wheel zooms; a double click shows everything.
+
+    Parameters
+    ----------
+    name : str
+        Its accessible name.
+    """
+
+    #: A position that was clicked, or reached with the arrow keys.
+    picked = pyqtSignal(int)
+
+    surface: Surface | None = None  # Qt resizes the widget before __init__ has ended
+    _fits = True
+
+    def __init__(self, name: str) -> None:
+        self.box = SurfaceBox(self)
+        super().__init__(viewBox=self.box)
+        self.name = name
+        self.setAccessibleName(name)
+        self.setAccessibleDescription("Click a position, or walk with the arrow keys")
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.marked = -1
+        self.theme = LIGHT
+        self._linked: list[SurfaceView] = []
+        self._rings: list[QGraphicsPathItem] = []
+        self._paths: list[pyqtgraph.PlotCurveItem] = []
+        self._cells = pyqtgraph.ImageItem(axisOrder="row-major")
+        self._outline = pyqtgraph.PlotCurveItem(antialias=True)
+        self._actuators = Spots(symbol="t1", size=9, pxMode=True)
+        self._cross = self._add_sign(_cross_path(), 90)
+        for depth, item in enumerate((self._cells, self._outline, self._actuators)):
+            self.add_item(item, 10 * depth, bounds=item is not self._actuators)
+        plot = self.getPlotItem()
+        plot.hideButtons()
+        plot.setLabel("bottom", "x (mm)")
+        plot.setLabel("left", "y (mm)")
+        plot.getAxis("left").setWidth(_AXIS_PX)  # equal in maps side by side
+        for side in ("left", "bottom"):  # no prefix: the unit is part of the label
+            plot.getAxis(side).enableAutoSIPrefix(False)
+        self.box.sigRangeChangedManually.connect(lambda *_: self._set_fits(False))
+        self.apply_theme(LIGHT)
+
+    def add_item(self, item: QGraphicsItem, depth: float, *, bounds: bool = False) -> None:
+        """Add an item; only those with `bounds` count where everything is to be seen."""
+        item.setZValue(depth)
+        self.box.addItem(item, ignoreBounds=not bounds)
+
+    def link(self, other: SurfaceView) -> None:
+        """Show the same part of the surface as another map."""
+        self.setXLink(other)
+        self.setYLink(other)
+        self._linked.append(other)
+        other._linked.append(self)
+
+    def show_surface(self, surface: Surface | None) -> None:
+        """Show another surface, or none; cells are painted by `paint`."""
+        self.surface = surface
+        self._cells.clear()
+        self.mark(-1)
+        self.show_sources(np.zeros((0, 2)))
+        for path in self._paths:
+            self.box.removeItem(path)
+        self._paths = []
+        for side in ("left", "bottom"):
+            self.getPlotItem().showAxis(side, surface is not None)
+        outline_mm = None if surface is None else surface.outline_mm
+        self.show_outline(np.zeros((0, 2)) if outline_mm is None else outline_mm)
+        self.show_actuators(np.zeros((0, 2)) if surface is None else surface.actuator_mm)
+        if surface is None:
+            return
+        for points_mm in surface.paths_mm:
+            path = pyqtgraph.PlotCurveItem(points_mm[:, 0], points_mm[:, 1], antialias=True, connect="finite")
+            path.setPen(pyqtgraph.mkPen(self.theme.text, width=1))
+            self.add_item(path, 15, bounds=True)
+            self._paths.append(path)
+        self.paint(np.zeros((surface.positions, 4), np.uint8))
+        self.fit()
+
+    def show_outline(self, outline_mm: Float64Array) -> None:
+        """Draw the rim, shape (points, 2)."""
+        self._outline.setData(outline_mm[:, 0], outline_mm[:, 1])
+
+    def show_actuators(self, actuator_mm: Float64Array) -> None:
+        """Draw the actuators that are not NaN, shape (actuators, 2)."""
+        self._actuators.setData(pos=actuator_mm[np.isfinite(actuator_mm).all(axis=1)])
+
+    def paint(self, colours: NDArray[np.uint8]) -> None:
+        """Colour the cells; `colours` has shape (positions, 4), red, green, blue and opacity."""
+        if self.surface is None or len(colours) != self.surface.positions:
+            return
+        raster = self.surface.raster
+        # A pixel's four bytes are moved as one number: a quarter of the time.
+        numbers = np.ascontiguousarray(np.concatenate([colours, np.zeros((1, 4), np.uint8)])).view(np.uint32).ravel()
+        picture = np.take(numbers, raster.index, mode="clip").view(np.uint8).reshape(*raster.index.shape, 4)
+        placed = self._cells.image is not None
+        self._cells.setImage(picture, autoLevels=False, levels=None)
+        if not placed:
+            self._cells.setRect(_rectangle(raster))
+
+    def mark(self, position: int) -> None:
+        """Mark a position; -1 for none."""
+        self.marked = position
+        there = self.surface is not None and 0 <= position < self.surface.positions
+        self._cross.setVisible(there)
+        if there and self.surface is not None:
+            self._cross.setPos(*self.surface.position_mm[position].tolist())
+
+    def show_sources(self, at_mm: Float64Array) -> None:
+        """Draw a ring around each source, shape (sources, 2)."""
+        while len(self._rings) < len(at_mm):
+            ring = self._add_sign(_ring_path(), 80)
+            ring.setPen(pyqtgraph.mkPen(self.theme.text, width=2))
+            self._rings.append(ring)
+        for number, ring in enumerate(self._rings):
+            ring.setVisible(number < len(at_mm))
+            if number < len(at_mm):
+                ring.setPos(*at_mm[number].tolist())
+
+    def show_everything(self) -> None:
+        """Show the whole surface, at any size of the window."""
+        self._set_fits(True)
+        self.box.autoRange(padding=_PADDING)
+
+    def fit(self) -> None:
+        """Show the whole surface; a small grid on a large surface is shown nearer."""
+        self._set_fits(True)
+        self.box.autoRange(padding=_PADDING)
+        if self.surface is not None and self.surface.positions:
+            raster, whole = self.surface.raster, self.box.viewRect()
+            if max(raster.width_mm, raster.height_mm) < _CLOSER_BELOW * whole.width():
+                self.box.setRange(_rectangle(raster), padding=0.3)
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the theme's colours."""
+        self.theme = theme
+        self.setBackground(theme.base)
+        theme_axes(self.getPlotItem(), theme)
+        self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1))  # wider ones take ten times longer to paint
+        self._actuators.setPen(pyqtgraph.mkPen(theme.text, width=1))
+        self._actuators.setBrush(pyqtgraph.mkBrush(theme.base))
+        self._cross.setPen(pyqtgraph.mkPen(MARK, width=2.5))
+        for item in (*self._rings, *self._paths):
+            item.setPen(pyqtgraph.mkPen(theme.text, width=2 if item in self._rings else 1))
+
+    def position_at(self, at_mm: PointMm) -> int:
+        """The position nearest to a point, -1 for none."""
+        return -1 if self.surface is None or not self.surface.positions else self.surface.raster.nearest(*at_mm)
+
+    def position_text(self, position: int) -> str:
+        """The tooltip of a position."""
+        assert self.surface is not None
+        x_mm, y_mm = self.surface.position_mm[position]
+        return f"position {position} at ({x_mm:.1f}, {y_mm:.1f}) mm"
+
+    def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
+        """Pick the position that was clicked."""
+        position = self.position_at(at_mm)
+        if position >= 0:
+            self.picked.emit(position)
+
+    def double_click_at(self, _at_mm: PointMm) -> None:
+        """Show everything."""
+        self.show_everything()
+
+    def claims_drag(self, _at_mm: PointMm, _keys: Keys) -> bool:
+        """Whether a drag that begins here is for `drag_to`; else it pans the view."""
+        return False
+
+    def drag_to(self, start_mm: PointMm, at_mm: PointMm, keys: Keys, *, ended: bool) -> None:
+        """Receive a drag that was claimed."""
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        """Walk from position to position with the arrow keys."""
+        assert event is not None
+        if self.surface is None or event.key() not in STEPS:
+            super().keyPressEvent(event)
+            return
+        position = next_position(self.surface.position_mm, self.marked, event.key())
+        if position != self.marked:
+            self.picked.emit(position)
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        """Show the tooltip of the position below the mouse."""
+        super().mouseMoveEvent(event)
+        if event is not None and self.surface is not None:
+            point = self.box.mapSceneToView(self.mapToScene(event.pos()))
+            position = self.position_at((point.x(), point.y()))
+            self.setToolTip(self.position_text(position) if position >= 0 else "")
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802
+        """Use the room, unless the view was panned or zoomed by hand."""
+        super().resizeEvent(event)
+        if self.surface is not None and self._fits:
+            self.fit()
+
+    def _set_fits(self, fits: bool) -> None:
+        for one in (self, *self._linked):
+            one._fits = fits
+
+    def _add_sign(self, path: QPainterPath, depth: float) -> QGraphicsPathItem:
+        """A sign of constant size on the screen, hidden at first; moves ten times faster than a scatter of one spot."""
+        sign = QGraphicsPathItem(path)
+        sign.setFlag(QGraphicsItem.GraphicsItemFlag.ItemIgnoresTransformations)
+        sign.hide()
+        self.add_item(sign, depth)
+        return sign
+
+
+class SurfaceBox(pyqtgraph.ViewBox):
+    """Passes clicks and claimed drags of the left button on to its view, in millimetres."""
+
+    def __init__(self, view: SurfaceView) -> None:
+        super().__init__(lockAspect=True, enableMenu=False)
+        self._view = view
+        self._claimed = False
+
+    @property
+    def mm_per_pixel(self) -> float:
+        """Size of a pixel."""
+        return float(self.viewPixelSize()[0])
+
+    def mouseClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
+        if event.button() != Qt.MouseButton.LeftButton:
+            return
+        event.accept()
+        at_mm = self._at_mm(event.scenePos())
+        if event.double():
+            self._view.double_click_at(at_mm)
+        else:
+            self._view.click_at(at_mm, event.modifiers())
+
+    def mouseDragEvent(self, event, axis=None) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
+        start_mm, keys = self._at_mm(event.buttonDownScenePos()), event.modifiers()
+        if event.isStart():
+            self._claimed = event.button() == Qt.MouseButton.LeftButton and self._view.claims_drag(start_mm, keys)
+        if not self._claimed:
+            super().mouseDragEvent(event, axis)
+            return
+        event.accept()
+        self._claimed = not event.isFinish()
+        self._view.drag_to(start_mm, self._at_mm(event.scenePos()), keys, ended=event.isFinish())
+
+    def _at_mm(self, point: object) -> PointMm:
+        place = self.mapSceneToView(point)
+        return float(place.x()), float(place.y())
+
+
+def next_position(position_mm: Float64Array, here: int, key: int) -> int:
+    """Return the nearest position in an arrow key's direction, within 45 degrees of it.
+
+    Parameters
+    ----------
+    position_mm : float64 array (positions, 2)
+        The grid.
+    here : int
+        Where to start; returned where nothing lies in that direction. -1 goes to the middle of the grid.
+    key : int
+        One of `STEPS`.
+    """
+    if here < 0:
+        return int(np.hypot(*(position_mm - position_mm.mean(axis=0)).T).argmin())
+    step = np.array(STEPS[key])
+    away_mm = position_mm - position_mm[here]
+    along_mm, aside_mm = away_mm @ step, np.abs(away_mm @ step[::-1])
+    cost = np.where((along_mm > 0) & (aside_mm <= along_mm), along_mm + aside_mm, np.inf)
+    return int(cost.argmin()) if np.isfinite(cost).any() else here
+
+
+def rgba(colour: str) -> NDArray[np.uint8]:
+    """Return a colour as red, green, blue and opacity."""
+    return np.array(QColor(colour).getRgb(), np.uint8)
+
+
+def looked_up(
+    colour_map: pyqtgraph.ColorMap, values: NDArray[np.floating], levels: tuple[float, float], missing: str
+) -> NDArray[np.uint8]:
+    """Return the colours of values between two levels, shape (n, 4); those that are NaN get the colour `missing`."""
+    table = colour_map.getLookupTable(nPts=256, alpha=True)
+    colours = np.tile(rgba(missing), (len(values), 1))
+    known = np.isfinite(values)
+    share = (np.asarray(values, np.float64)[known] - levels[0]) / (levels[1] - levels[0])
+    colours[known] = table[np.clip(share * len(table), 0, len(table) - 1).astype(np.intp)]
+    return colours
+
+
+def _rectangle(raster: Raster) -> QRectF:
+    return QRectF(raster.left_mm, raster.bottom_mm, raster.width_mm, raster.height_mm)
+
+
+def _ring_path() -> QPainterPath:
+    path = QPainterPath()
+    path.addEllipse(-_RING_PX, -_RING_PX, 2 * _RING_PX, 2 * _RING_PX)
+    return path
+
+
+def _cross_path() -> QPainterPath:
+    path = QPainterPath()
+    path.addEllipse(-_CROSS_PX, -_CROSS_PX, 2 * _CROSS_PX, 2 * _CROSS_PX)
+    for x, y in ((_CROSS_PX, 0.0), (0.0, _CROSS_PX)):
+        path.moveTo(-x, -y)
+        path.lineTo(x, y)
+    return path
