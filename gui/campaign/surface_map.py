@@ -161,9 +161,7 @@ class SurfaceMap(SurfaceView):
         self._selecting.setVisible(not ended)
         if ended and self.surface is not None:
             places = enumerate(self.surface.position_mm.tolist())
-            inside = {
-                number for number, at in places if shape.containsPoint(QPointF(*at), Qt.FillRule.WindingFill)
-            }
+            inside = {number for number, at in places if shape.containsPoint(QPointF(*at), Qt.FillRule.WindingFill)}
             self.select(self.selected | inside if keys & Qt.KeyboardModifier.ControlModifier else inside)
 
     def _draw_marks(self) -> None:

@@ -37,7 +37,7 @@ def symmetric_levels(largest: float) -> tuple[float, float]:
 
 
 def scaled_unit(unit: str, largest: float) -> tuple[float, str]:
-    """Return the factor and prefixed unit that make the largest value of a scale at least 0.1 where that is possible."""
+    """Return the factor and the prefixed unit that make the largest value of a scale at least 0.1."""
     if unit not in _WITH_PREFIX or not (math.isfinite(largest) and largest > 0.0):
         return 1.0, unit
     prefix, factor = next((one for one in _PREFIXES if largest * one[1] >= 0.1), _PREFIXES[-1])

@@ -1,4 +1,4 @@
-"""A slider over the samples of a field with marks at chosen instants, play, pause, loop, and the time in milliseconds."""
+"""A slider over the samples of a field: marks at chosen instants, play, pause, loop, and the time."""
 
 from __future__ import annotations
 
@@ -157,10 +157,6 @@ class TimeSlider(QWidget):
         """Stop playing."""
         self.play.setChecked(False)
 
-<<<<<<< HEAD
-    def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
-=======
     def advance(self) -> None:
         """Show the sample that is due by the clock."""
         now_s = self._clock()
@@ -179,7 +175,6 @@ class TimeSlider(QWidget):
 
     def apply_theme(self, theme: Theme) -> None:
         """Apply the theme's colours."""
->>>>>>> 901ec1a (One surface view: outline, actuators, cells, marks, picking and panning in one class)
         self.slider.theme = theme
         self.slider.update()
         names = ("previous", "pause" if self.playing else "play", "next", "loop")

@@ -1,4 +1,4 @@
-"""The surface view: a plot of the plate with outline, actuators, coloured cells, paths, marks, picking, pan and zoom."""
+"""The surface view: outline, actuators, coloured cells, paths and marks, with picking, pan and zoom."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Prediction, scan and their difference side by side at one instant; or, in the third place, each position's error."""
+"""Prediction, scan and their difference side by side at one instant; the third map can show each position's error."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from gui.shell.theme import Theme
-from gui.surface.colour_bar import ColourBar
-from gui.surface.colours import symmetric_levels
+from gui.surface.colours import ColourBar, scaled_unit, symmetric_levels
 from gui.surface.field_map import FieldMap
 from gui.surface.time_slider import TimeSlider
-from gui.surface.units import shown_unit
 from gui.verification.results import Results
 
 # A few positions at nodes have huge relative errors; they must not make all others look alike.
@@ -33,29 +31,26 @@ class MapsPanel(QWidget):
         self.bars = [ColourBar(one.colour_map) for one in self.maps]
         self.third = QComboBox()
         self.third.addItems(["Difference, scan − prediction", "Error at each position"])
-        self.third.setAccessibleName("What the third map shows")
-        self.third.setToolTip("The difference at the instant shown, or the relative L2 error of all instants")
+        self.third.setAccessibleName("Quantity on the third map")
+        self.third.setToolTip("The difference at the instant shown, or the relative L2 error over all instants")
         self.scale = QComboBox()
         self.scale.addItems(["scale of the scene", "scale of the instant"])
         self.scale.setAccessibleName("Colour scale")
         self.scale.setToolTip(
-            "Ends of the colours: the loudest of all focus instants, or of the instant shown (all but a thousandth of "
-            "the positions keep to them)"
+            "Ends of the colours: the largest response of all focus instants, or of the instant shown (99.9 % of the "
+            "positions lie within them)"
         )
         self.time = TimeSlider()
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
         maps = QHBoxLayout()
         maps.setSpacing(6)
-        for field_map, bar, head in zip(
-            self.maps, self.bars, (_heading("Prediction"), _heading("Scan"), self.third), strict=True
-        ):
-            head.setFixedHeight(self.third.sizeHint().height())
-            head.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        headings = (_heading("Prediction"), _heading("Scan"), self.third)
+        for field_map, bar, heading in zip(self.maps, self.bars, headings, strict=True):
+            heading.setFixedHeight(self.third.sizeHint().height())
+            heading.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             field_map.setMinimumSize(150, 110)
             column = QVBoxLayout()
             column.setSpacing(2)
-            column.addWidget(head)
+            column.addWidget(heading)
             column.addWidget(field_map, stretch=1)
             column.addWidget(bar)
             maps.addLayout(column, stretch=1)
@@ -65,10 +60,10 @@ class MapsPanel(QWidget):
         foot = QHBoxLayout()
         foot.addWidget(self.time, stretch=1)
         foot.addWidget(self.scale)
-        column = QVBoxLayout()
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
         column.addLayout(maps, stretch=1)
         column.addLayout(foot)
-        row.addLayout(column)
         self.time.moved.connect(self._moved)
         self.third.currentIndexChanged.connect(lambda _index: self._rescale())
         self.scale.currentIndexChanged.connect(lambda _index: self._rescale())
@@ -82,16 +77,15 @@ class MapsPanel(QWidget):
     def show_results(self, results: Results | None) -> None:
         """Show another verification, at its first focus instant; None shows nothing."""
         self._results = results
-        for field_map in self.maps:
-            field_map.show_ground(None if results is None else results.ground)
         self.setEnabled(results is not None)
-        for bar in self.bars:
+        for field_map, bar in zip(self.maps, self.bars, strict=True):
+            field_map.show_surface(None if results is None else results.surface)
             bar.setVisible(results is not None)
         if results is None:
             self.time.show_samples(0.0, 1.0, 0)
             return
-        pair = results.pair
         self._rescale()
+        pair = results.pair
         self.time.show_samples(pair.start_s, pair.sample_rate_hz, pair.samples, results.focus_sample)
 
     def mark(self, index: int) -> None:
@@ -100,17 +94,19 @@ class MapsPanel(QWidget):
             field_map.mark(index)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self.time.apply_theme(theme)
         for field_map, bar in zip(self.maps, self.bars, strict=True):
             field_map.apply_theme(theme)
-            bar.take_map(field_map.colour_map)
+            bar.apply_theme(theme)
+        self._rescale()
 
     def _moved(self, sample: int) -> None:
         if self._results is not None:
             if self.scale.currentIndex() == 1:
                 self._rescale()
-            self._show_instant()
+            else:
+                self._show_instant()
             self.moved.emit(sample)
 
     def _show_instant(self) -> None:
@@ -118,13 +114,12 @@ class MapsPanel(QWidget):
         if results is None:
             return
         predicted, scanned = results.pair.at_sample(self.time.sample)
-        factor, _ = self._field_unit()
-        for field_map, values in zip(self.maps, (predicted, scanned), strict=False):
-            field_map.show_values(factor * values)
+        factor, _, difference_factor, _ = self._units()
+        self.maps[0].show_values(factor * predicted)
+        self.maps[1].show_values(factor * scanned)
         if not self.shows_error:
-            factor, _ = self._difference_unit()
-            difference = np.where(results.record.compared, factor * (scanned - predicted), np.nan)
-            self.maps[2].show_values(difference)
+            difference = difference_factor * (scanned - predicted)
+            self.maps[2].show_values(np.where(results.record.compared, difference, np.nan))
         places = [source.at_mm(self.time.time_s) for source in results.record.sources]
         at_mm = np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
         for field_map in self.maps:
@@ -134,35 +129,34 @@ class MapsPanel(QWidget):
         results = self._results
         if results is None:
             return
-        factor, unit = self._field_unit()
-        low, high = symmetric_levels(factor * self._loudest()[0])
-        beyond = (self.scale.currentIndex() == 0,) * 2
-        for index, title in enumerate(("prediction", "scan")):
-            self.maps[index].show_scale(low, high, unit, signed=True)
-            self._tell_scale(index, f"{title}, both on one scale", unit, (low, high), beyond)
-        third = self.maps[2]
+        loudest, loudest_difference = self._loudest()
+        factor, unit, difference_factor, difference_unit = self._units()
+        whole_scene = self.scale.currentIndex() == 0
+        beyond = (whole_scene, whole_scene)
+        levels = symmetric_levels(factor * loudest)
+        self._set_scale(0, "prediction, both on one scale", unit, levels, beyond)
+        self._set_scale(1, "scan, both on one scale", unit, levels, beyond)
         if self.shows_error:
             error = 100.0 * results.record.position_error
             known = error[np.isfinite(error)]
             top = float(np.quantile(known, _ERRORS_SHOWN)) if known.size else 1.0
-            third.name = "Error"
-            third.show_scale(0.0, top if top > 0.0 else 1.0, "%", signed=False)
-            third.show_values(error)
             above = bool(known.size and float(known.max()) > top)
-            self._tell_scale(2, "relative L2 error", "%", third.levels, (False, above))
+            self.maps[2].name = "Error"
+            self._set_scale(2, "relative L2 error", "%", (0.0, top if top > 0.0 else 1.0), (False, above), signed=False)
+            self.maps[2].show_values(error)
         else:
-            factor, unit = self._difference_unit()
-            third.name = "Difference"
-            low, high = symmetric_levels(factor * self._loudest()[1])
-            third.show_scale(low, high, unit, signed=True)
-            self._tell_scale(2, "scan − prediction, own scale", unit, (low, high), beyond)
+            self.maps[2].name = "Difference"
+            levels = symmetric_levels(difference_factor * loudest_difference)
+            self._set_scale(2, "scan − prediction, own scale", difference_unit, levels, beyond)
         self._show_instant()
 
-    def _tell_scale(
-        self, index: int, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool]
-    ) -> None:
-        self.bars[index].take_map(self.maps[index].colour_map)
-        self.bars[index].show_range(title, unit, *levels, beyond)
+    def _set_scale(
+        self, index: int, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool], *,
+        signed: bool = True,
+    ) -> None:  # fmt: skip
+        self.maps[index].show_scale(levels, unit, signed=signed)
+        self.bars[index].set_map(self.maps[index].colour_map)
+        self.bars[index].show_range(title, unit, levels, beyond)
 
     def _loudest(self) -> tuple[float, float]:
         assert self._results is not None
@@ -170,13 +164,12 @@ class MapsPanel(QWidget):
             return self._results.pair.loudest(np.array([self.time.sample], np.int64), self._results.record.compared)
         return self._results.loudest, self._results.loudest_difference
 
-    def _field_unit(self) -> tuple[float, str]:
+    def _units(self) -> tuple[float, str, float, str]:
+        """Factor and unit of the fields, and of their difference."""
         assert self._results is not None
-        return shown_unit(self._results.pair.response_unit, self._loudest()[0])
-
-    def _difference_unit(self) -> tuple[float, str]:
-        assert self._results is not None
-        return shown_unit(self._results.pair.response_unit, self._loudest()[1])
+        unit = self._results.pair.response_unit
+        loudest, difference = self._loudest()
+        return *scaled_unit(unit, loudest), *scaled_unit(unit, difference)
 
 
 def _heading(words: str) -> QLabel:

@@ -1,25 +1,38 @@
-"""What a verification left in its folder, read for the window."""
+"""Files of a verification: its kind when dropped, its record, and its fields as the window shows them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum, auto
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gui.shell.toml_files import TomlKind, toml_kind
+from gui.surface.surface import Surface, raster_of
 from rendering.verify.names import FIELD_NAMES, PREDICTION_NAME, RECORD_NAME, REPORT_NAME, SCAN_NAME
 from storage.errors import InputError
 
 if TYPE_CHECKING:
-    from gui.surface.ground import Ground
     from rendering.verify.field_pair import FieldPair
     from rendering.verify.reading import VerificationRecord
 
-# So many instants tell how loud a field is where no focus instants are known.
+# Number of instants that give the largest response where no focus instants are known.
 _INSTANTS = 64
+
+
+class Dropped(Enum):
+    """Kinds of dropped files."""
+
+    RECORD = auto()
+    SCENE = auto()
+    RIG = auto()
+    BANK = auto()
+    FOLDER = auto()
+    OTHER = auto()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +45,7 @@ class Results:
         Figures, foci, sources, errors.
     pair : FieldPair
         Prediction and scan.
-    ground : Ground
+    surface : Surface
         What the maps are drawn over.
     focus_sample : int64 array (foci,)
         Samples of the fields at which foci were looked at.
@@ -42,7 +55,7 @@ class Results:
 
     record: VerificationRecord
     pair: FieldPair
-    ground: Ground
+    surface: Surface
     focus_sample: NDArray[np.int64]
     loudest: float
     loudest_difference: float
@@ -54,12 +67,11 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
     Raises
     ------
     InputError
-        A file is missing, damaged or of something else; the message names it.
+        A file is missing, damaged or of another verification; the message names it.
     CancelledError
-        Nobody wants it any more.
+        `wanted` returned False.
     """
-    from gui.surface.ground import ground_of
-    from rendering.verify.field_pair import read_pair  # scipy is loaded by whoever looks at a field
+    from rendering.verify.field_pair import read_pair  # the window starts without scipy
     from rendering.verify.reading import read_record
 
     record = read_record(record_file)
@@ -67,22 +79,37 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
     pair = read_pair(folder / PREDICTION_NAME, folder / SCAN_NAME, record.band_hz, on_progress, wanted)
     if not np.array_equal(pair.position_index, record.position_index):
         raise InputError(
-            f"{folder / PREDICTION_NAME} is of other positions than {record_file}; they are not of one verification"
+            f"{folder / PREDICTION_NAME} has other positions than {record_file}; run the verification again"
         )
     focus = np.array([pair.sample_at(time_s) for time_s in record.focus_s], np.int64)
     looked_at = focus if len(focus) else np.linspace(0, pair.samples - 1, _INSTANTS).round().astype(np.int64)
     loudest, difference = pair.loudest(looked_at, record.compared)
-    ground = ground_of(
-        record.position_mm, record.actuator_mm, record.outline_mm, [source.path_mm for source in record.sources]
-    )
-    return Results(record, pair, ground, focus, loudest, difference)
+    surface = Surface(
+        record.position_mm, record.actuator_mm, record.outline_mm, raster_of(record.position_mm, gaps=False),
+        [source.path_mm for source in record.sources],
+    )  # fmt: skip
+    return Results(record, pair, surface, focus, loudest, difference)
 
 
 def record_of(path: Path) -> Path | None:
-    """The record of the verification that a file or folder belongs to; None when it is of none."""
+    """Return the record of the verification that a file or folder belongs to; None for any other file."""
     if path.is_dir():
         return path / RECORD_NAME if (path / RECORD_NAME).is_file() else None
-    if path.suffix.lower() == ".json":  # a record may have been given another name
+    if path.suffix.lower() == ".json":  # a record may have been renamed
         return path
-    beside = path.with_name(RECORD_NAME)
-    return beside if path.name in (*FIELD_NAMES, REPORT_NAME) and beside.is_file() else None
+    sidecar = path.with_name(RECORD_NAME)
+    return sidecar if path.name in (*FIELD_NAMES, REPORT_NAME) and sidecar.is_file() else None
+
+
+def dropped_kind(path: Path) -> Dropped:
+    """Return what a dropped file or folder is, by its content."""
+    if record_of(path) is not None:
+        return Dropped.RECORD
+    if path.is_dir():
+        return Dropped.FOLDER
+    name = path.name.lower()
+    if name.endswith(".h5") and not name.endswith(".raw.h5"):
+        return Dropped.BANK
+    if not name.endswith(".toml"):
+        return Dropped.OTHER
+    return {TomlKind.SCENE: Dropped.SCENE, TomlKind.RIG: Dropped.RIG}.get(toml_kind(path), Dropped.OTHER)

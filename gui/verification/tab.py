@@ -13,12 +13,11 @@ from gui.shell.file_choice import choose_file, dropped_files
 from gui.shell.tab import Question, Tab, TabContext, error_text
 from gui.shell.theme import Theme
 from gui.shell.widgets import side_by_side, stacked
-from gui.verification.dropped import Dropped, kind_of
 from gui.verification.figures_panel import FiguresPanel
 from gui.verification.maps_panel import MapsPanel
 from gui.verification.reading import Reading
 from gui.verification.request import RequestForm
-from gui.verification.results import Results, record_of
+from gui.verification.results import Dropped, Results, dropped_kind, record_of
 from gui.verification.run import VerificationRun
 from gui.verification.run_row import RunRow
 from gui.verification.waveform_panel import WaveformPanel
@@ -119,7 +118,7 @@ class VerificationTab(Tab):
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
         """Take what a verification is made of, and what one left."""
-        if event is not None and any(kind_of(path) is not Dropped.STRANGE for path in dropped_files(event)):
+        if event is not None and any(dropped_kind(path) is not Dropped.OTHER for path in dropped_files(event)):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
@@ -132,7 +131,7 @@ class VerificationTab(Tab):
 
     def take_dropped(self, path: Path) -> None:
         """Put a file that was dropped on this tab where it belongs."""
-        match kind_of(path):
+        match dropped_kind(path):
             case Dropped.RECORD:
                 self.open_file(path)
             case Dropped.SCENE:
@@ -144,7 +143,7 @@ class VerificationTab(Tab):
                 self.form.take_bank(path)
             case Dropped.FOLDER:
                 self.form.out.show_path(path)
-            case Dropped.STRANGE:
+            case Dropped.OTHER:
                 self.context.messages.warn(
                     f"{path}: drop a scene, a bank, a rig, a folder, or the verify.json of an earlier verification"
                 )
@@ -200,7 +199,7 @@ class VerificationTab(Tab):
         if not len(results.focus_sample):
             return -1
         place = next((source.at_mm(float(results.record.focus_s[0])) for source in results.record.sources), None)
-        return -1 if place is None else results.ground.raster.nearest(float(place[0]), float(place[1]))
+        return -1 if place is None else results.surface.raster.nearest(float(place[0]), float(place[1]))
 
     def _go_to_time(self, time_s: float) -> None:
         if self.results is not None:

@@ -10,8 +10,8 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QGraphicsItem, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from gui.shell.theme import Theme
+from gui.surface.colours import scaled_unit
 from gui.surface.plot import Plot, thinned
-from gui.surface.units import shown_unit
 from gui.verification.results import Results
 
 
@@ -71,7 +71,7 @@ class WaveformPanel(QWidget):
             return
         predicted, scanned = results.pair.at_position(index)
         largest = max(float(np.abs(predicted).max()), float(np.nan_to_num(np.abs(scanned)).max()))
-        factor, unit = shown_unit(results.pair.response_unit, largest)
+        factor, unit = scaled_unit(results.pair.response_unit, largest)
         plot.setLabel("left", f"response ({unit})")
         time_ms = 1e3 * (results.pair.start_s + np.arange(results.pair.samples) / results.pair.sample_rate_hz)
         colours = dict(_lines(self.plot.theme))

@@ -16,7 +16,7 @@ from gui.campaign.model import KEPT_LINES, Campaign
 from gui.campaign.standing import Extra, Order, Standing, possible
 from gui.process.log_tail import LogTail
 from gui.shell.front_door import Pulse
-from gui.surface.raster import raster_of
+from gui.surface.surface import raster_of
 from storage.bank.owner import Owner
 
 

@@ -166,9 +166,9 @@ def test_given_the_time_slider_then_it_goes_from_focus_to_focus_plays_and_starts
     _, tab = opened(qtbot, open_window, verified)
     time, focus = tab.maps.time, tab.results.record.focus_s
     assert time.time_s == pytest.approx(focus[0], abs=1e-4)
-    qtbot.mouseClick(time.on, Qt.MouseButton.LeftButton)
+    qtbot.mouseClick(time.next, Qt.MouseButton.LeftButton)
     assert time.time_s == pytest.approx(focus[1], abs=1e-4)
-    assert time.read_out.text() == f"{1e3 * time.time_s:.2f} ms"
+    assert time.time_label.text() == f"{1e3 * time.time_s:.2f} ms"
     before = tab.maps.maps[0].values.copy()
     time.slower.setCurrentIndex(time.slower.findData(50))
     qtbot.mouseClick(time.play, Qt.MouseButton.LeftButton)

@@ -147,5 +147,5 @@ def _serve(
 
 def _load_what_shows_results() -> None:
     """Load scipy in the thread that listens, before there is anything to show: its window must not wait for that."""
-    for module in ("gui.surface.raster", "rendering.field.decimation", "rendering.field.focus_figures"):
+    for module in ("scipy.spatial", "rendering.field.decimation", "rendering.field.focus_figures"):
         import_module(module)

@@ -12,7 +12,6 @@ from gui.scene.results.foci import Snapshots, figures_of, look_at_foci
 from gui.scene.results.messages import Done, Failed, FieldBegun, FieldPart, Plate, Progress, Request, Told
 from gui.scene.results.plate import PlateBank
 from gui.shell.front_door import RigLimits
-from gui.surface.raster import raster_of
 from gui.surface.surface import surface_of
 from rendering.field.model import field_unit
 from rendering.field.prediction import Prediction
@@ -27,7 +26,6 @@ ReadRig = Callable[[Path], RigLimits]
 MOST_FIELD_BYTES = 192 * 2**20
 # Waves that are sampled two or three times a period are shown at eight times as many instants.
 FINER = 8
-_PIXELS_PER_SPACING, _NO_GAPS = 4, 0.55
 
 
 class SupersededError(Exception):
@@ -114,9 +112,7 @@ class Calculator:
         rows, surface = self._plate.rows, surface_of(bank)
         if not len(rows):
             raise InputError(f"{bank.path} has no measured position yet; the picture comes when it has")
-        raster = raster_of(surface.position_mm[rows], _PIXELS_PER_SPACING, _NO_GAPS)
-        position_mm = surface.position_mm[rows]
-        self._tell(Plate(number, rows, position_mm, surface.actuator_mm, surface.outline_mm, raster))
+        self._tell(Plate(number, rows, surface.with_rows(rows)))
         self._told_plate = True
 
     def _drives(self, number: int, scene: Scene, bank: Bank, rig: RigLimits | None) -> Drive:

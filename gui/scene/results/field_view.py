@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
@@ -11,9 +13,8 @@ from gui.scene.results.instants import between
 from gui.scene.results.messages import Driven, FieldBegun, Plate
 from gui.shell.theme import Theme
 from gui.shell.widgets import stacked
-from gui.surface.colour_bar import ColourBar
+from gui.surface.colours import ColourBar, scaled_unit
 from gui.surface.field_map import FieldMap
-from gui.surface.ground import Ground
 from gui.surface.plot import Plot, thinning_curve
 from gui.surface.time_slider import TimeSlider
 from storage.units import quantity
@@ -21,7 +22,6 @@ from storage.units import quantity
 Float32Array = NDArray[np.float32]
 
 _SIGNED, _MAGNITUDE = "response", "magnitude"
-_PREFIXES = (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9), ("p", 1e12))
 
 
 class FieldView(QWidget):
@@ -100,7 +100,7 @@ class FieldView(QWidget):
         if self.plate is None or self.begun is None or not 0 <= place < self.field.shape[1]:
             self.waveform.clear_response()
             return
-        at_mm = self.plate.position_mm[place]
+        at_mm = self.plate.surface.position_mm[place]
         words = f"position {self.plate.rows[place]} at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) mm"
         self.waveform.show_response(words, self.field[:, place], self.begun)
         self.waveform.show_time(self.time_s)
@@ -109,6 +109,7 @@ class FieldView(QWidget):
         """Take the theme's colours."""
         self.map.apply_theme(theme)
         self.slider.apply_theme(theme)
+        self.bar.apply_theme(theme)
         self.waveform.apply_theme(theme)
         self._scale()
         self.show_position(self.map.marked)
@@ -135,8 +136,7 @@ class FieldView(QWidget):
     def _show_ground(self, plate: Plate, driven: Driven) -> None:
         kept = self.map.box.viewRect() if self._bank_seen is plate else None
         self._bank_seen = plate
-        ground = Ground(plate.position_mm, plate.actuator_mm, plate.outline_mm, tuple(driven.paths_mm), plate.raster)
-        self.map.show_ground(ground)
+        self.map.show_surface(replace(plate.surface, paths_mm=driven.paths_mm))
         if kept is not None:
             self.map.box.setRange(kept, padding=0)
 
@@ -147,14 +147,12 @@ class FieldView(QWidget):
         if begun is not None and not top:
             top = float(np.abs(self.field[:: max(1, len(self.field) // 200)]).max(initial=0.0)) or 1.0
         top = (top or 1.0) * self.span.value() / 100.0
-        prefix, self._factor = next((one for one in _PREFIXES if top * one[1] >= 0.1), _PREFIXES[-1])
-        if begun is not None and begun.unit == "1":  # which takes no prefix
-            prefix, self._factor = "", 1.0
-        unit = "" if begun is None else f"{prefix}{begun.unit}"
+        self._factor, unit = scaled_unit("" if begun is None else begun.unit, top)
         high = top * self._factor
-        self.map.show_scale(-high if signed else 0.0, high, unit, signed=signed)
-        self.bar.take_map(self.map.colour_map)
-        self.bar.show_range(self.colours.currentText(), unit, -high if signed else 0.0, high, (signed, True))
+        levels = (-high if signed else 0.0, high)
+        self.map.show_scale(levels, unit, signed=signed)
+        self.bar.set_map(self.map.colour_map)
+        self.bar.show_range(self.colours.currentText(), unit, levels, (signed, True))
         self._show_instant(self.slider.sample)
 
     def _show_instant(self, sample: int) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from gui.surface.raster import Raster
+    from gui.surface.surface import Surface
     from rendering.drive.coil_limits import DriveLimits, Limiting
 
 Float32Array = NDArray[np.float32]
@@ -76,20 +76,13 @@ class Plate:
         Of the request.
     rows : int64 array (positions,)
         Bank rows that hold a measurement; the field has them, in this order.
-    position_mm : float64 array (positions, 2)
-        Where they are.
-    actuator_mm, outline_mm : float64 arrays (n, 2)
-        As `gui.surface.field_map.Ground` has them.
-    raster : Raster
-        Likewise.
+    surface : Surface
+        The bank's surface with those positions.
     """
 
     number: int
     rows: Int64Array
-    position_mm: Float64Array
-    actuator_mm: Float64Array
-    outline_mm: Float64Array | None
-    raster: Raster
+    surface: Surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)

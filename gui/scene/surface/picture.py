@@ -14,7 +14,7 @@ from gui.scene.surface.ground import Ground
 from gui.scene.surface.handles import Handle
 from gui.scene.surface.trace import Trace
 from gui.shell.theme import LIGHT, Theme
-from gui.surface.spots import Spots
+from gui.surface.view import Spots
 
 Float64Array = NDArray[np.float64]
 

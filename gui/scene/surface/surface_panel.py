@@ -14,7 +14,7 @@ from gui.scene.surface.picture import span_s
 from gui.scene.surface.tool_row import ToolRow
 from gui.scene.words import trouble_of
 from gui.shell.theme import LIGHT, Theme
-from gui.surface.colour_bar import ColourBar
+from gui.surface.colours import ColourBar
 
 _LONGEST = 240
 _TOLD_LINES = 3
@@ -44,7 +44,7 @@ class SurfacePanel(QWidget):
         self.canvas = SceneCanvas(document, live)
         self.tools = ToolRow(self.canvas, acts.choose_drawing)
         self.colours = ColourBar(self.canvas.picture.colour_map)
-        self.colours.show_range("Focus instant", "s", 0.0, 1.0, (False, False))
+        self.colours.show_range("Focus instant", "s", (0.0, 1.0))
         self.signal = SignalPlot()
         self.told = QLabel()
         self.told.setAccessibleName("What the mouse does, or what is the matter with the scene")
@@ -78,6 +78,7 @@ class SurfacePanel(QWidget):
         """Take the theme's colours."""
         self._theme = theme
         self.canvas.apply_theme(theme)
+        self.colours.apply_theme(theme)
         self.signal.apply_theme(theme)
         self._tell()
 
@@ -86,7 +87,7 @@ class SurfacePanel(QWidget):
         if drawn.draft == self._document.draft:
             self.signal.show_signal(drawn.signal, drawn.ground.sample_rate_hz)
         low_s, high_s = span_s(drawn.traces)
-        self.colours.show_range("Focus instant", "s", low_s, high_s, (False, False))
+        self.colours.show_range("Focus instant", "s", (low_s, high_s))
         self.trouble = trouble_of(drawn)
         self._tell()
 
