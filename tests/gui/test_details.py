@@ -111,11 +111,13 @@ def test_given_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_
     tab = opened(qtbot, open_window, finished)
     shown = tab.map_panel.map
     for key, position in (
-        (Qt.Key.Key_Right, 0),
-        (Qt.Key.Key_Right, 1),
-        (Qt.Key.Key_Up, 5),
-        (Qt.Key.Key_Left, 4),
-        (Qt.Key.Key_Left, 4),
+        (Qt.Key.Key_Right, 5),  # the middle of the grid
+        (Qt.Key.Key_Right, 6),
+        (Qt.Key.Key_Up, 10),
+        (Qt.Key.Key_Left, 9),
+        (Qt.Key.Key_Left, 8),
+        (Qt.Key.Key_Left, 8),
+        (Qt.Key.Key_Down, 4),
         (Qt.Key.Key_Down, 0),
     ):
         qtbot.keyClick(shown, key)
