@@ -22,82 +22,96 @@ from config.fields import (
 class SceneTable(Table):
     """What the scene is called."""
 
-    name: Text = "scene"
+    name: Text = Field(default="scene", title="Name", description="For pictures and reports")
 
 
 class PointTable(Table):
     """A source that stands still."""
 
-    kind: Literal["point"]
-    at_mm: PointMm
+    kind: Literal["point"] = "point"
+    at_mm: PointMm = Field(title="At", description="Position on the surface, x to the right and y up from its centre")
 
 
 class LineTable(Table):
     """A straight line."""
 
-    kind: Literal["line"]
-    start_mm: PointMm
-    end_mm: PointMm
+    kind: Literal["line"] = "line"
+    start_mm: PointMm = Field(title="Start", description="Start of the line")
+    end_mm: PointMm = Field(title="End", description="End of the line")
 
 
 class CircleTable(Table):
     """An arc or several turns of a circle, anticlockwise where turns are positive."""
 
-    kind: Literal["circle"]
-    centre_mm: PointMm = (0.0, 0.0)
-    radius_mm: NonNegative
-    turns: Finite = 1.0
-    start_deg: Finite = 0.0
+    kind: Literal["circle"] = "circle"
+    centre_mm: PointMm = Field(default=(0.0, 0.0), title="Centre", description="Centre of the circle")
+    radius_mm: NonNegative = Field(title="Radius", description="Radius of the circle")
+    turns: Finite = Field(default=1.0, title="Turns", description="Number of turns; negative: clockwise")
+    start_deg: Finite = Field(
+        default=0.0, title="Start", description="Direction of the start from the centre, anticlockwise from x"
+    )
 
 
 class PolylineTable(Table):
     """Straight lines through given points."""
 
-    kind: Literal["polyline"]
-    points_mm: Annotated[tuple[PointMm, ...], Field(min_length=1, max_length=1_000_000)]
-    closed: Switch = False
+    kind: Literal["polyline"] = "polyline"
+    points_mm: tuple[PointMm, ...] = Field(
+        title="Vertices", description="Corners in order", min_length=1, max_length=1_000_000
+    )
+    closed: Switch = Field(
+        default=False, title="Closed", description="Whether a last line leads back to the first vertex"
+    )
 
 
 class SvgTable(Table):
     """A path of an SVG file."""
 
-    kind: Literal["svg"]
-    file: Text
-    path_id: str = ""
-    scale: Positive = 1.0
-    origin_mm: PointMm = (0.0, 0.0)
+    kind: Literal["svg"] = "svg"
+    file: Text = Field(title="File", description="SVG file, relative to the scene file")
+    path_id: str = Field(default="", title="Path", description="Id of the path in the drawing; empty: the first one")
+    scale: Positive = Field(default=1.0, title="Scale", description="Millimetres per unit of the drawing")
+    origin_mm: PointMm = Field(
+        default=(0.0, 0.0), title="Origin", description="Position of the drawing's (0, 0) on the surface"
+    )
 
 
 class TextTable(Table):
     """The strokes of a text."""
 
-    kind: Literal["text"]
-    string: Text
-    height_mm: Positive
-    centre_mm: PointMm = (0.0, 0.0)
+    kind: Literal["text"] = "text"
+    string: Text = Field(title="Text", description="Letters and signs of DejaVu Sans")
+    height_mm: Positive = Field(title="Height", description="Height of the drawn letters, from lowest to highest point")
+    centre_mm: PointMm = Field(default=(0.0, 0.0), title="Centre", description="Centre of the text")
 
 
 class ImpulseTable(Table):
     """One sample of 1."""
 
-    kind: Literal["impulse"]
+    kind: Literal["impulse"] = "impulse"
 
 
 class SineTable(Table):
     """A sine of amplitude 1 that starts at phase 0."""
 
-    kind: Literal["sine"]
-    frequency_hz: Positive
-    duration_s: Positive
+    kind: Literal["sine"] = "sine"
+    frequency_hz: Positive = Field(
+        title="Frequency", description="Frequency of the sine, below half the bank's sample rate"
+    )
+    duration_s: Positive = Field(title="Duration", description="Duration of the sine")
 
 
 class NoiseTable(Table):
     """Band-limited noise, scaled to peak 1."""
 
-    kind: Literal["noise"]
-    band_hz: tuple[NonNegative, Positive]
-    duration_s: Positive
-    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 0
+    kind: Literal["noise"] = "noise"
+    band_hz: tuple[NonNegative, Positive] = Field(
+        title="Band", description="Lower and upper edge of the band, up to half the bank's sample rate"
+    )
+    duration_s: Positive = Field(title="Duration", description="Duration of the noise")
+    seed: Whole = Field(
+        default=0, title="Seed", description="The same seed gives the same noise on every computer", ge=0, le=2**63 - 1
+    )
 
     @model_validator(mode="after")
     def _band_upwards(self) -> NoiseTable:
@@ -109,8 +123,8 @@ class NoiseTable(Table):
 class FileTable(Table):
     """A sound file, resampled and scaled to peak 1."""
 
-    kind: Literal["file"]
-    path: Text
+    kind: Literal["file"] = "file"
+    path: Text = Field(title="File", description="Sound file, relative to the scene file")
 
 
 PathTable = Annotated[
@@ -122,13 +136,29 @@ SignalTable = Annotated[ImpulseTable | SineTable | NoiseTable | FileTable, Field
 class SourceTable(Table):
     """One source: what it emits, where it goes and how fast."""
 
-    start_s: NonNegative = 0.0
-    speed_mm_s: NonNegative | None = None
-    step_mm: Positive | None = None
-    amplitude: Finite = 1.0
-    path: PathTable
-    signal: SignalTable
-    emission: Literal["per_point", "continuous"] = "continuous"
+    start_s: NonNegative = Field(default=0.0, title="Start", description="Start time in the scene")
+    speed_mm_s: NonNegative | None = Field(
+        default=None, title="Speed", description="Speed along the path; not needed for a point"
+    )
+    step_mm: Positive | None = Field(
+        default=None,
+        title="Step",
+        description="Distance d between path points; one is emitted every d / v; not needed for a point",
+    )
+    amplitude: Finite = Field(
+        default=1.0,
+        title="Amplitude",
+        description="Factor on the signal; with normalisation, response of an impulse at the focus",
+    )
+    path: PathTable = Field(title="Path", description="Path of the source")
+    signal: SignalTable = Field(
+        title="Signal", description="Signal that the source emits; its peak is 1 before the amplitude"
+    )
+    emission: Literal["per_point", "continuous"] = Field(
+        default="continuous",
+        title="Emission",
+        description="Continuous along the path, or the whole signal anew at every path point",
+    )
 
     @model_validator(mode="after")
     def _moves_somehow(self) -> SourceTable:
@@ -142,9 +172,15 @@ class SourceTable(Table):
 class RegularisationTable(Table):
     """How weak and strong actuators are evened out."""
 
-    saturation: NonNegative = 0.0
-    saturation_absolute: NonNegative = 0.0
-    normalise: Switch = True
+    saturation: NonNegative = Field(
+        default=0.0, title="Saturation", description="C of eq. (14) as a fraction of the bank's median rms; 0: off"
+    )
+    saturation_absolute: NonNegative = Field(
+        default=0.0, title="Saturation level", description="C of eq. (14) in the unit of the bank; 0: off"
+    )
+    normalise: Switch = Field(
+        default=True, title="Normalise", description="Equal response to an impulse at every focus (eq. 15)"
+    )
 
     @model_validator(mode="after")
     def _one_saturation(self) -> RegularisationTable:
@@ -157,9 +193,21 @@ class RegularisationTable(Table):
 class OutputTable(Table):
     """Between grid points, and at the amplifier."""
 
-    interpolation: Literal["nearest", "bilinear", "bicubic", "kernel"] = "nearest"
-    limit_v: Positive | None = None
-    limit_rms_v: Positive | None = None
+    interpolation: Literal["nearest", "bilinear", "bicubic", "kernel"] = Field(
+        default="nearest",
+        title="Interpolation",
+        description="Method for Green's functions between the bank's positions",
+    )
+    limit_v: Positive | None = Field(
+        default=None,
+        title="Peak limit",
+        description="Largest drive of any actuator; beyond it all drives are scaled down together",
+    )
+    limit_rms_v: Positive | None = Field(
+        default=None,
+        title="RMS limit",
+        description="Largest rms of any actuator's drive over any second; beyond it all are scaled down",
+    )
 
 
 class SceneConfig(Table):
