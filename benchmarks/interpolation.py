@@ -20,14 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
+from config.interpolations import INTERPOLATIONS
 from config.stadium import inside_stadium
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
+from rendering.greens.interpolation.base import Interpolation, OffGridError
 from rendering.greens.interpolation.kernel import KernelInterpolation
 from rendering.greens.interpolation.left_out_errors import left_out_errors
-from rendering.greens.interpolation.methods import GRID_KINDS, KINDS, Interpolation, interpolation
 from rendering.greens.interpolation.needed_grid import needed_grid
-from rendering.greens.interpolation.position_grid import PositionGrid
+from rendering.greens.interpolation.on_grid import LatticeInterpolation
+from rendering.greens.interpolation.registry import interpolation_method
 from rendering.greens.source import GreenArray, GreenSource
 from rendering.scene.model import Output, Scene, Source
 from rendering.scene.paths import Circle
@@ -122,10 +124,10 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
     """Errors of all kinds on one bank."""
     kernel = KernelInterpolation(bank, points_mm)
     lines = []
-    for name in KINDS:
-        kind: Interpolation = kernel if name == "kernel" else interpolation(name, PositionGrid(bank.position_mm))
+    for name in INTERPOLATIONS:
+        kind = kernel if name == "kernel" else interpolation_method(name).over(bank, points_mm)
         usable_mm, chosen = points_mm, np.arange(len(points_mm))
-        if name != "kernel" and name in GRID_KINDS[1:]:
+        if isinstance(kind, LatticeInterpolation):
             chosen = np.array([place for place in chosen if _in_a_cell(kind, points_mm[place])])
             usable_mm = points_mm[chosen]
         nodes = kind.nodes(usable_mm)
@@ -147,7 +149,7 @@ def render_times(bank: GreenArray) -> dict[str, float]:
     """Seconds to render 2.4 s of a source on a circle of 30 mm at 8 cm/s, exactly."""
     source = Source(Circle((0.3, 1.1), 30.0), Noise((50.0, 450.0), 3.0, 1), 0.0, 80.0, 4.0)
     seconds = {}
-    for name in KINDS:
+    for name in INTERPOLATIONS:
         scene = Scene("circle", (source,), output=Output(name))
         best = np.inf
         for _ in range(2):
@@ -180,8 +182,6 @@ def grids_needed(bank: GreenArray, points_mm: Float64Array, errors: tuple[float,
 
 
 def _in_a_cell(kind: Interpolation, point_mm: Float64Array) -> bool:
-    from rendering.greens.interpolation.methods import OffGridError
-
     try:
         kind.nodes(point_mm[None])
     except OffGridError:

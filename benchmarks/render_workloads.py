@@ -9,7 +9,7 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from rendering.greens.interpolation.methods import interpolation
+from rendering.greens.interpolation.on_grid import Bilinear
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenArray, read_row
 from rendering.scene.model import Scene, Source
@@ -178,7 +178,7 @@ def sum_directly(workload: Workload, samples: int) -> Float64Array:
     source, bank = workload.source, workload.bank
     signal = source.signal.samples(RATE_HZ)
     along = np.minimum(source.speed_mm_s * np.arange(samples) / RATE_HZ, source.path.length_mm)
-    nodes = interpolation("bilinear", PositionGrid(bank.position_mm)).nodes(source.path.point_at(along))
+    nodes = Bilinear(PositionGrid(bank.position_mm)).nodes(source.path.point_at(along))
     known = {int(row): normalised_green(bank, int(row)) for row in np.unique(np.append(nodes.rows, nodes.nearest))}
     drive = np.zeros((ACTUATORS, samples + TAPS - 1))
     for s in range(samples):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -17,6 +17,12 @@ from config.fields import (
     Whole,
     mistake,
 )
+from config.interpolations import INTERPOLATIONS
+
+if TYPE_CHECKING:
+    InterpolationName = str
+else:
+    InterpolationName = Literal[tuple(INTERPOLATIONS)]
 
 
 class SceneTable(Table):
@@ -193,7 +199,7 @@ class RegularisationTable(Table):
 class OutputTable(Table):
     """Between grid points, and at the amplifier."""
 
-    interpolation: Literal["nearest", "bilinear", "bicubic", "kernel"] = Field(
+    interpolation: InterpolationName = Field(
         default="nearest",
         title="Interpolation",
         description="Method for Green's functions between the bank's positions",

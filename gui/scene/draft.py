@@ -8,8 +8,6 @@ from typing import ClassVar, Literal
 PointMm = tuple[float, float]
 Emission = Literal["continuous", "per_point"]
 
-INTERPOLATIONS = ("nearest", "bilinear", "bicubic", "kernel")
-
 
 @dataclass(frozen=True, slots=True)
 class PointDraft:

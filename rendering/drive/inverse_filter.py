@@ -23,7 +23,7 @@ from rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive
 from rendering.drive.limits import scale_to_limit
 from rendering.field.metrics import band_weights
 from rendering.greens.bank_rows import BankRows
-from rendering.greens.interpolation.methods import Nodes
+from rendering.greens.interpolation.base import Nodes
 from rendering.greens.source import GreenSource, drive_unit
 from rendering.scene.model import Regularisation, Scene
 from rendering.scene.sampling import SampledSource, sample_scene

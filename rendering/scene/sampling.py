@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.drive.block_size import choose_fft_samples
-from rendering.greens.interpolation.methods import Interpolation, Nodes, OffGridError
+from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError
 from rendering.greens.interpolation.registry import scene_interpolation
 from rendering.greens.source import GreenSource
 from rendering.scene.emission import ContinuousEmission, Emission, PointEmission

@@ -1,4 +1,4 @@
-"""Which positions of a grid a scene needs: those that it is rendered from, and those that its checks look at."""
+"""The positions of a grid that a scene needs: those that it is rendered from, and those around its foci."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
-from rendering.greens.interpolation.methods import Interpolation, OffGridError, interpolation
-from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS
+from rendering.greens.interpolation.on_grid import Nearest
 from rendering.greens.interpolation.position_grid import PositionGrid
+from rendering.greens.interpolation.registry import interpolation_method
 from rendering.scene.model import Scene
 from rendering.scene.paths import Path
 from rendering.scene.sampling import MOST_POINTS as LARGEST_POINTS
@@ -25,7 +25,6 @@ Int64Array = NDArray[np.int64]
 POINTS_AT_ONCE = 4096
 STEPS_PER_SPACING = 32
 """Points per grid spacing at which a path is looked at; what lies between them is covered by a margin."""
-AROUND = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,35 +49,19 @@ class SceneRows:
 
 
 def scene_rows(scene: Scene, position_mm: Float64Array) -> SceneRows:
-    """Find the positions that a scene needs.
+    """Find the positions that a scene needs on a grid (positions, 2).
 
-    Parameters
-    ----------
-    scene : Scene
-        Its paths and its interpolation count.
-    position_mm : float64 array, shape (positions, 2)
-        The grid in millimetres.
-
-    Raises
-    ------
-    InputError
-        A path leaves the grid, or the grid does not allow the interpolation.
+    Raises InputError where a path leaves the grid, or the grid does not allow the scene's interpolation.
     """
     grid = PositionGrid(position_mm)
-    kind = scene.output.interpolation
-    of_grid = interpolation("nearest" if kind == "kernel" else kind, grid)
+    nearest, method = Nearest(grid), interpolation_method(scene.output.interpolation)
     tree = cKDTree(grid.position_mm)
     path: set[int] = set()
     checks: set[int] = set()
     for source in scene.sources:
         points_mm, step_mm = _along(source.path, grid.spacing_mm, allow_large=scene.allow_large)
-        nearest = of_grid.nodes(points_mm)
-        rows = _nearby_rows(tree, points_mm, nearest.distance_mm + step_mm)
-        if kind == "kernel":
-            rows |= _neighbours(tree, grid.position_mm[sorted(rows)])
-        elif kind != "nearest":
-            rows |= _node_rows(of_grid, points_mm, step_mm)
-        path |= rows
+        rows = _nearby_rows(tree, points_mm, nearest.nodes(points_mm).distance_mm + step_mm)
+        path |= rows | method.needed_rows(grid, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, np.full(len(points_mm), FOCUS_RADIUS_MM + grid.spacing_mm))
     return SceneRows(np.array(sorted(path), dtype=np.int64), np.array(sorted(checks), dtype=np.int64))
 
@@ -105,28 +88,3 @@ def _nearby_rows(tree: cKDTree, points_mm: Float64Array, radius_mm: Float64Array
         for rows in tree.query_ball_point(points_mm[some], radius_mm[some] + 1e-9):
             near.update(rows)
     return near
-
-
-def _neighbours(tree: cKDTree, centres_mm: Float64Array) -> set[int]:
-    """What kernel regression about these positions uses, and all that is as far away as its last neighbour."""
-    wanted = min(NEIGHBOURS + 1, tree.n)
-    distance, _ = tree.query(centres_mm, k=wanted)
-    furthest_mm = np.atleast_2d(np.asarray(distance))[:, -1] if wanted > 1 else np.zeros(len(centres_mm))
-    return _nearby_rows(tree, centres_mm, furthest_mm * (1 + 1e-6))
-
-
-def _node_rows(kind: Interpolation, points_mm: Float64Array, step_mm: float) -> set[int]:
-    """Rows with a weight at the points, and anywhere within a step of them as far as the grid goes."""
-    rows: set[int] = set()
-    for shift_mm in AROUND * step_mm:
-        places_mm = points_mm + shift_mm
-        while len(places_mm):
-            try:
-                rows.update(int(row) for row in np.unique(kind.nodes(places_mm).rows))
-                break
-            except OffGridError as off:
-                if not shift_mm.any():
-                    raise
-                # Only the margin is beyond the grid.
-                places_mm = np.delete(places_mm, off.point, axis=0)
-    return rows

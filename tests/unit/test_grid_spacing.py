@@ -7,10 +7,10 @@ import pytest
 
 from calibration.neighbours.wave_model import PatchKernel, WaveModel
 from mocks.plates.soft import SOFT_PLATE
-from rendering.greens.interpolation.methods import interpolation
 from rendering.greens.interpolation.needed_grid import expected_error, needed_grid, wave_number_rad_mm
 from rendering.greens.interpolation.neighbourhoods import Neighbourhoods
 from rendering.greens.interpolation.position_grid import PositionGrid
+from rendering.greens.interpolation.registry import interpolation_method
 from storage.errors import InputError
 
 ANGLES = 2.0 * np.pi * np.arange(20) / 20
@@ -56,7 +56,7 @@ def measured_error(frequency_hz, spacing_mm, lattice, kind, trusted):
             weights = PatchKernel(waves, patch.offset_mm).weights(POINTS_MM[place : place + 1] - position_mm[row])
             found[place] = weights[0, 0] @ values[patch.rows]
     else:
-        nodes = interpolation(kind, PositionGrid(position_mm)).nodes(POINTS_MM)
+        nodes = interpolation_method(kind)(PositionGrid(position_mm)).nodes(POINTS_MM)
         found = np.einsum("pn,pna->pa", nodes.weights, values[nodes.rows])
     error = np.linalg.norm(found - truth, axis=1) / np.linalg.norm(truth, axis=1)
     return np.sqrt(np.mean(error**2))

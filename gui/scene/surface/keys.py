@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gui.scene.draft import INTERPOLATIONS
+from config.interpolations import INTERPOLATIONS
 from gui.scene.form import TINY, Key
 
 _PLACE = "on the surface, x right and y up from its centre"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0
 
-from rendering.greens.interpolation.methods import GridInterpolation
+from rendering.greens.fourier import transform_at
+from rendering.greens.interpolation.base import GridInterpolation
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource, read_rows, usable
 
@@ -37,21 +37,7 @@ def expected_errors(
     tells k at each frequency; an interpolation with weights w of positions x_n is then wrong at x by
     1 - 2 sum_n w_n J0(k |x - x_n|) + sum_nm w_n w_m J0(k |x_n - x_m|), as power.
 
-    Parameters
-    ----------
-    bank : GreenSource
-        The bank.
-    kind : GridInterpolation
-        What is judged.
-    points_mm : float64 array, shape (points, 2)
-        Where.
-    frequency_hz : float64 array, shape (bands,)
-        At which frequencies, ascending.
-
-    Returns
-    -------
-    ErrorBands or None
-        None where the bank has no pair of neighbours there.
+    Returns None where the bank has no pair of neighbours at the points, (n, 2); frequencies ascend.
     """
     pairs, apart_mm = _pairs(bank, kind.grid, points_mm)
     if not len(pairs):
@@ -112,24 +98,15 @@ def _pairs(bank: GreenSource, grid: PositionGrid, points_mm: Float64Array) -> tu
 
 def _correlation(bank: GreenSource, pairs: Int64Array, frequency_hz: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Correlation of the pairs' rows over actuators, and their power, (bands,) each."""
-    transform = _transform(bank.taps, tuple((frequency_hz / bank.sample_rate_hz).tolist()))
     product, power = np.zeros(len(frequency_hz)), np.zeros(len(frequency_hz))
     rows = read_rows(bank, pairs.ravel().tolist())
-    for both in (rows @ transform).reshape(len(pairs), 2, bank.actuators, -1):
-        first, second = (part[:, : len(frequency_hz)] + 1j * part[:, len(frequency_hz) :] for part in both)
+    spectra = transform_at(rows, frequency_hz, bank.sample_rate_hz)
+    for first, second in spectra.reshape(len(pairs), 2, bank.actuators, -1):
         norms = [np.square(np.abs(part)).sum(axis=0) for part in (first, second)]
         scale = np.sqrt(norms[0] * norms[1])
         product += np.divide((first.conj() * second).real.sum(axis=0), scale, out=np.zeros_like(scale), where=scale > 0)
         power += norms[0] / max(float(norms[0].max()), 1e-30)
     return product / len(pairs), power
-
-
-@functools.lru_cache(maxsize=8)
-def _transform(taps: int, turns_per_sample: tuple[float, ...]) -> NDArray[np.float32]:
-    """Real and imaginary parts of a Fourier transform at some frequencies, (taps, 2 * frequencies)."""
-    turns = np.outer(np.arange(taps), np.array(turns_per_sample))
-    phase = -2.0 * np.pi * np.remainder(turns, 1.0)
-    return np.concatenate([np.cos(phase), np.sin(phase)], axis=1).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)

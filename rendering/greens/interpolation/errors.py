@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
+from rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError
 from rendering.greens.interpolation.correlation_errors import ErrorBands, expected_errors
-from rendering.greens.interpolation.methods import GridInterpolation, Interpolation, OffGridError
 from rendering.greens.interpolation.registry import scene_points
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene

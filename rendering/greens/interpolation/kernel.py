@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from calibration.neighbours.wave_fit import fit_waves
 from calibration.neighbours.wave_model import WaveModel
+from rendering.greens.interpolation.base import Follow, Interpolation, Nodes, OffGridError, near, show_mm
 from rendering.greens.interpolation.kernel_rows import KernelRows
 from rendering.greens.interpolation.left_out_errors import RowValues
-from rendering.greens.interpolation.methods import Follow, Nodes, OffGridError, near, show_mm
-from rendering.greens.interpolation.neighbourhoods import Neighbourhoods, Patch, SparseError
+from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS, Neighbourhoods, Patch, SparseError
 from rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_row, usable
@@ -36,26 +38,18 @@ PATH_ERROR = 1e-3
 """Relative error that interpolating along a path adds, at the bank's highest frequency."""
 
 
-class KernelInterpolation:
+class KernelInterpolation(Interpolation):
     """Kernel ridge regression from a position and its 36 neighbours (`calibration.neighbours.wave_model`).
 
     The Green's functions of a moving source are interpolated twice: by the kernel to nodes along its path,
     from there by cubics in arc length, at an error of 1e-3 at the highest frequency. Rows that were not
     measured, or measured badly, are holes that the others fill.
 
-    Parameters
-    ----------
-    bank : GreenSource
-        The bank.
-    around_mm : float64 array, shape (n, 2)
-        Points near which it will be interpolated: the waves are fitted there.
-
-    Raises
-    ------
-    InputError
-        The positions are too few or lie on one line.
+    The waves are fitted near the points `around_mm`, float64 (n, 2). Raises InputError where the positions are too few
+    or lie on one line.
     """
 
+    name = "kernel"
     neighbourhoods: Neighbourhoods
     values: RowValues
     """Rows near the points, a third of an octave apart over the bank's band."""
@@ -75,6 +69,18 @@ class KernelInterpolation:
         self._rows = KernelRows(bank, self.waves, self.neighbourhoods)
         largest = float(np.max(np.abs(self.waves.wavenumber_rad_mm)))
         self._node_spacing_mm = node_spacing_mm(largest, PATH_ERROR)
+
+    @classmethod
+    def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
+        return cls(bank, around_mm)
+
+    @classmethod
+    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
+        """The neighbours of the nearest rows, and all that is as far away as the last of them."""
+        tree, centres_mm = cKDTree(grid.position_mm), grid.position_mm[sorted(rows)]
+        distance, _ = tree.query(centres_mm, k=min(NEIGHBOURS + 1, tree.n))
+        furthest_mm = np.reshape(distance, (len(centres_mm), -1))[:, -1] * (1 + 1e-6) + 1e-9
+        return {row for near_rows in tree.query_ball_point(centres_mm, furthest_mm) for row in near_rows}
 
     def nodes(self, points_mm: Float64Array) -> Nodes:
         nearest, distance_mm = self._nearest(points_mm)

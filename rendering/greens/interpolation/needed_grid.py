@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.neighbours.wave_model import PatchKernel, WaveModel, plane_waves
-from rendering.greens.interpolation.methods import GRID_KINDS, KINDS, interpolation
+from rendering.greens.interpolation.base import GridInterpolation
 from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS
+from rendering.greens.interpolation.on_grid import LatticeInterpolation
 from rendering.greens.interpolation.position_grid import PositionGrid
+from rendering.greens.interpolation.registry import interpolation_method
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -191,16 +193,15 @@ def expected_error(
         raise InputError(f"the wave number is {wavenumber_rad_mm} rad/mm; it must be finite, Re k > 0 and Im k <= 0")
     if not (math.isfinite(spacing_mm) and spacing_mm > 0):
         raise InputError(f"spacing_mm is {spacing_mm}; it must be a finite number above 0")
-    if kind not in KINDS:
-        raise InputError(f"interpolation is {kind!r}; allowed are {', '.join(KINDS)}")
-    if kind in ("bilinear", "bicubic") and lattice == "hexagonal":
+    method = interpolation_method(kind)
+    if issubclass(method, LatticeInterpolation) and lattice == "hexagonal":
         raise InputError(f"interpolation {kind!r} goes with a square grid alone; use 'nearest' or 'kernel'")
     noise = 10.0 ** (noise_db / 10.0)
     position_mm = spacing_mm * _rings(lattice)
     places_mm = spacing_mm * _cell(lattice)
     wavenumber = np.array([wavenumber_rad_mm])
-    if kind in GRID_KINDS:
-        weights = _grid_weights(kind, lattice)
+    if issubclass(method, GridInterpolation):
+        weights = _grid_weights(method, lattice)
     else:
         share, ridge = (TRUSTED_SHARE if trusted else 1.0), max(noise, LEAST_RIDGE)
         model = WaveModel(np.ones(1), wavenumber, np.array([share]), np.array([ridge]))
@@ -214,10 +215,10 @@ def expected_error(
 
 
 @cache
-def _grid_weights(kind: str, lattice: Lattice) -> Complex128Array:
+def _grid_weights(method: type[GridInterpolation], lattice: Lattice) -> Complex128Array:
     """Weights (places, positions) of an interpolation that looks at the places alone: the same at any spacing."""
     position, places = _rings(lattice), _cell(lattice)
-    nodes = interpolation(kind, PositionGrid(position)).nodes(places)
+    nodes = method(PositionGrid(position)).nodes(places)
     weights = np.zeros((len(places), len(position)), dtype=np.complex128)
     np.add.at(weights, (np.arange(len(places))[:, None], nodes.rows), nodes.weights)
     return weights

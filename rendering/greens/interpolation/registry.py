@@ -2,40 +2,34 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.interpolation.methods import Interpolation, interpolation
-from rendering.greens.interpolation.position_grid import PositionGrid
+from config.interpolations import INTERPOLATIONS
+from rendering.greens.interpolation.base import Interpolation
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene
+from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
 
 POINTS_PER_SOURCE = 64
 
 
+def interpolation_method(name: str) -> type[Interpolation]:
+    """Load a registered method; raises InputError where there is none of that name."""
+    if name not in INTERPOLATIONS:
+        raise InputError(f"interpolation is {name!r}; allowed are {', '.join(INTERPOLATIONS)}")
+    module, _, method = INTERPOLATIONS[name].partition(":")
+    found: type[Interpolation] = getattr(import_module(module), method)
+    return found
+
+
 def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:
-    """Make the interpolation of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        What is to be rendered.
-    bank : GreenSource
-        The bank.
-
-    Raises
-    ------
-    InputError
-        The kind is unknown, or the bank's positions do not allow it.
-    """
-    if scene.output.interpolation == "kernel":
-        # The only one who needs it; other scenes shall not wait for its imports.
-        from rendering.greens.interpolation.kernel import KernelInterpolation
-
-        return KernelInterpolation(bank, scene_points(scene))
-    return interpolation(scene.output.interpolation, PositionGrid(bank.position_mm))
+    """Make the interpolation of a scene; raises InputError where the bank's positions do not allow it."""
+    return interpolation_method(scene.output.interpolation).over(bank, scene_points(scene))
 
 
 def scene_points(scene: Scene, most: int = POINTS_PER_SOURCE) -> Float64Array:

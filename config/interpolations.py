@@ -1,0 +1,12 @@
+"""Interpolation methods of a bank between its positions, by the name that a scene file gives them.
+
+A new method is a class in rendering/greens/interpolation/, an entry here, and a line of the table in
+tests/unit/test_interpolation.py.
+"""
+
+INTERPOLATIONS = {
+    "nearest": "rendering.greens.interpolation.on_grid:Nearest",
+    "bilinear": "rendering.greens.interpolation.on_grid:Bilinear",
+    "bicubic": "rendering.greens.interpolation.on_grid:Bicubic",
+    "kernel": "rendering.greens.interpolation.kernel:KernelInterpolation",
+}

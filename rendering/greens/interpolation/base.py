@@ -1,0 +1,141 @@
+"""Interpolation of the bank: the rows and weights that make up the Green's functions at a point.
+
+Weights are real and the same for all actuators and frequencies. A method whose weights depend on frequency (kernel
+regression) adds rows of its own behind those of the bank.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.greens.interpolation.position_grid import PositionGrid
+from rendering.greens.source import GreenSource
+from rendering.scene.paths import Path
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+SLACK = 1e-9
+"""Rounding that is forgiven, relative to the grid spacing."""
+AROUND = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """Rows and weights of some points.
+
+    Parameters
+    ----------
+    rows : int64 array, shape (n, k)
+        Bank rows of each point.
+    weights : float64 array, shape (n, k)
+        Their weights; they sum to 1. A weight of 0 means that the row is not used.
+    nearest : int64 array, shape (n,)
+        Nearest row of each point: its regularisation is used, and it is the focus that is reported.
+    distance_mm : float64 array, shape (n,)
+        Distance to the nearest row.
+    """
+
+    rows: Int64Array
+    weights: Float64Array
+    nearest: Int64Array
+    distance_mm: Float64Array
+
+
+class OffGridError(InputError):
+    """A point lies beyond the measured grid; `point` is its index in the list of points."""
+
+    def __init__(self, point: int, message: str) -> None:
+        super().__init__(message)
+        self.point = point
+
+
+Follow = Callable[[Float64Array], Nodes]
+"""Nodes at arc lengths along a path, float64 (n,) in millimetres."""
+
+
+class Interpolation(ABC):
+    """An interpolation method over one bank; registered in `config.interpolations`."""
+
+    name: ClassVar[str]
+
+    @classmethod
+    @abstractmethod
+    def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
+        """Make it for a bank and points (n, 2) near which it will be used; raises InputError on an unsuited grid."""
+
+    @classmethod
+    @abstractmethod
+    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
+        """Rows needed beyond the nearest ones, `rows`, for a path through the points, which are a step apart."""
+
+    @abstractmethod
+    def nodes(self, points_mm: Float64Array) -> Nodes:
+        """Rows and weights of points, float64 (n, 2). Raises OffGridError."""
+
+    def follow(self, path: Path, arc_length_mm: Float64Array | None = None) -> Follow:
+        """Prepare for a path, before rows are read; given arc lengths are the only ones that will be asked for.
+
+        Raises OffGridError where the path leaves the grid, as far as that is found now.
+        """
+        return lambda along: self.nodes(path.point_at(along))
+
+    def rows_of(self, bank: GreenSource) -> GreenSource:
+        """The bank whose rows `nodes` refers to, with the rows that the method adds."""
+        return bank
+
+
+class GridInterpolation(Interpolation):
+    """A method whose nodes are rows of the bank and depend on the point alone."""
+
+    def __init__(self, grid: PositionGrid) -> None:
+        self.grid = grid
+
+    @classmethod
+    def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
+        return cls(PositionGrid(bank.position_mm))
+
+    @classmethod
+    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
+        method, found = cls(grid), set[int]()
+        for shift_mm in AROUND * step_mm:
+            places_mm = points_mm + shift_mm
+            while len(places_mm):
+                try:
+                    found.update(np.unique(method.nodes(places_mm).rows).tolist())
+                    break
+                except OffGridError as off:
+                    if not shift_mm.any():
+                        raise
+                    # Only the margin is beyond the grid.
+                    places_mm = np.delete(places_mm, off.point, axis=0)
+        return found
+
+
+def near(grid: PositionGrid, points_mm: Float64Array, spacings: float = 1.0) -> tuple[Int64Array, Float64Array]:
+    """Nearest rows and distances. Raises OffGridError for a point further than some grid spacings from all."""
+    rows, distance_mm = grid.nearest(points_mm)
+    allowed_mm = spacings * grid.spacing_mm
+    far = distance_mm > allowed_mm * (1.0 + SLACK) + 1e-9
+    if far.any():
+        point = int(np.argmax(far))
+        row = int(rows[point])
+        allowed = "one grid spacing" if spacings == 1.0 else f"{spacings:g} grid spacings"
+        raise OffGridError(
+            point,
+            f"lies at {show_mm(points_mm[point])} mm, {distance_mm[point]:.3g} mm from the nearest position"
+            f" ({row} at {show_mm(grid.position_mm[row])} mm); at most {allowed}, {allowed_mm:.3g} mm, is allowed",
+        )
+    return rows, distance_mm
+
+
+def show_mm(point_mm: Float64Array) -> str:
+    """A point for a message."""
+    return f"({point_mm[0]:.6g}, {point_mm[1]:.6g})"

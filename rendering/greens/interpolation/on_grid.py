@@ -1,0 +1,142 @@
+"""Interpolation from the grid's positions alone: nearest, bilinear, bicubic."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendering.greens.interpolation.base import (
+    SLACK,
+    Float64Array,
+    GridInterpolation,
+    Int64Array,
+    Nodes,
+    OffGridError,
+    near,
+    show_mm,
+)
+from rendering.greens.interpolation.position_grid import PositionGrid
+from storage.errors import InputError
+
+BoolArray = NDArray[np.bool_]
+
+
+class Nearest(GridInterpolation):
+    """The row of smallest distance, the lower index on a tie."""
+
+    name = "nearest"
+
+    @classmethod
+    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
+        return set()
+
+    def nodes(self, points_mm: Float64Array) -> Nodes:
+        rows, distance_mm = near(self.grid, points_mm)
+        return Nodes(rows[:, None], np.ones((len(rows), 1)), rows, distance_mm)
+
+
+class LatticeInterpolation(GridInterpolation):
+    """A method that needs positions on a lattice along x and y, which may have holes.
+
+    Raises InputError where the positions do not lie on such a lattice, or all on one line.
+    """
+
+    def __init__(self, grid: PositionGrid) -> None:
+        super().__init__(grid)
+        position, refused = grid.position_mm, f"interpolation is {self.name!r}, but"
+        for axis in (0, 1):
+            if not np.ptp(position[:, axis]) > 0:
+                same = f"all positions have the same {'xy'[axis]}; it needs a grid in two directions"
+                raise InputError(f"{refused} {same}")
+        if grid.lattice is None:
+            row = grid.off_lattice_row
+            raise InputError(
+                f"{refused} position {row} at {show_mm(position[row])} mm lies off a regular lattice; use 'nearest' or"
+                " 'kernel'"
+            )
+        self._lattice = grid.lattice
+        self._row_at = grid.lattice.row_at
+
+    def _cells(self, points_mm: Float64Array) -> tuple[Int64Array, Float64Array, BoolArray]:
+        """Cell of each point, its place in the cell from 0 to 1, and whether it lies outside all cells."""
+        # Axis by axis: there may be very many points, and numpy is slow along an axis of two.
+        cell, part = np.empty((2, len(points_mm)), dtype=np.int64), np.empty((2, len(points_mm)))
+        outside = np.zeros(len(points_mm), dtype=bool)
+        for axis in (0, 1):
+            site = (points_mm[:, axis] - self._lattice.origin_mm[axis]) / self._lattice.pitch_mm[axis]
+            cell[axis] = np.clip(np.floor(site).astype(np.int64), 0, self._row_at.shape[axis] - 2)
+            beyond = site - cell[axis]
+            outside |= (beyond < -SLACK) | (beyond > 1.0 + SLACK)
+            within = np.clip(beyond, 0.0, 1.0, out=part[axis])
+            within[within < SLACK] = 0.0
+            within[within > 1.0 - SLACK] = 1.0
+        return cell.T, part.T, outside
+
+    def _corners(
+        self, cell: Int64Array, part: Float64Array, outside: BoolArray, points_mm: Float64Array
+    ) -> tuple[Int64Array, Float64Array]:
+        """Rows and weights of bilinear interpolation, (n, 4) each. Raises OffGridError where a corner is missing."""
+        x, y = part[:, 0], part[:, 1]
+        weights = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]).T
+        rows = np.stack([self._row_at[cell[:, 0] + right, cell[:, 1] + up] for up in (0, 1) for right in (0, 1)]).T
+        wrong = outside | ((rows < 0) & (weights > 0)).any(axis=1)
+        if wrong.any():
+            point = int(np.argmax(wrong))
+            raise OffGridError(
+                point,
+                f"lies at {show_mm(points_mm[point])} mm, in a grid cell that lacks a corner; {self.name}"
+                " interpolation needs all four",
+            )
+        return np.maximum(rows, 0), weights
+
+
+class Bilinear(LatticeInterpolation):
+    """The four corners of the grid cell around a point, weighted by area."""
+
+    name = "bilinear"
+
+    def nodes(self, points_mm: Float64Array) -> Nodes:
+        nearest, distance_mm = near(self.grid, points_mm)
+        rows, weights = self._corners(*self._cells(points_mm), points_mm)
+        return Nodes(rows, weights, nearest, distance_mm)
+
+
+class Bicubic(LatticeInterpolation):
+    """Cubic along x and y through the 4 x 4 positions around a point (Lagrange's polynomial).
+
+    Where a row or column of them is missing at the rim, the polynomial goes through the three that are left,
+    or through the cell's two; where a position within them is missing, the cell's four corners count alone.
+    """
+
+    name = "bicubic"
+
+    def nodes(self, points_mm: Float64Array) -> Nodes:
+        nearest, distance_mm = near(self.grid, points_mm)
+        cell, part, outside = self._cells(points_mm)
+        corner_rows, corner_weights = self._corners(cell, part, outside, points_mm)
+        shape = self._row_at.shape
+        before, after = cell >= 1, cell + 2 < shape
+        along = np.stack([_cubic_weights(part[:, axis], before[:, axis], after[:, axis]) for axis in (0, 1)])
+        weights = (along[1][:, :, None] * along[0][:, None, :]).reshape(-1, 16)
+        step = np.arange(-1, 3)
+        column = np.clip(cell[:, None, 0] + step, 0, shape[0] - 1)
+        line = np.clip(cell[:, None, 1] + step, 0, shape[1] - 1)
+        rows = self._row_at[column[:, None, :], line[:, :, None]].reshape(-1, 16)
+        holed = ((rows < 0) & (weights != 0)).any(axis=1)
+        rows = np.maximum(rows, 0)
+        rows[holed, :4], weights[holed] = corner_rows[holed], 0.0
+        weights[holed, :4] = corner_weights[holed]
+        return Nodes(rows, weights, nearest, distance_mm)
+
+
+def _cubic_weights(part: Float64Array, before: BoolArray, after: BoolArray) -> Float64Array:
+    """Weights (n, 4) of the values at -1, 0, 1, 2 for places between 0 and 1; 0 where a value is missing."""
+    at = np.arange(-1.0, 3.0)
+    there = np.stack([before, np.ones_like(before), np.ones_like(before), after], axis=1)
+    weights = there.astype(np.float64)
+    for place in range(4):
+        for other in range(4):
+            if other != place:
+                factor = (part - at[other]) / (at[place] - at[other])
+                weights[:, place] *= np.where(there[:, other], factor, 1.0)
+    return weights
