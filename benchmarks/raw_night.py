@@ -40,7 +40,7 @@ DIFFERENT = 4
 CHILD = """
 import sys, time
 import scipy.optimize, scipy.signal  # a night is longer than the loading of modules, the sample is not
-import wavefocus.commands.estimate, wavefocus.campaign.raw_estimator
+import wavefocus.commands.estimate, wavefocus.campaign.blueprint
 from benchmarks.peak_memory import peak_bytes
 from wavefocus.__main__ import run
 began = time.process_time()

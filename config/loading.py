@@ -1,39 +1,24 @@
-"""From files to validated configuration; whatever is wrong is one line with file, key and value."""
+"""Reads configuration files; a mistake is one line with file, key, value and what is allowed."""
 
 from __future__ import annotations
 
+import difflib
+import json
+import re
 import tomllib
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
-from config.calibration_file import FORMAT, FORMAT_VERSION, CalibrationRecord
-from config.mistakes import one_line, printable, shown
 from storage.errors import InputError
 from storage.text_file import read_text
 
 Model = TypeVar("Model", bound=BaseModel)
-
-
-def load_calibration(path: Path) -> CalibrationRecord:
-    """Read a calibration file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, as `wavefocus calibrate` writes it.
-
-    Raises
-    ------
-    InputError
-        Anything in the file is wrong, or it is of another format or version.
-    """
-    data = read_toml(path)
-    if data.get("format") == FORMAT and data.get("format_version") != FORMAT_VERSION:
-        version = shown(data.get("format_version"))
-        raise InputError(f"{path}: format_version = {version}: must be {FORMAT_VERSION}; a newer wavefocus wrote it")
-    return validated(CalibrationRecord, data, str(path))
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -112,3 +97,219 @@ def named_file(path: Path, key: str, name: str) -> Path:
     except (OSError, ValueError):  # a name that no file can have
         pass
     raise InputError(printable(f"{path}: {key} = {shown(name)}: must be a file; none found from {path.parent}/"))
+
+
+TOLD_AT_ONCE = 3
+"""Mistakes named in one line; the rest are counted."""
+
+UNIT_SUFFIXES = (
+    "_m_s_per_v", "_mm_s", "_mrad", "_deg", "_db", "_mm", "_ms", "_hz", "_khz", "_rad", "_mv",
+    "_cm", "_um", "_us", "_samples", "_m", "_s", "_v",
+)  # fmt: skip
+
+# Of an address only its kind is told: it may hold a password. A mirror's port has none.
+ADDRESS = re.compile(r"\s*(?!socket)([A-Za-z][A-Za-z0-9+.-]*)://")
+
+# Tables and keys whose values are addresses with passwords in them, also where they stand in a wrong place.
+SECRETS = frozenset({"messages", "message", "urls", "url"})
+
+SENTENCES: Mapping[str, str] = {
+    "float_type": "must be a number",
+    "finite_number": "must be a finite number",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "string_type": "must be text in quotes",
+    "string_too_short": "must not be empty",
+    "bool_type": "must be true or false",
+    "greater_than": "must be above {gt:g}",
+    "greater_than_equal": "must be at least {ge:g}",
+    "less_than": "must be below {lt:g}",
+    "less_than_equal": "must be at most {le:g}",
+    "literal_error": "must be {expected}",
+    "missing": "is missing",
+    "tuple_type": "must be a list",
+    "list_type": "must be a list",
+    "too_long": "must have at most {max_length} entries, has {actual_length}",
+    "too_short": "must have at least {min_length} entries, has {actual_length}",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+    "dict_type": "must be a table",
+    "union_tag_invalid": "must be one of {expected_tags}",
+    "union_tag_not_found": "must have a kind",
+}
+
+
+def one_line(source: str, failure: ValidationError, model: type[BaseModel], data: object) -> str:
+    """Tell what is wrong in one line, the first few mistakes joined by semicolons.
+
+    Parameters
+    ----------
+    source : str
+        The file that the data came from.
+    failure : ValidationError
+        What validation found.
+    model : type of BaseModel
+        The model of the whole file.
+    data : object
+        What was validated.
+    """
+    errors = failure.errors(include_url=False)
+    mistakes = [error for error in errors if not _follows(error, errors)]
+    told = [sentence(error, model, data) for error in mistakes[:TOLD_AT_ONCE]]
+    if len(mistakes) > len(told):
+        told.append(f"and {len(mistakes) - len(told)} more")
+    return printable(f"{source}: {'; '.join(told)}")
+
+
+def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
+    """Whether a list is told to be too short only because pydantic does not count its wrong entries."""
+    place = error["loc"]
+    beneath = (other["loc"] for other in errors if len(other["loc"]) > len(place))
+    return error["type"] == "too_short" and any(other[: len(place)] == place for other in beneath)
+
+
+def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
+    """Tell one mistake: key, value and what is allowed."""
+    steps = without_tags(error["loc"], data)
+    context: dict[str, Any] = error.get("ctx", {})
+    kind = error["type"]
+    secret = not SECRETS.isdisjoint(steps)
+    if kind == "extra_forbidden" and secret:
+        known = _known_keys(model, steps, data)
+        # A key may be a mistaken address itself.
+        steps = steps if known.startswith("did you mean") or steps[-1] in SECRETS else (*steps[:-1], "...")
+        return f"{dotted(steps)}: unknown key; {known}"
+    if kind == "extra_forbidden":
+        return f"{dotted(steps)} = {shown(error['input'])}: unknown key; {_known_keys(model, steps, data)}"
+    if kind == "missing":
+        return f"{dotted(steps)}: is missing"
+    value = error["input"]
+    if kind == "mistake":
+        value = context["value"]
+        steps = (*steps, *(part for part in str(context["key"]).split(".") if part))
+    elif kind == "union_tag_invalid" and isinstance(value, Mapping):
+        value, steps = value["kind"], (*steps, "kind")
+    elif kind in ("list_type", "tuple_type") and isinstance(value, Mapping) and not secret:
+        return f"{dotted(steps)}: must be a list of tables, each under [[{dotted(steps)}]]"
+    template = SENTENCES.get(kind)
+    allowed = error["msg"] if template is None else template.format(**context).replace("'", '"')
+    holds = "" if value is None or secret else f" = {shown(value)}"
+    return f"{dotted(steps)}{holds}: {allowed}"
+
+
+def without_tags(location: Sequence[int | str], data: object) -> tuple[int | str, ...]:
+    """Drop from an error's location the kinds that pydantic adds after a table chosen by its ``kind``."""
+    steps: list[int | str] = []
+    here = data
+    for step in location:
+        if isinstance(here, Mapping) and step not in here and step == here.get("kind"):
+            continue
+        steps.append(step)
+        try:
+            here = here[step]  # type: ignore[index]
+        except (TypeError, KeyError, IndexError):
+            here = None
+    return tuple(steps)
+
+
+def dotted(steps: Sequence[int | str]) -> str:
+    """Write a location as in the documentation: ``source[0].path.radius_mm``."""
+    text = ""
+    for step in steps:
+        if isinstance(step, int) or step.startswith("["):
+            text += f"[{step}]" if isinstance(step, int) else step
+        else:
+            text += f".{step}" if text else step
+    return text
+
+
+def shown(value: object) -> str:
+    """Write a value as TOML would, cut short where it is long."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str) and (address := ADDRESS.match(value)):
+        text = f'"{address[1]}://..."'
+    elif isinstance(value, str):
+        text = printable(json.dumps(value[:60], ensure_ascii=False))
+    elif isinstance(value, Mapping):
+        text = "{ " + ", ".join(str(key) for key in islice(value, 60)) + " }"
+    elif isinstance(value, list | tuple):
+        text = "[" + ", ".join(shown(entry) for entry in value[:8]) + (", ..." if len(value) > 8 else "") + "]"
+    else:
+        text = _number(value)
+    return text if len(text) <= 60 else text[:56] + " ..."
+
+
+def printable(text: str) -> str:
+    """Keep a message in one line: whatever would start another is written as an escape."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
+def _number(value: object) -> str:
+    try:
+        return str(value)
+    except ValueError:  # Python refuses to write out whole numbers of thousands of digits
+        return "a number of thousands of digits"
+
+
+def _known_keys(model: type[BaseModel], steps: Sequence[int | str], data: object) -> str:
+    """What may stand in place of an unknown key: the nearest key, the right table, or the list."""
+    table = _table_at(model, steps[:-1], data)
+    key = str(steps[-1])
+    if table is None:
+        return "is not allowed here"
+    known = [field.alias or name for name, field in table.model_fields.items()]
+    guess = _nearest(key, known)
+    if guess:
+        return f"did you mean {guess}?"
+    for name, field in model.model_fields.items():
+        for candidate in _models(field.annotation):
+            if key in candidate.model_fields and candidate is not table:
+                several = get_origin(field.annotation) is tuple
+                return f"it belongs to [[{name}]]" if several else f"it belongs to [{name}]"
+    return f"allowed: {', '.join(known)}"
+
+
+def _nearest(key: str, known: Sequence[str]) -> str | None:
+    """The key that differs in its unit alone, else the one spelled most alike."""
+    for name in known:
+        if _stem(name) == _stem(key.lower()):
+            return name
+    close = difflib.get_close_matches(key.lower(), known, n=1, cutoff=0.7)
+    return close[0] if close else None
+
+
+def _stem(key: str) -> str:
+    for suffix in UNIT_SUFFIXES:
+        if key.endswith(suffix) and len(key) > len(suffix):
+            return key.removesuffix(suffix)
+    return key
+
+
+def _table_at(model: type[BaseModel], steps: Sequence[int | str], data: object) -> type[BaseModel] | None:
+    """The model of the table at a location, told apart by ``kind`` where several fit."""
+    table: type[BaseModel] | None = model
+    candidates: list[type[BaseModel]] = [model]
+    for step in steps:
+        data = data[step] if isinstance(data, Mapping | list | tuple) else None  # type: ignore[index]
+        if isinstance(step, str) and table is not None:
+            field = table.model_fields.get(step)
+            candidates = list(_models(field.annotation)) if field else []
+        table = _of_kind(candidates, data)
+    return table
+
+
+def _of_kind(candidates: Sequence[type[BaseModel]], data: object) -> type[BaseModel] | None:
+    if len(candidates) == 1:
+        return candidates[0]
+    kind = data.get("kind") if isinstance(data, Mapping) else None
+    return next((table for table in candidates if kind in get_args(table.model_fields["kind"].annotation)), None)
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The tables that a field's annotation can hold, through lists, unions and annotations."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    elif get_origin(annotation) in (tuple, list, Union, types.UnionType, Annotated):
+        for inner in get_args(annotation):
+            yield from _models(inner)

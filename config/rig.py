@@ -1,23 +1,194 @@
-"""The rig file: surface, actuators and the instruments with their wiring and calibration."""
+"""The rig file: surface, actuators, instruments and how they are looked after."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from config.calibration_merge import with_calibration
-from config.fields import PointMm, Positive, Table, Text, mistake
-from config.rig_care import CalibrationSection, RecoverySection, UsbDevice
-from config.rig_emulation import Emulation
-from config.rig_messages import MessagesSection
-from config.rig_mirror import MirrorSection
+from config.calibration import CalibrationRecord, with_calibration
+from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
+from config.rig_mirror import Matrix, MirrorSection
 from config.rig_player import PlayerSection
-from config.rig_recorder import RecorderSection, VibrometerSection
-from config.rig_watch import WatchSection
+from config.rig_recorder import AnalogInput, RecorderSection, VibrometerSection
 from config.stadium import inside_stadium, stadium_rim
+
+
+class CalibrationSection(Table):
+    """Which calibration file holds, and for how long it is trusted without a word."""
+
+    file: Text | None = None
+    stale_after_days: Positive = 90.0
+    measured: CalibrationRecord | None = None
+    """What the file holds; filled in on loading, so that a bank needs no other file."""
+
+
+class RecoverySection(Table):
+    """How long a lost instrument is waited for, and when a call to one counts as hung."""
+
+    give_up_after_s: Annotated[NonNegative, Field(le=7 * 86_400)] = 600.0
+    hung_after_s: Annotated[Positive, Field(le=3600)] = 20.0
+
+
+class UsbDevice(Table):
+    """A device that should be plugged in."""
+
+    role: Literal["mirror", "recorder", "player", "vibrometer"]
+    vendor_id: Annotated[Whole, Field(ge=0, le=0xFFFF)]
+    product_id: Annotated[Whole, Field(ge=0, le=0xFFFF)]
+    serial_number: Text | None = None
+
+
+About = Literal["finished", "failed", "stopped", "suspended", "drift"]
+ABOUT: tuple[About, ...] = ("finished", "failed", "suspended", "drift")
+
+
+class MessagesSection(Table):
+    """Addresses, as apprise has them, and what they are told about.
+
+    The addresses are secrets: they are left out wherever a rig is written, so a bank never holds them.
+    """
+
+    urls: Annotated[tuple[Text, ...], Field(max_length=64, exclude=True, repr=False)] = ()
+    about: tuple[About, ...] = ABOUT
+    suspended_after_min: Annotated[NonNegative, Field(le=10_000)] = 10.0
+
+
+Actuator = Annotated[Whole, Field(ge=0, le=1023)]
+
+
+class WireFaultTable(Table):
+    """A fault for the far side of a wire to show, so that recovery can be watched."""
+
+    role: Text
+    kind: Text
+    operation: Text = "any"
+    at_call: Whole | None = None
+    at_s: Finite | None = None
+    count: Whole = 1
+    seconds: Finite = 0.0
+
+
+class Emulation(Table):
+    """What `wavefocus emulate` builds, and what the virtual rig is like; real instruments take no notice of it.
+
+    What is left out is as the rig's own tables say, and without a flaw.
+    """
+
+    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 1
+    noise_v: NonNegative | None = None
+    reference_noise_v: NonNegative | None = None
+    noise_per_response: NonNegative = 0.0
+    cubic_per_v2: Finite = 0.0
+    clock_ppm: Annotated[Finite, Field(ge=-1000, le=1000)] = 30.0
+    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)] | None = None
+    mirror_map: Matrix | None = None
+    output_latency_spread_s: Annotated[NonNegative, Field(le=0.001)] = 0.0
+    output_gain_spread_db: Annotated[NonNegative, Field(le=20)] = 0.0
+    reversed_outputs: tuple[Actuator, ...] = ()
+    dead_actuators: tuple[Actuator, ...] = ()
+    weak_actuators: tuple[Actuator, ...] = ()
+    reversed_actuators: tuple[Actuator, ...] = ()
+    period_frames: Annotated[Whole, Field(ge=16, le=65_536)] = 4096
+    ni_product: Text = "USB-6211"
+    fault_plan: tuple[WireFaultTable, ...] = ()
+
+    @property
+    def is_flawless(self) -> bool:
+        """Whether the rig is just as its own tables say."""
+        return self.truth() == Emulation().truth()
+
+    def truth(self) -> dict[str, object]:
+        """What is measured of the rig depends on this; on faults and on how a wire is emulated it does not."""
+        unused = {key for key in ("noise_per_response", "cubic_per_v2") if getattr(self, key) == 0}
+        return self.model_dump(exclude={"fault_plan", "period_frames", "ni_product"} | unused)
+
+    @model_validator(mode="after")
+    def _one_flaw_each(self) -> Emulation:
+        flaws: dict[int, str] = {}
+        for key in ("dead_actuators", "weak_actuators", "reversed_actuators"):
+            for index, actuator in enumerate(getattr(self, key)):
+                if actuator in flaws:
+                    raise mistake(f"{key}.[{index}]", actuator, f"is already one of {flaws[actuator]}")
+                flaws[actuator] = key
+        return self
+
+
+WEAK_STRENGTH = 10 ** (-12 / 20)
+"""What is left of an actuator that is weak: a quarter."""
+
+
+def strength(emulation: Emulation, actuators: int) -> tuple[float, ...] | None:
+    """Factor on each actuator's strength, as `VirtualSettings` wants it; None where all are sound."""
+    factors = dict.fromkeys(emulation.dead_actuators, 0.0)
+    factors |= dict.fromkeys(emulation.weak_actuators, WEAK_STRENGTH)
+    factors |= dict.fromkeys(emulation.reversed_actuators, -1.0)
+    return tuple(factors.get(actuator, 1.0) for actuator in range(actuators)) if factors else None
+
+
+# Without thresholds of its own a condition must come back by this share of its limit.
+INSIDE = 0.1
+
+
+class BandSection(Table):
+    """Where a value must stay, and within which thresholds it is back."""
+
+    leaves_below: Finite | None = None
+    leaves_above: Finite | None = None
+    returns_above: Finite | None = None
+    returns_below: Finite | None = None
+    settle_s: Annotated[NonNegative, Field(le=86_400)] = 60.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _thresholds(cls, data: Any) -> Any:
+        """Fill in the inner thresholds, so that the validated rig says them outright."""
+        if not isinstance(data, dict):
+            return data
+        data = dict(data)
+        for leaves, returns, inwards in (
+            ("leaves_below", "returns_above", 1.0),
+            ("leaves_above", "returns_below", -1.0),
+        ):
+            limit = data.get(leaves)
+            if isinstance(limit, int | float) and not isinstance(limit, bool) and data.get(returns) is None:
+                data[returns] = limit + inwards * INSIDE * abs(limit)
+        return data
+
+    @model_validator(mode="after")
+    def _hysteresis(self) -> BandSection:
+        if self.leaves_below is None and self.leaves_above is None:
+            raise mistake("leaves_below", None, "is needed, or leaves_above, or both")
+        edges = (self.leaves_below, self.returns_above, self.returns_below, self.leaves_above)
+        names = ("leaves_below", "returns_above", "returns_below", "leaves_above")
+        known = [(name, edge) for name, edge in zip(names, edges, strict=True) if edge is not None]
+        for (lower_name, lower), (name, edge) in pairwise(known):
+            if edge < lower:
+                raise mistake(name, edge, f"must be at least {lower_name} = {lower:g}")
+        return self
+
+
+class RoomSection(BandSection):
+    """Room temperature: a transmitter's voltage at an input of the recorder's box."""
+
+    input: AnalogInput = "ai2"
+    celsius_per_v: Finite = 100.0
+    celsius_at_0_v: Finite = 0.0
+
+
+class WatchSection(Table):
+    """What is watched while a campaign is under way; nothing, if absent."""
+
+    probe_every_s: Annotated[Positive, Field(le=86_400)] = 30.0
+    give_up_after_s: Annotated[NonNegative, Field(le=7 * 86_400)] = 7200.0
+    reference: BandSection | None = None
+    noise: BandSection | None = None
+    light: BandSection | None = None
+    room: RoomSection | None = None
+
 
 DEFAULT_ACTUATORS = 20
 DEFAULT_INSET_MM = 6.0

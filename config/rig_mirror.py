@@ -9,8 +9,18 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from config.driver_keys import check_driver_keys, with_driver_defaults
-from config.fields import Finite, NonNegative, Positive, Table, Text, Whole, like, mistake
+from config.fields import (
+    Finite,
+    NonNegative,
+    Positive,
+    Table,
+    Text,
+    Whole,
+    check_driver_keys,
+    like,
+    mistake,
+    with_driver_defaults,
+)
 
 MirrorDriver = Literal["virtual", "asi-tiger", "mirrorcle-mti", "generic", "optotune-mre2"]
 

@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from config.driver_keys import check_driver_keys, with_driver_defaults
-from config.fields import Positive, Table, Text, Whole, mistake
+from config.fields import Positive, Table, Text, Whole, check_driver_keys, mistake, with_driver_defaults
 
 PlayerDriver = Literal["virtual", "sounddevice"]
 Channel = Annotated[Whole, Field(ge=0, le=4095)]

@@ -6,8 +6,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from config.driver_keys import check_driver_keys, with_driver_defaults
-from config.fields import Finite, NonNegative, Positive, Table, Text, Whole, like, mistake
+from config.fields import (
+    Finite,
+    NonNegative,
+    Positive,
+    Table,
+    Text,
+    Whole,
+    check_driver_keys,
+    like,
+    mistake,
+    with_driver_defaults,
+)
 from config.rig_mirror import check_port
 
 RecorderDriver = Literal["virtual", "nidaqmx"]

@@ -32,8 +32,7 @@ def run(arguments: Sequence[str]) -> int:
     """
     from typer.exceptions import TyperException
 
-    from wavefocus.exits import Exit, exit_code
-    from wavefocus.plain_text import one_line
+    from wavefocus.exits import Exit, exit_code, one_line
 
     rest = [one for one in arguments if one != TRACEBACK]
     as_traceback = len(rest) < len(arguments) or bool(os.environ.get(TRACEBACK_VARIABLE))
@@ -96,8 +95,7 @@ def _account(failure: BaseException, code: int, arguments: Sequence[str]) -> str
     """The one line about an error; where its own text names no file, with the files of the command line."""
     from pathlib import Path
 
-    from wavefocus.exits import Exit, is_foreseen, sentence
-    from wavefocus.plain_text import one_line
+    from wavefocus.exits import Exit, is_foreseen, one_line, sentence
 
     if code is Exit.STOPPED:
         return sentence(KeyboardInterrupt())

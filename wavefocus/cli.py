@@ -323,8 +323,8 @@ def plan(
     json: JsonOption = False,
 ) -> None:
     """Dry run: positions, hours, bytes, limits and finish time; nothing is played."""
-    from wavefocus.campaign.grid_advice import Waves
     from wavefocus.commands import plan as command
+    from wavefocus.commands.plan import Waves
 
     waves = Waves(interpolation_error, wave_speed, attenuation)
     command.plan(run, scene or (), waves, checks=not no_checks, allow_large=allow_large, as_json=json)
@@ -426,7 +426,7 @@ def status(
 @app.command()
 def pause(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
     """Let a running capture finish its position and stand still, muted and parked."""
-    from wavefocus.commands import orders as command
+    from wavefocus.commands import status as command
 
     raise typer.Exit(command.order(bank, "pause", wait_s, as_json=json))
 
@@ -434,7 +434,7 @@ def pause(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = Fals
 @app.command()
 def go_on(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
     """Let a paused capture go on."""
-    from wavefocus.commands import orders as command
+    from wavefocus.commands import status as command
 
     raise typer.Exit(command.order(bank, "go-on", wait_s, as_json=json))
 
@@ -442,7 +442,7 @@ def go_on(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = Fals
 @app.command()
 def stop(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
     """Let a running capture finish its position and end; resume goes on."""
-    from wavefocus.commands import orders as command
+    from wavefocus.commands import status as command
 
     raise typer.Exit(command.order(bank, "stop", wait_s, as_json=json))
 
@@ -527,7 +527,7 @@ def render(
 ) -> None:
     """Turn a scene into drive signals."""
     from wavefocus.commands import render as command
-    from wavefocus.render_options import RenderOptions
+    from wavefocus.commands.render import RenderOptions
 
     options = RenderOptions(
         method=None if method is None else _method_name(method),
@@ -659,20 +659,18 @@ def play(
     json: JsonOption = False,
 ) -> None:
     """Play drives, or a scene of any length, on the rig's actuators. Ctrl-C mutes at once."""
+    from wavefocus.commands import play as command
+
     if bank is None:
-        from wavefocus.commands import play as command
-        from wavefocus.render_options import refuse_for_drives
-
-        refuse_for_drives(what, method=method, tolerance_db=tolerance_db, ahead_s=ahead_s)
+        command.refuse_for_drives(what, method=method, tolerance_db=tolerance_db, ahead_s=ahead_s)
         raise typer.Exit(command.play(what, rig, loop=loop, gain_db=gain_db, as_json=json, watched=watched))
-    from wavefocus.commands import play_scene
-    from wavefocus.render_options import RenderOptions, refuse_for_scenes
+    command.refuse_for_scenes(what, loop=loop)
+    from wavefocus.commands.render import RenderOptions
 
-    refuse_for_scenes(what, loop=loop)
     options = RenderOptions(method=None if method is None else _method_name(method), tolerance_db=tolerance_db)
-    ahead = play_scene.AHEAD_S if ahead_s is None else ahead_s
+    ahead = command.AHEAD_S if ahead_s is None else ahead_s
     raise typer.Exit(
-        play_scene.play_scene(
+        command.play_scene(
             what,
             bank,
             rig,

@@ -22,7 +22,7 @@ from storage.bank.reading import open_bank
 from storage.drive_file import read_drive
 from storage.errors import InputError
 from storage.raw.reading import RawFile, open_raw
-from wavefocus.campaign.raw_estimator import estimator_for, own_plan
+from wavefocus.campaign.blueprint import estimator_for, own_plan
 
 Identity = tuple[str, int, int]
 """A file as all machines must see it: path, bytes, when it was changed last in ns."""

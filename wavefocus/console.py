@@ -23,7 +23,7 @@ from rich.progress import (
 from rich.text import Text
 
 from acquisition.durations import hours
-from wavefocus.plain_text import escaped
+from wavefocus.exits import escaped
 
 # Without a terminal (a log file, a service) a line this often tells that the work goes on.
 LINE_EVERY_S = 30.0

@@ -82,7 +82,7 @@ def show_warning(
 ) -> None:
     """Show a warning of a library, NumPy's about arithmetic above all, as one plain line."""
     from wavefocus.console import say
-    from wavefocus.plain_text import one_line
+    from wavefocus.exits import one_line
 
     of_arithmetic = "; figures that follow from it may be wrong" if issubclass(category, RuntimeWarning) else ""
     say(f"warning: {one_line(str(message))}{of_arithmetic}")

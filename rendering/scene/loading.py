@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from config.loading import named_file, parse_toml, read_toml, validated
-from config.mistakes import printable
+from config.loading import named_file, parse_toml, printable, read_toml, validated
 from config.scene import (
     CircleTable,
     FileTable,

@@ -20,7 +20,7 @@ from gui.shell.window import Window
 from storage.bank.owner import bank_owner
 from tests.gui.conftest import campaign_of, wait, write_lab
 from wavefocus.__main__ import run
-from wavefocus.campaign.heartbeat import read_heartbeat
+from wavefocus.campaign.supervision import read_heartbeat
 
 HOLDER = """
 import sys

@@ -15,7 +15,7 @@ pytestmark = [
 
 LIMITED = """
 import resource
-from wavefocus.address_space import spare_address_space
+from wavefocus.rig.instruments import spare_address_space
 import acquisition.engine.campaign, calibration.estimator.sequential, scipy.linalg, wavefocus.commands.capture
 resource.setrlimit(resource.RLIMIT_AS, (1 << 40, -1))
 resource.setrlimit(resource.RLIMIT_AS, ((1 << 40) - spare_address_space() + {spare}, -1))

@@ -17,8 +17,7 @@ import pytest
 
 from acquisition.calibration_procedures.marks import default_marks_mm
 from calibration.rig.mirror_map import MirrorMap
-from config.calibration_file import CalibrationRecord
-from config.loading import load_calibration
+from config.calibration import CalibrationRecord, load_calibration
 from mocks.virtual.chain import output_errors
 from storage.bank.reading import open_bank
 from wavefocus.__main__ import run

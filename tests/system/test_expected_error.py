@@ -17,10 +17,10 @@ from acquisition.schedule.plan import Plan
 from acquisition.schedule.trial import scheduled
 from acquisition.schedule.trial_verdict import Band, decibel_of_median, relative
 from calibration.estimator.expected_error import Noise, expected_error
-from config.rig_emulation import Emulation
+from config.rig import Emulation
 from drivers.protocols import Take
 from wavefocus.campaign.blueprint import blueprint_from_files
-from wavefocus.rig.compose import open_setup
+from wavefocus.rig.setup import open_setup
 from wavefocus.rig.virtual_bench import virtual_rig
 
 POSITIONS = (0, 2, 4)

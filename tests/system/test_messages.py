@@ -14,13 +14,12 @@ from collections.abc import Iterator
 import pytest
 
 from acquisition.engine.events import Drift, Fault, SessionEnded, State, StateChanged
-from config.rig_messages import MessagesSection
+from config.rig import MessagesSection
 from storage.errors import InputError
 from tests.system.conftest import ACTUATORS
 from wavefocus.__main__ import run
 from wavefocus.configuration import load_rig
-from wavefocus.rig.message_check import message_findings
-from wavefocus.rig.messages import AppriseOutbox, Messenger, messenger_for
+from wavefocus.rig.messages import AppriseOutbox, Messenger, message_findings, messenger_for
 
 PASSWORD = "secret-word-7"
 COUNTS = {"not-measured": 0, "valid": 6, "poor": 0}

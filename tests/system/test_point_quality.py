@@ -202,7 +202,7 @@ def _interrupted(lab: Path, bank: Path, position: int, attempt: int) -> None:
     from storage.bank.creation import create_bank
     from storage.bank.writer import BankWriter
     from wavefocus.campaign.blueprint import blueprint_from_files
-    from wavefocus.rig.compose import open_setup
+    from wavefocus.rig.setup import open_setup
 
     class KilledError(BaseException):
         """The end of the process."""

@@ -16,7 +16,7 @@ import pytest
 from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_bank
-from wavefocus.campaign.truth import compare_with_truth
+from wavefocus.commands.demo import compare_with_truth
 from wavefocus.rig.virtual_bench import virtual_rig
 
 KEEP = 'excitation = "staggered"\nwhen_staggered_does_not_pay = "keep"'

@@ -18,8 +18,8 @@ import pytest
 from tests.system.conftest import with_faults
 from tests.system.telling import Listener, capture, empty_bank, events_of, states_of
 from wavefocus.__main__ import run
-from wavefocus.campaign.event_log import last_events
-from wavefocus.campaign.heartbeat import read_heartbeat
+from wavefocus.campaign.sidecar_files import last_events
+from wavefocus.campaign.supervision import read_heartbeat
 
 WAVEFOCUS = [sys.executable, "-m", "wavefocus"]
 POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of these signals nor terminals")

@@ -14,7 +14,7 @@ from drivers.protocols import DeviceIdentity
 from tests.system.conftest import with_faults
 from tests.system.telling import events_of
 from wavefocus.__main__ import run
-from wavefocus.campaign.drift_history import read_drift
+from wavefocus.campaign.sidecar_files import read_drift
 
 DRIFT = "\n[drift]\nevery_positions = 2\n"
 LOUDER = 'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = -6.0\npurpose = "sentinel"'

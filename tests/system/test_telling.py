@@ -18,8 +18,8 @@ from storage.bank.reading import open_bank
 from tests.system.telling import Listener, capture
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import bank_configuration
-from wavefocus.campaign.orders import give_order, orders_path
-from wavefocus.campaign.truth import compare_with_truth
+from wavefocus.campaign.supervision import give_order, orders_path
+from wavefocus.commands.demo import compare_with_truth
 from wavefocus.console import finish_clock
 from wavefocus.rig.virtual_bench import virtual_rig
 

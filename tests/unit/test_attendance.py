@@ -21,9 +21,18 @@ from acquisition.engine.events import (
     StateChanged,
 )
 from acquisition.engine.stopping import StopRequest
-from wavefocus.campaign.attendance import Attendance
-from wavefocus.campaign.heartbeat import Heartbeat, Pulse, heartbeat_path, read_heartbeat, write_heartbeat
-from wavefocus.campaign.orders import give_order, orders_path, take_order, withdraw
+from wavefocus.campaign.supervision import (
+    Attendance,
+    Heartbeat,
+    Pulse,
+    give_order,
+    heartbeat_path,
+    orders_path,
+    read_heartbeat,
+    take_order,
+    withdraw,
+    write_heartbeat,
+)
 
 
 def _until(condition, seconds: float = 30.0) -> None:

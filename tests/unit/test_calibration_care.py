@@ -13,7 +13,7 @@ from drivers.protocols import DeviceIdentity
 from mocks.virtual.rig import VirtualRig
 from mocks.virtual.settings import VirtualSettings
 from tests.unit.test_config_calibration import AT, measured
-from wavefocus.rig.calibration_care import calibrated_elsewhere, calibration_warnings, identities_of
+from wavefocus.rig.calibration_validity import calibrated_elsewhere, calibration_warnings, identities_of
 
 THERE = {role: DeviceIdentity("", role[0]) for role in ("mirror", "recorder", "player")}
 

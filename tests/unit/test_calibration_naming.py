@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from config.calibration_naming import name_calibration
+from config.calibration import name_calibration
 from storage.errors import InputError
 
 NEW = "calibration-2026-11-21.toml"

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config.calibration_file import (
+from config.calibration import (
     ActuatorMeasured,
     ActuatorsMeasured,
     CalibrationRecord,
@@ -21,15 +21,14 @@ from config.calibration_file import (
     MirrorMeasured,
     OutputMeasured,
     OutputsMeasured,
+    load_calibration,
+    write_calibration,
 )
-from config.calibration_toml import write_calibration
-from config.loading import load_calibration
-from config.plan_hash import plan_sha256
 from config.rig import RigConfig, default_rig
 from config.run import default_run
 from drivers.protocols import DeviceIdentity
 from storage.errors import InputError
-from wavefocus.configuration import load_rig
+from wavefocus.configuration import load_rig, plan_sha256
 from wavefocus.rig.virtual_bench import virtual_settings
 
 AT = datetime(2026, 11, 21, 22, 10, tzinfo=UTC)

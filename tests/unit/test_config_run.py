@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from acquisition.quality.limits import QualityLimits
-from config.plan_hash import plan_sha256
 from config.rig import RigConfig, default_rig
 from config.run import Quality, RunConfig, default_run
 from storage.errors import InputError
-from wavefocus.configuration import check_together, configuration_from_json, load_run
+from wavefocus.configuration import check_together, configuration_from_json, load_run, plan_sha256
 
 POSITIONS = np.array([[0.0, 0.0], [4.0, 0.0]])
 

@@ -12,7 +12,7 @@ from config.rig import RigConfig, default_rig
 from storage.errors import InputError
 from wavefocus.configuration import load_rig, load_run
 from wavefocus.rig.instruments import open_rig, openers
-from wavefocus.rig.sensors import RoomSensor, band_of, watch_of
+from wavefocus.rig.setup import RoomSensor, band_of, watch_of
 
 REAL = """
 [mirror]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wavefocus.ended_by_file import ended_by_file
+from wavefocus.ending import ended_by_file
 
 LONG_S = 60.0
 

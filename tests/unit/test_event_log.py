@@ -7,8 +7,7 @@ from itertools import islice
 
 import pytest
 
-from wavefocus.campaign.event_log import last_events
-from wavefocus.campaign.sidecar_files import log_path
+from wavefocus.campaign.sidecar_files import last_events, log_path
 
 
 @pytest.mark.parametrize("padding", [0, 60, 70_000])

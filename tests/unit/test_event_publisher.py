@@ -11,8 +11,8 @@ from acquisition.engine.stopping import StopRequest
 from storage.bank.creation import create_bank
 from storage.bank.writer import BankWriter
 from wavefocus.campaign.blueprint import blueprint_from_files
-from wavefocus.campaign.event_log import EventLines
-from wavefocus.rig.compose import open_setup
+from wavefocus.campaign.sidecar_files import EventLines
+from wavefocus.rig.setup import open_setup
 
 RUN = """
 rig = "virtual"

@@ -9,7 +9,7 @@ from acquisition.schedule.grid import stadium_grid
 from rendering.scene.model import Output, Scene, Source
 from rendering.scene.paths import Line, Point
 from rendering.scene.signals import Noise, Sine
-from wavefocus.campaign.grid_advice import Waves, advice_lines, grid_advice, top_hz_of
+from wavefocus.commands.plan import Waves, advice_lines, grid_advice, top_hz_of
 
 GRID_MM = stadium_grid(250.0, 150.0, 14.3, 4.0)
 POSITION_S = 74.4

@@ -18,7 +18,7 @@ from drivers.errors import InstrumentError
 from storage.bank.creation import create_bank
 from storage.bank.writer import BankWriter
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
-from wavefocus.rig.compose import open_setup
+from wavefocus.rig.setup import open_setup
 
 RIG = """
 [rig]

@@ -9,13 +9,11 @@ from pathlib import Path
 import pytest
 
 from acquisition.engine.events import Drift
-from config.calibration_naming import name_calibration
+from config.calibration import name_calibration
 from storage.bank.owner import owner_path, remove_owner, write_owner
 from storage.sidecar_files import Log
-from wavefocus.campaign.drift_history import DriftHistory
-from wavefocus.campaign.event_log import EventLog
-from wavefocus.campaign.sidecar_files import log_path, write_whole
-from wavefocus.verify_log import VerifyLog
+from wavefocus.campaign.sidecar_files import DriftHistory, EventLog, log_path, write_whole
+from wavefocus.commands.verify import VerifyLog
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs symbolic links")
 PRECIOUS = b"precious\n"

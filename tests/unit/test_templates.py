@@ -11,10 +11,10 @@ from pydantic_core import PydanticUndefined
 
 from config.rig import RigConfig, default_rig
 from config.run import Fault, RunConfig, Virtual, default_run
-from config.templates import write_templates
 from mocks.virtual.faults import ANYWHERE, CORRUPTING
 from rendering.scene.loading import load_scene
 from storage.errors import InputError
+from wavefocus.commands.init import write_templates
 from wavefocus.configuration import Configuration, load_rig, load_run
 
 

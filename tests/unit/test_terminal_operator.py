@@ -9,7 +9,7 @@ import pytest
 from acquisition.calibration_procedures.operator import By, Here, Jog, JogView, To
 from mocks.virtual.surroundings import PatchBay
 from storage.errors import InputError
-from wavefocus.rig.terminal_operator import TerminalOperator, VirtualHands
+from wavefocus.rig.operators import TerminalOperator, VirtualHands
 
 VIEW = JogView(2, 7, (80.0, -45.0), (1.0, -2.5))
 

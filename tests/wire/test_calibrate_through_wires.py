@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from calibration.rig.mirror_map import MirrorMap
-from config.calibration_file import CalibrationRecord
+from config.calibration import CalibrationRecord
 from mocks.virtual.chain import output_errors
 from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
 

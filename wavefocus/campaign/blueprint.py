@@ -1,24 +1,38 @@
-"""From configuration to the campaign that it asks for: the plan and the bank's header."""
+"""From configuration to the campaign that it asks for: plan, header, estimator, needed positions, resume command."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.quality.limits import QualityLimits
 from acquisition.quality.sentinel import DriftLimits
 from acquisition.schedule.plan import Plan
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
-from config.plan_hash import rig_differences
 from config.rig import default_rig
 from storage.bank.header import BankHeader
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
-from wavefocus.configuration import Configuration, configuration_from_json, load_rig, load_run, with_rig
+from wavefocus.configuration import (
+    Configuration,
+    configuration_from_json,
+    load_rig,
+    load_run,
+    rig_differences,
+    with_rig,
+)
+
+if TYPE_CHECKING:
+    from calibration.estimator.position import PositionEstimator
+    from storage.raw.header import RawHeader
+    from storage.raw.reading import RawFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,3 +167,66 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
         staggered=staggered,
     )
     return Blueprint(configuration, plan)
+
+
+def needed_by(
+    scene_files: Sequence[Path], position_mm: NDArray[np.float64], *, checks: bool, allow_large: bool = False
+) -> frozenset[int]:
+    """Rows of a grid that scenes are rendered from and, if asked for, those that their checks look at.
+
+    Parameters
+    ----------
+    scene_files : sequence of Path
+        The scenes.
+    position_mm : float64 array, shape (positions, 2)
+        The grid in millimetres.
+    checks : bool
+        Whether the scenes shall be verified.
+    allow_large : bool
+        Whether scenes may be larger than the limits of `rendering.scene.size`.
+
+    Raises
+    ------
+    InputError
+        A scene file is wrong, or its paths leave the grid; the message names the file.
+    """
+    from rendering.scene.loading import load_scene  # most campaigns are for no scene
+    from rendering.scene.scene_rows import scene_rows
+
+    needed: set[int] = set()
+    for file in scene_files:
+        scene = load_scene(file, allow_large=allow_large)
+        try:
+            rows = scene_rows(scene, position_mm)
+        except InputError as wrong:
+            raise InputError(f"{file}: {wrong}") from None
+        needed.update(int(row) for row in (rows.all if checks else rows.path))
+    return frozenset(needed)
+
+
+def own_plan(header: RawHeader, raw: Path) -> Plan | None:
+    """The plan that the recordings were made by; None where the file does not carry one that this version knows."""
+    if not (header.rig_json and header.run_json):
+        return None
+    try:
+        plan = blueprint_of(
+            configuration_from_json(header.rig_json, header.run_json, header.position_mm, str(raw))
+        ).plan
+    except InputError:
+        return None
+    return plan if plan.sha256 == header.plan_sha256 else None
+
+
+def estimator_for(
+    recordings: RawFile, plan: Plan | None, tell: Callable[[str], None] = lambda line: None
+) -> PositionEstimator:
+    """The campaign's own estimator, which gives its bank again; else what the reference channels tell."""
+    from acquisition.engine.measuring import position_estimator  # of kept recordings alone
+    from calibration.estimator.position import Channels
+    from calibration.estimator.raw_estimation import estimator_of
+
+    if plan is None:
+        return estimator_of(recordings, tell)
+    header = recordings.header
+    channels = Channels(header.reference_gain, header.response_per_volt, header.inter_channel_delay_s)
+    return position_estimator(plan, channels)

@@ -13,7 +13,7 @@ from storage.bank.reading import open_bank
 from storage.errors import InputError
 from wavefocus.campaign.blueprint import Blueprint, bank_configuration, blueprint_of
 from wavefocus.console import say
-from wavefocus.rig.compose import open_setup
+from wavefocus.rig.setup import open_setup
 
 if TYPE_CHECKING:
     from acquisition.schedule.trial import Trial

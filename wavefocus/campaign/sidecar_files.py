@@ -1,16 +1,28 @@
-"""What lies beside a bank: names, and small files that one process writes whole and others read whole."""
+"""Files beside a bank: event log, drift history and small JSON files that are replaced whole."""
 
 from __future__ import annotations
 
 import errno
 import glob
 import json
+import os
 import secrets
+import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
 
-from storage.sidecar_files import create, is_replaceable
+from acquisition.engine.events import Drift, Event, State, event_record
+from acquisition.schedule.row_ranges import row_ranges
+from storage.sidecar_files import Log, create, is_replaceable
+from wavefocus.console import say
+
+if TYPE_CHECKING:
+    from rendering.report.figures import DriftPoint
 
 # A file that somebody reads just now cannot be replaced on Windows; the reader is done at once.
 _TRIES = 5
@@ -77,3 +89,209 @@ def read_whole(path: Path) -> dict[str, object] | None:
     except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None
+
+
+def event_line(event: Event) -> str:
+    """One event as a JSON line with the wall's clock time, without the line end."""
+    return json.dumps({"at": datetime.now(UTC).isoformat(timespec="milliseconds"), **event_record(event)})
+
+
+class EventLines:
+    """Writes events as JSON lines; a subscriber that a full disk or a closed pipe cannot turn against the campaign.
+
+    Parameters
+    ----------
+    write : callable
+        Takes a line with its end and brings it out at once.
+    name : str
+        What the lines go to, for the one message when that fails.
+    work : str
+        What goes on without them.
+    """
+
+    def __init__(self, write: Callable[[str], object], name: str, work: str = "campaign") -> None:
+        self._write: Callable[[str], object] | None = write
+        self._name, self._work = name, work
+
+    def __call__(self, event: Event) -> None:
+        """Write one event; after a failure the campaign goes on without these lines."""
+        self.write(event_line(event) + "\n")
+
+    def write(self, line: str) -> None:
+        """Write a line with its end; after a failure nothing more."""
+        if self._write is None:
+            return
+        try:
+            self._write(line)
+        except (OSError, ValueError) as failure:  # ValueError: it was closed
+            self._write = None
+            why = getattr(failure, "strerror", None) or failure
+            say(f"{self._name} cannot be written any more ({why}); the {self._work} goes on without it")
+
+
+def print_line(line: str) -> None:
+    """Write a line on standard output at once."""
+    sys.stdout.write(line)
+    sys.stdout.flush()
+
+
+class EventLog:
+    """Appends events to the log beside a bank; a subscriber."""
+
+    def __init__(self, bank: Path) -> None:
+        # Unbuffered: every line reaches the operating system, and closing has nothing left to fail on.
+        self._file = Log(log_path(bank))
+        self._lines = EventLines(self._file.write, str(log_path(bank)))
+
+    def __call__(self, event: Event) -> None:
+        """Write one event."""
+        self._lines(event)
+
+    def __enter__(self) -> EventLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+# The newest progress is among the last lines; an event is under 500 bytes.
+_BLOCK_BYTES = 65536
+
+
+def last_events(bank: Path) -> Iterator[dict[str, object]]:
+    """The latest events of a bank's log, newest first; nothing when there is no log.
+
+    The log is read backwards and no further than asked for. A torn last line (the machine lost
+    power) is passed over.
+    """
+    for line in _lines_backwards(log_path(bank)):
+        try:
+            record = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(record, dict):
+            yield record
+
+
+def _lines_backwards(path: Path) -> Iterator[bytes]:
+    """The lines of a file from the last to the first, as it was when asked first."""
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        start = file.seek(0, os.SEEK_END)
+        rest = b""
+        while start > 0:
+            size = min(start, _BLOCK_BYTES)
+            start = file.seek(start - size)
+            rest, *lines = (file.read(size) + rest).split(b"\n")
+            yield from reversed(lines)
+        yield rest
+
+
+def drift_path(bank: Path) -> Path:
+    """Where the drift of a bank is kept: ``plate.h5`` -> ``plate.drift.jsonl``."""
+    return bank.with_suffix(".drift.jsonl")
+
+
+class DriftHistory:
+    """Appends to the drift history of a bank; a subscriber.
+
+    It is not in the bank, for it holds clock times, and a resumed bank is to be that of an undisturbed campaign.
+    """
+
+    def __init__(self, bank: Path) -> None:
+        self._file = Log(drift_path(bank))
+        self._lines = EventLines(self._file.write, str(drift_path(bank)))
+
+    def __call__(self, event: Event) -> None:
+        """Keep what is drift."""
+        if isinstance(event, Drift):
+            self._lines(event)
+
+    def __enter__(self) -> DriftHistory:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+def read_drift(bank: Path) -> list[DriftPoint]:
+    """The drift history of a bank, oldest first; empty where there is none. Torn lines are passed over."""
+    path = drift_path(bank)
+    if not path.is_file():
+        return []
+    points = []
+    for line in path.read_bytes().splitlines():
+        try:
+            points.append(_point(json.loads(line)))
+        except (ValueError, TypeError, KeyError):
+            continue
+    return points
+
+
+def suspect_rows(points: list[DriftPoint]) -> str:
+    """Positions that the latest measurement of the sentinel speaks against, as ``--positions`` takes them."""
+    return row_ranges(points[-1].suspect) if points else ""
+
+
+def _point(record: Mapping[str, object]) -> DriftPoint:
+    from rendering.report.figures import DriftPoint  # slow to load, and most banks hold no drift
+
+    at = datetime.fromisoformat(str(record["at"]))
+    at.utctimetuple()
+    suspect = record["suspect"]
+    return DriftPoint(
+        at,
+        level_db=float(str(record["level_db"])),
+        delay_samples=float(str(record["delay_samples"])),
+        correlation=float(str(record["correlation"])),
+        verdict=str(record["verdict"]),
+        suspect=tuple(int(row) for row in suspect) if isinstance(suspect, list) else (),
+    )
+
+
+GOING_ON = frozenset({State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING})
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What a session's log says of its state, since when, why, and of the instrument it waits for."""
+
+    state: State
+    since: str | None = None
+    reason: str | None = None
+    recovering: dict[str, object] | None = None
+
+
+def standing(events: Iterator[dict[str, object]]) -> Standing:
+    """The state that a running process logged last; idle while it has not begun its session.
+
+    Parameters
+    ----------
+    events : iterator of mapping
+        From the log, newest first.
+    """
+    last_try: dict[str, object] | None = None
+    for event in events:
+        match event:
+            case {"event": "reconnect_tried"} if last_try is None:
+                last_try = event
+            case {"event": "state_changed", "state": State.RECOVERING, "at": str(at), "reason": str(reason)}:
+                # Before the first try has ended, the fault that came before tells which instrument it is.
+                fault = last_try or next((event for event in events if event.get("event") == "fault"), {})
+                keys = {"instrument": "instrument", "number": "tries", "outcome": "outcome",
+                        "next_try_s": "next_try_s", "gives_up_s": "gives_up_s"}  # fmt: skip
+                return Standing(State.RECOVERING, at, reason, {new: fault.get(key) for key, new in keys.items()})
+            case {"event": "state_changed", "state": str(state), "at": str(at), "reason": str(reason)} if (
+                state in GOING_ON
+            ):
+                return Standing(State(state), at, reason)
+            case {"event": "state_changed" | "session_ended"}:
+                break
+            case _:
+                pass
+    return Standing(State.IDLE)

@@ -11,25 +11,21 @@ from pathlib import Path
 from acquisition.by_hand.level import LevelMeter
 from acquisition.calibration_procedures.operator import Operator
 from acquisition.engine.setup import Setup
-from config.calibration_file import PARTS, CalibrationRecord
-from config.calibration_naming import name_calibration
-from config.calibration_toml import write_calibration
+from config.calibration import PARTS, CalibrationRecord, name_calibration, write_calibration
 from drivers.errors import InstrumentError
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import say
-from wavefocus.ending_at_once import ending_at_once
+from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut
 from wavefocus.rig.calibration_request import Request, marks
 from wavefocus.rig.calibration_session import CalibrationSession
-from wavefocus.rig.compose import put_to_rest, setup_of
 from wavefocus.rig.instruments import open_rig, openers
-from wavefocus.rig.lines_operator import LinesOperator
 from wavefocus.rig.operation import tell_fault
 from wavefocus.rig.operation_orders import SAMPLE_RATE_HZ
-from wavefocus.rig.terminal_operator import TerminalOperator, VirtualHands
-from wavefocus.type_ahead import forget_typed
+from wavefocus.rig.operators import LinesOperator, TerminalOperator, VirtualHands, forget_typed
+from wavefocus.rig.setup import put_to_rest, setup_of
 
 
 def calibrate(

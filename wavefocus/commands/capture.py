@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
+
+import numpy as np
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.event_publisher import EventPublisher
 from acquisition.engine.events import Event, State, Subscriber
-from acquisition.engine.raw_keeping import without_recordings
+from acquisition.engine.raw_keeping import raw_header, require_same, without_recordings
+from acquisition.engine.setup import Setup
 from acquisition.engine.stopping import StopRequest, stop_on_signals
 from acquisition.schedule.row_ranges import row_ranges
 from drivers.errors import InstrumentError
@@ -19,21 +22,31 @@ from storage.bank.writer import BankWriter
 from storage.errors import ExistsError, InputError
 from storage.network_mount import is_network_mount
 from storage.point_status import STATUS_WORDS, Status, not_valid
-from wavefocus.campaign.attendance import Attendance
-from wavefocus.campaign.blueprint import Blueprint, blueprint_from_bank, blueprint_from_files, blueprint_with_rig
+from storage.raw.writer import RawWriter, create_raw
+from wavefocus.campaign.blueprint import (
+    Blueprint,
+    blueprint_from_bank,
+    blueprint_from_files,
+    blueprint_with_rig,
+)
 from wavefocus.campaign.campaign_view import CampaignView
-from wavefocus.campaign.drift_history import DriftHistory, read_drift
-from wavefocus.campaign.event_log import EventLines, EventLog, print_line
-from wavefocus.campaign.go_on import resume_line
-from wavefocus.campaign.positions import parse_positions
-from wavefocus.campaign.raw_sidecar import opened_raw
 from wavefocus.campaign.schedule_choice import as_settled, settle
-from wavefocus.campaign.sidecar_files import log_path
+from wavefocus.campaign.sidecar_files import (
+    DriftHistory,
+    EventLines,
+    EventLog,
+    log_path,
+    print_line,
+    raw_path,
+    read_drift,
+)
+from wavefocus.campaign.supervision import Attendance, resume_line
 from wavefocus.console import progress, say
 from wavefocus.exits import Exit
-from wavefocus.rig.calibration_change import refuse_other_devices, with_one_calibration
-from wavefocus.rig.compose import open_setup
+from wavefocus.input_files import parse_positions
+from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration
 from wavefocus.rig.messages import messenger_for
+from wavefocus.rig.setup import open_setup
 
 
 def capture(
@@ -51,7 +64,7 @@ def capture(
     blueprint = blueprint_from_files(run_file)
     needed = None
     if scenes:
-        from wavefocus.campaign.scene_positions import needed_by  # with it comes what renders
+        from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
         needed = needed_by(scenes, blueprint.plan.position_mm, checks=checks, allow_large=allow_large)
     blueprint, told = _with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
@@ -254,3 +267,45 @@ def _told_how_to_go_on(bank: Path, rig_file: Path | None) -> Iterator[None]:
         remedy = f"{failure.remedy}; nothing measured is lost{corrected}; then go on with: "
         remedy += resume_line(bank, rig_file)
         raise type(failure)(failure.instrument, failure.operation, failure.cause, remedy) from failure
+
+
+def opened_raw(
+    blueprint: Blueprint, setup: Setup, bank: BankWriter
+) -> AbstractContextManager[RawWriter] | AbstractContextManager[None]:
+    """Own the raw file of a campaign that keeps its recordings; it is made while the bank is still empty.
+
+    Parameters
+    ----------
+    blueprint : Blueprint
+        What is measured, and whether recordings are kept.
+    setup : Setup
+        With what.
+    bank : BankWriter
+        Where the Green's functions go.
+
+    Raises
+    ------
+    InputError
+        The file is missing though the bank holds positions, of another plan, or recorded with another scale.
+    """
+    if not blueprint.configuration.run.capture.keep_raw:
+        return nullcontext()
+    path = raw_path(bank.path)
+    header = blueprint.bank_header()
+    wanted = raw_header(
+        blueprint.plan, setup, rig_json=header.rig_json, run_json=header.run_json, software=header.software
+    )
+    if not path.exists():
+        if np.any(bank.status):
+            raise InputError(
+                f"{path} is missing, and {bank.path} holds positions whose recordings it kept; put it back, or start a "
+                "new bank"
+            )
+        create_raw(path, wanted)
+    raw = RawWriter.open(path, plan_sha256=blueprint.plan.sha256)
+    try:
+        require_same(raw, wanted)
+    except BaseException:
+        raw.close()
+        raise
+    return raw

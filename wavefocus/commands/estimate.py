@@ -26,7 +26,7 @@ from storage.network_mount import is_network_mount
 from storage.point_status import Status, status_counts
 from storage.raw.header import RawHeader
 from storage.raw.reading import open_raw
-from wavefocus.campaign.raw_estimator import estimator_for, own_plan
+from wavefocus.campaign.blueprint import estimator_for, own_plan
 from wavefocus.cluster import estimate_on_cluster
 from wavefocus.console import progress, say
 

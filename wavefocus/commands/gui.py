@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from gui.shell.front_door import FrontDoor, Pulse, RigLimits
 from gui.shell.start import open_window
-from wavefocus.campaign.heartbeat import SILENT_AFTER_S, read_heartbeat
 from wavefocus.campaign.sidecar_files import log_path, raw_path
+from wavefocus.campaign.supervision import SILENT_AFTER_S, read_heartbeat
 
 if TYPE_CHECKING:
     from rendering.report.figures import DriftPoint
@@ -49,7 +49,7 @@ def front_door() -> FrontDoor:
 
 
 def _drift(bank: Path) -> list[DriftPoint]:
-    from wavefocus.campaign.drift_history import read_drift  # in the window's own time: it draws pictures, too
+    from wavefocus.campaign.sidecar_files import read_drift  # in the window's own time: it draws pictures, too
 
     return read_drift(bank)
 
@@ -76,7 +76,7 @@ def _scene_tables(text: str, path: Path) -> dict[str, Any]:
 def _rig_limits(path: Path) -> RigLimits:
     from config.rig import default_rig
     from wavefocus.configuration import load_rig  # in the process that calculates scenes
-    from wavefocus.rig.rig_limits import limits_of
+    from wavefocus.rig.limits import limits_of
 
     player = (default_rig() if str(path) == "virtual" else load_rig(path)).player
     return RigLimits(limits_of(player), len(player.channels), player.coil_resistance_ohm)

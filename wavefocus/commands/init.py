@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+from importlib.resources import files
 from pathlib import Path
 
-from config.templates import write_templates
+from config.loading import printable
+from storage.errors import InputError
+from storage.output_files import new_file
 from wavefocus.console import say
 
 
@@ -19,3 +23,41 @@ def init(folder: Path, rig: str) -> None:
         "emulated": f"wavefocus emulate {rig_file}, and wavefocus doctor {rig_file} in another terminal",
     }
     say(f"next: {nexts[rig]}")
+
+
+def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
+    """Write rig.toml, run.toml and scene.toml with every key explained; nothing is ever overwritten.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to write; made when missing.
+    rig : {"virtual", "template", "emulated"}
+        The virtual rig, a rig of one's own to fill in, or real drivers for emulated instruments.
+
+    Returns
+    -------
+    tuple of Path
+        The files written.
+
+    Raises
+    ------
+    InputError
+        One of the files is there already, or the folder cannot be written to.
+    """
+    templates = files("wavefocus") / "templates"
+    named = {"rig.toml": f"rig-{rig}.toml", "run.toml": "run.toml", "scene.toml": "scene.toml"}
+    for name in named:
+        if os.path.lexists(folder / name):
+            there = printable(str(folder / name))
+            raise InputError(f"{there}: is there already and is not overwritten; choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, template in named.items():
+            text = (templates / template).read_text(encoding="utf-8")
+            # Real instruments, emulated or not, take no orders from a run's [virtual] table.
+            with new_file(folder / name) as temporary:
+                temporary.write_bytes((text if rig == "virtual" else text.partition("\n[virtual]")[0]).encode())
+    except OSError as error:
+        raise InputError(printable(f"{error.filename or folder}: cannot be written: {error.strerror}")) from None
+    return tuple(folder / name for name in named)

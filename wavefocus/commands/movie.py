@@ -21,7 +21,7 @@ from storage.output_files import require_outputs, write_whole
 from storage.units import quantity
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.console import progress, say
-from wavefocus.unverified import name_unverified
+from wavefocus.input_files import name_unverified
 
 OUTLINE_POINTS = 400
 FRAMES_PER_PERIOD = 2.5

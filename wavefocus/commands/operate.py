@@ -16,14 +16,13 @@ from drivers.errors import InstrumentError
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import say
-from wavefocus.ending_at_once import ending_at_once
+from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
-from wavefocus.rig.compose import put_to_rest, setup_of
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers
 from wavefocus.rig.operation import Operation, tell_fault
 from wavefocus.rig.operation_orders import End, Mute, order_of
-from wavefocus.rig.sensors import BoundedSensor, LightSensor
+from wavefocus.rig.setup import BoundedSensor, LightSensor, put_to_rest, setup_of
 
 # So often it is looked whether anybody still reads, while no order comes.
 _LOOKS_EVERY_S = 1.0

@@ -21,10 +21,9 @@ from storage.errors import InputError
 from storage.field_file import FieldWriter
 from storage.output_files import replacement, require_outputs
 from storage.units import quantity
-from wavefocus.campaign.positions import parse_positions
 from wavefocus.cluster import cluster_client, field_on_cluster
 from wavefocus.console import Report, progress, say
-from wavefocus.unverified import name_unverified
+from wavefocus.input_files import name_unverified, parse_positions
 
 
 def predict(

@@ -1,12 +1,16 @@
-"""``wavefocus render``: a scene into drive signals."""
+"""``wavefocus render``: a scene becomes drive signals."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from config.rig import RigConfig
 from config.stadium import stadium_rim
@@ -14,29 +18,79 @@ from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
 from rendering.drive.inverse_filter import REGULARISATION_DB, InverseReport, inverse_filter
 from rendering.drive.rendering import render_with_report
-from rendering.drive.wav import write_wav
+from rendering.drive.streamed_drive import StreamedDrive
+from rendering.drive.wav import stream_wav, write_wav
 from rendering.field.focus_peak import predicted_focus_peak
 from rendering.report.render_report import RenderReport
 from rendering.scene.loading import load_scene
 from rendering.scene.model import Regularisation, Scene
+from rendering.scene.size import check_scene_size, size_words
 from storage.bank.reading import Bank, open_bank
-from storage.drive_file import Drive, write_drive
+from storage.drive_file import Drive, DriveAbout, drive_in_blocks, write_drive
 from storage.errors import InputError
 from storage.output_files import require_outputs, write_whole
 from storage.units import quantity
-from wavefocus.commands.render_stream import render_streamed, too_large
 from wavefocus.console import progress, say
 from wavefocus.input_files import input_files
-from wavefocus.render_options import RenderOptions
-from wavefocus.rig.render_rig import (
+from wavefocus.rig.limits import (
     DEFAULT_FULL_SCALE_V,
     DEFAULT_INTERFACE_RATE_HZ,
+    PLAYED_UNITS,
     interface_of,
     limited_words,
     rig_of,
     within,
 )
-from wavefocus.rig.rig_limits import PLAYED_UNITS
+
+Focusing = Literal["time-reversal", "inverse"]
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """How a scene is rendered, as asked for on the command line.
+
+    Parameters
+    ----------
+    method : {"sampled", "exact"}, optional
+        Eq. (16) or (9).
+    tolerance_db : float, optional
+        What may be left out, < 0.
+    interpolation_tolerance : float, optional
+        Largest relative error between the bank's positions, > 0.
+    focusing : {"time-reversal", "inverse"}
+        How waves are made to meet.
+    regularisation_db : float, optional
+        Of the inverse filter, < 0.
+    device : {"cpu", "cuda"}
+        Where the drives are accumulated; on a GPU all is computed.
+
+    Raises
+    ------
+    InputError
+        An option of the one way of focusing is given for the other, or one that a GPU does not know.
+    """
+
+    method: Literal["sampled", "exact"] | None = None
+    tolerance_db: float | None = None
+    interpolation_tolerance: float | None = None
+    focusing: Focusing = "time-reversal"
+    regularisation_db: float | None = None
+    device: Literal["cpu", "cuda"] = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.device != "cpu" and (self.focusing == "inverse" or self.tolerance_db is not None):
+            raise InputError(f"--device {self.device} goes neither with --focusing inverse nor with --tolerance-db")
+        if self.focusing == "inverse":
+            given = {
+                "--method": self.method,
+                "--tolerance-db": self.tolerance_db,
+                "--interpolation-tolerance": self.interpolation_tolerance,
+            }
+            if wrong := [key for key, value in given.items() if value is not None]:
+                raise InputError(f"{wrong[0]} is for time reversal; leave it out with --focusing inverse")
+        elif self.regularisation_db is not None:
+            raise InputError("--regularisation-db is for the inverse filter; add --focusing inverse")
+
 
 OUTLINE_POINTS = 400
 
@@ -241,3 +295,145 @@ def write_picture(path: Path, scene_file: Path, scene: Scene, bank: Bank, rig: R
         raise InputError(f"{scene_file}: {wrong}") from None
     write_whole(path, png)
     say(f"{path}: the scene before and after snapping to the bank's positions")
+
+
+Float64Array = NDArray[np.float64]
+
+MOST_WHOLE_BYTES = 2 * 2**30
+"""Drives that take more are streamed without being asked: 22 minutes on 20 actuators at 10 kHz."""
+
+
+def too_large(scene_file: Path, scene: Scene, bank: Bank) -> bool:
+    """Whether the drives of a scene had better not be held in memory whole.
+
+    Raises
+    ------
+    InputError
+        The scene is larger than it is allowed to be.
+    """
+    rate_hz = float(bank.sample_rate_hz)
+    try:
+        size = check_scene_size(scene, sample_rate_hz=rate_hz, taps=bank.taps, actuators=bank.actuators)
+    except InputError as wrong:
+        raise InputError(f"{scene_file}: {wrong}") from None
+    return size.drive_bytes > MOST_WHOLE_BYTES
+
+
+def render_streamed(
+    scene_file: Path,
+    scene: Scene,
+    bank: Bank,
+    out: Path,
+    wav: Path | None,
+    rig: RigConfig | None,
+    rig_file: Path | None,
+    options: RenderOptions,
+    *,
+    as_json: bool,
+) -> None:
+    """Render a scene in two passes and write the drive file, and a WAV file when asked, in constant memory.
+
+    Raises
+    ------
+    InputError
+        The scene does not fit the bank, or a drive is beyond the interface's full scale.
+    """
+    rate_hz, full_scale_v, each = DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V, np.ones(bank.actuators)
+    fits = rig is not None and (wav is not None or rig_file is not None)
+    if rig is not None:
+        rate_hz, full_scale_v = rig.player.interface_rate_hz, rig.player.full_scale_v
+        # A file has one full scale; an output that has another gets so much more or less of it.
+        each = full_scale_v / interface_of(rig).full_scale_v
+    try:
+        streamed = StreamedDrive(
+            scene,
+            bank,
+            interface=interface_of(rig) if rig is not None and fits else None,
+            method=options.method,
+            tolerance_db=options.tolerance_db,
+            interpolation_tolerance=options.interpolation_tolerance,
+        )
+        actuators, samples = streamed.shape
+        seconds = samples / bank.sample_rate_hz
+        size = size_words(8.0 * actuators * samples)
+        say(f"{seconds:.4g} s of drives, {size}, in two passes: the first finds the scale, the second writes")
+        with progress("first pass", samples) as report:
+            facts = streamed.prepare(report)
+        about = DriveAbout(
+            float(bank.sample_rate_hz),
+            streamed.live.start_s,
+            streamed.live.method,
+            facts.scale,
+            facts.omitted_bound,
+            *streamed.foci,
+            drive_unit=bank.drive_unit,
+        )
+        with ExitStack() as stack:
+            append = stack.enter_context(drive_in_blocks(out, about, (actuators, samples)))
+            report = stack.enter_context(progress("second pass", samples))
+            blocks = _kept(streamed.blocks(), append, report, samples)
+            if wav is None:
+                for _ in blocks:
+                    pass
+            else:
+                stream_wav(
+                    wav,
+                    (block * each[:, np.newaxis] for block in blocks),
+                    (actuators, samples),
+                    float(bank.sample_rate_hz),
+                    interface_rate_hz=rate_hz,
+                    full_scale_v=full_scale_v,
+                )
+                say(f"{wav}: {rate_hz} Hz, full scale {full_scale_v:g} V")
+    except InputError as wrong:
+        named = str(wrong) if str(bank.path) in str(wrong) else f"{scene_file}: {wrong}"
+        raise InputError(named) from None
+    for warning in facts.warnings:
+        say(f"warning: {warning}")
+    foci = len(streamed.foci[0])
+    say(
+        f"{out}: {streamed.live.method}, {actuators} actuators, {seconds:.3f} s, {foci} focus points,"
+        f" largest drive {quantity(f'{streamed.peak_v:.3g}', bank.drive_unit)}"
+    )
+    if facts.limiting.decided_by is not None:
+        say(limited_words(facts.limiting, rig_file))
+    if options.tolerance_db is not None:
+        what = f": {', '.join(facts.left_out_words)}" if facts.left_out_words else ""
+        say(f"left out no more than {facts.omitted_bound:.3g} of the drives (relative L2, proved){what}")
+    say(f"rms of the drives: actuators differ by up to {facts.dynamic_range_db:.1f} dB")
+    if as_json:
+        figures = {
+            "drive": str(out),
+            "method": streamed.live.method,
+            "samples": samples,
+            "start_s": streamed.live.start_s,
+            "focus_points": foci,
+            "peak_v": streamed.peak_v,
+            "scale": facts.scale,
+            "focus_peak": None,  # needs the drives once more
+            "response_unit": bank.response_unit.removesuffix("/V"),
+            "limited_by": facts.limiting.decided_by,
+            "limiting_actuator": facts.limiting.actuator,
+            "omitted_bound": facts.omitted_bound,
+            "relative_rms": facts.relative_rms_drive.round(6).tolist(),
+            "relative_rms_unsaturated": None,
+            "dynamic_range_db": round(facts.dynamic_range_db, 3),
+            "warnings": list(facts.warnings),
+            "streamed": True,
+        }
+        print(json.dumps(figures))
+
+
+def _kept(
+    blocks: Iterable[Float64Array],
+    append: Callable[[Float64Array], None],
+    report: Callable[[int, int], None],
+    samples: int,
+) -> Iterator[Float64Array]:
+    """The same blocks, written on their way."""
+    done = 0
+    for block in blocks:
+        append(block)
+        done += block.shape[1]
+        yield block
+        report(done, samples)

@@ -1,30 +1,32 @@
-"""``wavefocus status``: how a campaign stands, also while it runs."""
+"""``wavefocus status``, ``pause``, ``go-on`` and ``stop``: how a campaign stands, and orders to it."""
 
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from acquisition.durations import a_while, hours
 from acquisition.engine.events import Progress, State
 from acquisition.schedule.row_ranges import row_ranges
-from rendering.report.figures import DriftPoint, drift_over_time
 from storage.bank.owner import Owner, bank_owner
 from storage.bank.reading import open_bank
 from storage.errors import InputError
 from storage.output_files import require_outputs, write_whole
 from storage.point_status import median_snr_db, status_counts
-from wavefocus.campaign.campaign_state import Standing, standing
 from wavefocus.campaign.campaign_view import remaining
-from wavefocus.campaign.drift_history import drift_path, read_drift, suspect_rows
-from wavefocus.campaign.event_log import last_events
-from wavefocus.campaign.go_on import resume_line
-from wavefocus.campaign.heartbeat import SILENT_AFTER_S, Heartbeat, read_heartbeat
+from wavefocus.campaign.sidecar_files import Standing, drift_path, last_events, read_drift, standing, suspect_rows
+from wavefocus.campaign.supervision import SILENT_AFTER_S, Heartbeat, give_order, read_heartbeat, resume_line, withdraw
 from wavefocus.console import answer, say
+from wavefocus.exits import Exit
+
+if TYPE_CHECKING:
+    from rendering.report.figures import DriftPoint
 
 # So many positions that stayed as they were are told one by one.
 MOST_LINES = 5
@@ -248,10 +250,87 @@ def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
 def _draw(bank: Path, drift: list[DriftPoint], plot: Path) -> None:
     if not drift:
         raise InputError(f"{drift_path(bank)}: holds no drift to draw: the sentinel has not been measured again yet")
-    from acquisition.quality.sentinel import DriftLimits  # the configuration is read for a picture alone
+    from acquisition.quality.sentinel import DriftLimits
+    from rendering.report.figures import drift_over_time  # the configuration is read for a picture alone
     from wavefocus.campaign.blueprint import bank_configuration
 
     with open_bank(bank) as view:
         limits = DriftLimits(**bank_configuration(view).run.drift.model_dump())
     write_whole(plot, drift_over_time(drift, limits).png)
     say(f"{plot}: drift of the sentinel position, {len(drift)} measurements")
+
+
+# The states in which an order is carried out, and those in which it will be, in words.
+CARRIED_OUT = {"pause": ("paused",), "go-on": ("running",), "stop": ("stopped", "finished", "failed")}
+LOOKS_EVERY_S = 0.1
+
+
+def order(bank: Path, word: str, wait_s: float, *, as_json: bool) -> Exit:
+    """Give an order and wait until it is carried out, or at least heard.
+
+    Parameters
+    ----------
+    bank : Path
+        Whose capture.
+    word : str
+        ``"pause"``, ``"go-on"`` or ``"stop"``.
+    wait_s : float
+        Longest wait.
+    as_json : bool
+        Tell programs.
+
+    Returns
+    -------
+    Exit
+        ``DONE`` when the capture has heard the order, ``NOT_GOOD_ENOUGH`` when it does not answer.
+
+    Raises
+    ------
+    InputError
+        No process owns the bank.
+    """
+    owner = _owner(bank, word)
+    given = give_order(bank, word)
+    until_s = time.monotonic() + wait_s
+    heard, carried_out = None, False
+    while not carried_out:
+        beat = read_heartbeat(bank)
+        if beat is not None and beat.order == given.number:
+            heard = beat
+            carried_out = beat.state in CARRIED_OUT[word]
+        gone = bank_owner(bank) is None
+        if gone:
+            carried_out = carried_out or (word == "stop" and heard is not None)
+            break
+        if time.monotonic() >= until_s:
+            break
+        if not carried_out:
+            time.sleep(LOOKS_EVERY_S)
+    if heard is None:
+        withdraw(bank, given)
+    line = _line(bank, owner, heard, wait_s, carried_out=carried_out)
+    say(line)
+    if as_json:
+        state = None if heard is None else heard.state
+        print(json.dumps({"order": word, "heard": heard is not None, "carried_out": carried_out, "state": state}))
+    return Exit.DONE if heard is not None else Exit.NOT_GOOD_ENOUGH
+
+
+def _owner(bank: Path, word: str) -> Owner:
+    owner = bank_owner(bank)
+    if owner is None:
+        raise InputError(
+            f"{bank}: no process owns the bank, so there is nothing to {word.replace('go-on', 'go on with')}"
+        )
+    return owner
+
+
+def _line(bank: Path, owner: Owner, heard: Heartbeat | None, wait_s: float, *, carried_out: bool) -> str:
+    who = f"process {owner.pid} on {owner.host}"
+    if heard is None:
+        beat = read_heartbeat(bank)
+        silent = "" if beat is None else f"; its last sign of life is {hours(beat.age_s())} old"
+        return f"{bank}: {who} does not answer within {wait_s:g} s{silent}; the order is withdrawn"
+    if carried_out:
+        return f"{bank}: {who}: {heard.state}: {heard.reason}"
+    return f"{bank}: {who} has heard it and is {heard.state}: {heard.reason}; wavefocus status tells when it is done"

@@ -1,12 +1,17 @@
-"""``wavefocus verify``: play a scene, scan it, compare with the prediction, report."""
+"""``wavefocus verify``: a scene played, scanned and compared with its prediction."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from types import TracebackType
 
 import numpy as np
 
@@ -42,21 +47,19 @@ from storage.errors import InputError
 from storage.field_file import Field, write_field
 from storage.output_files import require_output_folder, staged_folder
 from storage.point_status import median_snr_db
+from storage.sidecar_files import create
 from storage.units import quantity
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.campaign_view import CampaignView
-from wavefocus.campaign.drift_history import read_drift
-from wavefocus.campaign.positions import parse_positions
+from wavefocus.campaign.sidecar_files import EventLines, read_drift
 from wavefocus.commands.render import rendered
 from wavefocus.configuration import Configuration, load_rig
 from wavefocus.console import Report, progress, say
-from wavefocus.ended_by_file import ended_by_file
-from wavefocus.ending_at_once import ending_at_once
-from wavefocus.exits import Exit
-from wavefocus.input_files import input_files
-from wavefocus.rig.compose import open_setup
-from wavefocus.rig.rig_limits import check_drive
-from wavefocus.verify_log import VerifyLog
+from wavefocus.ending import ended_by_file, ending_at_once
+from wavefocus.exits import Exit, exit_code, sentence
+from wavefocus.input_files import input_files, parse_positions
+from wavefocus.rig.limits import check_drive
+from wavefocus.rig.setup import open_setup
 
 # Enough for an outline that looks round on any screen.
 OUTLINE_POINTS = 400
@@ -255,3 +258,68 @@ def _checked_rig(rig_file: Path, configuration: Configuration, bank: Bank) -> Ri
             "rig must have the bank's actuators in the bank's order"
         )
     return rig
+
+
+# Followers look twenty times a second; more lines would only fill the disk.
+TELLS_EVERY_S = 0.1
+
+
+class VerifyLog:
+    """Writes the log of one verification; a context manager, and a subscriber of the scan's events.
+
+    A line is an object with ``at`` and ``event``: first ``started`` (``pid``, ``host``), then ``step`` (``step``,
+    ``done``, ``total``, ``left_s``) and any event of a scan as in a bank's log, at the end ``ended`` (``code``,
+    ``reason``). A disk that refuses lines does not end the verification.
+
+    Parameters
+    ----------
+    out : Path
+        The verification's folder, which is there; an older log is replaced.
+    """
+
+    def __init__(self, out: Path) -> None:
+        # A file of its own, so that followers see that it is another one.
+        (out / LOG_NAME).unlink(missing_ok=True)
+        self._file = create(out / LOG_NAME)
+        self._lines = EventLines(lambda line: self._file.write(line.encode()), str(out / LOG_NAME), "verification")
+        self._tell("started", pid=os.getpid(), host=socket.gethostname())
+
+    def __call__(self, event: Event) -> None:
+        """Write an event of the scan."""
+        self._lines(event)
+
+    def step(self, name: str, total: int) -> Callable[[int, int], None]:
+        """Begin a step of `total` items; the result is told how many are done."""
+        started_s = time.monotonic()
+        told_s = started_s
+        self._tell("step", step=name, done=0, total=total, left_s=None)
+
+        def report(done: int, total: int) -> None:
+            nonlocal told_s
+            now_s = time.monotonic()
+            if done < total and now_s - told_s < TELLS_EVERY_S:
+                return
+            told_s = now_s
+            left_s = round((now_s - started_s) / done * (total - done), 1) if done else None
+            self._tell("step", step=name, done=done, total=total, left_s=left_s)
+
+        return report
+
+    def done(self, code: int, reason: str) -> None:
+        """Say how it ended."""
+        self._tell("ended", code=code, reason=reason)
+
+    def __enter__(self) -> VerifyLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None and (code := exit_code(error)) is not None:
+            self.done(code, sentence(error))
+        with suppress(OSError):
+            self._file.close()
+
+    def _tell(self, event: str, **content: object) -> None:
+        at = datetime.now(UTC).isoformat(timespec="milliseconds")
+        self._lines.write(json.dumps({"at": at, "event": event, **content}) + "\n")

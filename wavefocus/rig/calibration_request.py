@@ -14,11 +14,11 @@ from acquisition.calibration_procedures.marks import default_marks_mm
 from acquisition.calibration_procedures.mirror import fitted_marks
 from calibration.rig.mirror_fit import LEAST_MARKS
 from calibration.rig.mirror_map import MirrorMap
-from config.calibration_file import PARTS
+from config.calibration import PARTS
 from config.rig import RigConfig
 from config.stadium import inside_stadium
 from storage.errors import InputError
-from wavefocus.rig.levels import safe_amplitude_v
+from wavefocus.rig.limits import safe_amplitude_v
 
 # The listening distance, as a share of the surface's width.
 DISTANCE_SHARE = 0.2

@@ -29,7 +29,7 @@ from acquisition.calibration_procedures.probe import NotMeasuredError, Probe
 from acquisition.engine.roles import names_of
 from acquisition.engine.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
-from config.calibration_file import (
+from config.calibration import (
     FORMAT,
     FORMAT_VERSION,
     PARTS,
@@ -45,8 +45,8 @@ from config.calibration_file import (
 from config.fields import Table
 from config.rig import RigConfig
 from wavefocus.console import progress
-from wavefocus.rig.calibration_care import identities_of
 from wavefocus.rig.calibration_request import Request, amplitude_v, listening, marks
+from wavefocus.rig.calibration_validity import identities_of
 
 # Latencies that scatter by more are told: one record knows them a thousand times better.
 MOST_SPREAD_S = 1e-6

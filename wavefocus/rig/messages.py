@@ -9,16 +9,17 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
+from acquisition.doctor.findings import Act, Finding
 from acquisition.durations import hours
 from acquisition.engine.events import Drift, Event, Fault, SessionEnded, State, StateChanged
-from config.rig_messages import MessagesSection
+from config.rig import MessagesSection, RigConfig
 from storage.errors import InputError
-from wavefocus.campaign.go_on import resume_line
+from wavefocus.campaign.supervision import resume_line
 from wavefocus.console import say
 
 ADDRESSES_VARIABLE = "WAVEFOCUS_MESSAGES"
@@ -221,3 +222,48 @@ def messenger_for(bank: Path, section: MessagesSection, go_on: str = "") -> Mess
     """
     urls = addresses(section)
     return Messenger(bank, section, AppriseOutbox(urls) if urls else None, go_on)
+
+
+REMEDY = "correct the address, or look whether its server can be reached from here"
+EDIT = Act("edit-rig", "messages.urls")
+
+
+def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Finding]:
+    """Look at the addresses of a rig file, and send a message to each if asked to; addresses are never told.
+
+    Parameters
+    ----------
+    rig : RigConfig
+        The rig.
+    name : str
+        Its file, for the message.
+    send : bool
+        Whether to send.
+    """
+    urls = addresses(rig.messages)
+    if not urls:
+        if send:
+            yield Finding(
+                "messages", "addresses", "fail", "there are none", "write messages.urls into the rig file", EDIT
+            )
+        return
+    if not send:
+        try:
+            AppriseOutbox(urls)
+        except InputError as wrong:
+            yield Finding("messages", "addresses", "fail", str(wrong), "correct it", EDIT)
+            return
+        what = f"{len(urls)} known, none tried"
+        yield Finding("messages", "addresses", "ok", what, "--test-message sends one to each", Act("test-message"))
+        return
+    for number, url in enumerate(urls):
+        kind = url.partition("://")[0][:20]
+        try:
+            refused = AppriseOutbox([url]).send(f"{name}: test", "A test message of wavefocus doctor.")
+        except InputError as wrong:
+            yield Finding("messages", f"address {number}", "fail", str(wrong).partition(": ")[2], "correct it", EDIT)
+            continue
+        if refused:
+            yield Finding("messages", f"address {number}", "fail", f"{kind}: took no message", REMEDY, EDIT)
+        else:
+            yield Finding("messages", f"address {number}", "ok", f"{kind}: took a message")

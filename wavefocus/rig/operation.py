@@ -19,7 +19,7 @@ from acquisition.quality.watch import Sensor
 from config.rig import RigConfig
 from drivers.errors import InstrumentError, TransientInstrumentError
 from storage.errors import InputError
-from wavefocus.rig.levels import safe_amplitude_v
+from wavefocus.rig.limits import safe_amplitude_v
 from wavefocus.rig.operation_orders import (
     BAND_HZ,
     SAMPLE_RATE_HZ,

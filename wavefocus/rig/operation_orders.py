@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from acquisition.by_hand.single_sweep import SweepOrder, excitation_of
 from config.rig import RigConfig
 from storage.errors import InputError
-from wavefocus.plain_text import one_line
-from wavefocus.rig.levels import largest_sine_v, safe_amplitude_v
+from wavefocus.exits import one_line
+from wavefocus.rig.limits import largest_sine_v, safe_amplitude_v
 
 SAMPLE_RATE_HZ = 10_000.0
 BAND_HZ = (40.0, 400.0)

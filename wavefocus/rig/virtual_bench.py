@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from config.rig import RigConfig
-from config.rig_emulation import Emulation, strength
+from config.rig import Emulation, RigConfig, strength
 from config.run import Virtual
 from mocks.virtual.chain import output_errors
 from mocks.virtual.faults import Fault

@@ -1,16 +1,41 @@
-"""What a rig's actuators may get, and the refusal of a drive that asks for more."""
+"""What a rig's actuators may get: levels to try it with, limits of a scene, refusal of drives beyond them."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from config.rig import RigConfig, default_rig
 from config.rig_player import PlayerSection
-from rendering.drive.coil_limits import DriveLimits, largest_rms
-from rendering.scene.model import Output
+from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms
+from rendering.drive.wav import Interface
+from rendering.scene.model import Output, Scene
+from storage.bank.reading import Bank
 from storage.drive_file import Drive
 from storage.errors import InputError
+from wavefocus.campaign.blueprint import bank_configuration
+from wavefocus.configuration import load_rig
+
+MOST_AMPLITUDE_V = 1.0
+# An output that puts out four times what the rig believes is still within the limit.
+SAFE_SHARE = 0.25
+
+
+def safe_amplitude_v(rig: RigConfig) -> float:
+    """A peak voltage well below the rig's limits, of volts and of rms, and below the ends of the recorder's ranges."""
+    recorder = rig.recorder
+    half_range_v = min(recorder.reference_range_v / recorder.reference_gain, recorder.response_range_v) / 2
+    return min(MOST_AMPLITUDE_V, SAFE_SHARE * largest_sine_v(rig.player), half_range_v)
+
+
+def largest_sine_v(player: PlayerSection) -> float:
+    """Largest peak of a sine or a sweep that any actuator may get for as long as one likes."""
+    rms_v = player.largest_rms_v
+    return player.largest_v if rms_v is None else min(player.largest_v, 2**0.5 * rms_v)
+
 
 PLAYED_UNITS = ("V", "1")
 """Units of drives that are played as volts; 1 is that of a bank that knows no other."""
@@ -82,3 +107,37 @@ def check_drive(
 
 def _known(limit_v: float | None, key: str) -> tuple[float, str]:
     return (math.inf if limit_v is None else limit_v, key)
+
+
+# A bank made by other means does not know the interface; then the WAV says volts at the common rate.
+DEFAULT_INTERFACE_RATE_HZ = 48_000
+DEFAULT_FULL_SCALE_V = 1.0
+
+
+def rig_of(rig_file: Path | None, bank: Bank) -> RigConfig | None:
+    """The rig that was named, else the bank's own; None where neither is known."""
+    if rig_file is None:
+        return None if bank.rig_json is None or bank.run_json is None else bank_configuration(bank).rig
+    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    if len(rig.player.channels) != bank.actuators:
+        raise InputError(f"{rig_file} has {len(rig.player.channels)} actuators, {bank.path} {bank.actuators}")
+    return rig
+
+
+def within(scene: Scene, rig: RigConfig) -> Scene:
+    """The scene with the limits of the rig where they are stricter than its own."""
+    limits = stricter(scene.output, rig.player)
+    return replace(scene, output=replace(scene.output, limit_v=limits.peak_v, limit_rms_v=limits.rms_v))
+
+
+def limited_words(limiting: Limiting, rig_file: Path | None) -> str:
+    """What the limits did, and whose they are."""
+    where = "" if rig_file is None else f" (the scene's or {rig_file}'s, whichever is stricter)"
+    return f"{limiting}{where}"
+
+
+def interface_of(rig: RigConfig) -> Interface:
+    """The outputs that a rig's actuators hang on."""
+    player = rig.player
+    each_v = [player.output_full_scale_v[channel] for channel in player.channels]
+    return Interface(player.interface_rate_hz, np.array(each_v))

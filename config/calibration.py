@@ -1,0 +1,348 @@
+"""Calibration files: their model, how they are read, written, named in a rig file and merged into a rig."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AwareDatetime, Field, ValidationError, model_validator
+
+from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
+from config.loading import printable, read_toml, shown, validated
+from config.rig_mirror import Matrix
+from drivers.protocols import DeviceIdentity
+from storage.errors import InputError
+from storage.output_files import new_file, write_whole
+from storage.text_file import read_text
+
+FORMAT = "wavefocus-calibration"
+FORMAT_VERSION = 1
+PARTS = ("inputs", "outputs", "mirror", "actuators")
+"""What a calibration is made of, in the order of measuring: each uses what those before it have found."""
+
+Polarity = Literal[1, -1]
+Index = Annotated[Whole, Field(ge=0, le=4095)]
+
+
+class Fiducial(Table):
+    """A mark on the surface, where the mirror stood when the beam was on it, and by how much the map misses it."""
+
+    place_mm: PointMm
+    angles_mrad: tuple[Finite, Finite]
+    residual_mm: NonNegative
+
+
+class MirrorMeasured(Table):
+    """The projective map H of ``(tan x, tan y, 1) ~ H (x_mm, y_mm, 1)``."""
+
+    at: AwareDatetime
+    device: Text
+    identity: DeviceIdentity | None = None
+    map: Matrix
+    residual_rms_mm: NonNegative
+    fiducial: Annotated[tuple[Fiducial, ...], Field(min_length=4, max_length=1000)]
+
+
+class InputsMeasured(Table):
+    """How much later the response input is sampled than the reference input."""
+
+    at: AwareDatetime
+    device: Text
+    identity: DeviceIdentity | None = None
+    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)]
+
+
+class OutputMeasured(Table):
+    """One output of the player: latency relative to the loopback output, volts at full scale, sign."""
+
+    channel: Index
+    latency_s: Annotated[Finite, Field(ge=-1, le=1)]
+    full_scale_v: Positive | None = None
+    polarity: Polarity
+
+
+class OutputsMeasured(Table):
+    """The player's outputs, the loopback's own among them."""
+
+    at: AwareDatetime
+    device: Text
+    identity: DeviceIdentity | None = None
+    loopback_channel: Index
+    channel: Annotated[tuple[OutputMeasured, ...], Field(min_length=1, max_length=4096)]
+
+    @model_validator(mode="after")
+    def _each_once(self) -> OutputsMeasured:
+        seen = [one.channel for one in self.channel]
+        for index, channel in enumerate(seen):
+            if channel in seen[:index]:
+                raise mistake(f"channel.[{index}].channel", channel, "is there already")
+        return self
+
+
+class ActuatorMeasured(Table):
+    """One actuator: sign and level of its response against the others, at the same distance from each."""
+
+    actuator: Annotated[Whole, Field(ge=0, le=1023)]
+    channel: Index
+    polarity: Polarity
+    level_db: Finite
+    verdict: Literal["good", "weak", "dead", "reversed", "unlike"]
+
+
+class ActuatorsMeasured(Table):
+    """The actuators, checked against each other."""
+
+    at: AwareDatetime
+    device: Text
+    identity: DeviceIdentity | None = None
+    distance_mm: Positive
+    actuator: Annotated[tuple[ActuatorMeasured, ...], Field(min_length=1, max_length=1024)]
+
+
+class CalibrationRecord(Table):
+    """All that a calibration file holds; what was not measured is left out."""
+
+    format: Literal["wavefocus-calibration"]
+    format_version: Literal[1]
+    made: AwareDatetime
+    software: Text
+    rig: Text
+    mirror: MirrorMeasured | None = None
+    inputs: InputsMeasured | None = None
+    outputs: OutputsMeasured | None = None
+    actuators: ActuatorsMeasured | None = None
+
+
+def load_calibration(path: Path) -> CalibrationRecord:
+    """Read a calibration file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, as `wavefocus calibrate` writes it.
+
+    Raises
+    ------
+    InputError
+        Anything in the file is wrong, or it is of another format or version.
+    """
+    data = read_toml(path)
+    if data.get("format") == FORMAT and data.get("format_version") != FORMAT_VERSION:
+        version = shown(data.get("format_version"))
+        raise InputError(f"{path}: format_version = {version}: must be {FORMAT_VERSION}; a newer wavefocus wrote it")
+    return validated(CalibrationRecord, data, str(path))
+
+
+def with_calibration(data: dict[str, Any]) -> dict[str, Any]:
+    """A rig's tables with the values of its calibration in them; unchanged where there is none.
+
+    The calibration wins over what a rig file can only know roughly: ``mirror.distance_mm``,
+    ``recorder.inter_channel_delay_s`` and ``player.full_scale_v``. Two measured values of one thing are a
+    contradiction, and so are figures of another wiring.
+
+    Parameters
+    ----------
+    data : dict
+        The rig's tables, defaults filled in but not validated; what is no table is left to be refused later.
+
+    Raises
+    ------
+    PydanticCustomError
+        A contradiction.
+    """
+    care = data.get("calibration")
+    if not isinstance(care, dict) or care.get("measured") is None:
+        return data
+    try:
+        record = CalibrationRecord.model_validate(care["measured"])
+    except ValidationError:  # told at its own place
+        return data
+    mirror, recorder, player = (data.get(name, {}) for name in ("mirror", "recorder", "player"))
+    merged = dict(data)
+    if record.mirror is not None and isinstance(mirror, dict):
+        _refuse_two("mirror.map", mirror.get("map"), record.mirror.map)
+        merged["mirror"] = {key: value for key, value in mirror.items() if key != "distance_mm"}
+        merged["mirror"]["map"] = record.mirror.map
+    if record.inputs is not None and isinstance(recorder, dict):
+        merged["recorder"] = {**recorder, "inter_channel_delay_s": record.inputs.inter_channel_delay_s}
+    if isinstance(player, dict):
+        _refuse_other_wiring(player, record)
+        merged["player"] = _with_full_scales(player, record)
+    return merged
+
+
+def calibrated(record: CalibrationRecord) -> str:
+    """What a calibration says in place of the rig file, in words."""
+    parts = []
+    if record.mirror is not None:
+        parts.append(f"mirror map (residual {record.mirror.residual_rms_mm:.2f} mm)")
+    if record.inputs is not None:
+        parts.append(f"inter-channel delay {1e6 * record.inputs.inter_channel_delay_s:.2f} us")
+    if record.outputs is not None:
+        known = sum(one.full_scale_v is not None for one in record.outputs.channel)
+        parts.append(f"full scale of {known} outputs" if known else "latency of the outputs")
+    return ", ".join(parts) or "nothing that the rig takes up"
+
+
+def _with_full_scales(player: dict[str, Any], record: CalibrationRecord) -> dict[str, Any]:
+    """The player's table with the full scale of every output, the nominal one where none was measured."""
+    outputs = record.outputs.channel if record.outputs is not None else ()
+    measured = {one.channel: one.full_scale_v for one in outputs if one.full_scale_v is not None}
+    channels, loopback = player.get("channels"), player.get("loopback_channel")
+    if not measured or not isinstance(channels, list | tuple):
+        return player
+    used = [channel for channel in (*channels, loopback) if isinstance(channel, int)]
+    nominal_v = player.get("full_scale_v", 5.0)
+    each = tuple(measured.get(channel, nominal_v) for channel in range(1 + max(used, default=0)))
+    _refuse_two("player.channel_full_scale_v", player.get("channel_full_scale_v"), each)
+    return {**player, "channel_full_scale_v": each}
+
+
+def _refuse_two(key: str, own: object, measured: object) -> None:
+    if own is not None and _plain(own) != _plain(measured):
+        raise mistake(key, own, "contradicts the calibration file; leave one of the two out")
+
+
+def _refuse_other_wiring(player: dict[str, Any], record: CalibrationRecord) -> None:
+    """A calibration made with other cables says nothing about these."""
+    or_else = "as in the calibration file, or that was measured with another wiring: run wavefocus calibrate again"
+    loopback = player.get("loopback_channel")
+    if record.outputs is not None and loopback != record.outputs.loopback_channel:
+        raise mistake("player.loopback_channel", loopback, f"must be {record.outputs.loopback_channel}, {or_else}")
+    channels = player.get("channels")
+    if record.actuators is None or not isinstance(channels, list | tuple):
+        return
+    for one in record.actuators.actuator:
+        if one.actuator >= len(channels) or channels[one.actuator] != one.channel:
+            allowed = f"must have actuator {one.actuator} on output {one.channel}, {or_else}"
+            raise mistake("player.channels", list(channels), allowed)
+
+
+def _plain(value: object) -> object:
+    """Lists and tuples alike, whole numbers and others alike."""
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return float(value) if isinstance(value, int) else value
+
+
+_TABLE = re.compile(r"^\s*\[\s*calibration\s*\]\s*(#.*)?$")
+_ANY_TABLE = re.compile(r"^\s*\[")
+_KEY = re.compile(r"^\s*file\s*=")
+
+
+def name_calibration(rig_file: Path, name: str) -> None:
+    """Write ``file = "NAME"`` into the ``[calibration]`` table of a rig file; the table is made where there is none.
+
+    Parameters
+    ----------
+    rig_file : Path
+        The rig file; its mode and every other line stay.
+    name : str
+        The calibration file, relative to the rig file's folder.
+
+    Raises
+    ------
+    InputError
+        The table is written in a way that only a person can change, or the file cannot be written.
+    """
+    text = read_text(rig_file)
+    before = tomllib.loads(text)
+    new = _named(text, name)
+    wanted = {**before, "calibration": {**before.get("calibration", {}), "file": name}}
+    try:
+        right = tomllib.loads(new) == wanted
+    except ValueError:
+        right = False
+    if not right:
+        raise InputError(
+            f'{rig_file}: the table calibration is written in a way of its own; write file = "{name}" into it by hand'
+        )
+    write_whole(rig_file.resolve(), new)
+
+
+def _named(text: str, name: str) -> str:
+    line = f'file = "{name}"'
+    lines = text.splitlines()
+    start = next((number for number, one in enumerate(lines) if _TABLE.match(one)), None)
+    if start is None:
+        return "\n".join([*lines, "", "[calibration]", line, ""])
+    end = next((number for number in range(start + 1, len(lines)) if _ANY_TABLE.match(lines[number])), len(lines))
+    old = next((number for number in range(start + 1, end) if _KEY.match(lines[number])), None)
+    if old is None:
+        lines.insert(start + 1, line)
+    else:
+        lines[old] = line
+    return "\n".join([*lines, ""])
+
+
+HEAD = """\
+# Measured by wavefocus calibrate; named in rig.toml by [calibration] file, and stronger than what stands there.
+"""
+NOTES = {
+    "mirror": "the projective map (tan x, tan y, 1) ~ map (x_mm, y_mm, 1); residual: by how much it misses each mark",
+    "inputs": "how much later the response input is sampled than the reference input",
+    "outputs": "latency relative to the loopback output; volts at full scale; polarity -1: wires crossed",
+    "actuators": "polarity and level of each, measured at the same distance from it; level against their median",
+}
+
+
+def write_calibration(path: Path, record: CalibrationRecord) -> None:
+    """Write a calibration file; one that is there is never overwritten.
+
+    Raises
+    ------
+    InputError
+        The file is there already, or cannot be written.
+    """
+    text = HEAD + "\n".join(_lines(record))
+    try:
+        with new_file(path) as temporary:
+            temporary.write_bytes((text + "\n").encode())
+    except FileExistsError:
+        raise InputError(printable(f"{path}: is there already and is not overwritten; name another file")) from None
+    except OSError as error:
+        raise InputError(printable(f"{path}: cannot be written: {error.strerror or error}")) from None
+
+
+def _lines(record: CalibrationRecord) -> Iterator[str]:
+    data = record.model_dump(exclude_none=True)
+    tables = {name: data.pop(name) for name in NOTES if name in data}
+    yield from (f"{key} = {_toml(value)}" for key, value in data.items())
+    for name, table in tables.items():
+        yield ""
+        yield f"[{name}]  # {NOTES[name]}"
+        rows = [(key, value) for key, value in table.items() if _is_tables(value)]
+        yield from (f"{key} = {_toml(value)}" for key, value in table.items() if not _is_tables(value))
+        for key, entries in rows:
+            yield f"{key} = ["
+            yield from (f"    {_toml(entry)}," for entry in entries)
+            yield "]"
+
+
+def _is_tables(value: object) -> bool:
+    return isinstance(value, list | tuple) and len(value) > 0 and isinstance(value[0], Mapping)
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="seconds")
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_toml(entry)}" for key, entry in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml(entry) for entry in value) + "]"
+    if isinstance(value, str):
+        return _quoted(value)
+    return repr(value)
+
+
+def _quoted(text: str) -> str:
+    """A text as a TOML string."""
+    escaped = "".join(
+        {'"': '\\"', "\\": "\\\\"}.get(letter, letter if letter.isprintable() else f"\\U{ord(letter):08X}")
+        for letter in text
+    )
+    return f'"{escaped}"'
