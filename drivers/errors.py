@@ -1,4 +1,6 @@
-"""What an instrument says when it fails."""
+"""Failures of instruments: instrument, operation, cause and remedy."""
+
+from __future__ import annotations
 
 
 class InstrumentError(Exception):
@@ -28,6 +30,10 @@ class InstrumentError(Exception):
         self.cause = cause
         self.remedy = remedy
         self.role = ""
+
+    def __reduce__(self) -> tuple[type[InstrumentError], tuple[str, ...], dict[str, object]]:
+        """Pickled whole, notes included: some instruments are driven from a process of their own."""
+        return type(self), (self.instrument, self.operation, self.cause, self.remedy), self.__dict__
 
 
 class TransientInstrumentError(InstrumentError):

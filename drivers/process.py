@@ -1,10 +1,14 @@
-"""A driver in a process of its own: every wait for it has an end, and a process that hangs is killed."""
+"""A driver in a process of its own: every wait for it has an end, and a process that hangs is killed.
+
+Messages are frozen data classes, pickled: both ends are this package, started by one another.
+"""
 
 from __future__ import annotations
 
-import json
 import math
 import os
+import pickle
+import signal
 import subprocess
 import sys
 import tempfile
@@ -12,59 +16,9 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, TypeVar
-
-Message = dict[str, Any]
-
-BYTES = "bytes"
-
-
-class MessagePipe:
-    """One end of a pair of pipes; several threads may send, one receives.
-
-    Parameters
-    ----------
-    incoming, outgoing : binary file
-        What is read, and what is written.
-    """
-
-    def __init__(self, incoming: IO[bytes], outgoing: IO[bytes]) -> None:
-        self._incoming = incoming
-        self._outgoing = outgoing
-        self._lock = threading.Lock()
-
-    def send(self, message: Message, payload: bytes | memoryview = b"") -> None:
-        """Write one message.
-
-        Parameters
-        ----------
-        message : dict
-            What JSON can hold.
-        payload : bytes
-            Goes along.
-
-        Raises
-        ------
-        OSError, ValueError
-            The other end, or this one, is closed.
-        """
-        line = json.dumps({**message, BYTES: len(payload)}).encode() + b"\n"
-        with self._lock:
-            self._outgoing.write(line)
-            self._outgoing.write(payload)
-            self._outgoing.flush()
-
-    def receive(self) -> tuple[Message, bytes] | None:
-        """Wait for the next message; None when the other end is closed, be it in the middle of one."""
-        line = self._incoming.readline()
-        if not line.endswith(b"\n"):
-            return None
-        message: Message = json.loads(line)
-        size = message.pop(BYTES)
-        payload = self._incoming.read(size)
-        return (message, payload) if len(payload) == size else None
-
 
 ANSWER_S = 5.0
 """A process that is well answers within milliseconds; on a busy machine within a second."""
@@ -73,7 +27,7 @@ LOOK_S = 0.5
 """How often a process that is waited for is asked for a sign of life."""
 
 OPENING_S = 20.0
-"""Loading PortAudio and opening a device; ASIO drivers take seconds."""
+"""Loading a vendor's library and opening a device; ASIO drivers take seconds."""
 
 CLOSING_S = 6.0
 """Longer than the process allows itself."""
@@ -81,14 +35,67 @@ CLOSING_S = 6.0
 Value = TypeVar("Value")
 
 
-class ProcessGoneError(Exception):
-    """The process ended, or was killed because it hung.
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Asks for a sign of life."""
 
-    Parameters
-    ----------
-    cause : str
-        What happened.
-    """
+
+@dataclass(frozen=True, slots=True)
+class Alive:
+    """The answer to `Ask`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """Asks the process to release its device and end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """The last message of a process whose device is gone."""
+
+    cause: str
+
+
+class MessagePipe:
+    """One end of a pair of pipes; several threads may send, one receives."""
+
+    def __init__(self, incoming: IO[bytes], outgoing: IO[bytes]) -> None:
+        self._incoming = incoming
+        self._outgoing = outgoing
+        self._lock = threading.Lock()
+
+    def send(self, message: object) -> None:
+        """Write one message. Raises OSError or ValueError where either end is closed."""
+        with self._lock:
+            pickle.dump(message, self._outgoing, pickle.HIGHEST_PROTOCOL)
+            self._outgoing.flush()
+
+    def try_send(self, message: object) -> None:
+        """Write one message, or nothing where the other end is closed: whoever reads from there notices too."""
+        with suppress(OSError):
+            self.send(message)
+
+    def receive(self) -> Any:
+        """Wait for the next message; None when the other end is closed, be it in the middle of one."""
+        try:
+            return pickle.load(self._incoming)
+        except (EOFError, pickle.UnpicklingError):
+            return None
+
+
+def pipe_to_parent() -> MessagePipe:
+    """The pipe of a process that `DriverProcess` started; to be called first thing there."""
+    # Ctrl-C reaches every process of a terminal; the parent decides what stops, and when.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Vendors' libraries print where they please; the answers go where nothing else does.
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    return MessagePipe(sys.stdin.buffer, answers)
+
+
+class ProcessGoneError(Exception):
+    """The process ended, or was killed because it hung."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)
@@ -96,18 +103,18 @@ class ProcessGoneError(Exception):
 
 
 class DriverProcess:
-    """Starts a module as a process and talks with it; safe to use from several threads.
+    """Starts a module's `main` as a process and talks with it; safe to use from several threads.
 
     Parameters
     ----------
     module : str
-        What runs there; it reads and writes `drivers.process.MessagePipe` on its standard input and output.
+        Its function ``main`` runs there, on `pipe_to_parent`.
     name : str
         What the process is, for messages: ``"the process that owns its stream"``.
-    environment : mapping from str to str
-        Added to the environment of this process.
     receive : callable
-        Gets every message and its payload, in order, in a thread of its own, and with the lock of `wait_for` held.
+        Gets every message, in order, in a thread of its own, and with the lock of `wait_for` held.
+    environment : mapping from str to str, optional
+        Added to the environment of this process.
     defaults : mapping from str to str, optional
         Added where this process's environment has not the variable.
     """
@@ -116,21 +123,21 @@ class DriverProcess:
         self,
         module: str,
         name: str,
-        environment: Mapping[str, str],
-        receive: Callable[[Message, bytes], None],
+        receive: Callable[[Any], None],
+        environment: Mapping[str, str] | None = None,
         defaults: Mapping[str, str] | None = None,
     ) -> None:
         self._name = name
         self._receive = receive
         self._news = threading.Condition()
         self._gone = ""
-        self._heard_s = time.monotonic()
+        self._answered_s = time.monotonic()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the process, in close()
         root = str(Path(__file__).parents[1])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         self._process = subprocess.Popen(
             # -P: a file in the working directory must not pass for a module of ours.
-            [sys.executable, "-P", "-m", module],
+            [sys.executable, "-P", "-c", f"from {module} import main; main()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
@@ -138,7 +145,7 @@ class DriverProcess:
                 "OPENBLAS_NUM_THREADS": "1",  # it adds and multiplies nothing
                 **(defaults or {}),
                 **os.environ,
-                **environment,
+                **(environment or {}),
                 "PYTHONPATH": os.pathsep.join(paths),
             },
             # Ctrl-C and a closing terminal are this process's to answer.
@@ -161,13 +168,8 @@ class DriverProcess:
         """Why the process is gone; empty while it lives."""
         return self._gone
 
-    def send(self, *messages: tuple[Message, bytes | memoryview]) -> None:
+    def send(self, *messages: object) -> None:
         """Send messages in a row; a process that does not take them in time is killed.
-
-        Parameters
-        ----------
-        messages : tuple of message and payload
-            As of `drivers.process.MessagePipe.send`.
 
         Raises
         ------
@@ -180,8 +182,8 @@ class DriverProcess:
         guard.daemon = True
         guard.start()
         try:
-            for message, payload in messages:
-                self._pipe.send(message, payload)
+            for message in messages:
+                self._pipe.send(message)
         except (OSError, ValueError):
             raise ProcessGoneError(self._why()) from None
         finally:
@@ -216,17 +218,17 @@ class DriverProcess:
                     return value
                 if self._gone:
                     raise ProcessGoneError(self._gone)
-                heard_s = self._heard_s
+                answered_s = self._answered_s
             now_s = time.monotonic()
             if now_s >= until_s:
                 return None
             # Time in which this process itself was kept waiting does not count against the other.
             silent_s += min(now_s - looked_s, 2 * LOOK_S)
             looked_s = now_s
-            if heard_s > asked_s:
+            if answered_s > asked_s:
                 asked_s, silent_s = now_s, 0.0
                 try:
-                    self.send(({"do": "ask"}, b""))
+                    self.send(Ask())
                 except ProcessGoneError:
                     self._reader.join(ANSWER_S)  # what it said before it went may be what is waited for
                     with self._news:
@@ -238,13 +240,7 @@ class DriverProcess:
                 self.kill(f"{self._name} did not answer for {ANSWER_S:g} s and was killed")
 
     def kill(self, cause: str) -> None:
-        """End the process at once; what it played falls silent with it.
-
-        Parameters
-        ----------
-        cause : str
-            Why, for whoever asks later.
-        """
+        """End the process at once, with whatever it plays; `cause` is for whoever asks later."""
         with self._news:
             self._gone = self._gone or cause
             self._news.notify_all()
@@ -253,7 +249,11 @@ class DriverProcess:
             self._process.wait(ANSWER_S)
 
     def close(self) -> None:
-        """See the process end, killing it if it does not."""
+        """Ask the process to end, see it end, and kill it if it does not."""
+        try:
+            self.send(Close())
+        except ProcessGoneError as gone:
+            self.kill(gone.cause)
         try:
             self._process.wait(CLOSING_S)
         except subprocess.TimeoutExpired:
@@ -262,19 +262,17 @@ class DriverProcess:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         for pipe in (self._process.stdin, self._process.stdout, self._errors):
-            try:
+            with suppress(BrokenPipeError):  # messages that it did not read
                 pipe.close()
-            except BrokenPipeError:  # what could not be told it will not miss
-                continue
 
     def _read(self) -> None:
-        while (received := self._pipe.receive()) is not None:
-            message, payload = received
+        while (message := self._pipe.receive()) is not None:
             with self._news:
-                self._heard_s = time.monotonic()
-                if message["is"] == "lost":
-                    self._gone = self._gone or str(message["cause"])
-                self._receive(message, payload)
+                self._answered_s = time.monotonic()
+                if isinstance(message, Lost):
+                    self._gone = self._gone or message.cause
+                else:
+                    self._receive(message)
                 self._news.notify_all()
         why = self._why()
         with self._news:

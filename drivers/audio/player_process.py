@@ -1,44 +1,100 @@
-"""The process that owns the audio stream: it can be killed when a driver hangs, and ends, muted, with its parent.
-
-Run as ``python -P -m drivers.audio.player_process`` with pipes for input and output; see `stream_player`.
-"""
+"""The process that owns the audio stream: it can be killed when a driver hangs, and ends, muted, with its parent."""
 
 from __future__ import annotations
 
 import gc
 import os
-import signal
 import sys
 import threading
 import traceback
-from dataclasses import asdict
+from dataclasses import dataclass
 
-import numpy as np
-
-from drivers.audio.playback import FADE_S, Ended, Float32Array, PieceByPiece, Play, Voice
-from drivers.audio.portaudio import DeviceChoiceError, StreamRequest, WatchedStream, load_sounddevice
-from drivers.process import Message, MessagePipe
+from drivers.audio.playback import FADE_S, Float32Array, PieceByPiece, Play, Voice
+from drivers.audio.portaudio import DeviceChoiceError, OutputDevice, StreamRequest, WatchedStream, load_sounddevice
+from drivers.process import Alive, Ask, Close, Lost, MessagePipe, pipe_to_parent
 
 CLOSING_S = 3.0
 """Closing a stream whose host is gone hangs, and JACK takes a period for each channel; then the process just ends."""
 
 
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The stream runs: its device, its latency in s, and PortAudio's version."""
+
+    device: OutputDevice
+    latency_s: float
+    library: str
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The stream cannot be opened; `absent` as of `DeviceChoiceError`."""
+
+    cause: str
+    remedy: str
+    absent: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """Keep a signal, float32 (frames,) as parts of full scale, under a number."""
+
+    signal: int
+    frames: Float32Array
+
+
+@dataclass(frozen=True, slots=True)
+class Forget:
+    """Drop a signal."""
+
+    signal: int
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Play stored signals: for each channel its signal and the frame at which that begins."""
+
+    number: int
+    voices: tuple[tuple[int, int, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Begin a play that comes in pieces; it sounds when `ahead_frames` of it are there, or all."""
+
+    number: int
+    channels: tuple[int, ...]
+    ahead_frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """The next frames of that play, float32 (frames, channels)."""
+
+    frames: Float32Array
+
+
+@dataclass(frozen=True, slots=True)
+class EndPieces:
+    """No more pieces come."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mute:
+    """Fade out with the next period."""
+
+
 def main() -> None:
-    """Do what comes over the pipe until it ends."""
-    # Ctrl-C reaches every process of a terminal; the parent decides what stops, and when.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Audio libraries print where they please; the answers go where nothing else does.
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering=0)
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    pipe = MessagePipe(sys.stdin.buffer, answers)
+    """Open a stream and carry out orders until the parent closes the pipe."""
+    pipe = pipe_to_parent()
     try:
         code = _serve(pipe)
     except DeviceChoiceError as error:
-        pipe.send({"is": "failed", "cause": error.cause, "remedy": error.remedy, "absent": error.absent})
+        pipe.send(Refused(error.cause, error.remedy, error.absent))
         code = 1
     except OSError:  # the parent is gone, and with it who could be told
         code = 2
-    except Exception:  # a defect: what the parent keeps of standard error tells where
+    except Exception:  # a defect: the parent keeps standard error
         traceback.print_exc()
         code = 4
     # The audio library's own clean-up hangs where its host is gone; it would run on any other way out.
@@ -46,26 +102,18 @@ def main() -> None:
 
 
 def _serve(pipe: MessagePipe) -> int:
-    received = pipe.receive()
-    if received is None:
+    request = pipe.receive()
+    if not isinstance(request, StreamRequest):
         return 0
-    request, _ = received
     sounddevice = load_sounddevice()
-    stream = WatchedStream(sounddevice, StreamRequest(**request))
+    stream = WatchedStream(sounddevice, request)
     gc.freeze()
     gc.disable()  # a collection would keep the callback waiting; nothing here makes cycles
     sys.setswitchinterval(0.001)
-    pipe.send(
-        {
-            "is": "open",
-            "device": asdict(stream.device),
-            "latency_s": stream.latency_s,
-            "library": str(sounddevice.get_portaudio_version()[1]),
-        }
-    )
+    pipe.send(Opened(stream.device, stream.latency_s, str(sounddevice.get_portaudio_version()[1])))
     ending = threading.Event()
-    threading.Thread(target=_tell_ends, args=(pipe, stream), daemon=True).start()
-    threading.Thread(target=_tell_loss, args=(pipe, stream, ending), daemon=True).start()
+    threading.Thread(target=_forward_events, args=(pipe, stream), daemon=True).start()
+    threading.Thread(target=_report_loss, args=(pipe, stream, ending), daemon=True).start()
     _obey(pipe, stream)
     ending.set()
     # On this thread, which opened the stream: ASIO drivers want it so.
@@ -80,48 +128,46 @@ def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
     """Carry out orders until one says to close or the parent is gone."""
     signals: dict[int, Float32Array] = {}
     pieces = _Pieces(stream)
-    while (received := pipe.receive()) is not None:
-        message, payload = received
-        order = message["do"]
-        if order == "play":
-            voices = tuple(Voice(channel, signals[name], start) for channel, name, start in message["voices"])
-            stream.playback.start(Play(message["number"], voices))
-        elif order == "store":
-            signals[message["signal"]] = np.frombuffer(payload, dtype=np.float32)
-        elif order == "forget":
-            del signals[message["signal"]]
-        elif order == "begin":
-            pieces.begin(message["number"], message["channels"], message["ahead"])
-        elif order == "piece":
-            pieces.add(np.frombuffer(payload, dtype=np.float32))
-        elif order == "end":
-            pieces.end()
-        elif order == "mute":
-            pieces.start()
-            stream.playback.mute()
-        elif order == "ask":
-            pipe.send({"is": "here", "callbacks": stream.playback.callbacks, "underflows": stream.playback.underflows})
-        elif order == "close":
-            return
+    while (order := pipe.receive()) is not None:
+        match order:
+            case Start(number, voices):
+                stream.playback.start(Play(number, tuple(Voice(at, signals[one], start) for at, one, start in voices)))
+            case Store(signal, frames):
+                signals[signal] = frames
+            case Forget(signal):
+                del signals[signal]
+            case Begin():
+                pieces.begin(order)
+            case Piece(frames):
+                pieces.add(frames)
+            case EndPieces():
+                pieces.end()
+            case Mute():
+                pieces.start()
+                stream.playback.mute()
+            case Ask():
+                pipe.send(Alive())
+            case Close():
+                return
 
 
 class _Pieces:
-    """A play that comes in pieces: it sounds from when enough of it is there, or all."""
+    """A play that comes in pieces: it sounds when enough of it is there, or all."""
 
     def __init__(self, stream: WatchedStream) -> None:
         self._playback = stream.playback
         self._reserve_frames = round(FADE_S * stream.rate_hz)
         self._play: PieceByPiece | None = None
         self._waiting = False
-        self._columns = self._ahead_frames = 0
+        self._ahead_frames = 0
 
-    def begin(self, number: int, channels: list[int], ahead_frames: int) -> None:
-        self._play = PieceByPiece(number, channels, self._reserve_frames, self._playback.events.put)
-        self._columns, self._ahead_frames, self._waiting = len(channels), ahead_frames, True
+    def begin(self, order: Begin) -> None:
+        self._play = PieceByPiece(order.number, order.channels, self._reserve_frames, self._playback.events.put)
+        self._ahead_frames, self._waiting = order.ahead_frames, True
 
-    def add(self, values: Float32Array) -> None:
+    def add(self, frames: Float32Array) -> None:
         if self._play is not None:
-            self._play.add(values.reshape(-1, self._columns))
+            self._play.add(frames)
             if self._play.received >= self._ahead_frames:
                 self.start()
 
@@ -136,25 +182,13 @@ class _Pieces:
             self._playback.start(self._play)
 
 
-def _tell_ends(pipe: MessagePipe, stream: WatchedStream) -> None:
+def _forward_events(pipe: MessagePipe, stream: WatchedStream) -> None:
     while True:
-        event = stream.playback.events.get()
-        _send_if_heard(pipe, {"is": "ended" if isinstance(event, Ended) else "taken", **asdict(event)})
+        pipe.try_send(stream.playback.events.get())
 
 
-def _tell_loss(pipe: MessagePipe, stream: WatchedStream, ending: threading.Event) -> None:
+def _report_loss(pipe: MessagePipe, stream: WatchedStream, ending: threading.Event) -> None:
     cause = stream.watch(ending.is_set)
     if cause:
-        _send_if_heard(pipe, {"is": "lost", "cause": cause})
+        pipe.try_send(Lost(cause))
         os._exit(3)
-
-
-def _send_if_heard(pipe: MessagePipe, message: Message) -> None:
-    try:
-        pipe.send(message)
-    except OSError:  # the parent is gone; the main thread sees it too, and ends the process in good order
-        return
-
-
-if __name__ == "__main__":
-    main()

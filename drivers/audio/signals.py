@@ -11,9 +11,9 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.audio.player_process import Forget, Store
 from drivers.audio.resampling import converted, lead_samples, rate_ratio
 from drivers.errors import InstrumentError
-from drivers.process import Message
 
 Float64Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -179,26 +179,23 @@ def _frames(parts: Float64Array, ratio: Fraction) -> tuple[Float32Array, int]:
     return np.ascontiguousarray(frames[first:stop], dtype=np.float32), first - lead
 
 
-Order = tuple[Message, bytes | memoryview]
-
-
 @dataclass(frozen=True, slots=True)
 class PlayOrder:
-    """One play as the stream's process is told of it.
+    """One play as the stream's process gets it.
 
     Parameters
     ----------
-    voices : list of [int, int, int]
+    voices : tuple of (int, int, int)
         Channel, number of its signal, and the frame at which it begins.
     frames : int
         Length at the interface's rate.
-    before : list of Order
-        What has to be said first: new signals, and those that may be forgotten.
+    before : list of Store or Forget
+        New signals, and those that may be forgotten; to be sent first.
     """
 
-    voices: list[list[int]]
+    voices: tuple[tuple[int, int, int], ...]
     frames: int
-    before: list[Order]
+    before: list[Store | Forget]
 
 
 class PlayOrders:
@@ -219,32 +216,20 @@ class PlayOrders:
         self._full_scale_v = tuple(full_scale_v)
         self._rate_hz = rate_hz
         self._shelf = SignalShelf()
-        self._unsaid: list[Order] = []
+        self._unsent: list[Store | Forget] = []
 
     @property
     def signals_converted(self) -> int:
         """How many signals were converted so far; a repeated one is not."""
         return self._shelf.made
 
-    @property
-    def full_scale_v(self) -> float:
-        """The smallest full scale of all channels, in volts."""
-        return min(self._full_scale_v)
-
     def forget(self) -> None:
-        """Begin anew: the process that was told is gone."""
+        """Begin anew: the process that has the signals is gone."""
         self._shelf.clear()
-        self._unsaid.clear()
+        self._unsent.clear()
 
     def order(self, doing: str, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> PlayOrder:
-        """Turn voltages into an order.
-
-        Parameters
-        ----------
-        doing : str
-            What is under way, for messages.
-        signals_v, sample_rate_hz
-            As of `drivers.protocols.Player.play`.
+        """Turn voltages into an order; `doing` is for messages, the rest is as of `drivers.protocols.Player.play`.
 
         Raises
         ------
@@ -254,35 +239,31 @@ class PlayOrders:
         lengths = {volts.size for volts in signals_v.values()}
         if len(lengths) != 1 or 0 in lengths:
             raise self._refusal(doing, f"signals of {sorted(lengths)} samples", "give signals of one length, not empty")
-        ratio = self._ratio(doing, sample_rate_hz)
-        for channel, volts in signals_v.items():
-            self._check(doing, channel, volts)
-        shelved = {channel: self._shelve(doing, channel, volts, ratio) for channel, volts in signals_v.items()}
-        for number in self._shelf.give_up({one.number for one in shelved.values()}):
-            self._unsaid.append(({"do": "forget", "signal": number}, b""))
-        zero = min(one.first for one in shelved.values())
-        frames = max(one.first + one.frames for one in shelved.values()) - zero
-        voices = [[channel, one.number, one.first - zero] for channel, one in shelved.items()]
-        before, self._unsaid = self._unsaid, []
-        return PlayOrder(voices, frames, before)
-
-    def _ratio(self, doing: str, sample_rate_hz: float) -> Fraction:
         try:
-            return rate_ratio(sample_rate_hz, self._rate_hz)
+            ratio = rate_ratio(sample_rate_hz, self._rate_hz)
         except ValueError as error:
             remedy = "choose a capture rate that goes evenly into player.interface_rate_hz"
             raise self._refusal(doing, str(error), remedy) from None
+        for channel, volts in signals_v.items():
+            self._check(doing, channel, volts)
+        shelved = {channel: self._shelve(doing, channel, volts, ratio) for channel, volts in signals_v.items()}
+        self._unsent += [Forget(number) for number in self._shelf.give_up({one.number for one in shelved.values()})]
+        zero = min(one.first for one in shelved.values())
+        frames = max(one.first + one.frames for one in shelved.values()) - zero
+        voices = tuple((channel, one.number, one.first - zero) for channel, one in shelved.items())
+        before, self._unsent = self._unsent, []
+        return PlayOrder(voices, frames, before)
 
     def _check(self, doing: str, channel: int, volts: Float64Array) -> None:
-        channels = len(self._full_scale_v)
+        channels, full_scale_v = len(self._full_scale_v), min(self._full_scale_v)
         if not 0 <= channel < channels:
             raise self._refusal(doing, f"there is no channel {channel}", f"choose 0 to {channels - 1}")
         peak_v = float(np.abs(volts).max())
-        if volts.ndim != 1 or not peak_v <= self.full_scale_v:
+        if volts.ndim != 1 or not peak_v <= full_scale_v:
             raise self._refusal(
                 doing,
                 f"the signal of channel {channel} has the shape {volts.shape} and reaches {peak_v:g} V",
-                f"give finite voltages within +-{self.full_scale_v:g} V, one row",
+                f"give finite voltages within +-{full_scale_v:g} V, one row",
             )
 
     def _shelve(self, doing: str, channel: int, volts: Float64Array, ratio: Fraction) -> ShelvedSignal:
@@ -297,7 +278,7 @@ class PlayOrders:
                 f"scale it down by {20 * math.log10(beyond.reaches) + 0.01:.2f} dB",
             ) from None
         if frames is not None:
-            self._unsaid.append(({"do": "store", "signal": shelved.number}, frames.data.cast("B")))
+            self._unsent.append(Store(shelved.number, frames))
         return shelved
 
     def _refusal(self, doing: str, cause: str, remedy: str) -> InstrumentError:

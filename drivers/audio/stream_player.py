@@ -10,178 +10,24 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.audio.playback import UNDERFLOW
-from drivers.audio.portaudio import OutputDevice
-from drivers.audio.signals import Order, PlayOrders
+from drivers.audio.playback import UNDERFLOW, Ended, Taken
+from drivers.audio.player_process import Begin, EndPieces, Mute, Opened, Piece, Refused, Start
+from drivers.audio.portaudio import StreamRequest
+from drivers.audio.signals import PlayOrders
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.process import ANSWER_S, OPENING_S, DriverProcess, Message, ProcessGoneError
+from drivers.process import ANSWER_S, OPENING_S, Alive, Ask, DriverProcess, ProcessGoneError
 from drivers.protocols import DeviceIdentity
 
-LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
-
-
-def lost(name: str, doing: str, gone: ProcessGoneError) -> InstrumentLostError:
-    """What to say of a player whose stream's process is gone."""
-    return InstrumentLostError(name, doing, gone.cause, LOST_REMEDY)
-
-
-class PlayUnderWay:
-    """What is known of a play here; the stream's process tells how it ended."""
-
-    def __init__(self, number: int, doing: str, length_s: float, asked_s: float) -> None:
-        self.number = number
-        self.doing = doing
-        self.length_s = length_s
-        self.asked_s = asked_s
-        self.outcome: str | None = None
-        self.notice = ""
-        self.handed_frames = 0
-        """Of a play that comes in pieces: how many frames the stream's process was given."""
-        self.taken_frames = 0
-        """And how many of them it has played."""
-
-
-class StreamLife:
-    """One life of the stream's process, and what it told."""
-
-    def __init__(self, environment: Mapping[str, str]) -> None:
-        self.opened: Message = {}
-        self.play: PlayUnderWay | None = None
-        self._heard_s = 0.0
-        self.process = DriverProcess(
-            "drivers.audio.player_process",
-            "the process that owns its stream",
-            environment,
-            self._note,
-            # PortAudio would start an audio server of its own where there is none.
-            {"JACK_NO_START_SERVER": "1"},
-        )
-
-    def heard_after(self, instant_s: float) -> bool | None:
-        """True when a sign of life came after an instant."""
-        return True if self._heard_s > instant_s else None
-
-    def _note(self, message: Message, payload: bytes) -> None:
-        if message["is"] in ("open", "failed"):
-            self.opened = message
-        elif message["is"] == "here":
-            self._heard_s = time.monotonic()
-        elif message["is"] == "ended" and self.play is not None and message["number"] == self.play.number:
-            self.play.notice = message["notice"]
-            self.play.outcome = message["outcome"]
-        elif message["is"] == "taken" and self.play is not None and message["number"] == self.play.number:
-            self.play.taken_frames = message["frames"]
-
-
 Float64Array = NDArray[np.float64]
-
-LATE_S = 5.0
-"""Beyond the length of what waits to be played, and a tenth of it: then the stream does not go on."""
-
-
-class PiecewisePlay:
-    """Checks pieces, hands them over, and waits for room.
-
-    Parameters
-    ----------
-    name : str
-        The player's, for messages.
-    stream : StreamLife
-        Where it plays.
-    channels : sequence of int
-        Outputs, in the order of the pieces' rows; each once.
-    full_scale_v : sequence of float
-        Of each of them.
-    rate_hz : int
-        The interface's.
-    ahead_s : float
-        How much may wait; it sounds when so much is there, or all.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        stream: StreamLife,
-        channels: Sequence[int],
-        full_scale_v: Sequence[float],
-        rate_hz: int,
-        ahead_s: float,
-    ) -> None:
-        self._name = name
-        self._stream = stream
-        self._channels = list(channels)
-        self._full_scale_v = np.array(full_scale_v)[:, np.newaxis]
-        self._rate_hz = rate_hz
-        self._ahead_frames = max(1, round(ahead_s * rate_hz))
-        self._play = PlayUnderWay(0, "", 0.0, time.monotonic())
-
-    def begin(self, number: int) -> None:
-        """Announce it."""
-        doing = f"playing piece by piece on {len(self._channels)} channels"
-        self._play = self._stream.play = PlayUnderWay(number, doing, 0.0, time.monotonic())
-        self._send({"do": "begin", "number": number, "channels": self._channels, "ahead": self._ahead_frames})
-
-    def add(self, volts: Float64Array, latency_s: float) -> float:
-        """Hand over the next samples and wait for room; tells how much was still to be played before, in seconds."""
-        play = self._play
-        if volts.ndim != 2 or len(volts) != len(self._channels) or not (np.abs(volts) <= self._full_scale_v).all():
-            raise InstrumentError(
-                self._name,
-                play.doing,
-                f"a piece of shape {volts.shape} that reaches {np.abs(volts).max(initial=0.0):g} V",
-                f"give one row for each of {len(self._channels)} channels, finite and within full scale",
-            )
-        frames = np.ascontiguousarray((volts / self._full_scale_v).T, dtype=np.float32)
-        before_s = (play.handed_frames - play.taken_frames) / self._rate_hz
-        play.handed_frames += len(frames)
-        self._send({"do": "piece"}, frames.data.cast("B"))
-
-        def there_is_room() -> bool | None:
-            return True if play.outcome or play.handed_frames - play.taken_frames <= self._ahead_frames else None
-
-        longest_s = 1.1 * (self._ahead_frames + len(frames)) / self._rate_hz + 2 * latency_s + LATE_S
-        try:
-            room = self._stream.process.wait_for(there_is_room, time.monotonic() + longest_s)
-        except ProcessGoneError as gone:
-            raise lost(self._name, play.doing, gone) from None
-        if play.outcome == UNDERFLOW:
-            raise self.ran_dry()
-        if room is None:
-            self._stream.process.kill("it plays more slowly than its clock says")
-            raise lost(self._name, play.doing, ProcessGoneError(self._stream.process.gone))
-        return before_s
-
-    def end(self) -> None:
-        """Say that no more comes."""
-        play = self._play
-        play.length_s = (play.handed_frames - play.taken_frames) / self._rate_hz
-        play.asked_s = time.monotonic()
-        self._send({"do": "end"})
-
-    def ran_dry(self) -> TransientInstrumentError:
-        """What to say of it when the pieces came too late."""
-        return TransientInstrumentError(
-            self._name,
-            self._play.doing,
-            f"underflow: {self._play.notice}",
-            "have more of it ready beforehand (--ahead-s), leave out more (--tolerance-db), close other programs",
-        )
-
-    def _send(self, message: dict[str, object], payload: bytes | memoryview = b"") -> None:
-        try:
-            self._stream.process.send((message, payload))
-        except ProcessGoneError as gone:
-            raise lost(self._name, self._play.doing, gone) from None
-
-
-Float32Array = NDArray[np.float32]
 
 OVERDUE_S = 5.0
 """A play that has not ended so long after it should have, and a tenth of its length, is not going to."""
 
+LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
+
 
 class StreamPlayer:
-    """Plays one signal per channel of an audio interface; implements `drivers.protocols.Player`.
+    """Plays one signal per channel of an audio interface; implements `drivers.protocols.PiecewisePlayer`.
 
     One stream over all channels runs from the moment of opening to that of closing, silent between plays, in a
     process of its own: what hangs there is killed, and nobody waits for it.
@@ -231,30 +77,18 @@ class StreamPlayer:
                 f" {min(self._full_scale_v, default=math.nan):g} V up",
                 "give one finite voltage above 0 for each channel",
             )
-        self._request: Message = {
-            "host_api": host_api,
-            "device": device,
-            "channels": channels,
-            "rate_hz": interface_rate_hz,
-            "block_frames": block_frames,
-        }
+        self._request = StreamRequest(host_api, device, channels, interface_rate_hz, block_frames)
         self._environment = dict(environment or {})
         self._orders = PlayOrders(self._name, self._full_scale_v, interface_rate_hz)
         self._ordering = threading.Lock()
         self._closed = False
         self._plays = 0
-        self._pieces: PiecewisePlay | None = None
-        self._stream = StreamLife(self._environment)
-        try:
-            self._open("opening", InstrumentError)
-        except BaseException:
-            self._end_stream()
-            raise
+        self._opened = self._open("opening", InstrumentError)
 
     @property
     def identity(self) -> DeviceIdentity:
         """Name of the device as PortAudio lists it, which knows neither maker nor serial number."""
-        return self._identity
+        return self._opened.device.identity
 
     @property
     def channels(self) -> int:
@@ -264,12 +98,12 @@ class StreamPlayer:
     @property
     def full_scale_v(self) -> float:
         """Largest output magnitude in volts: the smallest full scale of all channels."""
-        return self._orders.full_scale_v
+        return min(self._full_scale_v)
 
     @property
     def latency_s(self) -> float:
-        """How long after its callback a sample leaves the outputs, as the host tells."""
-        return float(self._stream.opened["latency_s"])
+        """How long after its callback a sample leaves the outputs, as the host reports."""
+        return self._opened.latency_s
 
     @property
     def process_id(self) -> int:
@@ -284,32 +118,28 @@ class StreamPlayer:
     def identify(self) -> str:
         """Name, host API, channels, rate and latency of the device."""
         self._check_open("identifying")
-        stream = self._stream
-        asked_s = time.monotonic()
+        stream, asked_s = self._stream, time.monotonic()
+        self._send("identifying", Ask())
         try:
-            stream.process.send(({"do": "ask"}, b""))
-            stream.process.wait_for(lambda: stream.heard_after(asked_s), asked_s + 2 * ANSWER_S)
+            stream.process.wait_for(lambda: stream.alive_s > asked_s or None, asked_s + 2 * ANSWER_S)
         except ProcessGoneError as gone:
-            raise lost(self._name, "identifying", gone) from None
-        device = OutputDevice(**stream.opened["device"])
+            raise self._lost("identifying", gone) from None
+        device = self._opened.device
         return (
             f"player {device.name}, {device.host_api}, {self.channels} of {device.channels} channels at"
-            f" {self._request['rate_hz']} Hz, latency {1e3 * self.latency_s:.0f} ms,"
-            f" full scale {self.full_scale_v:g} V, {stream.opened['library']}"
+            f" {self._request.rate_hz} Hz, latency {1e3 * self.latency_s:.0f} ms,"
+            f" full scale {self.full_scale_v:g} V, {self._opened.library}"
         )
 
     def prepare(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         """Convert signals that will be played, so that their first play starts as soon as any other.
 
-        Parameters
-        ----------
-        signals_v, sample_rate_hz
-            As of `play`, and refused for the same reasons.
+        Arguments and refusals are those of `play`.
         """
         doing = _playing(signals_v)
         self._check_open(doing)
         with self._ordering:
-            self._send(doing, self._orders.order(doing, signals_v, sample_rate_hz).before)
+            self._send(doing, *self._orders.order(doing, signals_v, sample_rate_hz).before)
 
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         """Start playing with the next period; volts by channel, all of one length, none beyond full scale.
@@ -321,26 +151,21 @@ class StreamPlayer:
         doing = _playing(signals_v)
         self._check_open(doing)
         with self._ordering:
-            stream = self._stream
             self._check_silent(doing)
             order = self._orders.order(doing, signals_v, sample_rate_hz)
             self._plays += 1
-            stream.play = PlayUnderWay(self._plays, doing, order.frames / self._request["rate_hz"], time.monotonic())
-            start = ({"do": "play", "number": self._plays, "voices": order.voices}, b"")
-            self._send(doing, [*order.before, start])
+            self._stream.play = _Play(self._plays, doing, order.frames / self._request.rate_hz)
+            self._send(doing, *order.before, Start(self._plays, order.voices))
 
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
         """Begin a play that comes in pieces at the interface's rate; it sounds when `ahead_s` of it is there, or all.
 
-        Parameters
-        ----------
-        channels, sample_rate_hz, ahead_s
-            As of `drivers.protocols.PiecewisePlayer.begin_pieces`.
+        Arguments as of `drivers.protocols.PiecewisePlayer.begin_pieces`.
         """
         doing = f"playing piece by piece on {len(channels)} channels"
         self._check_open(doing)
         with self._ordering:
-            rate_hz = self._request["rate_hz"]
+            rate_hz = self._request.rate_hz
             if sample_rate_hz != rate_hz:
                 cause, remedy = f"pieces at {sample_rate_hz:g} Hz", f"give them at the interface's rate, {rate_hz} Hz"
                 raise InstrumentError(self._name, doing, cause, remedy)
@@ -349,55 +174,69 @@ class StreamPlayer:
                 raise InstrumentError(self._name, doing, f"channels {list(channels)}", remedy)
             self._check_silent(doing)
             self._plays += 1
-            each_v = [self._full_scale_v[channel] for channel in channels]
-            self._pieces = PiecewisePlay(self._name, self._stream, channels, each_v, rate_hz, ahead_s)
-            self._pieces.begin(self._plays)
+            full_scale_v = np.array([self._full_scale_v[channel] for channel in channels])[:, np.newaxis]
+            ahead_frames = max(1, round(ahead_s * rate_hz))
+            self._stream.play = _Pieces(self._plays, doing, full_scale_v, ahead_frames)
+            self._send(doing, Begin(self._plays, tuple(channels), ahead_frames))
 
     def add_piece(self, volts: Float64Array) -> float:
         """Hand over the next samples and wait until no more than `ahead_s` of them are not played yet.
 
-        Parameters
-        ----------
-        volts : float64 array, shape (channels, samples)
-            As of `drivers.protocols.PiecewisePlayer.add_piece`.
-
-        Returns
-        -------
-        float
-            How much was still to be played before, in seconds.
+        Arguments and result as of `drivers.protocols.PiecewisePlayer.add_piece`.
         """
-        return self._begun().add(volts, self.latency_s)
+        play, rate_hz, process = self._begun(), self._request.rate_hz, self._stream.process
+        full_scale_v = play.full_scale_v
+        if volts.ndim != 2 or len(volts) != len(full_scale_v) or not (np.abs(volts) <= full_scale_v).all():
+            raise InstrumentError(
+                self._name,
+                play.doing,
+                f"a piece of shape {volts.shape} that reaches {np.abs(volts).max(initial=0.0):g} V",
+                f"give one row for each of {len(full_scale_v)} channels, finite and within full scale",
+            )
+        frames = np.ascontiguousarray((volts / full_scale_v).T, dtype=np.float32)
+        before_s = play.waiting_frames / rate_hz
+        play.sent_frames += len(frames)
+        self._send(play.doing, Piece(frames))
+
+        def there_is_room() -> bool | None:
+            return True if play.outcome or play.waiting_frames <= play.ahead_frames else None
+
+        longest_s = 1.1 * (play.ahead_frames + len(frames)) / rate_hz + 2 * self.latency_s + OVERDUE_S
+        try:
+            room = process.wait_for(there_is_room, time.monotonic() + longest_s)
+        except ProcessGoneError as gone:
+            raise self._lost(play.doing, gone) from None
+        if play.outcome == UNDERFLOW:
+            raise self._ran_dry(play)
+        if room is None:
+            process.kill("it plays more slowly than its clock says")
+            raise self._lost(play.doing, ProcessGoneError(process.gone))
+        return before_s
 
     def end_pieces(self) -> None:
         """Say that no more comes; `wait` returns when all of it was played."""
-        self._begun().end()
+        play = self._begun()
+        play.length_s = play.waiting_frames / self._request.rate_hz
+        play.asked_s = time.monotonic()
+        self._send(play.doing, EndPieces())
 
     def wait(self, timeout_s: float) -> None:
         """Return when the last sample has left the outputs, at the latest after `timeout_s`."""
-        doing = "waiting for the end of the signal"
-        self._check_open(doing)
-        stream = self._stream
-        play = stream.play
+        self._check_open("waiting for the end of the signal")
+        process, play = self._stream.process, self._stream.play
         if play is None:
             return
         now_s = time.monotonic()
         overdue_s = play.asked_s + 1.1 * play.length_s + 2 * self.latency_s + OVERDUE_S
         try:
-            ended = stream.process.wait_for(lambda: play.outcome, min(now_s + timeout_s, max(now_s, overdue_s)))
+            ended = process.wait_for(lambda: play.outcome, min(now_s + timeout_s, max(now_s, overdue_s)))
         except ProcessGoneError as gone:
-            raise lost(self._name, play.doing, gone) from None
+            raise self._lost(play.doing, gone) from None
         if ended == UNDERFLOW:
-            if self._pieces is not None:
-                raise self._pieces.ran_dry()
-            raise TransientInstrumentError(
-                self._name,
-                play.doing,
-                f"underflow: {play.notice}; what was recorded meanwhile is void",
-                "repeat it; if it comes again, raise player.block_frames and close other programs",
-            )
+            raise self._ran_dry(play)
         if ended is None and time.monotonic() >= overdue_s:
-            stream.process.kill(f"it took over {overdue_s - play.asked_s:.1f} s for {play.length_s:.1f} s of sound")
-            raise lost(self._name, play.doing, ProcessGoneError(stream.process.gone))
+            process.kill(f"it took over {overdue_s - play.asked_s:.1f} s for {play.length_s:.1f} s of sound")
+            raise self._lost(play.doing, ProcessGoneError(process.gone))
         if ended is None:
             raise TransientInstrumentError(
                 self._name, play.doing, f"not finished after {timeout_s:g} s", "allow the length of the signal"
@@ -408,84 +247,140 @@ class StreamPlayer:
 
         Where the stream does not obey, its process is killed, which silences it too; the next call then says so.
         """
-        stream = self._stream
-        play = stream.play
+        process, play = self._stream.process, self._stream.play
         if self._closed or play is None or play.outcome is not None:
             return
         try:
-            stream.process.send(({"do": "mute"}, b""))
-            if stream.process.wait_for(lambda: play.outcome, time.monotonic() + ANSWER_S) is None:
-                stream.process.kill(f"it did not fall silent within {ANSWER_S:g} s of a mute and was killed")
+            process.send(Mute())
+            if process.wait_for(lambda: play.outcome, time.monotonic() + ANSWER_S) is None:
+                process.kill(f"it did not fall silent within {ANSWER_S:g} s of a mute and was killed")
         except ProcessGoneError:
             return
 
     def reconnect(self) -> None:
         """End the stream's process and open the same device in a new one."""
-        doing = "reconnecting"
-        self._check_open(doing)
+        self._check_open("reconnecting")
         with self._ordering:
-            self._end_stream()
+            self._stream.process.close()
             self._orders.forget()
-            self._pieces = None
-            self._stream = StreamLife(self._environment)
-            try:
-                self._open(doing, InstrumentLostError)
-            except BaseException:
-                self._end_stream()
-                raise
+            self._opened = self._open("reconnecting", InstrumentLostError)
 
     def close(self) -> None:
         """Fade out, release the device and end its process; twice does no harm."""
         if not self._closed:
             self._closed = True
-            self._end_stream()
+            self._stream.process.close()
 
-    def _open(self, doing: str, refusal: type[InstrumentError]) -> None:
-        stream = self._stream
+    def _open(self, doing: str, refusal: type[InstrumentError]) -> Opened:
+        """Open the device in a fresh process. Raises InstrumentError, of the kind `refusal` where it may pass."""
+        self._stream = stream = _Stream(self._environment)
         try:
-            stream.process.send((self._request, b""))
-            answer = stream.process.wait_for(lambda: stream.opened or None, time.monotonic() + OPENING_S)
+            stream.process.send(self._request)
+            stream.process.wait_for(lambda: stream.answer is not None or None, time.monotonic() + OPENING_S)
+            answer = stream.answer
+            if isinstance(answer, Opened):
+                return answer
         except ProcessGoneError as gone:
+            stream.process.close()
             raise refusal(self._name, doing, gone.cause, LOST_REMEDY) from None
+        except BaseException:
+            stream.process.close()
+            raise
         if answer is None:
             stream.process.kill("opening took too long")
+        stream.process.close()
+        if answer is None:
             raise InstrumentLostError(self._name, doing, f"its driver did not open it in {OPENING_S:g} s", LOST_REMEDY)
-        if answer["is"] == "failed":
-            kind = refusal if answer["absent"] else InstrumentError
-            raise kind(self._name, doing, answer["cause"], answer["remedy"])
-        self._identity = OutputDevice(**answer["device"]).identity
+        raise (refusal if answer.absent else InstrumentError)(self._name, doing, answer.cause, answer.remedy)
 
-    def _end_stream(self) -> None:
-        process = self._stream.process
-        if not process.gone:
-            try:
-                process.send(({"do": "close"}, b""))
-            except ProcessGoneError:
-                process.kill("it is gone")
-        process.close()
-
-    def _send(self, doing: str, messages: Sequence[Order]) -> None:
+    def _send(self, doing: str, *messages: object) -> None:
         try:
             self._stream.process.send(*messages)
         except ProcessGoneError as gone:
-            raise lost(self._name, doing, gone) from None
+            raise self._lost(doing, gone) from None
 
-    def _begun(self) -> PiecewisePlay:
+    def _lost(self, doing: str, gone: ProcessGoneError) -> InstrumentLostError:
+        return InstrumentLostError(self._name, doing, gone.cause, LOST_REMEDY)
+
+    def _ran_dry(self, play: _Play) -> TransientInstrumentError:
+        cause, remedy = f"underflow: {play.notice}", "have more of it ready beforehand (--ahead-s)"
+        if isinstance(play, _Pieces):
+            remedy += ", leave out more (--tolerance-db), close other programs"
+        else:
+            cause += "; what was recorded meanwhile is void"
+            remedy = "repeat it; if it comes again, raise player.block_frames and close other programs"
+        return TransientInstrumentError(self._name, play.doing, cause, remedy)
+
+    def _begun(self) -> _Pieces:
         doing = "playing piece by piece"
         self._check_open(doing)
-        if self._pieces is None:
+        if not isinstance(self._stream.play, _Pieces):
             raise InstrumentError(self._name, doing, "none was begun", "begin one first")
-        return self._pieces
+        return self._stream.play
 
     def _check_silent(self, doing: str) -> None:
         stream = self._stream
         if stream.play is not None and stream.play.outcome is None and not stream.process.gone:
             raise InstrumentError(self._name, doing, "it is still playing", "wait for its end or mute it first")
-        self._pieces = None
 
     def _check_open(self, doing: str) -> None:
         if self._closed:
             raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
+
+
+class _Play:
+    """The play under way: its length, and how it ended once the stream's process has reported it."""
+
+    def __init__(self, number: int, doing: str, length_s: float) -> None:
+        self.number = number
+        self.doing = doing
+        self.length_s = length_s
+        self.asked_s = time.monotonic()
+        self.outcome: str | None = None
+        self.notice = ""
+
+
+class _Pieces(_Play):
+    """A play that comes in pieces: full scale of its channels, shape (channels, 1), and frames sent and played."""
+
+    def __init__(self, number: int, doing: str, full_scale_v: Float64Array, ahead_frames: int) -> None:
+        super().__init__(number, doing, 0.0)
+        self.full_scale_v = full_scale_v
+        self.ahead_frames = ahead_frames
+        self.sent_frames = self.taken_frames = 0
+
+    @property
+    def waiting_frames(self) -> int:
+        return self.sent_frames - self.taken_frames
+
+
+class _Stream:
+    """The stream's process and what it has reported."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        self.answer: Opened | Refused | None = None
+        self.play: _Play | None = None
+        self.alive_s = -math.inf
+        self.process = DriverProcess(
+            "drivers.audio.player_process",
+            "the process that owns its stream",
+            self._note,
+            environment,
+            # PortAudio would start an audio server of its own where there is none.
+            {"JACK_NO_START_SERVER": "1"},
+        )
+
+    def _note(self, message: object) -> None:
+        play = self.play
+        match message:
+            case Opened() | Refused():
+                self.answer = message
+            case Alive():
+                self.alive_s = time.monotonic()
+            case Ended(number, outcome, notice) if play is not None and number == play.number:
+                play.notice, play.outcome = notice, outcome
+            case Taken(number, frames) if isinstance(play, _Pieces) and number == play.number:
+                play.taken_frames = frames
 
 
 def _playing(signals_v: Mapping[int, Float64Array]) -> str:

@@ -8,32 +8,55 @@ hangs in the library is ended with it.
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import dataclass
 from itertools import count
 from queue import SimpleQueue
 from typing import Any
 
-import numpy as np
-
 from drivers.daq.ni_recorder import NiRecorder
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.process import OPENING_S, DriverProcess, Message, MessagePipe, ProcessGoneError
-from drivers.protocols import DeviceIdentity, Recording, RecordRequest, Take
+from drivers.errors import InstrumentError, InstrumentLostError
+from drivers.process import OPENING_S, Alive, Ask, Close, DriverProcess, MessagePipe, ProcessGoneError, pipe_to_parent
+from drivers.protocols import DeviceIdentity, Recording, RecordRequest
 
 CALL_S = 15.0
 """A call to a device that is well takes milliseconds; a first task, or a reset, takes seconds."""
+CLOSING_S = 3.0
+"""Closing a task in a library that hangs does not return; then the process just ends."""
 
 REMEDY = "check its USB cable and its power, then connect again, which starts NI-DAQmx afresh"
-ERRORS: dict[str, type[InstrumentError]] = {
-    kind.__name__: kind for kind in (InstrumentError, InstrumentLostError, TransientInstrumentError)
-}
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A method of `NiRecorder` to call there, or ``"open"`` to make one."""
+
+    number: int
+    method: str
+    arguments: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The result of a call, or how it failed; `owned` tells whether the device may be reserved."""
+
+    number: int
+    result: Any
+    failure: InstrumentError | None
+    owned: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """What `NiRecorder` is made of: its arguments, the device that must answer, and whether it was ours before."""
+
+    wiring: dict[str, Any]
+    identity: DeviceIdentity | None
+    owned: bool
 
 
 class ProcessRecorder:
@@ -58,7 +81,7 @@ class ProcessRecorder:
         self, device: str, *, reference_input: str, response_input: str, terminal: str, trigger: str | None
     ) -> None:
         self._instrument = f"recorder {device}"
-        self._wiring = {
+        self._wiring: dict[str, Any] = {
             "device": device,
             "reference_input": reference_input,
             "response_input": response_input,
@@ -71,18 +94,19 @@ class ProcessRecorder:
         self._numbers = count(1)
         self._connecting = threading.Lock()
         self._closed = False
-        self._life: _Life | None = None
+        self._process: DriverProcess | None = None
+        self._answers: dict[int, Answer] = {}
         self._open("opening")
 
     @property
     def process_id(self) -> int | None:
         """The process that runs NI-DAQmx; None where there is none."""
-        return None if self._life is None else self._life.process.pid
+        return None if self._process is None else self._process.pid
 
     @property
     def identity(self) -> DeviceIdentity:
         """Product and serial number of the device."""
-        assert self._identity is not None  # known since it was opened
+        assert self._identity is not None  # since it was opened
         return self._identity
 
     @property
@@ -92,33 +116,25 @@ class ProcessRecorder:
 
     def identify(self) -> str:
         """Product, serial number, driver version and inputs of the device."""
-        return str(self._call("identifying", "identify")[0]["text"])
+        return str(self._call("identifying", "identify"))
 
     def start(self, request: RecordRequest) -> None:
         """Start one finite record and return at once. Raises InstrumentError."""
-        self._call(
-            f"starting {request.take}",
-            "start",
-            samples=request.samples,
-            sample_rate_hz=request.sample_rate_hz,
-            range_v=request.range_v,
-            take=asdict(request.take),
-        )
+        self._call(f"starting {request.take}", "start", request)
 
     def read(self, timeout_s: float) -> Recording:
         """Wait for the record to end and fetch it. Raises InstrumentError after `timeout_s`."""
-        told, payload = self._call("reading", "read", CALL_S + timeout_s, timeout_s=timeout_s)
-        volts = np.frombuffer(bytearray(payload), dtype=np.float32).reshape(2, -1)
-        step_v, over_range = told["volts_per_count"], told["over_range"]
-        return Recording(volts, (step_v[0], step_v[1]), (over_range[0], over_range[1]))
+        recording = self._call("reading", "read", timeout_s, limit_s=CALL_S + timeout_s)
+        assert isinstance(recording, Recording)
+        return recording
 
     def read_input_v(self, name: str) -> float:
         """Volts at another input, see `drivers.daq.ni_recorder.NiRecorder.read_input_v`."""
-        return float(self._call(f"reading {name}", "read input", name=name)[0]["volts"])
+        return float(self._call(f"reading {name}", "read_input_v", name))
 
     def abort(self) -> None:
         """Drop a record under way; harmless when there is none. A read that waits for it fails."""
-        if self._life is not None and not self._closed:
+        if self._process is not None and not self._closed:
             with suppress(InstrumentLostError):  # with the process, its record has ended too
                 self._call("aborting", "abort")
 
@@ -143,197 +159,103 @@ class ProcessRecorder:
         with self._connecting:
             self._end()
 
-    # -- inside --------------------------------------------------------------------------------------
-
     def _open(self, doing: str) -> None:
-        self._life = _Life()
+        name = "the process that runs NI-DAQmx"
+        self._process = DriverProcess("drivers.daq.recorder_process", name, self._note)
         try:
-            known = None if self._identity is None else asdict(self._identity)
-            told, _ = self._call(doing, "open", OPENING_S, wiring=self._wiring, identity=known, owned=self._owned)
+            opening = Opening(self._wiring, self._identity, self._owned)
+            self._identity, self._ranges_v = self._call(doing, "open", opening, limit_s=OPENING_S)
         except BaseException:
             self._end()
             raise
-        self._identity, self._ranges_v = DeviceIdentity(**told["identity"]), tuple(told["ranges_v"])
 
     def _end(self) -> None:
-        life, self._life = self._life, None
-        if life is not None:
-            with suppress(ProcessGoneError):
-                life.process.send(({"do": "close"}, b""))
-            life.process.close()
+        process, self._process = self._process, None
+        if process is not None:
+            process.close()
 
-    def _call(self, doing: str, order: str, limit_s: float = CALL_S, **content: Any) -> tuple[Message, bytes]:
-        """Have an order carried out and wait for its end."""
+    def _note(self, message: object) -> None:
+        if isinstance(message, Answer):
+            self._answers[message.number] = message
+
+    def _call(self, doing: str, method: str, *arguments: Any, limit_s: float = CALL_S) -> Any:
+        """Have a method called there and wait for its end."""
         self._check_open(doing)
-        life = self._life
-        if life is None:
+        process = self._process
+        if process is None:
             raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
         number = next(self._numbers)
         try:
-            life.process.send(({"do": order, "number": number, **content}, b""))
-            answer = life.process.wait_for(lambda: life.answers.get(number), time.monotonic() + limit_s)
+            process.send(Call(number, method, arguments))
+            answer = process.wait_for(lambda: self._answers.get(number), time.monotonic() + limit_s)
         except ProcessGoneError as gone:
             raise InstrumentLostError(self._instrument, doing, gone.cause, REMEDY) from None
         if answer is None:
             cause = f"NI-DAQmx did not answer within {limit_s:g} s"
-            life.process.kill(cause)
+            process.kill(cause)
             raise InstrumentLostError(self._instrument, doing, cause, REMEDY)
-        del life.answers[number]
-        told, _ = answer
+        del self._answers[number]
         # A device that could not be opened may still be reserved by what was before.
-        self._owned = self._owned or bool(told["owned"])
-        if told["is"] == "failed":
-            failure = ERRORS[told["kind"]](*told["what"])
-            for note in told["notes"]:
-                failure.add_note(note)
-            raise failure
-        return answer
+        self._owned = self._owned or answer.owned
+        if answer.failure is not None:
+            raise answer.failure
+        return answer.result
 
     def _check_open(self, doing: str) -> None:
         if self._closed:
             raise InstrumentError(self._instrument, doing, "it is closed", "open the rig again")
 
 
-class _Life:
-    """One life of the process, and what it answered."""
-
-    def __init__(self) -> None:
-        self.answers: dict[int, tuple[Message, bytes]] = {}
-        self.process = DriverProcess("drivers.daq.recorder_process", "the process that runs NI-DAQmx", {}, self._note)
-
-    def _note(self, message: Message, payload: bytes) -> None:
-        if "number" in message:
-            self.answers[message["number"]] = (message, payload)
-
-
-CLOSING_S = 3.0
-"""Closing a task in a library that hangs does not return; then the process just ends."""
-
-KINDS = (InstrumentLostError, TransientInstrumentError, InstrumentError)
-
-
 def main() -> None:
-    """Do what comes over the pipe until it ends."""
-    # Ctrl-C reaches every process of a terminal; the parent decides what stops, and when.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # NI's library prints where it pleases; the answers go where nothing else does.
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    _Orders(MessagePipe(sys.stdin.buffer, answers)).obey()
+    """Carry out calls until the parent closes the pipe; the process ends here."""
+    served = _Served(pipe_to_parent())
+    threading.Thread(target=served.work, daemon=True).start()
+    served.take_calls()
+    threading.Event().wait(CLOSING_S)
+    os._exit(0)
 
 
-class _Orders:
-    """Carries out the parent's orders: one after the other, but for reads, during which others come."""
+class _Served:
+    """The recorder of this process: one call after the other, but for reads, during which others come."""
 
     def __init__(self, pipe: MessagePipe) -> None:
         self._pipe = pipe
         self._recorder: NiRecorder | None = None
-        self._waiting: SimpleQueue[Message | None] = SimpleQueue()
+        self._waiting: SimpleQueue[Call | None] = SimpleQueue()
 
-    def obey(self) -> None:
-        """Take orders until one says to close or the parent is gone; the process ends here."""
-        threading.Thread(target=self._work, daemon=True).start()
-        while (received := self._pipe.receive()) is not None:
-            message, _ = received
-            if message["do"] == "close":
-                break
-            if message["do"] == "ask":
-                self._send({"is": "here"})
-            elif message["do"] == "read":
+    def take_calls(self) -> None:
+        while not isinstance(message := self._pipe.receive(), Close | None):
+            if isinstance(message, Ask):
+                self._pipe.try_send(Alive())
+            elif message.method == "read":
                 threading.Thread(target=self._carry_out, args=(message,), daemon=True).start()
             else:
                 self._waiting.put(message)
         self._waiting.put(None)
-        threading.Event().wait(CLOSING_S)
-        os._exit(0)
 
-    def _work(self) -> None:
-        while (message := self._waiting.get()) is not None:
-            self._carry_out(message)
+    def work(self) -> None:
+        while (call := self._waiting.get()) is not None:
+            self._carry_out(call)
         if self._recorder is not None:
             self._recorder.close()
         os._exit(0)
 
-    def _carry_out(self, message: Message) -> None:
-        number, order = message["number"], message["do"]
+    def _carry_out(self, call: Call) -> None:
+        result, failed = None, None
         try:
-            content, payload = ORDERS[order](self, message)
+            result = self._open(*call.arguments) if call.method == "open" else self._call(call)
         except InstrumentError as failure:
-            kind = next(kind for kind in KINDS if isinstance(failure, kind))
-            content, payload = _failure(kind, failure), b""
-        except Exception:  # a defect: what the parent keeps of standard error tells where
+            failed = failure
+        except Exception:  # a defect: the parent keeps standard error
             traceback.print_exc()
             sys.stderr.flush()
             os._exit(4)
         owned = self._recorder is not None and self._recorder.owned
-        self._send({"is": "done", "number": number, "owned": owned, **content}, payload)
+        self._pipe.try_send(Answer(call.number, result, failed, owned))
 
-    def open(self, message: Message) -> tuple[Message, bytes]:
-        identity = message["identity"]
-        self._recorder = NiRecorder(
-            **message["wiring"],
-            address=None,
-            identity=None if identity is None else DeviceIdentity(**identity),
-            owned=message["owned"],
-        )
-        return {
-            "identity": asdict(self._recorder.identity),
-            "ranges_v": list(self._recorder.input_ranges_v),
-        }, b""
+    def _open(self, opening: Opening) -> tuple[DeviceIdentity, tuple[float, ...]]:
+        self._recorder = NiRecorder(**opening.wiring, address=None, identity=opening.identity, owned=opening.owned)
+        return self._recorder.identity, self._recorder.input_ranges_v
 
-    def identify(self, message: Message) -> tuple[Message, bytes]:
-        return {"text": self._opened.identify()}, b""
-
-    def start(self, message: Message) -> tuple[Message, bytes]:
-        self._opened.start(
-            RecordRequest(
-                message["samples"], message["sample_rate_hz"], tuple(message["range_v"]), Take(**message["take"])
-            )
-        )
-        return {}, b""
-
-    def read(self, message: Message) -> tuple[Message, bytes]:
-        recording = self._opened.read(message["timeout_s"])
-        told = {"volts_per_count": recording.volts_per_count, "over_range": recording.over_range}
-        return told, recording.volts.tobytes()
-
-    def read_input(self, message: Message) -> tuple[Message, bytes]:
-        return {"volts": self._opened.read_input_v(message["name"])}, b""
-
-    def abort(self, message: Message) -> tuple[Message, bytes]:
-        self._opened.abort()
-        return {}, b""
-
-    @property
-    def _opened(self) -> NiRecorder:
-        assert self._recorder is not None
-        return self._recorder
-
-    def _send(self, message: Message, payload: bytes = b"") -> None:
-        try:
-            self._pipe.send(message, payload)
-        except OSError:  # the parent is gone; the reading thread sees it too, and ends the process in good order
-            return
-
-
-ORDERS: dict[str, Callable[[_Orders, Message], tuple[Message, bytes]]] = {
-    "open": _Orders.open,
-    "identify": _Orders.identify,
-    "start": _Orders.start,
-    "read": _Orders.read,
-    "read input": _Orders.read_input,
-    "abort": _Orders.abort,
-}
-
-
-def _failure(kind: type[InstrumentError], failure: InstrumentError) -> dict[str, Any]:
-    return {
-        "is": "failed",
-        "kind": kind.__name__,
-        "what": [failure.instrument, failure.operation, failure.cause, failure.remedy],
-        "notes": getattr(failure, "__notes__", []),
-    }
-
-
-if __name__ == "__main__":
-    main()
+    def _call(self, call: Call) -> Any:
+        return getattr(self._recorder, call.method)(*call.arguments)
