@@ -85,7 +85,7 @@ def take(out: Path, rig: Path) -> None:
             raise SystemExit(f"{out} cannot be written")
 
     window.choose_theme("light")
-    page, hand = tab.examination_page, tab.hand_page
+    page, hand = tab.examination, tab.manual_page
     until(page.examine.isEnabled)
     page.examine.click()
     until(lambda: page.findings and not tab.examination.running)
@@ -94,14 +94,14 @@ def take(out: Path, rig: Path) -> None:
     tab.pages.setCurrentWidget(hand)
     until(hand.take.isEnabled)
     hand.take.click()
-    until(lambda: tab.hands.state == "ready" and hand.sound.sweep.isEnabled())
-    tab.hands.jog_to(40.0, 25.0)
-    until(lambda: tab.hands.spot.x_mm is not None)
+    until(lambda: tab.session.state == "ready" and hand.sound.sweep.isEnabled())
+    tab.session.jog_to(40.0, 25.0)
+    until(lambda: tab.session.spot.x_mm is not None)
     hand.sound.sounds.click()
     hand.sound.listen.click()
-    until(lambda: tab.hands.response is not None)
+    until(lambda: tab.session.response is not None)
     hand.sound.sweep.click()
-    until(lambda: tab.hands.sweep is not None)
+    until(lambda: tab.session.sweep is not None)
     keep("hand", "dark")
     tab.pages.setCurrentWidget(tab.calibration_page)
     window.choose_theme("light")
@@ -118,17 +118,17 @@ def _meet_marks(tab: RigTab, until: Callable[[Callable[[], object]], None]) -> N
     from calibration.rig.mirror_map import MirrorMap
 
     true, rng, calibration = MirrorMap(MAP), np.random.default_rng(1), tab.calibration
-    until(tab.calibration_page.start.start.isEnabled)
-    tab.calibration_page.start.start.click()
+    until(tab.calibration_page.options.start.isEnabled)
+    tab.calibration_page.options.start.click()
     while True:
-        until(lambda: calibration.ask is not None)
-        ask = calibration.ask
+        until(lambda: calibration.question is not None)
+        ask = calibration.question
         place, at = (None, None) if ask is None else (ask.pair("place_mm"), ask.pair("at_mrad"))
-        if ask is None or ask.what != "jog" or place is None or at is None:
+        if ask is None or ask.kind != "jog" or place is None or at is None:
             return
         x_mrad, y_mrad = true.angles_mrad(*(np.array(place) + rng.normal(0.0, ERRS_MM, 2)))
         calibration.step(float(x_mrad) - at[0], float(y_mrad) - at[1])
-        until(lambda ask=ask: calibration.ask is not ask)
+        until(lambda ask=ask: calibration.question is not ask)
         calibration.answer("here")
 
 

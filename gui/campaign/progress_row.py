@@ -10,7 +10,7 @@ from acquisition.engine.events import State
 from gui.campaign.model import Pace
 from gui.campaign.standing import Extra, Standing
 from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import Badge, finish_words, put
+from gui.shell.widgets import Badge, finish_text, put
 
 _TROUBLED = (State.FAILED, Extra.GONE, Extra.SILENT)
 _WAITING = (State.SUSPENDED, State.RECOVERING, State.PAUSING, State.PAUSED, State.STOPPING)
@@ -74,4 +74,4 @@ class ProgressRow(QWidget):
 def _figures(pace: Pace) -> str:
     told = f"{pace.per_hour:.0f} positions an hour" if not math.isnan(pace.per_hour) else ""
     finish_s = pace.told_s + pace.wall_remaining_s
-    return told if math.isnan(finish_s) else f"{told}  ·  {finish_words(finish_s)}"
+    return told if math.isnan(finish_s) else f"{told}  ·  {finish_text(finish_s)}"

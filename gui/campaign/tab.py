@@ -9,7 +9,6 @@ from pathlib import Path
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAction, QHBoxLayout, QVBoxLayout
 
-from gui.campaign.campaign_run import CampaignRun
 from gui.campaign.controls import Controls
 from gui.campaign.event_list import EventList
 from gui.campaign.follower import Follower, same_file
@@ -18,6 +17,7 @@ from gui.campaign.map_panel import MapPanel
 from gui.campaign.model import Campaign
 from gui.campaign.position_panel import PositionPanel
 from gui.campaign.progress_row import ProgressRow
+from gui.campaign.run import CampaignRun
 from gui.campaign.standing import possible
 from gui.campaign.statuses import FAILED, OVER_RANGE, POOR_SIGNAL
 from gui.shell.file_choice import PathField
@@ -124,7 +124,6 @@ class CampaignTab(Tab):
                 self.context.messages.fault(self._told_trouble, ("Copy details", lambda: copy_text(details)))
             elif self._told_trouble:
                 self.context.messages.fault(self._told_trouble)
-        self.run.look()
 
     def draw(self) -> None:
         """Draw what changed."""
@@ -136,7 +135,9 @@ class CampaignTab(Tab):
         standing = campaign.standing(starting=self.run.runs(bank))
         owner = campaign.owner
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
-        self.progress.show_standing(standing, self.run.said(bank) if owner is None or not campaign.pace else "", who)
+        self.progress.show_standing(
+            standing, self.run.last_line(bank) if owner is None or not campaign.pace else "", who
+        )
         total = campaign.surface.positions if campaign.surface else 0
         self.progress.show_progress(campaign.measured, total, campaign.pace, measuring=standing.measuring)
         has_run = self.run_field.path is not None
@@ -171,7 +172,7 @@ class CampaignTab(Tab):
         owner, surface = self.campaign.owner, self.campaign.surface
         if owner is not None and not (surface is not None and surface.is_virtual):
             return f"process {owner.pid} on {owner.host} measures {self.bank_field.path}"
-        return self.run.held()
+        return self.run.instruments_held()
 
     def closing_question(self) -> Question | None:
         """Ask what is to become of a run that this window started."""
@@ -196,7 +197,7 @@ class CampaignTab(Tab):
         """End following; leave the run alone."""
         if self.follower is not None:
             self.follower.end()
-        self.run.let_go()
+        self.run.detach()
 
     def _lay_out(self) -> None:
         files = QHBoxLayout()

@@ -1,1 +1,1 @@
-"""Child processes and background work of the window."""
+"""Child processes, background work and logs that the window follows."""

@@ -1,40 +1,38 @@
-"""One command that is started, waited for without holding up the window, and can be cancelled."""
+"""Commands of wavefocus in processes of their own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import io
+import json
+import os
+import signal
+import subprocess
+import tempfile
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
 
-from PyQt5.QtCore import QObject, QProcess, QProcessEnvironment
+from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
+from gui.shell.error_hook import error_text
 from gui.shell.front_door import FrontDoor
+from storage.sidecar_files import create
+
+Message = dict[str, object]
+
+STOPPED_BY_USER = 130
+_NOT_STARTED = 127
+_TAIL_BYTES = 4096
+_INTERRUPT = signal.SIGTERM if os.name == "posix" else signal.Signals(getattr(signal, "CTRL_BREAK_EVENT", 15))
+_WINDOWS_FLAGS = 0x00000200 | 0x08000000  # CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What a command answered.
+class CommandProcess(QObject):
+    """One command, outside the window's process group: a Ctrl-C or hang-up of the terminal does not reach it.
 
-    Parameters
-    ----------
-    code : int
-        Its exit code, -1 when it crashed or was cancelled.
-    out, said : str
-        Standard output and standard error.
-    """
-
-    code: int
-    out: str
-    said: str
-
-    @property
-    def sentence(self) -> str:
-        """The last line that was told to people."""
-        lines = [line.strip() for line in self.said.splitlines() if line.strip()]
-        return lines[-1].removeprefix("wavefocus: ") if lines else ""
-
-
-class Errand(QObject):
-    """A command on its way; deletes itself when it is done.
+    Its signals arrive in the window's thread. A command that cannot be started ends with exit code 127.
 
     Parameters
     ----------
@@ -42,42 +40,179 @@ class Errand(QObject):
         Starts commands.
     arguments : sequence of str
         Command and arguments.
-    done : callable
-        Receives the answer.
     parent : QObject
-        Lives no longer than this.
+        Owner of this object; the process itself is never killed with it.
+    log_file : Path, optional
+        Receives standard error, so that the process can outlive the window; without it, both outputs are read here.
+    name, advice : str, optional
+        Subject of sentences about the process; what to do when it ended unexpectedly.
+
+    Attributes
+    ----------
+    exit_code : int or None
+        None while the process runs; negative when a signal ended it.
+    last_message : dict
+        Last JSON object that it wrote.
     """
 
+    received = pyqtSignal(dict)
+    """One JSON object that the command wrote to standard output."""
+    finished = pyqtSignal()
+    _ended = pyqtSignal(int)
+
     def __init__(
-        self, front: FrontDoor, arguments: Sequence[str], done: Callable[[Answer], object], parent: QObject
+        self,
+        front: FrontDoor,
+        arguments: Sequence[str],
+        parent: QObject,
+        *,
+        log_file: Path | None = None,
+        name: str = "",
+        advice: str = "",
     ) -> None:
         super().__init__(parent)
-        self._done = done
-        self._over = False
-        self._process = QProcess(self)
-        environment = QProcessEnvironment.systemEnvironment()
-        environment.insert("PYTHONIOENCODING", "utf-8")
-        self._process.setProcessEnvironment(environment)
-        self._process.finished.connect(self._finished)
-        self._process.errorOccurred.connect(self._failed)
-        self._process.start(front.command[0], [*front.command[1:], *arguments])
+        self.exit_code: int | None = None
+        self._name, self._advice = name or f"wavefocus {arguments[0]}", advice
+        self._log_file = log_file
+        self.last_message: Message = {}
+        self._last_line = ""
+        self._process: subprocess.Popen[bytes] | None = None
+        self._ended.connect(self._finish)
+        try:
+            self._process = self._start([*front.command, *arguments])
+        except OSError as failure:
+            self._log_file, self._last_line = None, f"{self._name} cannot be started: {error_text(failure)}"
+            QTimer.singleShot(0, lambda: self._ended.emit(_NOT_STARTED))
+            return
+        threading.Thread(target=self._follow, args=(self._process,), name=self._name, daemon=True).start()
 
-    def cancel(self) -> None:
-        """End it; its answer is -1."""
-        self._process.kill()
+    @property
+    def pid(self) -> int | None:
+        """Process id, None where it could not be started."""
+        return None if self._process is None else self._process.pid
 
-    def _finished(self, code: int, how: QProcess.ExitStatus) -> None:
-        normal = how == QProcess.ExitStatus.NormalExit
-        out = bytes(self._process.readAllStandardOutput()).decode("utf-8", "replace")
-        said = bytes(self._process.readAllStandardError()).decode("utf-8", "replace")
-        self._answer(Answer(code if normal else -1, out, said))
+    @property
+    def running(self) -> bool:
+        """Whether its end was not reported yet."""
+        return self.exit_code is None
 
-    def _failed(self, error: QProcess.ProcessError) -> None:
-        if error == QProcess.ProcessError.FailedToStart:
-            self._answer(Answer(-1, "", f"{self._process.program()} cannot be started: {self._process.errorString()}"))
+    @property
+    def last_line(self) -> str:
+        """Last line of standard error; empty when there is none."""
+        if self._log_file is None:
+            return self._last_line
+        try:
+            with self._log_file.open("rb") as file:
+                file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
+                lines = file.read().decode("utf-8", "replace").splitlines()
+        except OSError:
+            return ""
+        return next((_plain(line) for line in reversed(lines) if line.strip()), "")
 
-    def _answer(self, answer: Answer) -> None:
-        if not self._over:
-            self._over = True
-            self._done(answer)
-            self.deleteLater()
+    @property
+    def failure(self) -> str:
+        """Why it failed, in a sentence; empty after success and while it runs."""
+        if self.exit_code is None or self.exit_code == 0:
+            return ""
+        if self.exit_code < 0:
+            ended = f"{self._name}: process ended unexpectedly (killed, or the machine ran out of memory)"
+            return f"{ended}; {self._advice}" if self._advice else ended
+        return self.last_line or f"{self._name} ended with exit code {self.exit_code}"
+
+    def send(self, **message: object) -> None:
+        """Write a JSON line to its standard input; does nothing when the process is gone."""
+        stdin = None if self._process is None else self._process.stdin
+        if stdin is not None and not stdin.closed:
+            with suppress(OSError, ValueError):
+                stdin.write(json.dumps(message).encode() + b"\n")
+                stdin.flush()
+
+    def close_input(self) -> None:
+        """End its standard input: commands that hold instruments then mute, park and exit."""
+        stdin = None if self._process is None else self._process.stdin
+        if stdin is not None:
+            with suppress(OSError, ValueError):
+                stdin.close()
+
+    def interrupt(self) -> None:
+        """Ask it to stop, as Ctrl-C does."""
+        self._signal(_INTERRUPT)
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._signal(getattr(signal, "SIGKILL", signal.SIGTERM))
+
+    def stop(self, grace_ms: int, kill_after_ms: int) -> None:
+        """Close its input, interrupt it after `grace_ms`, and kill it after another `kill_after_ms`."""
+        self.close_input()
+        QTimer.singleShot(grace_ms, self.interrupt)
+        QTimer.singleShot(grace_ms + kill_after_ms, self.kill)
+
+    def detach(self) -> None:
+        """Close its input and leave it running; no signal is emitted any more."""
+        self.blockSignals(True)
+        self.close_input()
+        if self._process is not None and self._process.poll() is None:
+            self._process.returncode = 0  # the interpreter would warn about a child that still runs
+
+    def _start(self, command: Sequence[str]) -> subprocess.Popen[bytes]:
+        pipe, null = subprocess.PIPE, subprocess.DEVNULL
+        log: IO[bytes] | int = pipe if self._log_file is None else self._open_log(self._log_file)
+        try:
+            return subprocess.Popen(
+                command,
+                stdin=pipe if self._log_file is None else null,
+                stdout=pipe if self._log_file is None else null,
+                stderr=log,
+                env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+                start_new_session=os.name == "posix",
+                creationflags=0 if os.name == "posix" else _WINDOWS_FLAGS,
+            )
+        finally:
+            if not isinstance(log, int):
+                log.close()
+
+    def _open_log(self, path: Path) -> IO[bytes]:
+        try:
+            path.unlink(missing_ok=True)
+            return create(path)
+        except OSError:  # the command says why the folder cannot be written, and that must be kept
+            number, name = tempfile.mkstemp(prefix="wavefocus-", suffix=".said")
+            self._log_file = Path(name)
+            return io.FileIO(number, "w")
+
+    def _signal(self, number: int) -> None:
+        if self._process is not None and self.running:
+            with suppress(OSError):
+                self._process.send_signal(number)
+
+    def _follow(self, process: subprocess.Popen[bytes]) -> None:
+        if process.stdout is not None and process.stderr is not None:
+            errors = threading.Thread(target=self._read_errors, args=(process.stderr,), daemon=True)
+            errors.start()
+            with process.stdout, suppress(RuntimeError):  # the window is gone
+                for line in process.stdout:
+                    with suppress(ValueError, RecursionError):
+                        message = json.loads(line)
+                        if isinstance(message, dict):
+                            self.last_message = message
+                            self.received.emit(message)
+            errors.join()
+        code = process.wait()
+        with suppress(RuntimeError):
+            self._ended.emit(code)
+
+    def _read_errors(self, stream: IO[bytes]) -> None:
+        with stream:
+            for line in stream:
+                self._last_line = _plain(line.decode("utf-8", "replace")) or self._last_line
+
+    def _finish(self, code: int) -> None:
+        self.exit_code = code
+        self.close_input()
+        self.finished.emit()
+        self.deleteLater()
+
+
+def _plain(line: str) -> str:
+    return line.strip().removeprefix("wavefocus: ")

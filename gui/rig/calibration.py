@@ -1,97 +1,53 @@
-"""A calibration that the window asks a person through: what ``wavefocus calibrate`` asks, and what it found."""
+"""A calibration under way: questions of ``wavefocus calibrate``, answers, and its result."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
-from gui.rig.facts import ChannelLevel, maybe
-from gui.rig.lines_process import LinesProcess, Told
+from gui.process.command_process import STOPPED_BY_USER, CommandProcess, Message
+from gui.rig.manual_session import LASER_ADVICE
+from gui.rig.messages import Levels, Pair, Question, pairs
 from gui.shell.tab import TabContext
-
-Pair = tuple[float, float]
-
-_STOPPED = 130
-
-
-@dataclass(frozen=True, slots=True)
-class Ask:
-    """A question to the person.
-
-    Parameters
-    ----------
-    what : str
-        ``"jog"``, ``"map"``, ``"connect"`` or ``"again"``.
-    told : mapping
-        Its facts.
-    """
-
-    what: str
-    told: Told
-
-    def pair(self, key: str) -> Pair | None:
-        """Two numbers."""
-        value = self.told.get(key)
-        return (float(value[0]), float(value[1])) if isinstance(value, list) and len(value) == 2 else None
-
-    def pairs(self, key: str) -> list[Pair]:
-        """Many pairs of numbers."""
-        value = self.told.get(key)
-        return [(float(x), float(y)) for x, y in value] if isinstance(value, list) else []
-
-    def figure(self, key: str) -> float | None:
-        """A number, where there is one."""
-        return maybe(self.told.get(key))
-
-    def words(self, key: str) -> str:
-        """A text."""
-        return str(self.told.get(key) or "")
 
 
 class Calibration:
-    """At most one calibration under way.
-
-    Parameters
-    ----------
-    context : TabContext
-        Starts commands, tells sentences.
+    """At most one calibration.
 
     Attributes
     ----------
-    ask : Ask or None
-        What the person is asked now; None while it works.
+    question : Question or None
+        What it asks now; None while it measures.
     lines : list of str
-        What was told.
-    marks : list of (float, float)
-        Where the marks of the mirror map lie.
+        Its report so far.
+    marks_mm : list of (float, float)
+        Marks of the mirror map.
     outcome : dict or None
-        What came of it, at the end.
+        Its result, at the end.
     ending : str
-        The sentence that it ended with; empty while it runs.
-    reference, response : ChannelLevel or None
-        What is heard while the beam is jogged.
+        Why it ended without a result; empty while it runs.
+    levels : Levels or None
+        Levels of the inputs while the beam is jogged.
     revision : dict
-        Counts changes of ``"ask"`` and ``"level"``.
+        Counts changes of ``"question"`` and ``"level"``.
     """
 
     def __init__(self, context: TabContext) -> None:
         self._context = context
-        self._process: LinesProcess | None = None
-        self.revision = {"ask": 0, "level": 0}
-        self._forget()
+        self._process: CommandProcess | None = None
+        self.revision = {"question": 0, "level": 0}
+        self._reset()
 
-    def _forget(self) -> None:
-        self._steps: Pair = (0.0, 0.0)
+    def _reset(self) -> None:
+        self._steps_mrad: Pair = (0.0, 0.0)
         self._moving = False
-        self._unanswered = 0  # answers sent, less questions heard
-        self.marks: list[Pair] = []
-        self.ask: Ask | None = None
+        self._unanswered = 0  # answers sent, less questions received
+        self.marks_mm: list[Pair] = []
+        self.question: Question | None = None
         self.lines: list[str] = []
-        self.outcome: Told | None = None
+        self.outcome: Message | None = None
         self.ending = ""
-        self.reference: ChannelLevel | None = None
-        self.response: ChannelLevel | None = None
+        self.levels: Levels | None = None
 
     @property
     def running(self) -> bool:
@@ -100,90 +56,74 @@ class Calibration:
 
     def start(self, rig: Path, options: Sequence[str]) -> None:
         """Start one."""
-        if self._process is not None:
-            return
-        self._forget()
-        arguments = ["calibrate", str(rig), "--operator", "lines", *options]
-        self._process = LinesProcess.started(self._context, arguments, "the calibration cannot be started")
-        self._changed("ask")
+        if self._process is None:
+            self._reset()
+            arguments = ["calibrate", str(rig), "--operator", "lines", *options]
+            self._process = self._context.run(arguments, self._ended, self._receive, advice=LASER_ADVICE)
+            self._changed("question")
 
     def answer(self, word: str, **numbers: float) -> None:
-        """Answer what is asked."""
-        if self._process is not None and self.ask is not None:
+        """Answer the question."""
+        if self._process is not None and self.question is not None:
             self._send_steps()
-            self.ask = None
-            self._changed("ask")
+            self.question = None
+            self._changed("question")
             self._send(word, **numbers)
 
     def step(self, x_mrad: float, y_mrad: float) -> None:
-        """Move the beam by so much; steps that come while it moves are added up."""
-        if self._process is None or self.ask is None or self.ask.what != "jog":
+        """Move the beam; steps asked for while it moves are added up."""
+        if self._process is None or self.question is None or self.question.kind != "jog":
             return
-        self._steps = self._steps[0] + x_mrad, self._steps[1] + y_mrad
+        self._steps_mrad = self._steps_mrad[0] + x_mrad, self._steps_mrad[1] + y_mrad
         if not self._moving:
             self._send_steps()
 
     def cancel(self) -> None:
-        """Leave it: outputs muted, mirror parked, what was measured until then written."""
+        """End it: outputs muted, mirror parked, results so far written."""
         if self._process is not None:
-            if self.ask is not None:
+            if self.question is not None:
                 self.answer("cancel")
             else:
                 self._process.interrupt()
 
-    def poll(self, then: Callable[[], object]) -> None:
-        """Take up what came in; `then` is called when it is over."""
-        process = self._process
-        if process is not None and process.hand_over(self._hear):
-            self._process = None
-            self.ask = None
-            cancelled = process.exit_code == _STOPPED
-            self.ending = "cancelled; the outputs are muted, the mirror is parked" if cancelled else process.ending()
-            self._changed("ask")
-            if self.ending and not cancelled and self.outcome is None:
-                self._context.messages.fault(self.ending)
-            then()
-
-    def let_go(self) -> None:
-        """The window closes: it mutes, parks and ends by itself."""
+    def detach(self) -> None:
+        """Let the process mute, park and exit by itself; the window closes."""
         if self._process is not None:
-            self._process.let_go()
+            self._process.detach()
             self._process = None
 
-    def _hear(self, told: Told) -> None:
-        match told.get("event"):
+    def _receive(self, message: Message) -> None:
+        match message.get("event"):
             case "begin":
-                self.marks = Ask("begin", told).pairs("marks_mm")
+                self.marks_mm = pairs(message.get("marks_mm"))
             case "ask":
-                self._hear_ask(Ask(str(told.get("what")), told))
+                self._ask(Question(str(message.get("what")), message))
             case "tell":
-                self.lines.append(str(told.get("line")))
-                self._changed("ask")
-            case "level":
-                reference, response = told.get("reference"), told.get("response")
-                if isinstance(reference, dict) and isinstance(response, dict):
-                    self.reference, self.response = ChannelLevel.told(reference), ChannelLevel.told(response)
-                    self._changed("level")
+                self.lines.append(str(message.get("line")))
+                self._changed("question")
+            case "level" if isinstance(message.get("response"), dict):
+                self.levels = Levels.from_record(message)
+                self._changed("level")
             case "refused":
-                self._context.messages.warn(str(told.get("sentence")))
+                self._context.messages.warn(str(message.get("sentence")))
             case "fault":
-                self._context.messages.fault(str(told.get("sentence")))
+                self._context.messages.fault(str(message.get("sentence")))
             case "done":
-                self.outcome = told
-                self._changed("ask")
+                self.outcome = message
+                self._changed("question")
 
-    def _hear_ask(self, ask: Ask) -> None:
+    def _ask(self, question: Question) -> None:
         self._unanswered -= 1
         self._moving = self._unanswered >= 0
         if self._moving:
-            return  # an answer to it is on its way already
-        self.ask = ask
-        self._changed("ask")
-        if ask.what == "jog":
+            return  # it is being answered already
+        self.question = question
+        self._changed("question")
+        if question.kind == "jog":
             self._send_steps()
 
     def _send_steps(self) -> None:
-        (x_mrad, y_mrad), self._steps = self._steps, (0.0, 0.0)
+        (x_mrad, y_mrad), self._steps_mrad = self._steps_mrad, (0.0, 0.0)
         if x_mrad or y_mrad:
             self._moving = True
             self._send("by", x_mrad=round(x_mrad, 6), y_mrad=round(y_mrad, 6))
@@ -192,6 +132,17 @@ class Calibration:
         if self._process is not None:
             self._unanswered += 1
             self._process.send(answer=word, **numbers)
+
+    def _ended(self, process: CommandProcess) -> None:
+        self._process, self.question = None, None
+        cancelled = process.exit_code == STOPPED_BY_USER
+        self.ending = "cancelled; the outputs are muted, the mirror is parked" if cancelled else process.failure
+        self._changed("question")
+        messages = self._context.messages
+        if self.outcome is not None and self.outcome.get("file"):
+            messages.note(f"written: {self.outcome['file']}")
+        elif self.ending and not cancelled and self.outcome is None:
+            messages.fault(self.ending)
 
     def _changed(self, name: str) -> None:
         self.revision[name] += 1

@@ -1,123 +1,134 @@
-"""The calibration wizard: asks a person what the command asks, shows where the beam is and how well the map fits."""
+"""Calibration wizard: shows the questions of the calibration, the beam and the residuals of the mirror map."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 from PyQt5.QtCore import Qt
-from PyQt5.QtWidgets import QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QVBoxLayout, QWidget
+from PyQt5.QtGui import QColor
+from PyQt5.QtWidgets import (
+    QAbstractItemView,
+    QHBoxLayout,
+    QLabel,
+    QPlainTextEdit,
+    QPushButton,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from acquisition.calibration_procedures.marks import default_marks_mm
-from gui.rig.arrows import Arrows
-from gui.rig.calibration import Ask, Calibration, Pair
-from gui.rig.calibration_start import CalibrationStart
+from gui.rig.calibration import Calibration
+from gui.rig.calibration_options import CalibrationOptions
+from gui.rig.jog_controls import Arrows
 from gui.rig.level_meter import LevelMeter
-from gui.rig.residual_table import ResidualTable
+from gui.rig.messages import Pair, Question
 from gui.rig.surface_picture import SurfacePicture
 from gui.shell.settings import Settings
-from gui.shell.theme import Theme
-from gui.shell.widgets import side_by_side
+from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import make_table, named, side_by_side
 
 _STEPS_MRAD = (0.05, 0.2, 1.0, 5.0, 20.0)
+_RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "distance (mm)")
+_YES = {"jog": "here", "map": "keep", "connect": "done", "again": "again"}
 
 
 class CalibrationPage(QWidget):
-    """Picture on the left, question on the right.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Asks and is answered.
-    settings : Settings
-        Knows folders.
-    """
+    """Picture on the left, question on the right."""
 
     def __init__(self, calibration: Calibration, settings: Settings) -> None:
         super().__init__()
         self._calibration = calibration
-        self._seen = {"ask": -1, "level": -1}
-        self._marks: list[Pair] = []
+        self._theme = LIGHT
+        self._drawn = {"question": -1, "level": -1}
+        self._marks_mm: list[Pair] = []
         self.picture = SurfacePicture("Surface with the marks of the mirror map")
-        self.picture.setToolTip("Squares: marks, filled once they were met. Arrow keys move the beam by a step")
-        self.start = CalibrationStart(settings)
+        self.picture.setToolTip("Squares: marks, filled when done. Arrow keys move the beam by a step")
+        self.options = CalibrationOptions(settings)
         self.question, self.note = QLabel(), QLabel()
-        self.question.setAccessibleName("What is to be done")
+        self.question.setAccessibleName("Question of the calibration")
         self.question.setProperty("role", "strong")
         self.note.setAccessibleName("Notes")
         self.arrows = Arrows(_STEPS_MRAD, "mrad", 2)
         self.meter = LevelMeter()
-        self.residuals = ResidualTable()
-        self.yes, self.no, self.redo = QPushButton(), QPushButton(), QPushButton("&Meet the chosen mark again")
-        self._word(self.yes, "&Yes", "Answer what the calibration asks")
-        self._word(self.no, "&No", "Answer what the calibration asks")
-        self.redo.setAccessibleName("Meet the chosen mark again")
-        self.redo.setToolTip("Bring the beam onto the mark that is chosen in the table once more")
-        self.cancel = QPushButton("&Cancel")
-        self.cancel.setAccessibleName("Cancel the calibration")
-        self.cancel.setToolTip("Leave it: the outputs are muted, the mirror is parked, what was measured stays")
-        self.told = QPlainTextEdit()
-        self.told.setReadOnly(True)
-        self.told.setAccessibleName("What the calibration tells")
-        self._rest = QWidget()  # keeps what is above it at the top
+        self.residuals = make_table(_RESIDUALS, "Residuals of the mirror map in mm", stretched=range(len(_RESIDUALS)))
+        self.residuals.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self.residuals.setToolTip("Mapped place less place of the mark, in mm; choose a row to repeat its mark")
+        self.yes, self.no = (named(QPushButton(text), "Answer the question") for text in ("&Yes", "&No"))
+        self.redo = named(QPushButton("&Repeat the chosen mark"), "Bring the beam onto the chosen mark once more")
+        self.cancel = named(
+            QPushButton("&Cancel"), "End it: outputs muted, mirror parked, results so far are kept",
+            "Cancel the calibration",
+        )  # fmt: skip
+        self.report = QPlainTextEdit()
+        self.report.setReadOnly(True)
+        self.report.setAccessibleName("Report of the calibration")
+        self._spacer = QWidget()
         self._lay_out()
         self._show()
         self.arrows.stepped.connect(calibration.step)
         self.picture.stepped.connect(self._step)
-        self.yes.clicked.connect(self._yes)
-        self.no.clicked.connect(self._no)
-        self.redo.clicked.connect(lambda: calibration.answer("redo", mark=self.residuals.chosen or 1))
+        self.yes.clicked.connect(self._answer_yes)
+        self.no.clicked.connect(self._answer_no)
+        self.redo.clicked.connect(lambda: calibration.answer("redo", mark=self.chosen_mark or 1))
         self.cancel.clicked.connect(calibration.cancel)
+
+    @property
+    def chosen_mark(self) -> int | None:
+        """Chosen row of the residuals, from 1."""
+        rows = {index.row() for index in self.residuals.selectedIndexes()}
+        return min(rows) + 1 if rows else None
 
     def show_surface(self, length_mm: float, width_mm: float, actuator_mm: list[Pair]) -> None:
         """Show another rig's surface."""
-        self.start.size_mm = (length_mm, width_mm)
+        self.options.size_mm = (length_mm, width_mm)
         self.picture.show_surface(length_mm, width_mm, actuator_mm)
         if not self._calibration.running:
-            self._marks = list(default_marks_mm(length_mm, width_mm))
-            self.picture.show_marks(self._marks, -1, 0)
+            self._marks_mm = list(default_marks_mm(length_mm, width_mm))
+            self.picture.show_marks(self._marks_mm, -1, 0)
 
     def draw(self, *, has_rig: bool) -> None:
         """Draw what changed."""
         calibration = self._calibration
-        self.start.setEnabled(has_rig and not calibration.running)
-        if self._seen["ask"] != calibration.revision["ask"]:
-            self._seen["ask"] = calibration.revision["ask"]
+        self.options.setEnabled(has_rig and not calibration.running)
+        if self._drawn["question"] != calibration.revision["question"]:
+            self._drawn["question"] = calibration.revision["question"]
             self._show()
-        if self._seen["level"] != calibration.revision["level"]:
-            self._seen["level"] = calibration.revision["level"]
-            self.meter.show_levels(calibration.reference, calibration.response, None)
+        if self._drawn["level"] != calibration.revision["level"]:
+            self._drawn["level"] = calibration.revision["level"]
+            self.meter.show_levels(calibration.levels)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
+        """Use the theme's colours."""
+        self._theme = theme
         self.picture.apply_theme(theme)
         self.meter.apply_theme(theme)
-        self.residuals.theme = theme
-        if self._marks:
-            self.picture.show_marks(self._marks, -1, 0)
-        self._seen["ask"] = -1
+        if self._marks_mm:
+            self.picture.show_marks(self._marks_mm, -1, 0)
+        self._drawn["question"] = -1
 
     def _lay_out(self) -> None:
         for label in (self.question, self.note):
             label.setWordWrap(True)
-        self.told.setMaximumHeight(5 * self.fontMetrics().lineSpacing())
-        buttons = QHBoxLayout()
+        self.report.setMaximumHeight(5 * self.fontMetrics().lineSpacing())
+        buttons, jog, side = QHBoxLayout(), QHBoxLayout(), QWidget()
         for button in (self.yes, self.no, self.redo):
             buttons.addWidget(button)
         buttons.addStretch(1)
         buttons.addWidget(self.cancel)
-        jog = QHBoxLayout()
         jog.addWidget(self.arrows)
         jog.addStretch(1)
-        side = QWidget()
         column = QVBoxLayout(side)
         column.setContentsMargins(8, 0, 0, 0)
-        column.addWidget(self.start)
-        column.addWidget(self.question)
-        column.addWidget(self.note)
+        for widget in (self.options, self.question, self.note):
+            column.addWidget(widget)
         column.addLayout(jog)
         column.addWidget(self.meter)
         column.addWidget(self.residuals, stretch=1)
         column.addLayout(buttons)
-        column.addWidget(self.told)
-        column.addWidget(self._rest, stretch=1)
+        column.addWidget(self.report)
+        column.addWidget(self._spacer, stretch=1)
         self.splitter = side_by_side((self.picture, 640), (side, 600))
         row = QHBoxLayout(self)
         row.setContentsMargins(4, 6, 4, 4)
@@ -125,109 +136,122 @@ class CalibrationPage(QWidget):
 
     def _show(self) -> None:
         calibration = self._calibration
-        ask, running = calibration.ask, calibration.running
-        what = ask.what if ask is not None else ""
-        for widget, seen in (
-            (self.start, not running),
-            (self.question, True),
-            (self.note, True),
-            (self.arrows, what == "jog"),
-            (self.meter, what == "jog"),
-            (self.residuals, what == "map"),
-            (self.yes, bool(what)),
-            (self.no, what in ("map", "again")),
-            (self.redo, what == "map"),
+        question, running = calibration.question, calibration.running
+        kind = question.kind if question is not None else ""
+        for widget, visible in (
+            (self.options, not running),
+            (self.arrows, kind == "jog"),
+            (self.meter, kind == "jog"),
+            (self.residuals, kind == "map"),
+            (self.yes, bool(kind)),
+            (self.no, kind in ("map", "again")),
+            (self.redo, kind == "map"),
             (self.cancel, running),
-            (self.told, bool(calibration.lines)),
-            (self._rest, what != "map"),
+            (self.report, bool(calibration.lines)),
+            (self._spacer, kind != "map"),
         ):
-            widget.setVisible(seen)
-        self.told.setPlainText("\n".join(calibration.lines))
-        if ask is None:
-            self._show_no_question()
-            return
-        {"jog": self._ask_jog, "map": self._ask_map, "connect": self._ask_connect}.get(what, self._ask_again)(ask)
+            widget.setVisible(visible)
+        self.report.setPlainText("\n".join(calibration.lines))
+        match question:
+            case None:
+                self._show_state()
+            case Question("jog"):
+                self._ask_jog(question)
+            case Question("map"):
+                self._ask_map(question)
+            case Question("connect"):
+                self._set_texts(question.text("sentence").capitalize(), "")
+                self._set_button(self.yes, "It is &connected", "Continue (Return)", "Return")
+            case _:
+                self._set_texts(f"▲ {question.text('problem')}", "Check cables and power first.")
+                self._set_button(self.yes, "&Try again", "Measure it again")
+                self._set_button(self.no, "&Leave it out", "Continue without it; the rest is measured")
 
-    def _show_no_question(self) -> None:
-        calibration = self._calibration
-        note = ""
+    def _show_state(self) -> None:
+        calibration, outcome = self._calibration, self._calibration.outcome
         if calibration.running:
-            words = "measuring…"
-        elif (outcome := calibration.outcome) is not None:
-            problems = outcome.get("problems")
-            file = outcome.get("file")
-            words = f"✔ written: {file}" if file else "✖ nothing was written"
-            note = "\n".join(f"▲ {one}" for one in problems) if isinstance(problems, list) else ""
-        else:
-            words = calibration.ending
-        if not calibration.running:
-            self.picture.show_spot(None)
-        self.question.setText(words)
+            self._set_texts("measuring…", "")
+            return
+        self.picture.show_spot(None)
+        if outcome is None:
+            self._set_texts(calibration.ending, "")
+            return
+        problems, file = outcome.get("problems"), outcome.get("file")
+        note = "\n".join(f"▲ {one}" for one in problems) if isinstance(problems, list) else ""
+        self._set_texts(f"✔ written: {file}" if file else "✖ nothing was written", note)
+
+    def _ask_jog(self, question: Question) -> None:
+        number, count = int(question.number("number") or 1), int(question.number("of") or 1)
+        place_mm, at_mrad = question.pair("place_mm") or (0.0, 0.0), question.pair("at_mrad") or (0.0, 0.0)
+        self._marks_mm = self._calibration.marks_mm
+        self.picture.show_residuals([], [])
+        self.picture.show_marks(self._marks_mm, number - 1, number - 1)
+        self.picture.show_spot(question.pair("at_mm"))
+        self.picture.setFocus(Qt.FocusReason.OtherFocusReason)
+        self._set_texts(
+            f"Mark {number} of {count}: bring the spot onto ({place_mm[0]:g}, {place_mm[1]:g}) mm",
+            question.text("note") or f"The mirror is at ({at_mrad[0]:.3f}, {at_mrad[1]:.3f}) mrad.",
+        )
+        self._set_button(self.yes, "The spot is &on the mark", "Use these angles for the mark (Return)", "Return")
+
+    def _ask_map(self, question: Question) -> None:
+        places_mm, off_mm = question.pairs("place_mm"), question.pairs("off_mm")
+        rms_mm, worst_mm = question.number("rms_mm"), question.number("worst_mm")
+        problem, suspect = question.text("problem"), int(question.number("suspect") or 0)
+        self._marks_mm = places_mm
+        self.picture.show_spot(None)
+        self.picture.show_marks(places_mm, suspect - 1 if problem else -1, len(places_mm))
+        times = self.picture.show_residuals(places_mm, off_mm)
+        self._list_residuals(places_mm, off_mm, question.number("limit_mm") or 0.0, suspect)
+        scale = f"Residuals are drawn {times:g} times larger." if off_mm else ""
+        known = rms_mm is not None and worst_mm is not None
+        self._set_texts(
+            f"Residual of the map: {rms_mm:.2f} mm rms, {worst_mm:.2f} mm at most" if known
+            else "These marks determine no map",
+            f"▲ {problem}\n{scale}" if problem else scale,
+        )  # fmt: skip
+        self._set_button(self.yes, "&Accept and write", "Write the map into a dated calibration file")
+        self.yes.setEnabled(not problem)
+        self._set_button(self.no, "&Discard the map", "Do not write the map")
+
+    def _list_residuals(self, places_mm: Sequence[Pair], off_mm: Sequence[Pair], limit_mm: float, suspect: int) -> None:
+        table = self.residuals
+        table.setRowCount(len(off_mm))
+        for row, ((x_mm, y_mm), (x_off, y_off)) in enumerate(zip(places_mm, off_mm, strict=False)):
+            distance_mm = math.hypot(x_off, y_off)
+            beyond = distance_mm > limit_mm
+            numbers = (f"{row + 1}", f"{x_mm:.1f}", f"{y_mm:.1f}", f"{x_off:+.2f}", f"{y_off:+.2f}")
+            for column, text in enumerate((*numbers, f"▲ {distance_mm:.2f}" if beyond else f"{distance_mm:.2f}")):
+                item = QTableWidgetItem(text)
+                item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+                if beyond:
+                    item.setForeground(QColor(self._theme.fault))
+                table.setItem(row, column, item)
+        table.clearSelection()
+        if 0 < suspect <= len(off_mm):
+            table.selectRow(suspect - 1)
+
+    def _set_texts(self, question: str, note: str) -> None:
+        self.question.setText(question)
         self.note.setText(note)
 
-    def _ask_jog(self, ask: Ask) -> None:
-        number, of = int(ask.figure("number") or 1), int(ask.figure("of") or 1)
-        place, at_mrad = ask.pair("place_mm") or (0.0, 0.0), ask.pair("at_mrad") or (0.0, 0.0)
-        self._marks = self._calibration.marks
-        self.picture.show_residuals([], [])
-        self.picture.show_marks(self._marks, number - 1, number - 1)
-        self.picture.show_spot(ask.pair("at_mm"))
-        self.picture.setFocus(Qt.FocusReason.OtherFocusReason)
-        self.question.setText(f"Mark {number} of {of}: bring the spot onto ({place[0]:g}, {place[1]:g}) mm")
-        self.note.setText(ask.words("note") or f"The mirror stands at ({at_mrad[0]:.3f}, {at_mrad[1]:.3f}) mrad.")
-        self._word(self.yes, "The spot is &on the mark", "Take these angles for the mark, and go on (Return)")
-        self.yes.setShortcut("Return")
-
-    def _ask_map(self, ask: Ask) -> None:
-        places, off = ask.pairs("place_mm"), ask.pairs("off_mm")
-        rms_mm, worst_mm, limit_mm = (ask.figure(key) for key in ("rms_mm", "worst_mm", "limit_mm"))
-        problem = ask.words("problem")
-        self._marks = places
-        self.picture.show_spot(None)
-        self.picture.show_marks(places, int(ask.figure("suspect") or 0) - 1 if problem else -1, len(places))
-        times = self.picture.show_residuals(places, off)
-        self.residuals.show_residuals(places, off, limit_mm or 0.0, int(ask.figure("suspect") or 0))
-        if rms_mm is not None and worst_mm is not None:
-            self.question.setText(f"The map misses the marks by {rms_mm:.2f} mm rms, {worst_mm:.2f} mm at most")
-        else:
-            self.question.setText("These marks give no map")
-        drawn = f"Residuals are drawn {times:g} times larger." if off else ""
-        self.note.setText(f"▲ {problem}\n{drawn}" if problem else drawn)
-        self._word(self.yes, "&Accept and write", "Write the map into a dated calibration file")
-        self.yes.setEnabled(not problem)
-        self._word(self.no, "&Leave the map", "Write nothing of it")
-
-    def _ask_connect(self, ask: Ask) -> None:
-        self.question.setText(ask.words("sentence").capitalize())
-        self.note.setText("")
-        self._word(self.yes, "It is &plugged in", "Go on measuring (Return)")
-        self.yes.setShortcut("Return")
-
-    def _ask_again(self, ask: Ask) -> None:
-        self.question.setText(f"▲ {ask.words('problem')}")
-        self.note.setText("Look at cables and power first.")
-        self._word(self.yes, "&Try once more", "Measure it again")
-        self._word(self.no, "&Leave it out", "Go on without it; the rest is measured")
-
     @staticmethod
-    def _word(button: QPushButton, words: str, tip: str) -> None:
-        button.setText(words)
-        button.setAccessibleName(words.replace("&", ""))
-        button.setToolTip(tip)
+    def _set_button(button: QPushButton, text: str, tip: str, key: str = "") -> None:
+        button.setText(text)
+        named(button, tip)
         button.setEnabled(True)
+        if key:
+            button.setShortcut(key)
 
     def _step(self, x: int, y: int) -> None:
-        ask = self._calibration.ask
-        if ask is not None and ask.what == "jog":
+        question = self._calibration.question
+        if question is not None and question.kind == "jog":
             self.arrows.step(x, y)
 
-    def _yes(self) -> None:
-        ask = self._calibration.ask
-        if ask is not None:
-            words = {"jog": "here", "map": "keep", "connect": "done", "again": "again"}
-            self._calibration.answer(words[ask.what])
+    def _answer_yes(self) -> None:
+        if (question := self._calibration.question) is not None:
+            self._calibration.answer(_YES[question.kind])
 
-    def _no(self) -> None:
-        ask = self._calibration.ask
-        if ask is not None:
-            self._calibration.answer("drop" if ask.what == "map" else "skip")
+    def _answer_no(self) -> None:
+        if (question := self._calibration.question) is not None:
+            self._calibration.answer("drop" if question.kind == "map" else "skip")

@@ -1,37 +1,24 @@
-"""What the window reads of a rig file by itself, for a picture; the commands read it whole and judge it."""
+"""Parts of a rig file that the window draws; the commands read it whole and check it."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from gui.rig.messages import Pair, optional_number, pairs
 from gui.shell.toml_files import is_virtual, tables_of
 from storage.errors import InputError
 from storage.text_file import read_text
 
-Pair = tuple[float, float]
-
-# As the configuration has them where the file says nothing.
+# Defaults of the configuration.
 _LENGTH_MM, _WIDTH_MM = 250.0, 150.0
+_LONGEST_MM = 1e6
 
 
 @dataclass(frozen=True, slots=True)
 class RigFile:
-    """A rig file, seen from outside.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    is_virtual : bool
-        Whether its instruments are in software, so that several programs can have them at once.
-    length_mm, width_mm : float
-        Of the surface.
-    actuator_mm : list of (float, float)
-        Actuators, where it lists them.
-    """
+    """A rig file: whether its instruments are virtual, its surface, and the actuators that it lists."""
 
     path: Path
     is_virtual: bool = True
@@ -41,27 +28,24 @@ class RigFile:
 
 
 def read_rig_file(path: Path) -> RigFile:
-    """Read what a picture needs; a value that is wrong is passed over here, for the commands tell it better.
+    """Read what a picture needs; wrong values are replaced by defaults.
 
     Raises
     ------
     InputError
-        The file cannot be read, or is no TOML.
+        The file cannot be read, or is not TOML.
     """
     content = tables_of(path)
-    surface, places = _table(content, "surface"), _table(content, "actuators").get("position_mm")
-    length_mm, width_mm = _size(surface, "length_mm", _LENGTH_MM), _size(surface, "width_mm", _WIDTH_MM)
-    return RigFile(
-        path,
-        is_virtual=is_virtual(content),
-        length_mm=length_mm if length_mm >= width_mm else _LENGTH_MM,
-        width_mm=width_mm if length_mm >= width_mm else _WIDTH_MM,
-        actuator_mm=[pair for one in places if (pair := _pair(one)) is not None] if isinstance(places, list) else [],
-    )
+    surface, actuators = (one if isinstance(one, dict) else {} for one in map(content.get, ("surface", "actuators")))
+    length_mm = optional_number(surface.get("length_mm")) or _LENGTH_MM
+    width_mm = optional_number(surface.get("width_mm")) or _WIDTH_MM
+    if not 0 < width_mm <= length_mm < _LONGEST_MM:
+        length_mm, width_mm = _LENGTH_MM, _WIDTH_MM
+    return RigFile(path, is_virtual(content), length_mm, width_mm, pairs(actuators.get("position_mm")))
 
 
 def line_of(path: Path, key: str) -> int:
-    """The line, from 1, at which a key such as ``player.channels`` stands, or else its table; 0 where neither does."""
+    """Line, from 1, of a key such as ``player.channels``, or else of its table; 0 where there is neither."""
     table, _, name = key.rpartition(".")
     table = table or name
     try:
@@ -76,20 +60,3 @@ def line_of(path: Path, key: str) -> int:
         elif inside and re.match(rf"\s*{re.escape(name)}\s*=", line):
             return number
     return found
-
-
-def _table(content: Mapping[str, object], key: str) -> Mapping[str, object]:
-    value = content.get(key)
-    return value if isinstance(value, dict) else {}
-
-
-def _size(table: Mapping[str, object], key: str, default: float) -> float:
-    value = table.get(key, default)
-    good = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < 1e6
-    return float(value) if good and isinstance(value, int | float) else default
-
-
-def _pair(value: object) -> Pair | None:
-    if isinstance(value, list) and len(value) == 2 and all(isinstance(one, int | float) for one in value):
-        return float(value[0]), float(value[1])
-    return None

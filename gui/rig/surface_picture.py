@@ -1,4 +1,4 @@
-"""A picture of the surface: outline, actuators, marks, residuals and the spot; a click says where."""
+"""Picture of the surface: outline, actuators, marks, residuals and laser spot."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent
 
 from config.stadium import stadium_rim
+from gui.rig.messages import Pair
 from gui.shell.theme import LIGHT, Theme, theme_axes
-
-Pair = tuple[float, float]
 
 _RIM_POINTS = 180
 _MARGIN = 0.08

@@ -10,13 +10,19 @@ from types import TracebackType
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from gui.shell.tab import error_text
 from storage.errors import WavefocusError
 
 Tell = Callable[[str, str], object]
 
 
-class Unexpected(QObject):
+def error_text(failure: BaseException) -> str:
+    """The one line that is told about an error."""
+    if isinstance(failure, OSError) and failure.filename is not None:
+        return f"{failure.filename}: {failure.strerror}"
+    return " ".join(str(failure).split()) or type(failure).__name__
+
+
+class ErrorHook(QObject):
     """Takes the place of `sys.excepthook` and `threading.excepthook` while a window is open.
 
     Parameters

@@ -11,7 +11,8 @@ from PyQt5.QtCore import QObject
 from PyQt5.QtWidgets import QAction, QSplitter, QWidget
 
 from gui.process.background import Background
-from gui.process.command_process import Answer, Errand
+from gui.process.command_process import CommandProcess, Message
+from gui.shell.error_hook import error_text
 from gui.shell.front_door import FrontDoor
 from gui.shell.message_bar import MessageBar
 from gui.shell.settings import Settings
@@ -47,9 +48,26 @@ class TabContext:
     selection: Selection = field(default_factory=Selection)
     tabs: list[Tab] = field(default_factory=list)
 
-    def run(self, arguments: Sequence[str], done: Callable[[Answer], object]) -> Errand:
-        """Start a command; `done` receives its answer."""
-        return Errand(self.front, arguments, done, self.owner)
+    def run(
+        self,
+        arguments: Sequence[str],
+        done: Callable[[CommandProcess], object],
+        received: Callable[[Message], None] | None = None,
+        *,
+        log_file: Path | None = None,
+        name: str = "",
+        advice: str = "",
+    ) -> CommandProcess:
+        """Start a command; `done` receives its process when it has ended, `received` each JSON line before that."""
+        process = CommandProcess(self.front, arguments, self.owner, log_file=log_file, name=name, advice=advice)
+        if received is not None:
+            process.received.connect(received)
+
+        def finished() -> None:
+            done(process)
+
+        process.finished.connect(finished)
+        return process
 
     def run_file(self) -> Path | None:
         """The run file that is open in a tab."""
@@ -72,7 +90,7 @@ class TabContext:
         others = [tab for tab in self.tabs if tab is not asks and not tab.isAncestorOf(asks)]
         held = "" if virtual else next((held for tab in others if (held := tab.instruments_held())), "")
         if held:
-            self.messages.warn(f"{held}, so the instruments are busy: stop it first", (f"{word} all the same", act))
+            self.messages.warn(f"{held}, so the instruments are busy: stop it first", (f"{word} anyway", act))
         else:
             self.messages.dismiss_old()
             act()
@@ -83,13 +101,6 @@ class TabContext:
             self.messages.fault(error_text(failure))
             return
         raise failure
-
-
-def error_text(failure: BaseException) -> str:
-    """The one line that is told about an error."""
-    if isinstance(failure, OSError) and failure.filename is not None:
-        return f"{failure.filename}: {failure.strerror}"
-    return " ".join(str(failure).split()) or type(failure).__name__
 
 
 # Module and class of each tab, from left to right.

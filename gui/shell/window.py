@@ -23,7 +23,7 @@ from PyQt5.QtWidgets import (
 )
 
 from gui.process.background import Background
-from gui.shell.error_hook import Unexpected
+from gui.shell.error_hook import ErrorHook
 from gui.shell.file_choice import dropped_files, make_dialog
 from gui.shell.front_door import FrontDoor
 from gui.shell.message_bar import MessageBar
@@ -56,7 +56,7 @@ class Window(QMainWindow):
         self.messages = MessageBar()
         self.background = Background(self)
         self.context = TabContext(front, self.messages, self.background, settings, self)
-        self._unexpected = Unexpected(self.tell_unexpected, self.close)
+        self._unexpected = ErrorHook(self.tell_unexpected, self.close)
         self._unexpected.install()
         application = QApplication.instance()
         assert isinstance(application, QApplication)

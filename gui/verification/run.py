@@ -8,13 +8,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from gui.process.command_process import STOPPED_BY_USER, CommandProcess
 from gui.process.log_tail import LogTail
-from gui.process.own_run import OwnRun
-from gui.shell.tab import Question, TabContext, error_text
+from gui.shell.error_hook import error_text
+from gui.shell.tab import Question, TabContext
 from gui.verification.request import Request
 from rendering.verify.names import LOG_NAME, RECORD_NAME, STOP_NAME
 
-_NOT_GOOD_ENOUGH, _STOPPED = 1, 130
+_NOT_GOOD_ENOUGH = 1
 _SAID_NAME = "verify.said"
 # A verification of another process that tells nothing for so long is taken for gone.
 _SILENT_AFTER_S = 300.0
@@ -58,7 +59,7 @@ class VerificationRun:
     def __init__(self, context: TabContext, done: Callable[[Path], object]) -> None:
         self._context = context
         self._done = done
-        self.own: OwnRun | None = None
+        self.own: CommandProcess | None = None
         self.out: Path | None = None
         self.progress: Progress | None = None
         self.stopping = self.is_virtual = False
@@ -71,7 +72,7 @@ class VerificationRun:
     @property
     def alive(self) -> bool:
         """Whether a verification of this window runs."""
-        return self.own is not None and self.own.alive
+        return self.own is not None and self.own.running
 
     @property
     def running(self) -> bool:
@@ -114,7 +115,7 @@ class VerificationRun:
         """Take up what it told, and tell how it ended; called often."""
         if not self.running:
             return
-        alive = self.own is not None and self.own.alive  # before the log is read: its last line may come meanwhile
+        alive = self.own is not None and self.own.running  # before the log is read: its last line may come meanwhile
         self._take()
         if self.own is not None:
             if not alive:
@@ -147,7 +148,7 @@ class VerificationRun:
     def let_go(self) -> None:
         """Leave the own verification to itself; its last act is to mute and park."""
         if self.own is not None:
-            self.own.let_go()
+            self.own.detach()
 
     def _start(self, request: Request) -> None:
         out = request.out
@@ -156,18 +157,17 @@ class VerificationRun:
             for name in (LOG_NAME, STOP_NAME):  # of an earlier one
                 (out / name).unlink(missing_ok=True)
             self._listen(out)
-            self.own = OwnRun(
-                self._context.front,
-                request.arguments,
-                out,
-                out / _SAID_NAME,
-                what="verification",
-                after_loss="its outputs ended with it, but the mirror stands where it was: run the verification again",
-            )
         except OSError as failure:
             self._forget()
             self._context.messages.fault(f"the verification cannot be started: {error_text(failure)}")
             return
+        self.own = self._context.run(
+            request.arguments,
+            lambda _process: self.look(),
+            log_file=out / _SAID_NAME,
+            name="the verification",
+            advice="its outputs ended with it, but the mirror stands where it was: run the verification again",
+        )
         self.progress, self.is_virtual = Progress(), request.is_virtual
 
     def _listen(self, out: Path) -> None:
@@ -217,7 +217,7 @@ class VerificationRun:
             self.stopping = False
             self._context.messages.fault(f"the order to stop cannot be given: {error_text(failure)}")
 
-    def _tell_end(self, code: int | None, own: OwnRun | None) -> None:
+    def _tell_end(self, code: int | None, own: CommandProcess | None) -> None:
         out, ended = self.out, self._ended
         self._forget()
         assert out is not None
@@ -231,9 +231,9 @@ class VerificationRun:
         elif ended is not None and code == _NOT_GOOD_ENOUGH:
             messages.fault(f"Not good enough. {reason}")
             self._done(record)
-        elif code == _STOPPED:
+        elif code == STOPPED_BY_USER:
             messages.note(_STOPPED_WORDS)
         else:
-            messages.fault(reason or (own.ending() if own is not None else "") or "the verification ended")
+            messages.fault(reason or (own.failure if own is not None else "") or "the verification ended")
         if self._closes is not None:
             self._closes()

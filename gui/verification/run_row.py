@@ -7,7 +7,7 @@ from collections.abc import Callable
 from PyQt5.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QWidget
 
 from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import Badge, finish_words, make_action, make_button, put
+from gui.shell.widgets import Badge, finish_text, make_action, make_button, put
 from gui.verification.run import Progress
 
 # The steps' names in the log, and what people read.
@@ -96,7 +96,7 @@ class RunRow(QWidget):
 def _told(progress: Progress) -> str:
     parts = []
     if progress.finish_s is not None and progress.done < progress.total and progress.step == "scan":
-        parts.append(finish_words(progress.finish_s))
+        parts.append(finish_text(progress.finish_s))
     if progress.message:
         parts.append(progress.message)
     return "  ·  ".join(parts)

@@ -9,8 +9,9 @@ from PyQt5.QtGui import QDesktopServices, QDragEnterEvent, QDropEvent
 from PyQt5.QtWidgets import QAction, QApplication, QLabel, QStackedWidget, QVBoxLayout
 
 from gui.process.background import Background
+from gui.shell.error_hook import error_text
 from gui.shell.file_choice import choose_file, dropped_files
-from gui.shell.tab import Question, Tab, TabContext, error_text
+from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
 from gui.shell.widgets import side_by_side, stacked
 from gui.verification.figures_panel import FiguresPanel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 from collections.abc import Callable, Generator
 from pathlib import Path
 
@@ -113,8 +112,8 @@ def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Windo
     yield make
     for window in opened:
         own = campaign_of(window).run.own
-        if own is not None and own.alive:  # a test that failed leaves nothing running
-            os.kill(own.pid, signal.SIGTERM)
+        if own is not None and own.running:  # a test that failed leaves nothing running
+            own.interrupt()
         window.close_at_once()
         assert window.mishaps == []
         window.deleteLater()

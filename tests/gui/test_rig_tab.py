@@ -14,7 +14,7 @@ from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from calibration.rig.mirror_map import MirrorMap
-from gui.rig.remedies import Finding
+from gui.rig.messages import Finding
 from gui.rig.rig_file import line_of
 from gui.rig.tab import RigTab
 from gui.shell.window import Window
@@ -55,7 +55,7 @@ def until(qtbot: QtBot, window: Window, true: Callable[[], object]) -> None:
         qtbot.waitUntil(lambda: bool(true()), timeout=SOON_MS)
     except Exception as late:
         tab = tab_of(window)
-        shown = tab.hands.state, tab.examination_page.summary.text(), tab.calibration_page.question.text()
+        shown = tab.session.state, tab.examination.summary.text(), tab.calibration_page.question.text()
         pytest.fail(f"it did not come about ({late}); the window says {window.messages.sentence!r}, {shown}")
 
 
@@ -67,9 +67,9 @@ def click(qtbot: QtBot, window: Window, button: object) -> None:
 def in_hands(qtbot: QtBot, window: Window) -> RigTab:
     """The tab with the instruments in its hands."""
     tab = tab_of(window)
-    tab.pages.setCurrentWidget(tab.hand_page)
-    click(qtbot, window, tab.hand_page.take)
-    until(qtbot, window, lambda: tab.hands.state == "ready" and tab.hand_page.sound.sweep.isEnabled())
+    tab.pages.setCurrentWidget(tab.manual_page)
+    click(qtbot, window, tab.manual_page.take)
+    until(qtbot, window, lambda: tab.session.state == "ready" and tab.manual_page.sound.sweep.isEnabled())
     return tab
 
 
@@ -77,7 +77,7 @@ def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(
     qtbot: QtBot, open_window: Callable[..., Window], rig: Path
 ) -> None:
     window = open_window(rig)
-    tab, page = tab_of(window), tab_of(window).examination_page
+    tab, page = tab_of(window), tab_of(window).examination
     click(qtbot, window, page.examine)
     until(qtbot, window, lambda: page.findings and not tab.examination.running)
     assert page.summary.text() == "1 not good enough, 16 ok"
@@ -91,7 +91,7 @@ def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(
     assert [page.table.isRowHidden(one) for one in range(17)] == [one != row for one in range(17)]
     click(qtbot, window, page.buttons[row])
     assert tab.pages.currentWidget() is tab.calibration_page
-    parts = tab.calibration_page.start.parts
+    parts = tab.calibration_page.options.parts
     assert [name for name, box in parts.items() if box.isChecked()] == ["actuators"]
 
 
@@ -100,23 +100,22 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
 ) -> None:
     window = open_window(rig)
     tab = in_hands(qtbot, window)
-    jog, sound, hands = tab.hand_page.jog, tab.hand_page.sound, tab.hands
+    jog, sound, hands = tab.manual_page.jog, tab.manual_page.sound, tab.session
     assert sound.level_v.maximum() == 2.0
     assert sound.actuator.count() == 6
 
     view = jog.picture.getPlotItem().getViewBox()
     place = jog.picture.mapFromScene(view.mapViewToScene(QPointF(40.0, -25.0)))
     qtbot.mouseClick(jog.picture.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(place.x(), place.y()))
-    until(qtbot, window, lambda: hands.spot.x_mm is not None)
-    assert hands.spot.x_mm == pytest.approx(40.0, abs=1.0)
-    assert hands.spot.y_mm == pytest.approx(-25.0, abs=1.0)
+    until(qtbot, window, lambda: hands.spot.place_mm is not None)
+    assert hands.spot.place_mm == pytest.approx((40.0, -25.0), abs=1.0)
     until(qtbot, window, lambda: "mrad" in jog.where.text())
-    before_mm = hands.spot.x_mm
+    before_mm = hands.spot.place_mm[0]
     for _ in range(3):  # steps that come while the beam moves are not lost
         click(qtbot, window, jog.arrows.buttons["right"])
-    until(qtbot, window, lambda: hands.spot.x_mm == pytest.approx(before_mm + 3.0, abs=1e-3))
+    until(qtbot, window, lambda: hands.spot.place_mm[0] == pytest.approx(before_mm + 3.0, abs=1e-3))
     qtbot.keyClick(jog.picture, Qt.Key.Key_Left)
-    until(qtbot, window, lambda: hands.spot.x_mm == pytest.approx(before_mm + 2.0, abs=1e-3))
+    until(qtbot, window, lambda: hands.spot.place_mm[0] == pytest.approx(before_mm + 2.0, abs=1e-3))
     jog.x_mm.setValue(1000.0)
     click(qtbot, window, jog.go)
     until(qtbot, window, lambda: "mirror.limit_mrad" in window.messages.sentence)
@@ -125,10 +124,10 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
 
     click(qtbot, window, jog.middle)
     sound.listen.click()
-    until(qtbot, window, lambda: hands.response is not None)
-    quiet_v = hands.response.rms_v
+    until(qtbot, window, lambda: hands.levels is not None)
+    quiet_v = hands.levels.response.rms_v
     sound.sounds.click()
-    until(qtbot, window, lambda: hands.response.rms_v > 5 * quiet_v)
+    until(qtbot, window, lambda: hands.levels.response.rms_v > 5 * quiet_v)
     until(qtbot, window, lambda: sound.meter.held_v.get("reference", 0.0) > 0.1)
     assert "response" in sound.meter.accessibleName()
 
@@ -142,10 +141,10 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     sound.again.click()
     first = hands.revision["sweep"]
     until(qtbot, window, lambda: hands.revision["sweep"] > first + 3 and "✔" in sound.verdict.text())
-    click(qtbot, window, tab.hand_page.mute)
+    click(qtbot, window, tab.manual_page.mute)
     until(qtbot, window, lambda: not hands.listening and not hands.sweeping)
     assert not sound.again.isChecked()
-    click(qtbot, window, tab.hand_page.release)
+    click(qtbot, window, tab.manual_page.release)
     until(qtbot, window, lambda: hands.state == "released")
 
 
@@ -155,15 +154,15 @@ def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(
     window = open_window(rig)
     tab, page, calibration = tab_of(window), tab_of(window).calibration_page, tab_of(window).calibration
     tab.pages.setCurrentWidget(page)
-    click(qtbot, window, page.start.start)
+    click(qtbot, window, page.options.start)
     for number in range(1, 8):
         meet(qtbot, window, number, off_mm=9.0 if number == 2 else 0.0)
     until(qtbot, window, lambda: page.residuals.rowCount() == 7)
-    assert calibration.reference is not None
+    assert calibration.levels is not None
     assert "mark 2 is wrong" in page.note.text()
     assert "times larger" in page.note.text()
     assert not page.yes.isEnabled()
-    assert page.residuals.chosen == 2
+    assert page.chosen_mark == 2
     click(qtbot, window, page.redo)
     meet(qtbot, window, 2)
     until(qtbot, window, lambda: page.residuals.isVisible() and page.yes.isEnabled())
@@ -181,15 +180,15 @@ def test_given_a_wizard_that_is_cancelled_then_nothing_is_written_and_the_instru
     window = open_window(rig)
     tab, page = tab_of(window), tab_of(window).calibration_page
     tab.pages.setCurrentWidget(page)
-    page.start.marks.setCurrentIndex(1)
-    click(qtbot, window, page.start.start)
+    page.options.marks.setCurrentIndex(1)
+    click(qtbot, window, page.options.start)
     until(qtbot, window, lambda: "Mark 1 of 5" in page.question.text())
     tab.examine()
     assert "being calibrated; wait for its end, or cancel it" in window.messages.sentence
     click(qtbot, window, page.cancel)
     until(qtbot, window, lambda: page.question.text().startswith("cancelled"))
     assert {one.name for one in rig.parent.iterdir() if one.suffix == ".toml"} == {"rig.toml"}
-    assert page.start.isVisible()
+    assert page.options.isVisible()
 
 
 def test_given_the_process_is_killed_then_the_window_says_so_and_takes_them_again_and_a_close_frees_them(
@@ -197,13 +196,12 @@ def test_given_the_process_is_killed_then_the_window_says_so_and_takes_them_agai
 ) -> None:
     window = open_window(rig)
     tab = in_hands(qtbot, window)
-    assert tab.hands.pid is not None
-    os.kill(tab.hands.pid, signal.SIGKILL)
-    until(qtbot, window, lambda: tab.hands.state == "released")
-    assert "its process was killed" in window.messages.sentence
-    assert "laser" in window.messages.sentence
+    assert tab.session.pid is not None
+    os.kill(tab.session.pid, signal.SIGKILL)
+    until(qtbot, window, lambda: tab.session.state == "released")
+    assert "ended unexpectedly" in window.messages.sentence
     in_hands(qtbot, window)
-    pid = tab.hands.pid
+    pid = tab.session.pid
     assert pid is not None
     window.close()
     assert not window.isVisible()
@@ -216,9 +214,9 @@ def test_given_a_rig_file_with_a_mistake_then_it_is_a_sentence_and_the_window_li
     rig.write_text(RIG + "[mirror]\nlimit_mrad = -5\n", encoding="utf-8")
     window = open_window(rig)
     tab = tab_of(window)
-    click(qtbot, window, tab.examination_page.examine)
+    click(qtbot, window, tab.examination.examine)
     until(qtbot, window, lambda: "mirror.limit_mrad" in window.messages.sentence)
-    assert "did not come to its end" in tab.examination_page.summary.text()
+    assert not tab.examination.findings
     rig.write_text("[rig\n", encoding="utf-8")
     tab.open_file(rig)
     assert f"{rig}: is no TOML file" in window.messages.sentence
@@ -245,7 +243,7 @@ def test_given_deeds_of_the_doctor_then_each_is_done_or_asked_first(
     assert QApplication.clipboard().text() == "pip install nidaqmx"
     assert "paste it into a terminal" in window.messages.sentence
     tab.do("calibrate", "")
-    assert all(box.isChecked() for box in tab.calibration_page.start.parts.values())
+    assert all(box.isChecked() for box in tab.calibration_page.options.parts.values())
     tab.do("reset-usb", "mirror")
     assert window.messages.sentence.startswith("Reset the USB device of the mirror?")
     assert not tab.examination.running
@@ -261,14 +259,14 @@ def test_given_a_key_then_its_line_in_the_rig_file_is_found(rig: Path, key: str,
 
 def test_given_findings_in_json_then_a_button_is_offered_where_something_can_be_done() -> None:
     finding = {"instrument": "player", "check": "latency", "verdict": "warn", "what": "30 ms", "remedy": "raise it"}
-    assert Finding.told({**finding, "act": None}).deed == ("again", "Check again")
-    assert Finding.told({**finding, "act": {"do": "edit-rig", "on": "recorder.post_roll_s"}}).deed == (
+    assert Finding.from_record({**finding, "act": None}).button == ("again", "Check again")
+    assert Finding.from_record({**finding, "act": {"do": "edit-rig", "on": "recorder.post_roll_s"}}).button == (
         "edit-rig",
         "Open the rig file",
     )
-    assert Finding.told({**finding, "act": {"do": "calibrate", "on": ""}}).deed == ("calibrate", "Calibrate…")
-    assert Finding.told({**finding, "act": {"do": "sing", "on": ""}}).deed == ("again", "Check again")
-    assert Finding.told({**finding, "verdict": "ok", "act": None}).deed is None
+    assert Finding.from_record({**finding, "act": {"do": "calibrate", "on": ""}}).button == ("calibrate", "Calibrate…")
+    assert Finding.from_record({**finding, "act": {"do": "sing", "on": ""}}).button == ("again", "Check again")
+    assert Finding.from_record({**finding, "verdict": "ok", "act": None}).button is None
 
 
 def test_given_all_tabs_then_no_key_of_the_rig_tab_means_something_else_too(
@@ -290,14 +288,14 @@ def meet(qtbot: QtBot, window: Window, number: int, off_mm: float = 0.0) -> None
     tab = tab_of(window)
     page, calibration = tab.calibration_page, tab.calibration
     until(qtbot, window, lambda: page.question.text().startswith(f"Mark {number} of 7") and page.yes.isEnabled())
-    assert calibration.ask is not None
-    place = calibration.ask.pair("place_mm")
-    at = calibration.ask.pair("at_mrad")
+    assert calibration.question is not None
+    place = calibration.question.pair("place_mm")
+    at = calibration.question.pair("at_mrad")
     assert place is not None
     assert at is not None
     x_mrad, y_mrad = (float(one) for one in TRUE.angles_mrad(place[0] + off_mm, place[1]))
     if number == 1:
-        until(qtbot, window, lambda: calibration.reference is not None)
+        until(qtbot, window, lambda: calibration.levels is not None)
     calibration.step(x_mrad - at[0], y_mrad - at[1])
     until(qtbot, window, lambda: f"({x_mrad:.3f}, {y_mrad:.3f})" in page.note.text())
     click(qtbot, window, page.yes)
@@ -317,7 +315,7 @@ def test_given_marks_that_are_accepted_without_moving_the_beam_then_no_map_can_b
     window = open_window(rig)
     tab, page, calibration = tab_of(window), tab_of(window).calibration_page, tab_of(window).calibration
     tab.pages.setCurrentWidget(page)
-    click(qtbot, window, page.start.start)
+    click(qtbot, window, page.options.start)
     for number in range(1, 8):
         until(qtbot, window, lambda number=number: f"Mark {number} of 7" in page.question.text())
         click(qtbot, window, page.yes)

@@ -75,7 +75,7 @@ def test_given_a_run_then_it_is_started_paused_killed_resumed_stopped_and_remeas
     assert owner is not None
     os.kill(owner.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
     wait(qtbot, lambda: state(tab) == "gone")
-    assert "ended without a good-bye" in window.messages.sentence
+    assert "ended unexpectedly" in window.messages.sentence
 
     press(qtbot, tab, "resume")
     wait(qtbot, lambda: state(tab) == "running")
@@ -121,9 +121,10 @@ def test_given_an_own_run_then_it_goes_on_in_the_background_when_the_window_is_c
     own = tab.run.own
     assert own is not None
     window.close()
-    answer(qtbot, window, "Go on in the background")
+    answer(qtbot, window, "Continue in the background")
     assert not window.isVisible()
     assert bank_owner(bank) is not None
+    assert own.pid is not None
     os.kill(own.pid, signal.SIGTERM)
     wait(qtbot, lambda: bank_owner(bank) is None)
 
@@ -164,7 +165,7 @@ def test_given_a_run_file_then_the_dry_run_tells_positions_and_hours(
     press(qtbot, campaign_of(window), "plan")
     wait(qtbot, lambda: "12 positions" in window.messages.sentence)
     assert "finished" in window.messages.sentence
-    answer(qtbot, window, "Everything")
+    answer(qtbot, window, "Details")
     assert "within all limits" in campaign_of(window).findChild(QPlainTextEdit).toPlainText()
 
 
@@ -174,7 +175,7 @@ def test_given_a_dry_run_that_is_cancelled_then_the_window_says_so(
     window = open_window(long_run)
     press(qtbot, campaign_of(window), "plan")
     answer(qtbot, window, "Cancel")
-    wait(qtbot, lambda: "the dry run was ended" in window.messages.sentence)
+    wait(qtbot, lambda: "the dry run was cancelled" in window.messages.sentence)
 
 
 def test_given_a_bank_that_nobody_owns_then_an_order_says_so(

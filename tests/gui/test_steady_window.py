@@ -15,7 +15,7 @@ from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from gui.campaign.plots import GreenPlot, Greens
-from gui.process.own_run import OwnRun
+from gui.process.command_process import CommandProcess
 from gui.scene.draft import SceneDraft, SourceDraft, TextDraft
 from gui.scene.results.scene_job import SceneJob
 from gui.scene.tab import SceneTab
@@ -23,7 +23,7 @@ from gui.shell.settings import Settings
 from gui.shell.window import Window
 from gui.surface.plot import MOST_COLUMNS, thinned
 from storage.errors import InputError
-from tests.gui.conftest import campaign_of, wait, write_lab
+from tests.gui.conftest import SOON_MS, campaign_of, wait, write_lab
 from wavefocus.commands.gui import front_door
 
 
@@ -248,7 +248,7 @@ def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_comma
 
 @pytest.mark.parametrize("folder", ["lab", "missing"])
 def test_given_a_link_where_a_run_keeps_its_words_then_what_it_points_to_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+    qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     precious = tmp_path / "precious"
@@ -257,7 +257,9 @@ def test_given_a_link_where_a_run_keeps_its_words_then_what_it_points_to_stays(
     said = tmp_path / folder / "plate.h5.said"
     for link in (tmp_path / "lab" / said.name, tmp_path / said.name):
         link.symlink_to(precious)
-    run = OwnRun(front_door(), ["status", "nothing.h5"], tmp_path / "plate.h5", said)
-    run._process.wait(60)
-    assert "nothing.h5" in run.last_said()
+    run = CommandProcess(front_door(), ["status", "nothing.h5"], QApplication.instance(), log_file=said)
+    with qtbot.waitSignal(run.finished, timeout=SOON_MS):
+        pass
+    assert "nothing.h5" in run.last_line
+    assert run.exit_code == 2
     assert precious.read_text(encoding="utf-8") == "precious"

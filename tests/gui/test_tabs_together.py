@@ -120,16 +120,16 @@ def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments
     def refused(word: str) -> None:
         assert f"process {owner} on " in window.messages.sentence
         assert window.messages.sentence.endswith(f"measures {bank}, so the instruments are busy: stop it first")
-        assert [button.text() for button in window.messages.buttons()] == [f"{word} all the same"]
+        assert [button.text() for button in window.messages.buttons()] == [f"{word} anyway"]
         window.messages.dismiss()
 
     rig.examine()
     refused("Examine")
     rig.take()
-    refused("Take them")
+    refused("Open them")
     rig.calibrate([])
     refused("Calibrate")
-    assert [rig.examination.running, rig.hands.held, rig.calibration.running] == [False, False, False]
+    assert [rig.examination.running, rig.session.held, rig.calibration.running] == [False, False, False]
     scene.results.bar.rig_field.line.setText(str(real_rig))
     scene.results.play()
     refused("Play")
@@ -165,12 +165,12 @@ def test_given_instruments_in_hand_then_a_campaign_on_them_is_not_started_withou
     tab, rig = campaign_of(window), rig_of(window)
     wait(qtbot, tab.controls.buttons["start"].isEnabled)
     rig.take()
-    assert rig.hands.held
+    assert rig.session.held
     press(qtbot, tab, "start")
     told = "the Rig tab has the instruments of real.toml, so the instruments are busy: stop it first"
     assert window.messages.sentence == told
     assert tab.run.own is None
-    answer(qtbot, window, "Start all the same")
+    answer(qtbot, window, "Start anyway")
     assert tab.run.own is not None
     wait(qtbot, lambda: tab.run.own is None)  # the capture finds no such instruments
 
@@ -191,13 +191,12 @@ def test_given_a_campaign_and_an_unsaved_scene_then_closing_asks_one_after_the_o
     assert window.isVisible()
     assert window.messages.sentence == ""  # nothing was ordered
     assert tab.run.own is not None
-    own = tab.run.own
     window.close()
     answer(qtbot, window, "Stop after this position")
     answer(qtbot, window, "Close without saving")
     wait(qtbot, lambda: not window.isVisible())
-    wait(qtbot, lambda: not own.alive)
-    assert "session_ended" in long_run.with_name("plate.events.jsonl").read_text(encoding="utf-8")
+    log = long_run.with_name("plate.events.jsonl")
+    wait(qtbot, lambda: "session_ended" in log.read_text(encoding="utf-8"))
 
 
 def test_given_files_of_every_kind_then_the_window_lets_each_be_dropped(

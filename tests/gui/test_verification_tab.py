@@ -238,7 +238,7 @@ def test_given_a_long_scan_then_closing_asks_cancel_parks_and_a_killed_process_i
     window.messages.buttons()[2].click()
     os.kill(tab.run.own.pid, signal.SIGKILL)
     wait(qtbot, lambda: not tab.run.running)
-    assert "without a good-bye" in window.messages.sentence
+    assert "ended unexpectedly" in window.messages.sentence
     assert "run the verification again" in window.messages.sentence
 
 

@@ -8,14 +8,14 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
 from acquisition.durations import hours
-from gui.rig.lines_process import LinesProcess, Told
+from gui.process.command_process import STOPPED_BY_USER, CommandProcess, Message
 from gui.scene.document import SceneDocument
 from gui.scene.results.scene_job import CANCELLED, SceneJob
-from gui.shell.tab import TabContext, error_text
+from gui.shell.error_hook import error_text
+from gui.shell.tab import TabContext
 from gui.shell.toml_files import names_virtual_rig
 
 IDLE, RENDERING, OPENING, PLAYING, STOPPING = "silent", "rendering", "opening the rig", "playing", "stopping"
-_STOPPED_BY_USER = 130
 # Muting takes a moment; a process that does not end by itself is asked by a signal, and then ended. One that has not
 # opened the rig yet ends, silent, when it gets to where it would.
 _PATIENCE_MS, _OPENS_WITHIN_MS = 4000, 30_000
@@ -41,17 +41,14 @@ class RigPlay(QObject):
         super().__init__(parent)
         self._context, self._document = context, document
         self._job: SceneJob | None = None
-        self._process: LinesProcess | None = None
+        self._process: CommandProcess | None = None
         self._began_s = 0.0
         self._lasts_s = 0.0
         self._rig = ""
         self.state = IDLE
-        self._patience = QTimer(self)
-        self._patience.setSingleShot(True)
-        self._patience.timeout.connect(self._insist)
         self._tick = QTimer(self)
         self._tick.setInterval(_TICK_MS)
-        self._tick.timeout.connect(self._look)
+        self._tick.timeout.connect(self.changed.emit)
 
     @property
     def words(self) -> str:
@@ -98,15 +95,15 @@ class RigPlay(QObject):
         if self.state == RENDERING and self._job is not None:
             self._job.cancel()
         elif self._process is not None and self.state in (OPENING, PLAYING):
-            self._patience.start(_PATIENCE_MS if self.state == PLAYING else _OPENS_WITHIN_MS)
+            patience_ms = _PATIENCE_MS if self.state == PLAYING else _OPENS_WITHIN_MS
             self._enter(STOPPING)
-            self._process.end()
+            self._process.stop(patience_ms, _PATIENCE_MS)
 
     def close(self) -> None:
         """The window closes: the process falls silent and ends by itself, and nobody waits for it."""
         process, self._process = self._process, None
         if process is not None:
-            process.let_go()
+            process.detach()
         if self._job is not None:
             self._job.cancel()
             self._job.close()
@@ -124,53 +121,29 @@ class RigPlay(QObject):
                 self._context.messages.fault(f"nothing is played: {sentence or 'rendering ended without a word'}")
             self._over()
             return
-        self._process = LinesProcess.started(self._context, arguments, "nothing is played")
-        if self._process is None:
-            self._over()
-            return
+        self._process = self._context.run(arguments, self._finished, self._received)
         self._tick.start()
         self._enter(OPENING)
 
-    def _look(self) -> None:
-        """See what the process says, and whether it has ended."""
-        process = self._process
-        if process is None:
-            return
-        over = process.hand_over(self._received)
-        if over:
-            self._finished(process)
-        else:
-            self.changed.emit()
-
-    def _received(self, line: Told) -> None:
+    def _received(self, line: Message) -> None:
         if self.state == OPENING and line.get("event") == "playing":
             self._began_s = time.monotonic()
             self._enter(PLAYING)
 
-    def _finished(self, process: LinesProcess) -> None:
+    def _finished(self, process: CommandProcess) -> None:
         code = process.exit_code
-        sentence = process.said[-1].removeprefix("wavefocus: ") if process.said else ""
+        sentence = process.last_line
         if self._job is not None:
             sentence = sentence.replace(str(self._job.drive_file), "the scene")
         if code is None or code < 0:
             self._context.messages.fault("the process that played was ended by force; look whether the rig is silent")
-        elif code in (0, _STOPPED_BY_USER):
+        elif code in (0, STOPPED_BY_USER):
             self._context.messages.note(sentence or "played; the outputs are muted")
         else:
             self._context.messages.fault(sentence or f"playing ended with exit code {code}")
         self._over()
 
-    def _insist(self) -> None:
-        if self._process is not None and self.state == STOPPING:
-            self._process.interrupt()
-            QTimer.singleShot(_PATIENCE_MS, self._force)
-
-    def _force(self) -> None:
-        if self._process is not None and self.state == STOPPING:
-            self._process.kill()
-
     def _over(self) -> None:
-        self._patience.stop()
         self._tick.stop()
         self._process = None
         if self._job is not None:

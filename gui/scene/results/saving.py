@@ -9,7 +9,8 @@ from PyQt5.QtCore import QObject, pyqtSignal
 
 from gui.scene.document import SceneDocument
 from gui.scene.results.scene_job import CANCELLED, SceneJob
-from gui.shell.tab import TabContext, error_text
+from gui.shell.error_hook import error_text
+from gui.shell.tab import TabContext
 
 DRIVE, WAV, MOVIE = "drive", "WAV", "movie"
 ENDINGS = {DRIVE: ".h5", WAV: ".wav", MOVIE: ".gif"}

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from gui.process.command_process import Answer, Errand
+from gui.process.command_process import CommandProcess
 from gui.scene.document import SceneDocument
 from gui.scene.toml_text import scene_toml
 from gui.shell.tab import TabContext
@@ -41,7 +41,7 @@ class SceneJob:
         self._named = document.path.name if document.path else "the scene"
         self._bank = str(document.bank)
         self._rig = [*(["--rig", rig] if rig else []), *(["--allow-large"] if document.allow_large else [])]
-        self._errand: Errand | None = None
+        self._process: CommandProcess | None = None
         self._cancelled = False
         if document.path is not None and document.saved:
             self.scene_file = document.path
@@ -81,23 +81,23 @@ class SceneJob:
         """Run commands, each with words for it, as long as they succeed; `done` gets the last code and sentence."""
         (words, arguments), rest = commands[0], commands[1:]
 
-        def answered(answer: Answer) -> None:
-            self._errand = None
+        def finished(process: CommandProcess) -> None:
+            self._process = None
             if self._cancelled:
                 done(CANCELLED, "")
-            elif answer.code != 0 or not rest:
-                done(answer.code, self._plain(answer.sentence))
+            elif process.exit_code != 0 or not rest:
+                done(process.exit_code or 0, self._plain(process.last_line))
             else:
                 self.run(rest, done)
 
         self._told(words)
-        self._errand = self._context.run(arguments, answered)
+        self._process = self._context.run(arguments, finished)
 
     def cancel(self) -> None:
         """End what runs; files are left as they were."""
         self._cancelled = True
-        if self._errand is not None:
-            self._errand.cancel()
+        if self._process is not None:
+            self._process.kill()
 
     def close(self) -> None:
         """Take the folder away."""

@@ -1,4 +1,4 @@
-"""Before a calibration: which parts, which marks, how good the map must be."""
+"""Form of a calibration: parts to measure, marks, largest residual."""
 
 from __future__ import annotations
 
@@ -6,34 +6,25 @@ import tempfile
 from pathlib import Path
 
 from PyQt5.QtCore import pyqtSignal
-from PyQt5.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QDoubleSpinBox,
-    QFormLayout,
-    QHBoxLayout,
-    QLabel,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from acquisition.calibration_procedures.marks import default_marks_mm
 from gui.shell.file_choice import PathField
 from gui.shell.settings import Settings
+from gui.shell.widgets import named, number_box
 
 _PARTS = (
-    ("inputs", "&Inputs: how much later the response is sampled", "You plug the loopback into both inputs"),
-    ("outputs", "&Outputs: latency, volts, polarity", "You plug the response input into each output in turn"),
-    ("mirror", "&Mirror: the beam is brought onto marks", "You jog the beam onto marks on the surface"),
-    ("actuators", "Actuato&rs: polarity and level", "Nothing to do; the mirror's map must be known"),
+    ("inputs", "&Inputs: delay between response and reference", "You connect the loopback to both inputs"),
+    ("outputs", "&Outputs: latency, volts, polarity", "You connect the response input to each output in turn"),
+    ("mirror", "&Mirror: bring the beam onto marks", "You jog the beam onto marks on the surface"),
+    ("actuators", "Actuato&rs: polarity and level", "Nothing to do; the mirror map must be measured before"),
 )
-_SEVEN, _CORNERS, _FILE = range(3)
-_USUAL_LIMIT_MM = 1.0
+_CORNERS, _FILE = 1, 2
+_DEFAULT_LIMIT_MM = 1.0
 
 
-class CalibrationStart(QWidget):
-    """Asks what to calibrate; `started` carries the command's options."""
+class CalibrationOptions(QWidget):
+    """Options of a calibration; `started` carries the command's options."""
 
     started = pyqtSignal(list)
 
@@ -44,65 +35,57 @@ class CalibrationStart(QWidget):
         self.parts: dict[str, QCheckBox] = {}
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
-        title = QLabel("Measure what the rig file can only believe")
+        title = QLabel("Measure the rig's own values")
         title.setProperty("role", "strong")
         column.addWidget(title)
-        for part, words, tip in _PARTS:
-            box = QCheckBox(words)
-            box.setAccessibleName(words.replace("&", ""))
-            box.setToolTip(tip)
+        for part, text, tip in _PARTS:
+            box = named(QCheckBox(text), tip)
             box.setChecked(part == "mirror")
-            box.toggled.connect(self._show_possible)
+            box.toggled.connect(self._enable)
             column.addWidget(box)
             self.parts[part] = box
-        self.marks = QComboBox()
-        self.marks.addItems(["seven places: middle, corners, ends", "five places: corners, middle", "a file of marks"])
-        self.marks.setAccessibleName("Marks on the surface")
-        self.marks.setToolTip("Where the beam is brought to; four marks decide the map, each more checks it")
+        tip = "Places of the beam; four marks determine the map, each more checks it"
+        self.marks = named(QComboBox(), tip, "Marks on the surface")
+        self.marks.addItems(["seven places: middle, corners, ends", "five places: corners, middle", "from a file"])
         self.file = PathField("&File", ".csv", "file of marks", settings)
         self.file.setToolTip("x_mm,y_mm of each mark; with x_mrad,y_mrad nothing is jogged")
-        self.limit_mm = QDoubleSpinBox()
-        self.limit_mm.setRange(0.01, 100.0)
-        self.limit_mm.setValue(_USUAL_LIMIT_MM)
-        self.limit_mm.setSuffix(" mm")
-        self.limit_mm.setAccessibleName("Largest residual in mm")
-        self.limit_mm.setToolTip("A map that misses a mark by more, in mm on the surface, is refused")
-        self.use = QCheckBox("&Name the new file in the rig file")
-        self.use.setAccessibleName("Name the new file in the rig file")
+        self.limit_mm = number_box(
+            "Largest residual in mm", "A map that misses a mark by more, in mm on the surface, is refused",
+            " mm", 2, 0.01, 100.0,
+        )  # fmt: skip
+        self.limit_mm.setValue(_DEFAULT_LIMIT_MM)
+        self.use = named(
+            QCheckBox("&Name the new file in the rig file"),
+            "Its values override the rig file's; a measured bank keeps its own calibration",
+        )
         self.use.setChecked(True)
-        self.use.setToolTip("Its values win over the rig file's; a bank that was measured keeps its own calibration")
-        self.start = QPushButton("&Start the calibration")
-        self.start.setAccessibleName("Start the calibration")
-        self.start.setToolTip(
-            "Open the instruments and measure what is ticked; you are asked what to plug and where to jog"
+        self.start = named(
+            QPushButton("&Start the calibration"), "Open the instruments and measure; you are asked what to connect"
         )
         form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.FieldsStayAtSizeHint)
         form.addRow("Marks", self.marks)
         form.addRow("Largest residual", self.limit_mm)
-        row = QHBoxLayout()
-        row.addWidget(self.start)
-        row.addStretch(1)
+        form.addRow(self.file)
+        form.addRow(self.use)
+        form.addRow(self.start)
         column.addLayout(form)
-        column.addWidget(self.file)
-        column.addWidget(self.use)
-        column.addLayout(row)
-        self.marks.currentIndexChanged.connect(self._show_possible)
+        self.marks.currentIndexChanged.connect(self._enable)
         self.start.clicked.connect(self._start)
-        self._show_possible()
+        self._enable()
 
     def choose(self, part: str) -> None:
-        """Choose one part alone; none named, all of them."""
+        """Tick one part alone, or all if the name is empty."""
         for name, box in self.parts.items():
             box.setChecked(part in ("", name))
 
-    def close_down(self) -> None:
-        """Remove what was written for the command."""
+    def shut_down(self) -> None:
+        """Remove the temporary file of marks."""
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None
 
-    def _show_possible(self) -> None:
+    def _enable(self) -> None:
         mirror = self.parts["mirror"].isChecked()
         self.marks.setEnabled(mirror)
         self.limit_mm.setEnabled(mirror)
@@ -122,7 +105,7 @@ class CalibrationStart(QWidget):
         self.started.emit(options)
 
     def _corners(self) -> Path:
-        """The command reads marks from a file."""
+        """File with the corners and the middle."""
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-marks-")
         path = Path(self._folder.name) / "corners.csv"

@@ -1,0 +1,255 @@
+"""Page "By hand": moves the beam, shows levels, takes sweeps."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pyqtgraph
+from PyQt5.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+
+from gui.rig.jog_controls import JogPanel
+from gui.rig.level_meter import LevelMeter
+from gui.rig.manual_session import ManualSession
+from gui.rig.messages import Sweep
+from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import named, number_box, side_by_side, stacked
+from gui.surface.plot import Plot
+
+_STATES = {
+    "released": "○ The instruments are free",
+    "opening": "◌ Opening the instruments…",
+    "ready": "● The instruments are open in this window",
+    "ending": "◌ Muting, parking and closing…",
+}
+_DEFAULT_S = 0.5
+_HIGHEST_HZ = 4999.0
+_REPEAT_AFTER_S = 0.5  # a virtual rig would sweep faster than anybody can look
+_LEGEND_AT = (-8, 6)
+_MILLIVOLTS_BELOW_V = 0.5
+_BELOW_NOISE_DB, _ABOVE_PEAK_DB = 15.0, 10.0
+
+
+class ManualPage(QWidget):
+    """Jogging on the left, levels and sweeps on the right."""
+
+    def __init__(self, session: ManualSession) -> None:
+        super().__init__()
+        self._session = session
+        self._drawn = -1
+        self.take = named(QPushButton("&Open instruments"), "Open mirror, recorder and player in a separate process")
+        self.release = named(
+            QPushButton("&Close them"), "Mute, park and close the instruments, so that other programs can use them"
+        )
+        self.mute = named(QPushButton("M&ute"), "Silence every output at once and drop waiting orders (Ctrl+0)")
+        self.state = QLabel()
+        self.state.setAccessibleName("State of the instruments")
+        self.jog, self.sound = JogPanel(session), SoundPanel(session)
+        row = QHBoxLayout()
+        for widget in (self.take, self.release, self.mute, self.state):
+            row.addWidget(widget)
+        row.addStretch(1)
+        self.splitter = side_by_side((self.jog, 600), (self.sound, 640))
+        column = QVBoxLayout(self)
+        column.setContentsMargins(4, 6, 4, 4)
+        column.addLayout(row)
+        column.addWidget(self.splitter, stretch=1)
+        self.release.clicked.connect(lambda _checked=False: session.release())
+        self.mute.clicked.connect(self.sound.mute)
+        self.sound.actuator.currentIndexChanged.connect(self._mark_actuator)
+
+    def draw(self, *, has_rig: bool) -> None:
+        """Draw what changed."""
+        session = self._session
+        self.take.setEnabled(has_rig and session.state == "released")
+        if self._drawn != session.revision["state"]:
+            self._drawn = session.revision["state"]
+            self.release.setEnabled(session.state in ("opening", "ready"))
+            self.mute.setEnabled(session.state == "ready")
+            self.state.setText(_STATES[session.state])
+            instruments = session.facts.instruments if session.facts is not None else {}
+            self.state.setToolTip("\n".join(f"{role}: {name}" for role, name in instruments.items()))
+        self.jog.draw()
+        self.sound.draw()
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Use the theme's colours."""
+        self.jog.picture.apply_theme(theme)
+        self.sound.apply_theme(theme)
+
+    def _mark_actuator(self, actuator: int) -> None:
+        facts = self._session.facts
+        known = facts is not None and 0 <= actuator < len(facts.actuator_mm)
+        self.jog.picture.show_chosen(tuple(facts.actuator_mm[actuator]) if facts is not None and known else None)
+
+
+class SoundPanel(QWidget):
+    """Levels of the inputs, and one sweep at a time."""
+
+    def __init__(self, session: ManualSession) -> None:
+        super().__init__()
+        self._session = session
+        self._theme = LIGHT
+        self._drawn = {"state": -1, "level": -1, "sweep": -1}
+        self._due_s = 0.0
+        self.meter = LevelMeter()
+        self.listen = named(QCheckBox("&Listen"), "Show the levels of both inputs four times a second")
+        self.sounds = named(
+            QCheckBox("W&hile the actuator sounds"),
+            "Play a sweep of 0.1 s on the actuator below each time, at its level: jog to where the response is largest",
+        )
+        self.actuator = named(QComboBox(), "Actuator that plays, in the bank's order", "Actuator")
+        self.level_v = number_box("Level in V", "Peak of the sweep in V", " V", 3, 0.001, 1000.0)
+        self.start_hz = number_box("Start in Hz", "Start of the sweep in Hz", " Hz", 0, 1.0, _HIGHEST_HZ)
+        self.stop_hz = number_box("Stop in Hz", "End of the sweep in Hz", " Hz", 0, 2.0, _HIGHEST_HZ)
+        self.length_s = number_box("Duration in s", "Duration of the sweep in s", " s", 2, 0.05, 10.0)
+        self.length_s.setValue(_DEFAULT_S)
+        self.sweep = named(QPushButton("S&weep"), "Play one sweep and show its recording (F5)")
+        self.again = named(
+            QCheckBox("Re&peat"), "Start the next sweep as soon as one is recorded, until unticked or muted"
+        )
+        self.figures, self.verdict = QLabel("no sweep yet"), QLabel()
+        self.figures.setAccessibleName("Figures of the sweep")
+        self.verdict.setAccessibleName("Defects of the sweep")
+        self.waveform = Plot("Waveform of the sweep", "time (s)", "response (mV)", legend_at=_LEGEND_AT)
+        self.spectrum = Plot(
+            "Spectrum of the sweep", "frequency (Hz); dashed: the sweep's band", "dB re 1 V/√Hz", legend_at=_LEGEND_AT
+        )
+        self._lay_out()
+        self.listen.clicked.connect(self._listen)
+        self.sounds.clicked.connect(self._listen_again)
+        self.actuator.activated.connect(self._listen_again)
+        self.level_v.editingFinished.connect(self._listen_again)
+        self.sweep.clicked.connect(lambda _checked=False: self.take_sweep())
+        self.again.clicked.connect(lambda on: self.take_sweep() if on else None)
+
+    def draw(self) -> None:
+        """Draw what changed."""
+        session, revision = self._session, self._session.revision
+        changed = {name for name, seen in self._drawn.items() if seen != revision[name]}
+        self._drawn = {name: revision[name] for name in self._drawn}
+        if "state" in changed:
+            self._draw_state()
+        if "level" in changed:
+            self.listen.setChecked(session.listening)
+            self.meter.show_levels(session.levels if session.listening else None)
+        if "sweep" in changed:
+            self._draw_sweep()
+        if self.again.isChecked() and time.monotonic() >= self._due_s:
+            self.take_sweep()
+
+    def mute(self) -> None:
+        """Take no more sweeps, and be silent."""
+        self.again.setChecked(False)
+        self._session.mute()
+
+    def take_sweep(self) -> None:
+        """Take a sweep, unless one is under way."""
+        if not self._session.sweeping and self._session.state == "ready":
+            self._due_s = time.monotonic() + _REPEAT_AFTER_S
+            boxes = (self.level_v, self.start_hz, self.stop_hz, self.length_s)
+            self._session.take_sweep(self.actuator.currentIndex(), *(box.value() for box in boxes))
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Use the theme's colours."""
+        self._theme = theme
+        for part in (self.meter, self.waveform, self.spectrum):
+            part.apply_theme(theme)
+        self._drawn["sweep"] = -1
+
+    def _lay_out(self) -> None:
+        listening, first, second = QHBoxLayout(), QHBoxLayout(), QHBoxLayout()
+        listening.addWidget(self.listen)
+        listening.addWidget(self.sounds)
+        for row, text, widget in (
+            (first, "A&ctuator", self.actuator),
+            (first, "Le&vel", self.level_v),
+            (second, "&From", self.start_hz),
+            (second, "to", self.stop_hz),
+            (second, "for", self.length_s),
+        ):
+            label = QLabel(text)
+            label.setBuddy(widget)
+            row.addWidget(label)
+            row.addWidget(widget)
+        first.addWidget(self.sweep)
+        first.addWidget(self.again)
+        for label in (self.figures, self.verdict):
+            label.setWordWrap(True)
+            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        for plot in (self.waveform, self.spectrum):
+            plot.setMinimumHeight(90)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addLayout(listening)
+        column.addWidget(self.meter)
+        for row in (first, second):
+            column.addLayout(row)
+        for row in (listening, first, second):
+            row.addStretch(1)
+        column.addWidget(self.figures)
+        column.addWidget(self.verdict)
+        column.addWidget(stacked((self.waveform, 200), (self.spectrum, 200)), stretch=1)
+
+    def _draw_state(self) -> None:
+        session, facts = self._session, self._session.facts
+        ready = session.state == "ready"
+        for part in (self.listen, self.sounds, self.actuator, self.level_v, self.start_hz, self.stop_hz,
+                     self.length_s, self.sweep, self.again):  # fmt: skip
+            part.setEnabled(ready)
+        if not ready:
+            self.again.setChecked(False)
+        if facts is not None and self.actuator.count() != len(facts.actuator_mm):
+            self.actuator.clear()
+            self.actuator.addItems([str(one) for one in range(len(facts.actuator_mm))])
+            self.level_v.setMaximum(facts.largest_level_v)
+            self.level_v.setValue(facts.level_v)
+            self.level_v.setToolTip(f"Peak of the sweep in V; this rig allows up to {facts.largest_level_v:.4g} V")
+            self.start_hz.setValue(facts.band_hz[0])
+            self.stop_hz.setValue(facts.band_hz[1])
+
+    def _draw_sweep(self) -> None:
+        sweep = self._session.sweep
+        if sweep is None:
+            return
+        self.figures.setText(sweep.text)
+        self.verdict.setText("▲ " + "; ".join(sweep.defects) if sweep.defects else "✔ no defects")
+        self.verdict.setStyleSheet(f"color: {self._theme.fault if sweep.defects else self._theme.good};")
+        self._draw_waveform(sweep)
+        self._draw_spectrum(sweep)
+
+    def _draw_waveform(self, sweep: Sweep) -> None:
+        """Draw both inputs; the reference is scaled to the response's peak."""
+        plot = self.waveform.getPlotItem()
+        plot.clear()
+        factor, unit = (1e3, "mV") if sweep.response_peak_v < _MILLIVOLTS_BELOW_V else (1.0, "V")
+        plot.setLabel("left", f"response ({unit})")
+        time_s = np.arange(len(sweep.response_v)) / sweep.sample_rate_hz
+        reference_peak_v = float(np.abs(sweep.reference_v).max(initial=0.0))
+        share = sweep.response_peak_v / reference_peak_v if reference_peak_v > 0 else 1.0
+        reference_v, theme = share * sweep.reference_v, self._theme
+        self.waveform.line(time_s, factor * reference_v, theme.grid, 1.2, f"reference × {share:.2g}")
+        self.waveform.line(time_s, factor * sweep.response_v, theme.traces[0], 1.2, "response")
+        plot.getViewBox().autoRange()
+
+    def _draw_spectrum(self, sweep: Sweep) -> None:
+        plot, theme = self.spectrum.getPlotItem(), self._theme
+        plot.clear()
+        for name, values_db, colour, width in (
+            ("in silence", sweep.noise_db, theme.faint, 1.0),
+            ("with the sweep", sweep.response_db, theme.traces[0], 1.6),
+        ):
+            plot.plot(sweep.frequency_hz, values_db, pen=pyqtgraph.mkPen(colour, width=width), name=name)
+        self.spectrum.mark_band(*sweep.band_hz)
+        lowest_db = float(np.median(sweep.noise_db)) - _BELOW_NOISE_DB
+        plot.setYRange(lowest_db, float(sweep.response_db.max()) + _ABOVE_PEAK_DB, padding=0)
+        plot.setXRange(0.0, float(sweep.frequency_hz[-1]), padding=0.01)
+
+    def _listen(self) -> None:
+        sounding = self.actuator.currentIndex() if self.sounds.isChecked() else None
+        self._session.listen(self.listen.isChecked(), sounding, self.level_v.value())
+
+    def _listen_again(self) -> None:
+        if self._session.listening:
+            self.listen.setChecked(True)
+            self._listen()
