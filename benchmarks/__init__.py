@@ -1,1 +1,44 @@
-"""Error against run time, ours beside peers, in one run."""
+"""Benchmarks: error against run time, with other programs in the same run.
+
+A benchmark is a module here with ``run(out, quick=...)`` that prints tables and returns figures, and an entry of
+`BENCHMARKS`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Benchmark:
+    """A benchmark of ``wavefocus bench``.
+
+    Parameters
+    ----------
+    title : str
+        Its subject.
+    on_request : bool
+        It is not part of ``all``: it takes minutes, or needs an audio server.
+    pictures : tuple of str
+        Names of the pictures that it draws.
+    """
+
+    title: str
+    on_request: bool = False
+    pictures: tuple[str, ...] = ()
+
+
+BENCHMARKS = {
+    "bank": Benchmark("cost of durability"),
+    "estimate": Benchmark("estimators side by side"),
+    "render": Benchmark("renderers side by side", pictures=("render-precision.png",)),
+    "interpolation": Benchmark("the bank between its positions"),
+    "focusing": Benchmark("focusing methods on one scene"),
+    "paper": Benchmark(
+        "the paper's figures on the virtual rig",
+        on_request=True,
+        pictures=tuple(f"{figure}{part}.png" for figure in "34" for part in "ABCD"),
+    ),
+    "wires": Benchmark("production drivers on emulated wires, in real time", on_request=True),
+    "cluster": Benchmark("a bank larger than memory, on one, two and no workers", on_request=True),
+}

@@ -1,6 +1,6 @@
 """Long responses at audio rates: what `wavefocus estimate` takes for records of 48 kHz and 12,000 taps.
 
-Run as ``python -m benchmarks.audio_rate``. The workload: 10 records of a linear sweep from 20 Hz to 20 kHz in 3 s, of
+The workload: 10 records of a linear sweep from 20 Hz to 20 kHz in 3 s, of
 which the file says nothing but the band; responses of 40 echoes within 250 ms, 40 dB signal-to-noise ratio, clocks
 37 ppm apart. Error: relative L2 of the spectrum in band. Time and memory are those of the whole command, in a process
 of its own.
@@ -8,8 +8,6 @@ of its own.
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.processes import run_command
 from storage.bank.reading import open_bank
 from storage.raw.header import RawHeader
 from storage.raw.schedule import sequential
@@ -27,36 +26,17 @@ START_S, TAIL_S = 0.03, 0.28
 ECHOES, SNR_DB = 40, 40.0
 MARK_S, MARK_MB = 20.0, 500.0
 
-CHILD = """
-import sys, time
-from benchmarks.peak_memory import peak_bytes
-from wavefocus.__main__ import run
-code = run(["estimate", sys.argv[1], "--bank", sys.argv[2]])
-print(peak_bytes(), time.process_time())
-sys.exit(code)
-"""
-
 
 def run(*, quick: bool = False) -> dict[str, Any]:
     """Record, estimate and print.
 
-    Parameters
-    ----------
-    quick : bool
-        Two records of 2,000 taps.
-
-    Returns
-    -------
-    dict
-        `audio_rate`: processor seconds, megabytes, worst error and the noise's limit in dB; `marks`.
+    Returns `audio_rate`: processor seconds, megabytes, worst error and the noise's limit in dB; `marks`.
     """
     records, taps = (2, 2_000) if quick else (10, 12_000)
     with tempfile.TemporaryDirectory() as folder:
         raw, bank = Path(folder) / "audio.raw.h5", Path(folder) / "bank.h5"
         truth, samples = _write(raw, records, taps)
-        child = [sys.executable, "-c", CHILD, str(raw), str(bank)]
-        told = subprocess.run(child, check=True, capture_output=True, text=True)
-        size, seconds = (float(one) for one in told.stdout.split()[-2:])
+        done = run_command("estimate", raw, "--bank", bank)
         with open_bank(bank) as view:
             green = view.green(0).astype(np.float64)
     error_db = _error_db(green, truth)
@@ -64,18 +44,19 @@ def run(*, quick: bool = False) -> dict[str, Any]:
     figures = {
         "records": records,
         "taps": taps,
-        "processor_s": seconds,
-        "peak_mb": size / 1e6,
+        "processor_s": done.processor_s,
+        "peak_mb": done.peak_bytes / 1e6,
         "worst_error_db": float(error_db.max()),
         "noise_limit_db": float(limit_db),
     }
     print(
-        f"{records} records at {RATE_HZ:g} Hz, {taps} taps: {seconds:.1f} s of processor time, {size / 1e6:.0f} MB, "
-        f"worst error {figures['worst_error_db']:.1f} dB (the noise alone {limit_db:.1f} dB)"
+        f"{records} records at {RATE_HZ:g} Hz, {taps} taps: {done.processor_s:.1f} s of processor time, "
+        f"{figures['peak_mb']:.0f} MB, worst error {figures['worst_error_db']:.1f} dB "
+        f"(the noise alone {limit_db:.1f} dB)"
     )
     marks = {
-        f"48 kHz, {taps} taps, {records} records: at most {MARK_S:g} s": seconds <= MARK_S,
-        f"48 kHz, {taps} taps, {records} records: at most {MARK_MB:g} MB": size <= 1e6 * MARK_MB,
+        f"48 kHz, {taps} taps, {records} records: at most {MARK_S:g} s": done.processor_s <= MARK_S,
+        f"48 kHz, {taps} taps, {records} records: at most {MARK_MB:g} MB": done.peak_bytes <= 1e6 * MARK_MB,
     }
     return {"audio_rate": figures, "marks": marks}
 
@@ -126,7 +107,3 @@ def _error_db(green: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray
     band = (hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])
     wrong, right = (np.abs(np.fft.rfft(one, length)[:, band]) ** 2 for one in (green - truth, truth))
     return np.asarray(10 * np.log10(wrong.sum(axis=1) / right.sum(axis=1)))
-
-
-if __name__ == "__main__":
-    run()

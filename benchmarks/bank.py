@@ -1,12 +1,11 @@
 """What durability costs: commits of the bank, beside plain h5py's write and flush; and opening a whole bank.
 
-Run as ``python -m benchmarks.bank`` or ``wavefocus bench bank``. Both write rows of 20 x 2000 float32 into the same
+Both write rows of 20 x 2000 float32 into the same
 folder, turn by turn.
 """
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Callable
@@ -29,15 +28,7 @@ SHA = "0" * 64
 
 
 def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
-    """Measure, print the table, return the figures.
-
-    Parameters
-    ----------
-    out : Path, optional
-        On its disk the files are written; by default where temporary files are.
-    quick : bool
-        Few positions, to see that it works.
-    """
+    """Measure, print the table, return the figures."""
     positions = 40 if quick else 1500
     with tempfile.TemporaryDirectory(dir=out) as folder:
         ours_ms, plain_ms = commits_ms(Path(folder), positions)
@@ -99,9 +90,3 @@ def _ms(work: Callable[..., object], *arguments: object) -> float:
     began = time.perf_counter()
     work(*arguments)
     return 1e3 * (time.perf_counter() - began)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    run(quick=parser.parse_args().quick)

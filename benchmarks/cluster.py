@@ -1,25 +1,27 @@
 """A bank larger than memory on a local dask cluster: time, memory and scaling of `predict` and `estimate`.
 
-Run as ``python -m benchmarks.cluster`` or ``wavefocus bench cluster``. The commands run in processes of their own, none
+The commands run in processes of their own, none
 of which may allocate more than `LIMIT_MB`, less than half the bank's size; what they write must be the same bytes.
 """
 
 from __future__ import annotations
 
-import argparse
 import hashlib
-import json
 import os
-import subprocess
 import sys
 import tempfile
-import time
+from dataclasses import dataclass
 from importlib.util import find_spec
+from math import ceil, log2
 from pathlib import Path
 from typing import Any
 
-from benchmarks.cluster_arithmetic import Work, cores_that_one_disk_feeds, size, table
-from benchmarks.cluster_files import write_bank, write_noise, write_recordings
+import h5py
+import numpy as np
+
+from benchmarks.nights import record_sample
+from benchmarks.processes import run_command
+from storage.drive_file import Drive, write_drive
 from storage.output_files import write_whole
 
 POSITIONS, ACTUATORS, TAPS, SAMPLES = 10_000, 20, 2000, 5000
@@ -27,37 +29,19 @@ RECORDED = 60
 LIMIT_MB = 768
 WAYS = {"here": (), "1 worker": ("--cluster", "local:1"), "2 workers": ("--cluster", "local:2")}
 
-CHILD = """
-import resource, sys
-limit = int(sys.argv[1])
-resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
-from benchmarks.peak_memory import peak_bytes
-from wavefocus.__main__ import run
-if __name__ == "__main__":
-    code = run(sys.argv[2:])
-    own, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor = sum(one.ru_utime + one.ru_stime for one in (own, workers))
-    # Workers are children of this process, which is small when it starts them.
-    print(processor, max(peak_bytes(), workers.ru_maxrss * (1 if sys.platform == "darwin" else 1024)))
-    sys.exit(code)
-"""
+RATE_HZ = 10_000.0
+DECAY_S = 0.02
+DIFFERENT = 64
+"""Rows that are drawn; the others repeat them."""
+FFT_SAMPLES = 4096
+DISK_BYTES_PER_S = 1e9
 
 
 def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
     """Write the files, run the commands, print the table.
 
-    Parameters
-    ----------
-    out : Path, optional
-        On its disk the files are written; by default where temporary files are.
-    quick : bool
-        Few positions, to see that it works.
-
-    Returns
-    -------
-    dict
-        Per command and way: seconds by the clock and of processors, peak memory of the largest process in MB, and
-        whether what was written is the same; what two workers gain over one; operations a second and core.
+    Returns per command and way: seconds by the clock and of processors, peak memory of the largest process in MB, and
+    whether what was written is the same; what two workers gain over one; operations a second and core.
     """
     if find_spec("distributed") is None or sys.platform == "win32":
         print("the cluster's benchmark needs dask, and limits of processes that Windows lacks; it is left out")
@@ -67,9 +51,9 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
     ways = [way for way in WAYS if way != "1 worker" or not quick]
     with tempfile.TemporaryDirectory(dir=out) as name:
         folder = Path(name)
-        write_bank(folder / "bank.h5", positions, ACTUATORS, TAPS)
-        write_noise(folder / "drive.h5", ACTUATORS, SAMPLES)
-        write_recordings(folder / "night.raw.h5", recorded)
+        _write_bank(folder / "bank.h5", positions, ACTUATORS, TAPS)
+        _write_noise(folder / "drive.h5", ACTUATORS, SAMPLES)
+        record_sample(folder / "night.raw.h5", recorded, staggered=False)
         predict = ("predict", folder / "drive.h5", "--bank", folder / "bank.h5", "--out")
         estimate = ("estimate", folder / "night.raw.h5", "--workers", "2", "--bank")
         rows = {
@@ -100,13 +84,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
 
 
 def page(figures: dict[str, Any]) -> list[str]:
-    """What was measured and what follows for larger banks, in Markdown.
-
-    Parameters
-    ----------
-    figures : dict
-        As `run` returns them.
-    """
+    """What was measured and what follows for larger banks, in Markdown."""
     positions, recorded, rate = figures["positions"], figures["recorded"], figures["operations_per_s"]
     lines = [
         f"{positions} x {ACTUATORS}, L = {TAPS}, S = {SAMPLES}, float64: a bank of {size(figures['bank_bytes'])} and"
@@ -136,33 +114,17 @@ def page(figures: dict[str, Any]) -> list[str]:
 
 
 def _measured(folder: Path, command: tuple[object, ...], options: tuple[str, ...]) -> dict[str, Any]:
-    """Run a command in a process of its own that ends with the name of what it writes."""
+    """Run a command that ends with the name of its output."""
     written = folder / "written.h5"
     written.unlink(missing_ok=True)
-    script = folder / "command.py"
-    script.write_text(CHILD, encoding="utf-8")
-    arguments = [sys.executable, str(script), str(LIMIT_MB * 2**20), *map(str, command), str(written), *options]
-    began = ready = time.monotonic()
-    said: list[str] = []
-    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None  # pipes, as asked for
-        assert process.stderr is not None
-        for line in process.stderr:
-            said.append(line)
-            if line.startswith("cluster "):
-                ready = time.monotonic()
-        told = process.stdout.read()
-    wall_s = time.monotonic() - began
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(arguments[3:])}: {''.join(said).strip()}")
-    processor_s, peak = map(float, told.split()[-2:])
+    done = run_command(*command, written, *options, limit_bytes=LIMIT_MB * 2**20)
     with written.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     return {
-        "wall_s": wall_s,
-        "starting_s": ready - began,
-        "processor_s": processor_s,
-        "peak_mb": peak / 1e6,
+        "wall_s": done.wall_s,
+        "starting_s": done.starting_s,
+        "processor_s": done.processor_s,
+        "peak_mb": done.peak_bytes / 1e6,
         "sha256": sha256,
     }
 
@@ -173,11 +135,119 @@ def _gain(found: dict[str, dict[str, Any]]) -> float:
     return float(one / two)
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="few positions, to see that it works")
-    parser.add_argument("--out", type=Path, help="folder for the figures")
-    options = parser.parse_args()
-    told = run(options.out, quick=options.quick)
-    if options.out is not None:
-        (options.out / "cluster.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+def _write_bank(path: Path, positions: int, actuators: int, taps: int) -> None:
+    """Write `/green`, `/position_mm` and `sample_rate_hz`, and nothing more."""
+    random = np.random.default_rng(5)
+    decay = np.exp(-np.arange(taps) / (DECAY_S * RATE_HZ)).astype(np.float32)
+    rows = random.standard_normal((min(DIFFERENT, positions), actuators, taps), dtype=np.float32) * decay
+    side = int(np.ceil(np.sqrt(positions)))
+    at = np.arange(positions)
+    with h5py.File(path, "w") as file:
+        green = file.create_dataset("green", (positions, actuators, taps), np.float32, chunks=(1, actuators, taps))
+        for first in range(0, positions, len(rows)):
+            count = min(len(rows), positions - first)
+            green[first : first + count] = rows[:count]
+        file["position_mm"] = 4.0 * np.column_stack([at % side, at // side])
+        file.attrs["sample_rate_hz"] = RATE_HZ
+
+
+def _write_noise(path: Path, actuators: int, samples: int) -> None:
+    """Write a drive of white noise."""
+    none = np.zeros(0, np.int64)
+    drive_v = np.random.default_rng(6).standard_normal((actuators, samples))
+    write_drive(path, Drive(drive_v, RATE_HZ, 0.0, "sampled", 1.0, 0.0, none, none, none))
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """A prediction in float64: P positions, N actuators, L taps, S samples of drive.
+
+    Parameters
+    ----------
+    positions, actuators, taps, samples : int
+        P, N, L < 4096, S.
+    """
+
+    positions: int
+    actuators: int
+    taps: int = 2000
+    samples: int = 5000
+
+    @property
+    def blocks(self) -> int:
+        """B: a transform of F samples takes F - L + 1 new ones."""
+        return ceil(self.samples / (FFT_SAMPLES - self.taps + 1))
+
+    @property
+    def bank_bytes(self) -> float:
+        """4 P N L."""
+        return 4.0 * self.positions * self.actuators * self.taps
+
+    @property
+    def field_bytes(self) -> float:
+        """4 P (S + L - 1)."""
+        return 4.0 * self.positions * (self.samples + self.taps - 1)
+
+    @property
+    def transforms(self) -> float:
+        """Operations of transforming rows and of transforming blocks back, 2.5 P (N + B) F log2 F."""
+        return 2.5 * self.positions * (self.actuators + self.blocks) * FFT_SAMPLES * log2(FFT_SAMPLES)
+
+    @property
+    def products(self) -> float:
+        """Operations of the products per bin, 8 P N B F / 2."""
+        return 8.0 * self.positions * self.actuators * self.blocks * FFT_SAMPLES / 2.0
+
+    @property
+    def row_bytes(self) -> float:
+        """A row in float64 and its spectra: 8 N L + 8 N F."""
+        return 8.0 * self.actuators * (self.taps + FFT_SAMPLES)
+
+    @property
+    def drive_bytes(self) -> float:
+        """The drive and its spectra, which are kept as real matrices: 8 N S + 16 N F B."""
+        return 8.0 * self.actuators * (self.samples + 2 * FFT_SAMPLES * self.blocks)
+
+
+WORKS = {"1500 x 20": Work(1500, 20), "10,000 x 20": Work(10_000, 20), "10,000 x 10,000": Work(10_000, 10_000)}
+
+
+def table(operations_per_s: float) -> list[str]:
+    """Lines of the table, in Markdown."""
+    works = WORKS.values()
+    rows: list[tuple[str, list[str]]] = [
+        ("bank, 4 P N L bytes", [size(work.bank_bytes) for work in works]),
+        ("field, 4 P (S + L - 1) bytes", [size(work.field_bytes) for work in works]),
+        ("transforms, 2.5 P (N + B) F log2 F operations", [f"{work.transforms:.1e}" for work in works]),
+        ("products per bin, 8 P N B F / 2 operations", [f"{work.products:.1e}" for work in works]),
+        ("a row and its spectra, 8 N (L + F) bytes", [size(work.row_bytes) for work in works]),
+        ("a worker: the drive, its spectra, one row", [size(work.drive_bytes + work.row_bytes) for work in works]),
+        (
+            f"reading the bank at {DISK_BYTES_PER_S / 1e9:g} GB/s",
+            [span(work.bank_bytes / DISK_BYTES_PER_S) for work in works],
+        ),
+        (
+            f"operations at {operations_per_s:.1e} a second and core",
+            [span((work.transforms + work.products) / operations_per_s) for work in works],
+        ),
+    ]
+    lines = ["| what | " + " | ".join(WORKS) + " |", "|---|" + "---|" * len(WORKS)]
+    return lines + [f"| {what} | " + " | ".join(cells) + " |" for what, cells in rows]
+
+
+def cores_that_one_disk_feeds(operations_per_s: float) -> float:
+    """Cores that read a bank of 10,000 x 10,000 as fast as they compute with it."""
+    work = WORKS["10,000 x 10,000"]
+    return (work.transforms + work.products) / operations_per_s / (work.bank_bytes / DISK_BYTES_PER_S)
+
+
+def size(count: float) -> str:
+    """Bytes in words."""
+    return f"{count / 1e9:.3g} GB" if count >= 1e8 else f"{count / 1e6:.2g} MB"
+
+
+def span(seconds: float) -> str:
+    """A time in words."""
+    if seconds < 100:
+        return f"{seconds:.2g} s"
+    return f"{seconds / 60:.2g} min" if seconds < 6000 else f"{seconds / 3600:.2g} hours"

@@ -17,13 +17,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 def conditions(command: str) -> dict[str, object]:
-    """Machine, versions and load as they are now.
-
-    Parameters
-    ----------
-    command : str
-        What a person types to run the benchmark.
-    """
+    """Machine, versions and load as they are now."""
     return {
         "command": command,
         "date": datetime.now().astimezone().isoformat(timespec="minutes"),

@@ -2,15 +2,13 @@
 
 Estimators: error of the Green's functions against run time, in one process.
 
-Run as ``python -m benchmarks.estimate``. The workload: 24 damped modes between 20 and 500 Hz, 200 ms; a
+The workload: 24 damped modes between 20 and 500 Hz, 200 ms; a
 linear sweep of 3 s at 10 kHz with 0.5 s of silence, three times; 40 dB signal-to-noise ratio on the response,
 60 dB on each record's own reference. Error: relative L2 of the 20-500 Hz spectrum of the first 200 ms.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +20,7 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from benchmarks import audio_rate, raw_night, staggered_campaign
+from benchmarks import audio_rate, nights
 from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
 
@@ -70,22 +68,11 @@ class Workload:
         return np.asarray(10 * np.log10((np.abs(wrong) ** 2).sum(axis=1) / (np.abs(right) ** 2).sum(axis=1)))
 
 
-def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
+def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
     """Time every estimator in turns on one thread and print the table.
 
-    Parameters
-    ----------
-    out : Path, optional
-        Folder that gets ``estimate.json``.
-    quick : bool
-        Fewer records and turns.
-
-    Returns
-    -------
-    dict
-        Per method: seconds per record, speed relative to pyfar's deconvolution, median and worst error in dB;
-        `limit_db`, the noise's own limit; what `benchmarks.staggered_campaign`,
-        `benchmarks.raw_night` and `benchmarks.audio_rate` find; `marks`, what was asked for and whether it was reached.
+    Returns, per method, seconds per record, speed relative to pyfar's deconvolution, median and worst error in dB;
+    `limit_db`, the noise's own limit; the figures of nights and audio rates; `marks`, wanted and whether reached.
     """
     work = make_workload(records=8 if quick else 20)
     estimator = Estimator(work.excitation, TAPS)
@@ -131,22 +118,19 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
         f"at least {MARK_SPEED:g} times pyfar's deconvolve": None if speed is None else speed >= MARK_SPEED,
         f"median error at most {MARK_ERROR_DB:g} dB": error is not None and error <= MARK_ERROR_DB,
     }
-    night, streams = staggered_campaign.run(quick=quick), raw_night.run(quick=quick)
-    audio = audio_rate.run(quick=quick)
-    marks |= night.pop("marks") | streams.pop("marks") | audio.pop("marks")
+    others: dict[str, Any] = {}
+    for more in (nights.compare_nights, nights.stream_recordings, audio_rate.run):
+        found = more(quick=quick)
+        marks |= found.pop("marks")
+        others |= found
     result: dict[str, Any] = {
         "methods": table,
         "limit_db": float(limit),
         "marks": marks,
         "note": note,
-        **night,
-        **streams,
-        **audio,
+        **others,
     }
     _print(result)
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "estimate.json").write_text(json.dumps(result, indent=2), encoding="utf-8")
     return result
 
 
@@ -272,16 +256,3 @@ def _print(result: dict[str, Any]) -> None:
         print(f"{mark}: {'not compared' if reached is None else 'yes' if reached else 'NO'}")
     if result["note"]:
         print(result["note"])
-
-
-def main() -> None:
-    """Command line of this benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--quick", action="store_true")
-    chosen = parser.parse_args()
-    run(chosen.out, quick=chosen.quick)
-
-
-if __name__ == "__main__":
-    main()

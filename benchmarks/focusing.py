@@ -1,6 +1,6 @@
 """Time reversal and inverse filtering on the same scenes: focal width, artefacts, drive power.
 
-Run as ``python -m benchmarks.focusing``. Bank: the virtual plate with noise at -58 dB. Every method is asked for
+Bank: the virtual plate with noise at -58 dB. Every method is asked for
 an impulse response of 1 m/s at each focus at its instant. Figures, medians over the foci of a scene:
 
 - width: full width at half maximum at the focus instant, diameter of the disk of equal area;
@@ -14,8 +14,6 @@ an impulse response of 1 m/s at each focus at its instant. Figures, medians over
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -25,12 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.paper_measures import fields_at, focus_figures
 from benchmarks.rig_bank import QUICK_ERROR_DB, default_grid, true_bank
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.inverse_filter import inverse_filter
 from rendering.drive.rendering import render_with_report
-from rendering.field import metrics
-from rendering.field.model import predict_rows
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Regularisation, Scene, Source
 from rendering.scene.paths import Line, Point
@@ -76,17 +73,7 @@ class Result:
 def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
     """Compare the methods and print the table.
 
-    Parameters
-    ----------
-    out : Path, optional
-        Not used; nothing but the returned figures is made.
-    quick : bool
-        Two scenes instead of five.
-
-    Returns
-    -------
-    dict
-        ``results``: one entry per line.
+    Returns ``results``: one entry per line.
     """
     rig = VirtualRig()
     bank = true_bank(rig, default_grid(rig), QUICK_ERROR_DB)
@@ -133,44 +120,34 @@ def compare(bank: GreenArray, name: str, sources: tuple[Source, ...]) -> list[Re
         began = time.perf_counter()
         drive, condition = render()
         seconds = time.perf_counter() - began
-        figures = focus_figures(bank, drive)
+        figures = _medians(bank, drive)
         own_energy = float(np.square(drive.drive_v).sum()) / drive.sample_rate_hz
         own_peak = float(np.abs(drive.drive_v).max())
         if not results:
             energy, peak = own_energy, own_peak
-        results.append(Result(name, method, *figures, own_energy / energy, own_peak / peak, condition, seconds))
+        results.append(
+            Result(
+                scene=name,
+                method=method,
+                energy=own_energy / energy,
+                peak=own_peak / peak,
+                condition=condition,
+                seconds=seconds,
+                **figures,
+            )
+        )
     return results
 
 
-def focus_figures(bank: GreenArray, drive: Drive) -> tuple[float | None, float | None, float | None, float | None]:
+def _medians(bank: GreenArray, drive: Drive) -> dict[str, float | None]:
     """Width, distance, artefact level and response of the foci, medians."""
-    samples = drive.focus_sample - round(drive.start_s * drive.sample_rate_hz)
-    fields = np.empty((len(samples), bank.positions), dtype=np.float32)
-    for part in predict_rows(drive, bank, range(bank.positions)):
-        fields[:, part.position_index] = part.field[:, samples].T
-    spacing_mm = metrics.grid_spacing_mm(bank.position_mm)
-    figures = np.full((4, len(samples)), np.nan)
-    for focus, field in enumerate(fields):
-        row = int(drive.focus_position[focus])
-        x, y = (float(value) for value in bank.position_mm[row])
-        peak = metrics.focus_peak(bank.position_mm, field, (x, y), NEAR_MM)
-        if peak is None:
-            continue
-        width = metrics.focal_width_mm(bank.position_mm, field, peak.row, spacing_mm)
-        together = drive.focus_position[drive.focus_sample == drive.focus_sample[focus]]
-        gap_mm = np.hypot(*(bank.position_mm[:, None] - bank.position_mm[together]).transpose(2, 0, 1)).min(axis=1)
-        near = np.hypot(*(bank.position_mm - (x, y)).T) <= NEAR_MM
-        level = float(np.abs(field[gap_mm > NEAR_MM]).max() / np.abs(field[near]).max())
-        figures[:, focus] = (
-            np.nan if width is None else width,
-            float(np.hypot(peak.at_mm[0] - x, peak.at_mm[1] - y)),
-            metrics.level_db(level),
-            float(field[row]),
-        )
-    width_mm, off_mm, artefact_db, at_focus = (
-        float(np.median(line[known])) if (known := np.isfinite(line)).any() else None for line in figures
-    )
-    return width_mm, off_mm, artefact_db, at_focus
+    fields = fields_at(drive, bank, drive.focus_sample.tolist())
+    together = [drive.focus_position[drive.focus_sample == sample] for sample in drive.focus_sample]
+    found = focus_figures(bank, drive.focus_position.tolist(), fields, together)
+    return {
+        name: float(np.median(one[known])) if (known := np.isfinite(one)).any() else None
+        for name, one in asdict(found).items()
+    }
 
 
 def _show(results: list[Result]) -> None:
@@ -192,19 +169,3 @@ def _show(results: list[Result]) -> None:
 
 def _cell(value: float | None, form: str, unit: str) -> str:
     return "-" if value is None else f"{value:{form}} {unit}".strip()
-
-
-def main() -> None:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--quick", action="store_true")
-    options = parser.parse_args()
-    figures = run(options.out, quick=options.quick)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        (options.out / "focusing.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """The bank between its positions: error of each interpolation against the virtual plate's truth, and its cost.
 
-Run as ``python -m benchmarks.interpolation``. The plate is lossy (3.8 dB/cm), its 20 actuators lie on the rim;
+The plate is lossy (3.8 dB/cm), its 20 actuators lie on the rim;
 positions are 4 mm apart, which is 2.4 per wavelength at 500 Hz. The error at a point is the L2 norm over the
 actuators of what is wrong with the interpolated transfer functions at one frequency, over that of the true ones;
 the table has its median over random points of the grid's area. Next to it stands what the renderer itself
@@ -9,8 +9,6 @@ estimates, without the truth, by leaving positions out.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -79,17 +77,7 @@ class Line:
 def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
     """Measure errors and times and print the tables.
 
-    Parameters
-    ----------
-    out : Path, optional
-        Not used; nothing but the returned figures is made.
-    quick : bool
-        A part of the surface alone.
-
-    Returns
-    -------
-    dict
-        ``errors``, ``seconds`` per rendering, ``grids`` needed, ``marks`` reached.
+    Returns ``errors``, ``seconds`` per rendering, ``grids`` needed, ``marks`` reached.
     """
     rig = VirtualRig()
     position_mm, points_mm = default_grid(rig), random_points(POINTS)
@@ -212,19 +200,3 @@ def _show(lines: list[Line], seconds: dict[str, float], grids: list[dict[str, An
     for row in grids:
         how = f"{row['kind']}{' (waves trusted)' if row['trusted'] else ''}, {row['lattice']}"
         print(f"  {how:38s}{100 * row['wanted']:4.0f} %{row['spacing_mm']:8.2f} mm{row['positions']:7d}")
-
-
-def main() -> None:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--quick", action="store_true")
-    options = parser.parse_args()
-    figures = run(options.out, quick=options.quick)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        (options.out / "interpolation.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,21 +1,19 @@
 """The paper's figures on the virtual rig, and its numbers beside ours, misses included.
 
-Run as ``python -m benchmarks.paper``. The plate is a soft plate fitted to the paper's group velocity and
+The plate is a soft plate fitted to the paper's group velocity and
 attenuation (`mocks.plates.soft`), without the reflections of a real one's rim; the actuators lie on the rim.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from benchmarks import paper_foci, paper_motion
-from benchmarks.paper_table import Row, table_of
+from benchmarks import paper_rows
+from benchmarks.paper_rows import Row, table_of
 from benchmarks.rig_bank import paper_bank
 from rendering.report.canvas import Picture
 from storage.output_files import write_whole
@@ -27,33 +25,22 @@ SEEDS, QUICK_SEEDS = 8, 2
 def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
     """Draw the figures into a folder, print and write the table.
 
-    Parameters
-    ----------
-    out : Path
-        Gets ``3A.png`` to ``4D.png``, ``paper.md`` and, unless `quick`, the bank ``plate.h5``; a bank that is
-        there already is used.
-    quick : bool
-        Do not measure the bank, scan a few positions, look at fewer foci.
-
-    Returns
-    -------
-    dict
-        ``rows``, the table; ``bank``, where it comes from; ``seconds`` per figure.
+    Returns ``rows``, the table; ``bank``, where it comes from; ``seconds`` per figure.
     """
     out.mkdir(parents=True, exist_ok=True)
     watch = _Stopwatch(out)
     source = watch.time("bank", lambda: paper_bank(out, quick=quick))
-    surface = paper_foci.surface_of(source)
-    rows = paper_foci.travel(source)
-    watch.draw(lambda: paper_foci.figure_3a(source, surface))
-    rows += watch.draw_and_tell(lambda: paper_foci.figure_3b(source, surface))
-    rows += watch.draw_and_tell(lambda: paper_foci.figure_3c(source, surface))
-    rows += watch.time("foci", lambda: paper_foci.foci(source, QUICK_FOCI if quick else FOCI))
-    rows += watch.draw_and_tell(lambda: paper_foci.figure_3d(source, surface, quick=quick))
-    rows += watch.draw_and_tell(lambda: paper_motion.figure_4a(source, surface))
-    watch.draw(lambda: paper_motion.figure_4b(source, surface))
-    rows += watch.draw_and_tell(lambda: paper_motion.figure_4c(source, surface, QUICK_SEEDS if quick else SEEDS))
-    rows += watch.draw_and_tell(lambda: paper_motion.figure_4d(source))
+    surface = paper_rows.surface_of(source)
+    rows = paper_rows.travel(source)
+    watch.draw(lambda: paper_rows.figure_3a(source, surface))
+    rows += watch.draw_and_tell(lambda: paper_rows.figure_3b(source, surface))
+    rows += watch.draw_and_tell(lambda: paper_rows.figure_3c(source, surface))
+    rows += watch.time("foci", lambda: paper_rows.foci(source, QUICK_FOCI if quick else FOCI))
+    rows += watch.draw_and_tell(lambda: paper_rows.figure_3d(source, surface, quick=quick))
+    rows += watch.draw_and_tell(lambda: paper_rows.figure_4a(source, surface))
+    watch.draw(lambda: paper_rows.figure_4b(source, surface))
+    rows += watch.draw_and_tell(lambda: paper_rows.figure_4c(source, surface, QUICK_SEEDS if quick else SEEDS))
+    rows += watch.draw_and_tell(lambda: paper_rows.figure_4d(source))
     table = table_of(rows, source.how)
     write_whole(out / "paper.md", table)
     print(table)
@@ -82,17 +69,3 @@ class _Stopwatch:
         write_whole(self._out / f"{picture.name}.png", picture.png)
         self.seconds[picture.name] = round(time.perf_counter() - began, 3)
         return rows
-
-
-def main() -> None:
-    """Run from the command line and print where the figures are."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("bench-out/paper"))
-    parser.add_argument("--quick", action="store_true")
-    options = parser.parse_args()
-    figures = run(options.out, quick=options.quick)
-    (options.out / "paper.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

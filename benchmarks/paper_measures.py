@@ -25,10 +25,12 @@ from storage.drive_file import Drive
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
+FloatArray = NDArray[np.float32] | NDArray[np.float64]
 
 SATURATION = 0.3
 """C of eq. (14) over the bank's median rms; the paper does not say its own."""
 CLEAR_MM = 20.0
+NEAR_MM = 15.0
 SPEEDS_CM_S = (4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 100.0)
 STEPS = (1, 2, 4, 6)
 LINE = Line((-58.0, 0.0), (62.0, 0.0))
@@ -72,21 +74,33 @@ class FocusFigures:
     width_mm: Float64Array
     off_mm: Float64Array
     artefact_db: Float64Array
+    at_focus: Float64Array
 
 
-def focus_figures(bank: GreenArray, rows: Sequence[int], fields: Float64Array) -> FocusFigures:
-    """Width, distance of the peak from its place, and artefact level of each focus."""
+def focus_figures(
+    bank: GreenArray, rows: Sequence[int], fields: FloatArray, together: Sequence[Int64Array] | None = None
+) -> FocusFigures:
+    """Width, distance of the peak from its place, artefact level and response of each focus.
+
+    Artefacts are further than 15 mm from every focus of that instant, `together`, by default from the focus alone.
+    """
     spacing_mm = metrics.grid_spacing_mm(bank.position_mm)
-    figures = np.full((3, len(rows)), np.nan)
+    figures = np.full((4, len(rows)), np.nan)
     for place, (row, field) in enumerate(zip(rows, fields, strict=True)):
         x, y = (float(value) for value in bank.position_mm[row])
-        peak = metrics.focus_peak(bank.position_mm, field, (x, y), 15.0)
+        peak = metrics.focus_peak(bank.position_mm, field, (x, y), NEAR_MM)
         if peak is None:
             continue
         width = metrics.focal_width_mm(bank.position_mm, field, peak.row, spacing_mm)
-        figures[0, place] = np.nan if width is None else width
-        figures[1, place] = np.hypot(peak.at_mm[0] - x, peak.at_mm[1] - y)
-        figures[2, place] = metrics.artefact_level_db(bank.position_mm, field, (x, y), 15.0)
+        foci_mm = bank.position_mm[[row] if together is None else together[place]]
+        gap_mm = np.hypot(*(bank.position_mm[:, None] - foci_mm).transpose(2, 0, 1)).min(axis=1)
+        near = np.hypot(*(bank.position_mm - (x, y)).T) <= NEAR_MM
+        figures[:, place] = (
+            np.nan if width is None else width,
+            np.hypot(peak.at_mm[0] - x, peak.at_mm[1] - y),
+            metrics.level_db(float(np.abs(field[gap_mm > NEAR_MM]).max() / np.abs(field[near]).max())),
+            field[row],
+        )
     return FocusFigures(*figures)
 
 
@@ -203,7 +217,7 @@ def crosstalk(bank: GreenArray) -> CrosstalkTable:
     return crosstalk_table(bank, rows, 4.0, [10.0 * v for v in SPEEDS_CM_S], STEPS, None, regularisation)
 
 
-def scanned(source: PaperBank, drive: Drive, rows: Sequence[int]) -> Scan:
+def play_and_scan(source: PaperBank, drive: Drive, rows: Sequence[int]) -> Scan:
     """Play a drive on the virtual rig and scan some rows."""
     setup = rig_setup(source.rig)
     return scan(ScanPlan(tuple(rows)), setup, drive, source.bank)

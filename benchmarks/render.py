@@ -54,17 +54,7 @@ DRIVE_MARKS = {
 def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
     """Run all workloads and print the table.
 
-    Parameters
-    ----------
-    out : Path
-        Folder for figures; nothing but the returned ones is made here.
-    quick : bool
-        Smaller workloads, one repeat: a check that the benchmark runs, no figures to quote.
-
-    Returns
-    -------
-    dict
-        ``results``: one entry per line of the table.
+    Returns ``results``: one entry per line of the table.
     """
     repeats = 1 if quick else 7
     bank = modal_bank(columns=50 if not quick else 20, rows=30 if not quick else 20)

@@ -84,10 +84,7 @@ def draw_precision(out: Path, *, quick: bool) -> list[dict[str, Any]]:
     All of them take the bank at any place by bilinear interpolation, so that the error is that of the path's
     sampling and of what is left out alone; gpuRIR's method takes the nearest row, as it knows no other.
 
-    Returns
-    -------
-    list of dict
-        ``method``, ``step_mm`` (of a sampled path) or ``tolerance_db``, ``wall_s``, ``cpu_s``, ``error``.
+    Returns ``method``, ``step_mm`` (of a sampled path) or ``tolerance_db``, ``wall_s``, ``cpu_s``, ``error``.
     """
     bank = smooth_bank(16, 16) if quick else smooth_bank(24, 24)
     seconds, repeats = (0.5, 1) if quick else (4.0, 3)

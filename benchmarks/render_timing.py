@@ -117,19 +117,7 @@ class Result:
 def best_of(
     actions: dict[str, Callable[[], Any]], repeats: int, *, once: tuple[str, ...] = (), slow_s: float = 2.0
 ) -> dict[str, Timing]:
-    """Run actions in turns and keep the best time of each.
-
-    Parameters
-    ----------
-    actions : dict of callables
-        By name.
-    repeats : int
-        Turns.
-    once : tuple of str
-        Actions that take part in the first turn only.
-    slow_s : float
-        Actions that took longer in the first turn take part in every third one.
-    """
+    """Run actions in turns and keep the best time of each."""
     best: dict[str, Timing] = {}
     for turn in range(repeats):
         for name, action in actions.items():

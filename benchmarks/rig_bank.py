@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from acquisition.engine.campaign import Campaign
+from acquisition.engine.events import Subscriber
 from acquisition.engine.setup import Setup
 from acquisition.engine.stopping import StopRequest
 from acquisition.schedule.grid import stadium_grid
 from acquisition.schedule.plan import Plan
+from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
 from mocks.virtual.rig import VirtualRig
@@ -33,6 +35,7 @@ MARGIN_MM, SPACING_MM = 14.3, 4.0
 QUICK_ERROR_DB = -58.0
 """What a campaign on the virtual rig leaves (README)."""
 CHUNK = 64
+STAGGER_S = 0.24
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +58,18 @@ class PaperBank:
 
 
 def paper_bank(out: Path, *, quick: bool) -> PaperBank:
-    """Take the bank from ``plate.h5`` in a folder, measuring it there first if need be; or make a quick one.
-
-    Parameters
-    ----------
-    out : Path
-        The folder.
-    quick : bool
-        Take the true Green's functions with noise at -58 dB instead of measuring.
-    """
+    """The bank ``plate.h5`` in a folder, measured there first if need be; quick: the truth with noise."""
     rig = VirtualRig()
     if quick:
         bank = true_bank(rig, default_grid(rig), QUICK_ERROR_DB)
         return PaperBank(bank, rig, f"true Green's functions with noise at {QUICK_ERROR_DB:g} dB")
     path = out / "plate.h5"
     if not path.exists():
-        _measure(path, rig)
+        # Under its final name only once it is whole: what is there is taken for a bank.
+        part = path.with_name(f"measuring-{path.name}")
+        part.unlink(missing_ok=True)
+        measure(part, sweep_plan(default_grid(rig), rig), rig_setup(rig))
+        part.rename(path)
     with open_bank(path) as view:
         values = np.stack([view.green(row) for row in range(view.positions)])
         bank = GreenArray(
@@ -98,51 +97,25 @@ def rig_setup(rig: VirtualRig) -> Setup:
     )
 
 
-def _measure(path: Path, rig: VirtualRig) -> None:
-    """Carry out the default campaign."""
-    position_mm = default_grid(rig)
+def sweep_plan(position_mm: Float64Array, rig: VirtualRig, *, staggered: bool = False) -> Plan:
+    """The default campaign at some positions: three sweeps of 1 s per actuator, or one period of staggered ones."""
     actuator_mm = np.asarray(rig.settings.actuator_mm, dtype=np.float64)
-    plan = Plan(
-        position_mm=position_mm,
-        actuator_mm=actuator_mm,
-        order=np.arange(len(position_mm)),
-        excitation=Excitation(
-            sample_rate_hz=RATE_HZ,
-            start_hz=BAND_HZ[0],
-            stop_hz=BAND_HZ[1],
-            duration_s=1.0,
-            decay_s=TAPS / RATE_HZ,
-            amplitude_v=1.0,
-            averages=3,
-        ),
-        taps=TAPS,
-        sha256="0" * 64,
-    )
-    # Under its final name only once it is whole: what is there is taken for a bank.
-    part = path.with_name(f"measuring-{path.name}")
-    part.unlink(missing_ok=True)
-    create_bank(
-        part,
-        BankHeader(RATE_HZ, TAPS, BAND_HZ, position_mm, actuator_mm, "{}", "{}", plan.sha256, "wavefocus bench paper"),
-    )
-    setup = rig_setup(rig)
-    with BankWriter.open(part, plan_sha256=plan.sha256) as writer:
-        Campaign(plan, setup, writer, lambda event: None, StopRequest()).run()
-    part.rename(path)
+    sweep = Excitation(RATE_HZ, *BAND_HZ, 1.0, TAPS / RATE_HZ, 1.0, 3)
+    signal = StaggeredSignal(sweep, rig.settings.actuators, TAPS, round(STAGGER_S * RATE_HZ)) if staggered else None
+    return Plan(position_mm, actuator_mm, np.arange(len(position_mm)), sweep, TAPS, "0" * 64, staggered=signal)
+
+
+def measure(path: Path, plan: Plan, setup: Setup, on_event: Subscriber = lambda event: None) -> None:
+    """Carry out a plan, into a new bank."""
+    band_hz = plan.excitation.band_hz
+    places = (plan.position_mm, plan.actuator_mm)
+    create_bank(path, BankHeader(RATE_HZ, TAPS, band_hz, *places, "{}", "{}", plan.sha256, "wavefocus bench"))
+    with BankWriter.open(path, plan_sha256=plan.sha256) as writer:
+        Campaign(plan, setup, writer, on_event, StopRequest()).run()
 
 
 def true_bank(rig: VirtualRig, position_mm: Float64Array, error_db: float | None) -> GreenArray:
-    """The plate's own Green's functions at any points, limited to the band.
-
-    Parameters
-    ----------
-    rig : VirtualRig
-        The plate.
-    position_mm : float64 array, shape (positions, 2)
-        Points on the surface.
-    error_db : float or None
-        Noise of the band that is added, relative to each Green's function; None for none.
-    """
+    """The plate's own Green's functions at any points, limited to the band."""
     length = int(scipy_fft.next_fast_len(2 * TAPS, real=True))
     weights = band_weights(length, RATE_HZ, BAND_HZ)
     used = np.flatnonzero(weights)

@@ -1,12 +1,11 @@
 """Production drivers on emulated wires: what a position costs beyond its records, and how well clocks are recovered.
 
-Run as ``python -m benchmarks.wires``. The far sides (serial mirror, gRPC Device Server, JACK server on a dummy driver)
+The far sides (serial mirror, gRPC Device Server, JACK server on a dummy driver)
 run in processes of their own; everything is in real time.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -20,12 +19,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import Event, Fault, PositionCommitted, PositionStarted
 from acquisition.engine.record import record_samples, take_record
 from acquisition.engine.setup import Setup
-from acquisition.engine.stopping import StopRequest
 from acquisition.schedule.plan import Plan
+from benchmarks.rig_bank import RATE_HZ, TAPS, measure
 from calibration.clock.timing import ClockFitter
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
@@ -37,9 +35,6 @@ from drivers.errors import TransientInstrumentError
 from drivers.mirror.serial_mirror import SerialMirror
 from drivers.protocols import Float64Array, Instruments, Take, WallClock
 from mocks.virtual.settings import VirtualSettings
-from storage.bank.creation import create_bank
-from storage.bank.header import BankHeader
-from storage.bank.writer import BankWriter
 
 MARK_OVERHEAD_S = 0.150
 MARK_WALL_OVER_SOUNDING = 1.03
@@ -49,9 +44,7 @@ ACTUATOR_MM = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (20.0, -60.0))
 SWEEP_V = 1.0
 # 60 dB below the rms of a sweep of 1 V peak.
 REFERENCE_NOISE_V = SWEEP_V / np.sqrt(2) / 1000
-RATE_HZ = 10_000.0
 INTERFACE_RATE_HZ = 48_000
-TAPS = 2000
 FULL_SCALE_V = 5.0
 PERIOD_FRAMES = 4096
 """Of the audio server: the emulated interface never runs dry on a busy machine, and answers late."""
@@ -110,7 +103,7 @@ class FarSides:
 
     def __init__(self, period_frames: int = PERIOD_FRAMES) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.wires", "--far-sides", str(period_frames)],
+            [sys.executable, "-m", "benchmarks.wires", str(period_frames)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -210,17 +203,6 @@ def positions_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArra
     """Seconds from one undisturbed position's start to the next, and of how many a record was repeated."""
     position_mm = np.column_stack([4.0 * np.arange(positions), np.zeros(positions)])
     plan = Plan(position_mm, np.array(ACTUATOR_MM), np.arange(positions), sweep, TAPS, "0" * 64)
-    header = BankHeader(
-        sample_rate_hz=RATE_HZ,
-        taps=TAPS,
-        band_hz=sweep.band_hz,
-        position_mm=plan.position_mm,
-        actuator_mm=plan.actuator_mm,
-        rig_json="{}",
-        run_json="{}",
-        plan_sha256=plan.sha256,
-        software="wavefocus benchmark",
-    )
     starts: dict[int, float] = {}
     disturbed: set[int] = set()
     committed = 0
@@ -236,10 +218,7 @@ def positions_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArra
                 committed += 1
 
     with tempfile.TemporaryDirectory() as folder:
-        bank = Path(folder) / "bank.h5"
-        create_bank(bank, header)
-        with BankWriter.open(bank, plan_sha256=plan.sha256) as writer:
-            Campaign(plan, setup, writer, note, StopRequest()).run()
+        measure(Path(folder) / "bank.h5", plan, setup, note)
     # The last position has no next; one with a repeated record says nothing of the overhead.
     quiet = [row for row in range(positions - 1) if row not in disturbed and row + 1 in starts]
     return np.array([starts[row + 1] - starts[row] for row in quiet]), len(disturbed)
@@ -270,15 +249,7 @@ def clock_errors(setup: Setup, sides: FarSides, records: int, sweep: Excitation)
 
 
 def run(out: Path | None = None, *, quick: bool = False) -> dict[str, object]:
-    """Measure, print the table, return the figures.
-
-    Parameters
-    ----------
-    out : Path, optional
-        Not used: there are no pictures.
-    quick : bool
-        Few records and short sweeps, to see that it works.
-    """
+    """Measure, print the table, return the figures."""
     positions, records, averages, sweep_s = (3, 2, 1, 0.3) if quick else (13, 12, 3, 1.0)
     with closing(FarSides()) as sides, opened(sides) as setup:
         beyond_s, repeated = overheads_s(setup, positions, excitation(0.3, 1))
@@ -318,13 +289,4 @@ def _rms(values: Float64Array) -> float:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument(
-        "--far-sides", type=int, metavar="PERIOD_FRAMES", help="be the far sides; used by the benchmark itself"
-    )
-    asked = parser.parse_args()
-    if asked.far_sides is not None:
-        serve_far_sides(asked.far_sides)
-    else:
-        run(quick=asked.quick)
+    serve_far_sides(int(sys.argv[1]))

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from benchmarks import BENCHMARKS
 from storage.exchange import EXPORTS
 
 app = typer.Typer(
@@ -96,20 +97,6 @@ class Per(StrEnum):
 
     POSITION = "position"
     ACTUATOR = "actuator"
-
-
-class Benchmark(StrEnum):
-    """What ``bench`` measures."""
-
-    BANK = "bank"
-    RENDER = "render"
-    ESTIMATE = "estimate"
-    INTERPOLATION = "interpolation"
-    FOCUSING = "focusing"
-    CLUSTER = "cluster"
-    PAPER = "paper"
-    WIRES = "wires"
-    ALL = "all"
 
 
 BankArgument = Annotated[Path, typer.Argument(metavar="BANK.h5", help="The bank file.")]
@@ -750,7 +737,10 @@ def export(
 
 @app.command()
 def bench(
-    what: Annotated[Benchmark, typer.Argument(help="Which benchmark.")] = Benchmark.ALL,
+    what: Annotated[
+        str,
+        typer.Argument(metavar="NAME", callback=_one_of((*BENCHMARKS, "all")), help=", ".join((*BENCHMARKS, "all"))),
+    ] = "all",
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for tables.")] = Path("bench-out"),
     quick: Annotated[bool, typer.Option("--quick", help="Small sizes, to see that it works.")] = False,
     force: ForceOption = False,
@@ -758,7 +748,7 @@ def bench(
     """Error against run time, ours beside peers, in one run."""
     from wavefocus.commands import bench as command
 
-    command.bench(what.value, out, quick=quick, force=force)
+    command.bench(what, out, quick=quick, force=force)
 
 
 @app.command()

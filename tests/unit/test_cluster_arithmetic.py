@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.cluster import page
-from benchmarks.cluster_arithmetic import FFT_SAMPLES, WORKS, Work, cores_that_one_disk_feeds, size, span, table
+from benchmarks.cluster import FFT_SAMPLES, WORKS, Work, cores_that_one_disk_feeds, page, size, span, table
 
 
 def test_bytes_are_those_of_the_arrays_themselves() -> None:
