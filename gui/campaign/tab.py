@@ -25,7 +25,7 @@ from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
 from gui.shell.toml_files import TomlKind, runs_on_virtual_rig, toml_kind
 from gui.shell.widgets import copy_text, make_action, side_by_side, stacked
-from rendering.verify.names import FIELD_NAMES, RECORD_NAME
+from rendering.verify.record import FIELD_NAMES, RECORD_NAME
 
 _BAD = POOR_SIGNAL | OVER_RANGE | FAILED
 # What is taken up in one go; the rest of a long log comes with the next ticks, so that the window answers meanwhile.

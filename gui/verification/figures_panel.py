@@ -22,7 +22,7 @@ from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import Badge
 from gui.verification.results import Results
 from rendering.report.words import number, precise
-from rendering.verify.reading import RecordedFigure, VerificationRecord
+from rendering.verify.record import Figure, VerificationRecord
 
 _COLUMNS = (
     ("Figure", "What it is stands in each line's tooltip"),
@@ -153,7 +153,7 @@ class FiguresPanel(QWidget):
                 verdict.setIcon(_verdict_icon(figure.passed, theme))
 
 
-def _cells(figure: RecordedFigure) -> list[str]:
+def _cells(figure: Figure) -> list[str]:
     """The table's texts of a figure; a dash is left out where a figure has no such side."""
     shown = precise if "correlation" in figure.name else lambda value: number(value, figure.unit)
     between = figure.difference

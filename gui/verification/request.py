@@ -12,7 +12,7 @@ from PyQt5.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLab
 from gui.shell.file_choice import PathField
 from gui.shell.tab import TabContext
 from gui.shell.toml_files import names_virtual_rig
-from rendering.verify.names import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
+from rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 from storage.errors import InputError
 
 _CHOICES = (

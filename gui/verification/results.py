@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from gui.shell.toml_files import TomlKind, toml_kind
 from gui.surface.surface import Surface, raster_of
-from rendering.verify.names import FIELD_NAMES, PREDICTION_NAME, RECORD_NAME, REPORT_NAME, SCAN_NAME
+from rendering.verify.record import FIELD_NAMES, PREDICTION_NAME, RECORD_NAME, REPORT_NAME, SCAN_NAME
 from storage.errors import InputError
 
 if TYPE_CHECKING:
     from rendering.verify.field_pair import FieldPair
-    from rendering.verify.reading import VerificationRecord
+    from rendering.verify.record import VerificationRecord
 
 # Number of instants that give the largest response where no focus instants are known.
 _INSTANTS = 64
@@ -72,7 +72,7 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
         `wanted` returned False.
     """
     from rendering.verify.field_pair import read_pair  # the window starts without scipy
-    from rendering.verify.reading import read_record
+    from rendering.verify.record import read_record
 
     record = read_record(record_file)
     folder = record.folder

@@ -13,7 +13,7 @@ from gui.process.log_tail import LogTail
 from gui.shell.error_hook import error_text
 from gui.shell.tab import Question, TabContext
 from gui.verification.request import Request
-from rendering.verify.names import LOG_NAME, RECORD_NAME, STOP_NAME
+from rendering.verify.record import LOG_NAME, RECORD_NAME, STOP_NAME
 
 _NOT_GOOD_ENOUGH = 1
 _SAID_NAME = "verify.said"

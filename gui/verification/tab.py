@@ -22,7 +22,7 @@ from gui.verification.results import Dropped, Results, dropped_kind, record_of
 from gui.verification.run import VerificationRun
 from gui.verification.run_row import RunRow
 from gui.verification.waveform_panel import WaveformPanel
-from rendering.verify.names import REPORT_NAME
+from rendering.verify.record import REPORT_NAME
 from storage.errors import InputError
 
 _HINT = (

@@ -17,9 +17,9 @@ from rendering.report import figures as report_figures
 from rendering.report.canvas import Picture, Surface
 from rendering.report.figures import DriftPoint, drift_over_time
 from rendering.report.waves import wave_figures, waves_of, waves_picture
-from rendering.report.words import figures, number, precise, remarks, summary
-from rendering.verify.names import REPORT_NAME
-from rendering.verify.verdict import Check, Verification
+from rendering.report.words import figure_lines, number, precise, remarks
+from rendering.verify.record import REPORT_NAME, Figure
+from rendering.verify.verdict import Verification
 from storage.output_files import write_whole
 
 if TYPE_CHECKING:
@@ -92,13 +92,13 @@ def build_report(
     html = environment.get_template("report.html.jinja").render(
         scene_name=scene.name,
         passed=verification.passed,
-        summary=summary(verification),
+        summary=verification.summary,
         checks=[_check_row(check) for check in verification.checks],
         remarks=remarks(verification, drive, scan),
         pictures={name: _embedded(one) for name, one in pictures.items()},
         instants=len(verification.fields.instant),
         figures=[
-            *figures(verification, metrics.range_db(gain)),
+            *figure_lines(verification, metrics.range_db(gain)),
             *wave_figures(waves, scene, verification.fields.band_hz),
         ],
         facts=_facts(scene, drive, prediction, scan, verification, campaign),
@@ -188,12 +188,14 @@ def _signal_to_noise(
     return fields.position_index, fields.position_snr_db, caption
 
 
-def _check_row(check: Check) -> dict[str, str]:
+def _check_row(check: Figure) -> dict[str, str]:
     word, style = {True: ("✓ pass", "pass"), False: ("✗ fail", "fail"), None: ("not judged", "open")}[check.passed]
     relation = "≤" if check.relation == "at most" else "≥"
     text = precise(check.value) if check.name == "correlation" else number(check.value, check.unit)
     return {
         "name": check.name,
+        "predicted": number(check.predicted, check.unit),
+        "scanned": number(check.scanned, check.unit),
         "value": text,
         "limit": f"{relation} {number(check.limit, check.unit)}",
         "word": word,

@@ -16,7 +16,7 @@ from rendering.field.impulse_travel import IMPULSE_BAND_HZ, SPAN_MM, ImpulseTrav
 from rendering.field.path_spectrum import PathSpectrum, path_spectrum
 from rendering.greens.source import usable
 from rendering.report.canvas import FAINT, Canvas, Picture, drawn_in_style
-from rendering.report.words import Figure, number
+from rendering.report.words import FigureLine, number
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -108,14 +108,14 @@ def line_of(position_mm: NDArray[np.float64], measured: NDArray[np.bool_], spaci
     return longest
 
 
-def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None) -> list[Figure]:
+def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None) -> list[FigureLine]:
     """Lines of the report's table."""
     low, high = IMPULSE_BAND_HZ
     pairs = f"Green's functions limited to {low:g} to {high:g} Hz, over pairs {SPAN_MM[0]:g} to {SPAN_MM[1]:g} mm apart"
     lines = []
     travel = waves.travel
     if travel is not None:
-        velocity = Figure(
+        velocity = FigureLine(
             "Group velocity",
             _with_doubt(travel.group_velocity_m_s, travel.velocity_doubt_m_s, "m/s"),
             f"Inverse slope over distance of the centroid of energy of {pairs}, with an offset for each actuator; ±"
@@ -123,10 +123,10 @@ def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None
         )
         if not travel.is_told:
             why = f"Not told: arrivals do not follow distances (correlation {travel.correlation:.2f}), as in a room."
-            velocity = Figure("Group velocity", "-", why)
+            velocity = FigureLine("Group velocity", "-", why)
         lines += [
             velocity,
-            Figure(
+            FigureLine(
                 "Attenuation",
                 _with_doubt(travel.attenuation_db_per_cm, travel.attenuation_doubt_db_per_cm, "dB/cm"),
                 f"Slope over distance r of 10 lg(r E), E the energy of {pairs}, with an offset for each actuator; ± its"
@@ -135,10 +135,10 @@ def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None
         ]
     else:
         why = "Not told: too few positions and actuators of known place lie that far apart."
-        lines += [Figure(name, "-", why) for name in ("Group velocity", "Attenuation")]
+        lines += [FigureLine(name, "-", why) for name in ("Group velocity", "Attenuation")]
     if waves.correlation is not None:
         lines.append(
-            Figure(
+            FigureLine(
                 "Correlation of neighbours",
                 f"{waves.correlation.mean[0]:.2f} at {number(waves.correlation.distance_mm[0], 'mm')}",
                 "Coefficient at lag 0 of the Green's functions of two positions, means not removed: mean over actuators"
@@ -155,7 +155,7 @@ def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None
             " grid, with this scene's regularisation."
         )
         lines += [
-            Figure(
+            FigureLine(
                 f"Crosstalk at {table.speed_mm_s[row] / 10:g} cm/s, d = {step:g} mm", number(100.0 * ratio, "%"), text
             )
             for step, ratio, text in zip(
@@ -167,12 +167,12 @@ def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None
             "Centroid of the scan's energy over frequency at the path points whose waveforms are shown, from"
             f" {1e3 * BEFORE_S:g} ms before each focus instant to {1e3 * AFTER_S:g} ms after it."
         )
-        lines.append(Figure("Spectrum at path points", number(_centroid(waves.scanned), "Hz"), definition))
+        lines.append(FigureLine("Spectrum at path points", number(_centroid(waves.scanned), "Hz"), definition))
         if band_hz is not None:
             middle = (band_hz[0] + band_hz[1]) / 2
             share = number(100.0 * waves.scanned.share_within((band_hz[0], middle)), "%")
             lines.append(
-                Figure(f"of which below {middle:g} Hz", share, "Share of that energy in the band's lower half.")
+                FigureLine(f"of which below {middle:g} Hz", share, "Share of that energy in the band's lower half.")
             )
     return lines
 

@@ -1,4 +1,4 @@
-"""The report's words: figures with definitions, and remarks on what to do."""
+"""Text of the report: numbers, lines of figures, remarks on what to do."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
 from rendering.verify.scan import Scan
 
 if TYPE_CHECKING:
+    from rendering.verify.record import Figure
     from rendering.verify.verdict import Verification
     from storage.drive_file import Drive
     from storage.field_file import Field
@@ -30,7 +31,7 @@ REMEDIES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class FigureLine:
     """A line of the report's table of figures."""
 
     name: str
@@ -38,108 +39,28 @@ class Figure:
     definition: str
 
 
-def summary(verification: Verification) -> str:
-    """The verdict in one or two sentences."""
-    fields = verification.fields
-    failed = [check.name for check in verification.checks if check.passed is False]
-    text = (
-        f"Scan and prediction differ by {number(100.0 * fields.error, '%')} and correlate at "
-        f"{precise(fields.correlation)} over {len(fields.position_index):,} positions."
+def figure_lines(verification: Verification, gain_range_db: float) -> list[FigureLine]:
+    """The figures without a limit, with those of the report alone."""
+    lines = [FigureLine(one.name, _value(one), one.definition) for one in verification.figures if not one.relation]
+    misfit = FigureLine(
+        "misfit",
+        percent(verification.misfit),
+        "what the noise does not explain of the normalised error, as the root of the difference of squares: errors of"
+        " the bank (its own noise too), of gains and clocks, nonlinearity, and changes since the bank was measured",
     )
-    if failed:
-        return f"{text} Beyond the limit: {', '.join(failed)}."
-    if verification.noise_error is not None:
-        noise = number(100.0 * verification.noise_error, "%")
-        text += f" The vibrometer's noise alone makes a difference of {noise}."
-    return text
+    gain_range = FigureLine(
+        "range of n(x)",
+        number(gain_range_db, "dB"),
+        "20 lg of largest over smallest normalisation factor (equation 15) over all measured positions, those next to"
+        " the actuators included",
+    )
+    return [*lines, misfit, gain_range]
 
 
-def figures(verification: Verification, gain_range_db: float) -> list[Figure]:
-    """Every figure of the report that has no limit, with its definition."""
-    fields, focus = verification.fields, verification.focus
-    band = "all frequencies" if fields.band_hz is None else f"{fields.band_hz[0]:g} to {fields.band_hz[1]:g} Hz"
-    delay_us = 1e6 * fields.delay_samples / fields.sample_rate_hz
-    radius = f"{FOCUS_RADIUS_MM:g} mm"
-    return [
-        Figure(
-            "Normalised error",
-            percent(fields.error),
-            "Norm of (scan \N{MINUS SIGN} prediction) over norm of the scan, over all compared positions and "
-            f"samples. Both fields are limited to the bank's band, {band}, with edges a quarter of an "
-            f"octave wide.",
-        ),
-        Figure(
-            "of which noise",
-            percent(verification.noise_error),
-            "What the vibrometer's noise alone makes of it: the rms of each record before anything plays, "
-            "taken "
-            "as white, over all samples and within the band, over the norm of the scan.",
-        ),
-        Figure(
-            "of which misfit",
-            percent(verification.misfit),
-            "The rest, as the root of the difference of squares: errors of the bank (its own noise too), "
-            "of gains "
-            "and clocks, nonlinearity, and whatever changed since the bank was measured.",
-        ),
-        Figure(
-            "Error, all frequencies",
-            percent(fields.error_all_frequencies),
-            "The normalised error of the fields as they stand in their files, noise outside the band included.",
-        ),
-        Figure(
-            "Correlation",
-            precise(fields.correlation),
-            "Zero-lag correlation over all compared positions and samples.",
-        ),
-        Figure(
-            "Correlation, median position",
-            precise(fields.correlation_median),
-            "Median over positions of the correlation at each.",
-        ),
-        Figure(
-            "Level",
-            number(fields.level_db, "dB"),
-            "Gain that fits the prediction best to the scan; 0 dB when all gains are what they were.",
-        ),
-        Figure(
-            "Delay",
-            number(delay_us, "\N{MICRO SIGN}s"),
-            "How much later the scan is: peak of the cross-correlation summed over positions.",
-        ),
-        Figure(
-            "Focus to path point",
-            number(median_or_none(focus.from_intended_mm), "mm"),
-            f"Median over focus instants: distance from the path point to the largest |y| within {radius} "
-            f"of it, "
-            "refined between positions by a quadratic fit.",
-        ),
-        Figure(
-            "Focal width, scan",
-            number(median_or_none(focus.scanned_width_mm), "mm"),
-            "Median over focus instants: diameter of the disk of equal area to the connected region around "
-            "the "
-            "peak where y has the peak's sign and exceeds half of it (field interpolated between positions).",
-        ),
-        Figure(
-            "Focal width, prediction",
-            number(median_or_none(focus.predicted_width_mm), "mm"),
-            "The same of the predicted field.",
-        ),
-        Figure(
-            "Artefact level",
-            number(median_or_none(focus.scanned_artefact_db), "dB"),
-            f"Median over focus instants: largest |y| of the scan beyond {radius} from the path point over "
-            f"the "
-            "largest within.",
-        ),
-        Figure(
-            "Range of n(x)",
-            number(gain_range_db, "dB"),
-            "20 lg of largest over smallest normalisation factor (equation 15) over all measured positions, "
-            "those beside the actuators included.",
-        ),
-    ]
+def _value(figure: Figure) -> str:
+    if figure.unit == "%":
+        return percent(None if figure.value is None else figure.value / 100.0)
+    return number(figure.value, figure.unit) if figure.unit else precise(figure.value)
 
 
 def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> list[str]:

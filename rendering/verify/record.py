@@ -1,32 +1,175 @@
-"""What a verification found, for programs: ``verify.json`` beside the report."""
+"""``verify.json``: the record of a verification for programs, and the names of the files in its folder."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.field.focus_figures import FocusTable, median_or_none
-from rendering.report.words import summary
-from rendering.verify.names import FORMAT, RECORD_NAME, VERSION
-from rendering.verify.verdict import Check, Verification
+from storage.errors import InputError
 from storage.output_files import write_whole
 
 if TYPE_CHECKING:
     from rendering.greens.source import GreenSource
     from rendering.scene.model import Scene, Source
+    from rendering.verify.verdict import Verification
     from storage.field_file import Field
+
+Float64Array = NDArray[np.float64]
+
+DRIVE_NAME = "drive.h5"
+PREDICTION_NAME = "prediction.h5"
+SCAN_NAME = "scan.h5"
+FIELD_NAMES = (DRIVE_NAME, PREDICTION_NAME, SCAN_NAME)
+REPORT_NAME = "report.html"
+PICTURE_NAMES = tuple(
+    f"{name}.png"
+    for name in ("path", "snapshots", "waveforms", "positions", "snr", "error", "gain", "drive", "drift", "waves")
+)
+RECORD_NAME = "verify.json"
+FORMAT = "wavefocus-verification"
+VERSION = 1
+LOG_NAME = "verify.events.jsonl"
+"""Progress, while it works."""
+STOP_NAME = "verify.stop"
+"""A file of this name ends the verification: outputs muted, mirror parked."""
 
 # Enough for a path that looks smooth on any screen, and for finding where a source is.
 PATH_POINTS = 401
-# Checks that belong to both fields together and are no difference of them.
-_NO_DIFFERENCE = ("correlation", "usable positions")
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One figure of a verification.
+
+    Parameters
+    ----------
+    name, unit, definition : str
+        Its meaning.
+    predicted, scanned, difference : float or None
+        Of the prediction, of the scan, and between them; None where a figure has no such side.
+    value : float or None
+        The value held against the limit, or that would be; None where the positions needed were not scanned.
+    limit : float or None
+        None for a figure that is not judged.
+    relation : str
+        ``"at most"`` or ``"at least"``; empty without a limit.
+    passed : bool or None
+        Whether it keeps to the limit; None where nothing was judged.
+    """
+
+    name: str
+    unit: str
+    definition: str
+    predicted: float | None = None
+    scanned: float | None = None
+    difference: float | None = None
+    value: float | None = None
+    limit: float | None = None
+    relation: str = ""
+    passed: bool | None = None
+
+
+_NUMBERS = ("predicted", "scanned", "difference", "value", "limit")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedSource:
+    """Path of a source: evenly along `path_mm`, shape (points, 2), from `start_s` to `stop_s`."""
+
+    start_s: float
+    stop_s: float
+    path_mm: Float64Array
+
+    def at_mm(self, time_s: float) -> Float64Array | None:
+        """Its place, None before it starts; at rest at the end of its path after that."""
+        if time_s < self.start_s:
+            return None
+        if len(self.path_mm) == 1 or self.stop_s <= self.start_s:
+            return np.asarray(self.path_mm[-1], np.float64)
+        share = min((time_s - self.start_s) / (self.stop_s - self.start_s), 1.0) * (len(self.path_mm) - 1)
+        first = min(int(share), len(self.path_mm) - 2)
+        between = share - first
+        return np.asarray((1.0 - between) * self.path_mm[first] + between * self.path_mm[first + 1], np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VerificationRecord:
+    """The content of ``verify.json``.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    made : datetime
+        With a time zone.
+    scene, scene_file, bank, rig : str
+        Names of what was verified.
+    passed : bool
+        Whether no figure is beyond its limit.
+    summary : str
+        The verdict in a sentence or two.
+    response_unit : str
+        Of the fields.
+    band_hz : tuple of float or None
+        To which both fields were limited.
+    figures : tuple of Figure
+        Those with a limit first.
+    focus_s : float64 array (foci,)
+        Instants at which foci were looked at.
+    sources : tuple of RecordedSource
+        Of the scene.
+    outline_mm : float64 array (points, 2) or None
+        Rim of the surface.
+    actuator_mm : float64 array (actuators, 2)
+        NaN where unknown.
+    position_index : int64 array (positions,)
+        Bank rows of the predicted positions.
+    position_mm : float64 array (positions, 2)
+        Their places.
+    position_error, position_correlation : float64 array (positions,)
+        NaN where nothing was compared.
+    excluded : mapping of int to str
+        Scanned bank rows that were not compared, and why.
+    """
+
+    path: Path
+    made: datetime
+    scene: str
+    scene_file: str
+    bank: str
+    rig: str
+    passed: bool
+    summary: str
+    response_unit: str
+    band_hz: tuple[float, float] | None
+    figures: tuple[Figure, ...]
+    focus_s: Float64Array
+    sources: tuple[RecordedSource, ...]
+    outline_mm: Float64Array | None
+    actuator_mm: Float64Array
+    position_index: NDArray[np.int64]
+    position_mm: Float64Array
+    position_error: Float64Array
+    position_correlation: Float64Array
+    excluded: dict[int, str]
+
+    @property
+    def compared(self) -> NDArray[np.bool_]:
+        """Positions that were compared, bool array (positions,)."""
+        return np.isfinite(self.position_error)
+
+    @property
+    def folder(self) -> Path:
+        """Folder of prediction, scan and report."""
+        return self.path.parent
 
 
 def write_record(
@@ -39,32 +182,11 @@ def write_record(
     names: Mapping[str, str],
     outline_mm: NDArray[np.float64] | None = None,
 ) -> Path:
-    """Write ``verify.json``: figures with limits and verdicts, foci, and each position's error.
+    """Write ``verify.json`` into the verification's folder; an older one is replaced when the new one is whole.
 
-    Parameters
-    ----------
-    out_dir : Path
-        The verification's folder, which is there.
-    verification : Verification
-        What `compare` found.
-    scene, prediction, bank
-        What was rendered, predicted, and with which Green's functions.
-    names : mapping of str
-        What was verified: scene file, bank, rig, as people named them.
-    outline_mm : float64 array, shape (points, 2), optional
-        Rim of the surface, closed.
-
-    Returns
-    -------
-    Path
-        The file; an older one is replaced when the new one is whole.
-
-    Raises
-    ------
-    InputError
-        It cannot be written.
+    `names` are those of scene file, bank and rig as people gave them; `outline_mm` is the rim of the surface, closed.
     """
-    fields = verification.fields
+    compared = verification.fields
     rows = np.asarray(prediction.position_index, np.int64)
     position_mm = np.asarray(bank.position_mm, np.float64)
     content = {
@@ -74,119 +196,49 @@ def write_record(
         "scene": scene.name,
         **names,
         "passed": verification.passed,
-        "summary": summary(verification),
-        "response_unit": fields.response_unit,
-        "band_hz": None if fields.band_hz is None else list(fields.band_hz),
+        "summary": verification.summary,
+        "response_unit": compared.response_unit,
+        "band_hz": None if compared.band_hz is None else list(compared.band_hz),
         "spacing_mm": verification.spacing_mm,
-        "figures": _figures(verification),
+        "figures": [_plain_figure(one) for one in verification.figures],
         "foci": [
             {
                 "source": one.source,
                 "position": one.row,
-                "time_s": one.sample / fields.sample_rate_hz,
+                "time_s": one.sample / compared.sample_rate_hz,
                 "at_mm": position_mm[one.row].tolist(),
             }
-            for one in fields.instant
+            for one in compared.instant
         ],
-        "sources": [_source(source) for source in scene.sources],
+        "sources": [_plain_source(source) for source in scene.sources],
         "outline_mm": None if outline_mm is None else np.round(outline_mm, 3).tolist(),
-        "actuator_mm": [_plain(point) for point in np.asarray(bank.actuator_mm, np.float64)],
+        "actuator_mm": [
+            point.tolist() if np.isfinite(point).all() else None for point in np.asarray(bank.actuator_mm, np.float64)
+        ],
         "positions": {
             "index": rows.tolist(),
             "at_mm": position_mm[rows].tolist(),
-            "error": _of_rows(rows, fields.position_index, fields.position_error),
-            "correlation": _of_rows(rows, fields.position_index, fields.position_correlation),
+            "error": _of_rows(rows, compared.position_index, compared.position_error),
+            "correlation": _of_rows(rows, compared.position_index, compared.position_correlation),
         },
-        "excluded": [{"position": row, "reason": reason} for row, reason in fields.excluded],
+        "excluded": [{"position": row, "reason": reason} for row, reason in compared.excluded],
     }
     path = out_dir / RECORD_NAME
     write_whole(path, json.dumps(content, allow_nan=False, indent=1) + "\n")
     return path
 
 
-def _figures(verification: Verification) -> list[dict[str, object]]:
-    """Those with a limit, then those without one; predicted and scanned where a figure has two sides."""
-    sides = _sides(verification)
-    listed = []
-    for check in verification.checks:
-        alone = None if check.name in _NO_DIFFERENCE else check.value
-        predicted, scanned, difference = sides.get(check.name, (None, None, alone))
-        listed.append(_figure(check.name, predicted, scanned, difference, check.unit, check.definition, check))
-    fields, focus = verification.fields, verification.focus
-    told: tuple[tuple[str, float | None, float | None, str, str], ...] = (
-        ("level", fields.level_db, None, "dB",
-         "gain that fits the prediction best to the scan, above 0 where the scan is louder"),
-        ("delay", 1e6 * fields.delay_samples / fields.sample_rate_hz, None, "µs",
-         "how much later the scan is: peak of the cross-correlation summed over positions"),
-        ("median correlation", None, fields.correlation_median, "",
-         "median over positions of the correlation at each"),
-        ("error from noise alone", None, _percent(verification.noise_error), "%",
-         "what the vibrometer's noise makes of the normalised error"),
-        ("error, all frequencies", _percent(fields.error_all_frequencies), None, "%",
-         "the normalised error without limiting both fields to the bank's band"),
-    )  # fmt: skip
-    for name, difference, value, unit, definition in told:
-        listed.append(_figure(name, None, None, difference, unit, definition, value=value))
-    artefacts_db = median_or_none(focus.scanned_artefact_db)
-    artefacts = "median over focus instants of the largest magnitude beyond 15 mm from the path point over that within"
-    listed.append(_figure("artefacts", None, artefacts_db, None, "dB", artefacts))
-    return listed
+def finite(value: float | None) -> float | None:
+    """None in place of NaN and infinity, which JSON lacks."""
+    return value if value is not None and math.isfinite(value) else None
 
 
-def _sides(verification: Verification) -> dict[str, tuple[float | None, float | None, float | None]]:
-    """Predicted, scanned and difference of the figures that both fields have."""
-    focus = verification.focus
-    to_path = _predicted_from_intended_mm(focus), median_or_none(focus.from_intended_mm)
-    return {
-        "focus to path point": (*to_path, None if None in to_path else _minus(to_path[1], to_path[0])),
-        "focal width against prediction": (
-            median_or_none(focus.predicted_width_mm),
-            median_or_none(focus.scanned_width_mm),
-            median_or_none(np.abs(focus.width_difference_mm)),
-        ),
-    }
+def _plain_figure(figure: Figure) -> dict[str, object]:
+    plain = asdict(figure)
+    return {**plain, **{name: finite(plain[name]) for name in _NUMBERS}, "relation": figure.relation or None}
 
 
-def _predicted_from_intended_mm(focus: FocusTable) -> float | None:
-    return median_or_none(np.asarray(np.hypot(*(focus.predicted_mm - focus.intended_mm).T)))
-
-
-def _minus(one: float | None, other: float | None) -> float | None:
-    return None if one is None or other is None else one - other
-
-
-def _figure(
-    name: str,
-    predicted: float | None,
-    scanned: float | None,
-    difference: float | None,
-    unit: str,
-    definition: str,
-    check: Check | None = None,
-    value: float | None = None,
-) -> dict[str, object]:
-    """One figure; its value is what is held against the limit, or would be."""
-    if check is not None:
-        value = check.value
-    elif value is None:
-        value = scanned if difference is None else difference
-    limit = None if check is None else _finite(check.limit)
-    return {
-        "name": name,
-        "predicted": _finite(predicted),
-        "scanned": _finite(scanned),
-        "difference": _finite(difference),
-        "value": _finite(value),
-        "unit": unit,
-        "limit": limit,
-        "relation": None if check is None else check.relation,
-        "passed": None if check is None else check.passed,
-        "definition": definition,
-    }
-
-
-def _source(source: Source) -> dict[str, object]:
-    """Where a source is and when: evenly along its path, at even times."""
+def _plain_source(source: Source) -> dict[str, object]:
     length_mm = source.path.length_mm
     moves = length_mm > 0.0 and source.speed_mm_s > 0.0
     arc_mm = np.linspace(0.0, length_mm, PATH_POINTS if moves else 1)
@@ -197,18 +249,86 @@ def _source(source: Source) -> dict[str, object]:
     }
 
 
-def _of_rows(rows: NDArray[np.int64], compared: NDArray[np.int64], values: NDArray[np.float64]) -> list[float | None]:
+def _of_rows(rows: NDArray[np.int64], compared: NDArray[np.int64], values: Float64Array) -> list[float | None]:
     by_row = dict(zip(compared.tolist(), values.tolist(), strict=True))
-    return [_finite(by_row.get(row)) for row in rows.tolist()]
+    return [finite(by_row.get(row)) for row in rows.tolist()]
 
 
-def _plain(point: NDArray[np.float64]) -> list[float] | None:
-    return point.tolist() if np.isfinite(point).all() else None
+def read_record(path: Path) -> VerificationRecord:
+    """Read ``verify.json``; raises InputError where it is missing, damaged or of another format or version."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; wavefocus verify writes it when a verification is done") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError):
+        raise InputError(f"{path} is no JSON file, or is damaged; run the verification again") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InputError(f"{path} is not the record of a verification: its format is not {FORMAT}")
+    if content.get("format_version") != VERSION:
+        raise InputError(
+            f"{path}: format_version is {content.get('format_version')!r}; this program reads {VERSION}, a newer "
+            "wavefocus wrote it"
+        )
+    try:
+        return _record(path, content)
+    except (KeyError, TypeError, ValueError, AttributeError) as wrong:
+        what = f"{wrong.args[0]} is missing" if isinstance(wrong, KeyError) else str(wrong)
+        raise InputError(f"{path} is damaged: {what}; run the verification again") from wrong
 
 
-def _percent(value: float | None) -> float | None:
-    return None if value is None else 100.0 * value
+def _record(path: Path, content: dict[str, Any]) -> VerificationRecord:
+    positions, band, outline_mm = content["positions"], content["band_hz"], content["outline_mm"]
+    index = np.asarray(positions["index"])
+    if index.ndim != 1 or not len(index) or index.dtype.kind != "i":
+        raise ValueError("positions.index is no list of bank rows")
+    nowhere = (math.nan, math.nan)
+    return VerificationRecord(
+        path=path,
+        made=datetime.fromisoformat(content["made"]),
+        scene=str(content["scene"]),
+        scene_file=str(content.get("scene_file", "")),
+        bank=str(content.get("bank", "")),
+        rig=str(content.get("rig", "")),
+        passed=bool(content["passed"]),
+        summary=str(content["summary"]),
+        response_unit=str(content["response_unit"]),
+        band_hz=None if band is None else (float(band[0]), float(band[1])),
+        figures=tuple(_figure(one) for one in content["figures"]),
+        focus_s=_floats([one["time_s"] for one in content["foci"]], "foci"),
+        sources=tuple(
+            RecordedSource(float(one["start_s"]), float(one["stop_s"]), _points(one["path_mm"], "sources.path_mm"))
+            for one in content["sources"]
+        ),
+        outline_mm=None if outline_mm is None else _points(outline_mm, "outline_mm"),
+        actuator_mm=np.array([point or nowhere for point in content["actuator_mm"]], np.float64).reshape(-1, 2),
+        position_index=index.astype(np.int64),
+        position_mm=_points(positions["at_mm"], "positions.at_mm", len(index)),
+        position_error=_floats(positions["error"], "positions.error", len(index)),
+        position_correlation=_floats(positions["correlation"], "positions.correlation", len(index)),
+        excluded={int(one["position"]): str(one["reason"]) for one in content["excluded"]},
+    )
 
 
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
+def _figure(one: dict[str, Any]) -> Figure:
+    values = {field.name: one[field.name] for field in fields(Figure)}
+    for name in _NUMBERS:
+        if isinstance(values[name], bool) or not isinstance(values[name], int | float | None):
+            raise ValueError(f"{values[name]!r} is no number")
+    return Figure(**{**values, "relation": values["relation"] or ""})
+
+
+def _floats(values: object, name: str, count: int | None = None) -> Float64Array:
+    if not isinstance(values, list) or (count is not None and len(values) != count):
+        raise ValueError(f"{name} is no list of {'numbers' if count is None else f'{count} numbers'}")
+    return np.array([math.nan if value is None else float(value) for value in values], np.float64)
+
+
+def _points(values: object, name: str, count: int | None = None) -> Float64Array:
+    points = np.asarray(values, np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or not len(points) or not np.isfinite(points).all():
+        raise ValueError(f"{name} is no list of points [x, y]")
+    if count is not None and len(points) != count:
+        raise ValueError(f"{name} has {len(points)} points for {count} positions")
+    return points

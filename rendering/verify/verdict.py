@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from rendering.field import metrics
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
+from rendering.report.words import number, precise
 from rendering.verify.comparison import FieldComparison, compare_fields
-from rendering.verify.scan import Scan, ScanPlan, scan
+from rendering.verify.record import Figure, finite
 
 if TYPE_CHECKING:
     from rendering.greens.source import GreenSource
+    from rendering.verify.scan import Scan
     from storage.drive_file import Drive
     from storage.field_file import Field
-
-__all__ = ["Check", "Scan", "ScanPlan", "Tolerances", "Verification", "compare", "scan"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,27 +50,8 @@ class Tolerances:
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
-    """One figure against its limit; `value` is None where the positions needed were not scanned."""
-
-    name: str
-    value: float | None
-    limit: float
-    relation: Literal["at most", "at least"]
-    unit: str
-    definition: str
-
-    @property
-    def passed(self) -> bool | None:
-        """Whether the value keeps to the limit; None when there is no value."""
-        if self.value is None:
-            return None
-        return self.value <= self.limit if self.relation == "at most" else self.value >= self.limit
-
-
-@dataclass(frozen=True, slots=True)
 class Verification:
-    """What a comparison of prediction and scan found.
+    """Result of comparing a prediction with a scan.
 
     Parameters
     ----------
@@ -84,15 +65,20 @@ class Verification:
         What the vibrometer's noise alone would make of the normalised error: the rms of
         each record's silent lead-in, taken as white, over all compared samples and within the
         band, divided by ``||scan||``. None when the scan does not know its noise.
-    checks : tuple of Check
-        The figures that have a limit.
+    figures : tuple of Figure
+        Those that have a limit, then the others.
     """
 
     fields: FieldComparison
     focus: FocusTable
     spacing_mm: float | None
     noise_error: float | None
-    checks: tuple[Check, ...]
+    figures: tuple[Figure, ...]
+
+    @property
+    def checks(self) -> tuple[Figure, ...]:
+        """The figures that have a limit."""
+        return tuple(figure for figure in self.figures if figure.relation)
 
     @property
     def misfit(self) -> float | None:
@@ -106,38 +92,47 @@ class Verification:
         """Whether no check failed."""
         return all(check.passed is not False for check in self.checks)
 
+    @property
+    def summary(self) -> str:
+        """The verdict in one or two sentences."""
+        failed = [check.name for check in self.checks if check.passed is False]
+        text = (
+            f"Scan and prediction differ by {number(100.0 * self.fields.error, '%')} and correlate at "
+            f"{precise(self.fields.correlation)} over {len(self.fields.position_index):,} positions."
+        )
+        if failed:
+            return f"{text} Beyond the limit: {', '.join(failed)}."
+        if self.noise_error is not None:
+            noise = number(100.0 * self.noise_error, "%")
+            text += f" The vibrometer's noise alone makes a difference of {noise}."
+        return text
+
     def as_dict(self) -> dict[str, object]:
         """The figures as plain numbers and texts, for JSON; None where there is none."""
+        fields, focus = self.fields, self.focus
         figures: dict[str, float | None] = {
-            "error": self.fields.error,
+            "error": fields.error,
             "noise_error": self.noise_error,
             "misfit": self.misfit,
-            "error_all_frequencies": self.fields.error_all_frequencies,
-            "correlation": self.fields.correlation,
-            "correlation_median": self.fields.correlation_median,
-            "level_db": self.fields.level_db,
-            "delay_samples": self.fields.delay_samples,
-            "focus_from_intended_mm": median_or_none(self.focus.from_intended_mm),
-            "focus_from_prediction_mm": median_or_none(self.focus.from_prediction_mm),
-            "focal_width_mm": median_or_none(self.focus.scanned_width_mm),
-            "focal_width_predicted_mm": median_or_none(self.focus.predicted_width_mm),
-            "artefact_level_db": median_or_none(self.focus.scanned_artefact_db),
+            "error_all_frequencies": fields.error_all_frequencies,
+            "correlation": fields.correlation,
+            "correlation_median": fields.correlation_median,
+            "level_db": fields.level_db,
+            "delay_samples": fields.delay_samples,
+            "focus_from_intended_mm": median_or_none(focus.from_intended_mm),
+            "focus_from_prediction_mm": median_or_none(focus.from_prediction_mm),
+            "focal_width_mm": median_or_none(focus.scanned_width_mm),
+            "focal_width_predicted_mm": median_or_none(focus.predicted_width_mm),
+            "artefact_level_db": median_or_none(focus.scanned_artefact_db),
         }
+        told = ("name", "value", "limit", "relation", "unit", "passed")
         return {
             "passed": self.passed,
-            "positions_compared": len(self.fields.position_index),
-            "positions_excluded": len(self.fields.excluded),
-            **{name: _finite(value) for name, value in figures.items()},
+            "positions_compared": len(fields.position_index),
+            "positions_excluded": len(fields.excluded),
+            **{name: finite(value) for name, value in figures.items()},
             "checks": [
-                {
-                    "name": check.name,
-                    "value": _finite(check.value),
-                    "limit": check.limit,
-                    "relation": check.relation,
-                    "unit": check.unit,
-                    "passed": check.passed,
-                }
-                for check in self.checks
+                {name: getattr(check, name) for name in told} | {"value": finite(check.value)} for check in self.checks
             ],
         }
 
@@ -166,16 +161,11 @@ def compare(
     tolerances : Tolerances, optional
         The limits of the checks.
 
-    Returns
-    -------
-    Verification
-
     Raises
     ------
     InputError
         The fields do not belong together, or no position can be compared.
     """
-    tolerances = Tolerances() if tolerances is None else tolerances
     fields = compare_fields(prediction, scan, drive, bank)
     position_mm = np.asarray(bank.position_mm, np.float64)
     spacing_mm = metrics.grid_spacing_mm(position_mm) if len(position_mm) > 1 else None
@@ -187,13 +177,9 @@ def compare(
         position_mm,
         spacing_mm,
     )
-    return Verification(
-        fields=fields,
-        focus=focus,
-        spacing_mm=spacing_mm,
-        noise_error=_noise_error(fields),
-        checks=_checks(fields, focus, spacing_mm, tolerances),
-    )
+    noise_error = _noise_error(fields)
+    checks = _checks(fields, focus, spacing_mm, tolerances or Tolerances())
+    return Verification(fields, focus, spacing_mm, noise_error, (*checks, *_unlimited(fields, focus, noise_error)))
 
 
 def _noise_error(fields: FieldComparison) -> float | None:
@@ -207,63 +193,99 @@ def _noise_error(fields: FieldComparison) -> float | None:
 
 def _checks(
     fields: FieldComparison, focus: FocusTable, spacing_mm: float | None, tolerances: Tolerances
-) -> tuple[Check, ...]:
+) -> tuple[Figure, ...]:
     spacing = math.nan if spacing_mm is None else spacing_mm
     compared = len(fields.position_index)
-    width_difference = median_or_none(np.abs(focus.width_difference_mm))
+    band = "all frequencies" if fields.band_hz is None else f"{fields.band_hz[0]:g} to {fields.band_hz[1]:g} Hz"
+    predicted_mm = median_or_none(np.asarray(np.hypot(*(focus.predicted_mm - focus.intended_mm).T)))
+    scanned_mm = median_or_none(focus.from_intended_mm)
+    error = Figure(
+        "normalised error",
+        "%",
+        "norm of (scan - prediction) over norm of the scan, all compared positions and samples; both fields are limited"
+        f" to the bank's band, {band}, with edges a quarter of an octave wide",
+        difference=100.0 * fields.error,
+        value=100.0 * fields.error,
+    )
+    correlation = Figure(
+        "correlation",
+        "",
+        "zero-lag correlation of scan and prediction over all compared positions and samples",
+        value=fields.correlation,
+    )
+    to_path = Figure(
+        "focus to path point",
+        "mm",
+        "median over focus instants of the distance from the path point to the scan's largest "
+        f"magnitude within {FOCUS_RADIUS_MM:g} mm, refined by a quadratic fit",
+        predicted=predicted_mm,
+        scanned=scanned_mm,
+        difference=None if predicted_mm is None or scanned_mm is None else scanned_mm - predicted_mm,
+        value=scanned_mm,
+    )
+    apart_mm = median_or_none(focus.from_prediction_mm)
+    to_predicted = Figure(
+        "focus to predicted focus",
+        "mm",
+        "the same distance, from the prediction's largest magnitude",
+        difference=apart_mm,
+        value=apart_mm,
+    )
+    wider_mm = median_or_none(np.abs(focus.width_difference_mm))
+    width = Figure(
+        "focal width against prediction",
+        "mm",
+        "median over focus instants of the difference between scanned and predicted full width at half maximum:"
+        " diameter of the disk of equal area to the connected region around the peak where y has the peak's sign and"
+        " exceeds half of it (field interpolated between positions)",
+        predicted=median_or_none(focus.predicted_width_mm),
+        scanned=median_or_none(focus.scanned_width_mm),
+        difference=wider_mm,
+        value=wider_mm,
+    )
+    usable = Figure(
+        "usable positions",
+        "%",
+        "scanned positions with a sound record and a valid row in the bank",
+        value=100.0 * compared / (compared + len(fields.excluded)),
+    )
     return (
-        Check(
-            "normalised error",
-            100.0 * fields.error,
-            100.0 * tolerances.normalised_error,
-            "at most",
-            "%",
-            "norm of (scan - prediction) over norm of the scan, all compared positions and samples",
-        ),
-        Check(
-            "correlation",
-            fields.correlation,
-            tolerances.correlation,
-            "at least",
-            "",
-            "zero-lag correlation of scan and prediction over all compared positions and samples",
-        ),
-        Check(
-            "focus to path point",
-            median_or_none(focus.from_intended_mm),
-            tolerances.focus_offset_spacings * spacing,
-            "at most",
-            "mm",
-            "median over focus instants of the distance from the path point to the scan's largest "
-            f"magnitude within {FOCUS_RADIUS_MM:g} mm, refined by a quadratic fit",
-        ),
-        Check(
-            "focus to predicted focus",
-            median_or_none(focus.from_prediction_mm),
-            tolerances.prediction_offset_spacings * spacing,
-            "at most",
-            "mm",
-            "the same distance, from the prediction's largest magnitude",
-        ),
-        Check(
-            "focal width against prediction",
-            width_difference,
-            tolerances.focal_width_mm,
-            "at most",
-            "mm",
-            "median over focus instants of the difference between scanned and predicted full width "
-            "at half maximum (diameter of the disk of equal area)",
-        ),
-        Check(
-            "usable positions",
-            100.0 * compared / (compared + len(fields.excluded)),
-            100.0 * tolerances.usable_share,
-            "at least",
-            "%",
-            "scanned positions with a sound record and a valid row in the bank",
-        ),
+        _judged(error, "at most", 100.0 * tolerances.normalised_error),
+        _judged(correlation, "at least", tolerances.correlation),
+        _judged(to_path, "at most", tolerances.focus_offset_spacings * spacing),
+        _judged(to_predicted, "at most", tolerances.prediction_offset_spacings * spacing),
+        _judged(width, "at most", tolerances.focal_width_mm),
+        _judged(usable, "at least", 100.0 * tolerances.usable_share),
     )
 
 
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
+def _judged(figure: Figure, relation: Literal["at most", "at least"], limit: float) -> Figure:
+    value = figure.value
+    passed = None if value is None else value <= limit if relation == "at most" else value >= limit
+    return replace(figure, relation=relation, limit=limit, passed=passed)
+
+
+def _unlimited(fields: FieldComparison, focus: FocusTable, noise_error: float | None) -> tuple[Figure, ...]:
+    """Figures without a limit."""
+    delay_us = 1e6 * fields.delay_samples / fields.sample_rate_hz
+    noise = None if noise_error is None else 100.0 * noise_error
+    everywhere = 100.0 * fields.error_all_frequencies
+    artefacts_db = median_or_none(focus.scanned_artefact_db)
+    return (
+        Figure("level", "dB",
+               "gain that fits the prediction best to the scan, above 0 where the scan is louder; 0 dB when all gains"
+               " are what they were", difference=fields.level_db, value=fields.level_db),
+        Figure("delay", "µs", "how much later the scan is: peak of the cross-correlation summed over positions",
+               difference=delay_us, value=delay_us),
+        Figure("median correlation", "", "median over positions of the correlation at each",
+               value=fields.correlation_median),
+        Figure("error from noise alone", "%",
+               "share of the vibrometer's noise in the normalised error: the rms of each record before anything plays,"
+               " taken as white, over all samples and within the band, over the norm of the scan", value=noise),
+        Figure("error, all frequencies", "%",
+               "the normalised error without limiting both fields to the bank's band, noise outside of it included",
+               difference=everywhere, value=everywhere),
+        Figure("artefacts", "dB",
+               f"median over focus instants of the largest magnitude beyond {FOCUS_RADIUS_MM:g} mm from the path point"
+               " over that within", scanned=artefacts_db, value=artefacts_db),
+    )  # fmt: skip

@@ -17,7 +17,7 @@ from gui.shell.file_choice import PathField
 from gui.shell.settings import Settings
 from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
-from rendering.verify.names import RECORD_NAME
+from rendering.verify.record import RECORD_NAME
 from storage.bank.owner import bank_owner
 from storage.bank.reading import open_bank
 from storage.point_status import not_valid

@@ -16,7 +16,8 @@ from drivers.errors import InstrumentLostError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
-from rendering.verify.verdict import Scan, ScanPlan, Tolerances, compare, scan
+from rendering.verify.scan import Scan, ScanPlan, scan
+from rendering.verify.verdict import Tolerances, compare
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.field_file import Field, LowPass

@@ -18,8 +18,7 @@ from rendering.scene.model import Output, Regularisation, Scene, Source
 from rendering.scene.paths import Line
 from rendering.scene.signals import Impulse
 from rendering.verify.field_pair import CancelledError, read_pair
-from rendering.verify.reading import RecordedSource, read_record
-from rendering.verify.record import write_record
+from rendering.verify.record import RecordedSource, read_record, write_record
 from rendering.verify.verdict import Verification, compare
 from storage.errors import InputError
 from storage.field_file import Field, write_field

@@ -23,11 +23,10 @@ from config.stadium import stadium_rim
 from rendering.field.metrics import grid_spacing_mm
 from rendering.field.model import predict as predict_field
 from rendering.report.page import build_report
-from rendering.report.words import summary
 from rendering.scene.loading import load_scene
 from rendering.scene.model import Scene
 from rendering.scene.scene_rows import scene_rows
-from rendering.verify.names import (
+from rendering.verify.record import (
     DRIVE_NAME,
     FIELD_NAMES,
     LOG_NAME,
@@ -37,10 +36,11 @@ from rendering.verify.names import (
     REPORT_NAME,
     SCAN_NAME,
     STOP_NAME,
+    Figure,
+    write_record,
 )
-from rendering.verify.record import write_record
 from rendering.verify.scan import Scan, ScanPlan, scan
-from rendering.verify.verdict import Check, Tolerances, Verification, compare
+from rendering.verify.verdict import Tolerances, Verification, compare
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, write_drive
 from storage.errors import InputError
@@ -96,7 +96,7 @@ def verify(
                 verification = work.run(rows, str(rig_file))
             report_file, record_file = out / REPORT_NAME, out / RECORD_NAME
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
-            log.done(code, summary(verification))
+            log.done(code, verification.summary)
     for check in verification.checks:
         say(_line(check))
     say(f"report: {report_file}")
@@ -241,7 +241,7 @@ def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str,
     return facts
 
 
-def _line(check: Check) -> str:
+def _line(check: Figure) -> str:
     """One check for people."""
     if check.value is None:
         return f"-     {check.name}: the positions it needs were not scanned"
