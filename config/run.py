@@ -6,7 +6,7 @@ import math
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, mistake
 
@@ -146,6 +146,11 @@ class Virtual(Table):
     light: Course = ()
 
 
+def _second_look(value: object) -> object:
+    """Banks of before hold true or false."""
+    return {True: "auto", False: "never"}[value] if isinstance(value, bool) else value
+
+
 class Quality(Table):
     """When a measured position is good enough."""
 
@@ -156,7 +161,7 @@ class Quality(Table):
     poor_harmonic_db: Annotated[Finite, Field(le=0)] = -42.0
     speckle_step_mm: Annotated[NonNegative, Field(le=2)] = 0.1
     remeasure_pass: Annotated[Whole, Field(ge=0, le=10)] = 1
-    second_look: Switch = False
+    second_look: Annotated[Literal["auto", "never"], BeforeValidator(_second_look)] = "auto"
     reference_db: Annotated[Positive, Field(le=20)] = 0.1
 
 

@@ -14,6 +14,7 @@ from acquisition.engine.event_publisher import EventPublisher
 from acquisition.engine.events import SessionEnded, State, Subscriber
 from acquisition.engine.measuring import measuring_of
 from acquisition.engine.position_records import PositionRecords
+from acquisition.engine.raw_keeping import MEASURED
 from acquisition.engine.recovery import Recovery
 from acquisition.engine.repeating import attempts_again, first_attempts, is_final, is_futile, next_attempt
 from acquisition.engine.roles import names_of
@@ -26,7 +27,8 @@ from acquisition.quality.agreement import Row, difference, in_band
 from acquisition.quality.conditions import Conditions
 from acquisition.quality.drift_watch import DriftWatch
 from acquisition.quality.judgement import differing
-from acquisition.quality.neighbour_watch import NeighbourWatch
+from acquisition.quality.neighbour_watch import UNCONFIRMED, NeighbourWatch
+from acquisition.quality.point_status import Status
 from acquisition.schedule.plan import Plan
 from calibration.blas import one_blas_thread
 from drivers.errors import InstrumentError, TransientInstrumentError
@@ -92,7 +94,7 @@ class Campaign:
         self._neighbours = NeighbourWatch(plan, bank)
         self._queue: deque[Attempt] = deque()
         self._covered = plan.order
-        self._passing = False
+        self._passing = self._repeats = False
         self._fruitless: frozenset[int] = frozenset()
         self._pending: Future[AttemptResult] | None = None
         self._best: dict[int, AttemptResult] = {}
@@ -138,17 +140,18 @@ class Campaign:
         self._queue = deque(first_attempts(rows, self._bank.attempts))
         if positions is not None:
             self._covered = self._plan.order[np.isin(self._plan.order, positions)]
+        self._repeats = positions is not None or bool(np.any(self._bank.attempts > self._plan.quality.max_attempts))
         state, reason = State.FINISHED, "every position is committed"
         try:
             names = self._recovery.until_done(lambda: names_of(self._setup.instruments))
             self._session.start(len(rows), names)
             with one_blas_thread():
-                self._judge_by_neighbours()
+                self._mark_by_neighbours()
                 if (self._queue or self._due_again()) and not self._stop.requested:
                     self._drift.accept_drift = accept_drift
                     self._drift.check()
                     self._measure_queue()
-                    self._judge_by_neighbours()
+                    self._mark_by_neighbours()
                     self._measure_again()
             if self._stop.requested and (self._queue or self._due_again()):
                 state, reason = State.STOPPED, f"{self._stop.reason} after the position"
@@ -175,12 +178,12 @@ class Campaign:
             finally:
                 self._collect()
 
-    def _judge_by_neighbours(self) -> None:
-        """Once all is measured: what its neighbours contradict is poor, and due for another round."""
-        if self._queue or self._stop.requested or not np.all(self._bank.status[self._covered]):
+    def _mark_by_neighbours(self) -> None:
+        """After the first round: what neighbours contradict, or cannot judge, is poor, and due for another round."""
+        if self._repeats or not self._neighbours.first_round:
             return
-        for position, judgement in self._neighbours.differing(self._covered).items():
-            self._bank.set_status(position, int(judgement.status))
+        self._repeats = True
+        for position, judgement in self._neighbours.mark().items():
             self._session.differs(position, judgement)
 
     def _measure_again(self) -> None:
@@ -193,6 +196,8 @@ class Campaign:
             self._measure_queue()
 
     def _due_again(self) -> list[Attempt]:
+        if not np.all(self._bank.status):
+            return []  # a pass ends a campaign, not a session
         return attempts_again(self._covered, self._bank.status, self._bank.attempts, self._setup, self._plan.quality)
 
     def _goes_on(self) -> bool:
@@ -254,40 +259,46 @@ class Campaign:
 
         Signals reach the main thread only, so that a Ctrl-C never lands inside a commit.
         """
-        result = self._against_held(self._evaluate(recorded))
-        if self._passing and result.judgement.good and result.estimate is not None:
-            judgement = self._neighbours.judge(recorded.attempt.position, result.estimate.green, result.judgement)
-            result = replace(result, judgement=judgement)
+        result = self._evaluate(recorded)
+        row = row_of(result, self._plan)
+        if result.judgement.good and row is not None:
+            result = self._confirmed(result, row)
         if not is_final(recorded.attempt, result.judgement, self._plan.quality):
             return result
         best = min((result, self._best.get(recorded.attempt.position, result)), key=lambda one: one.rank)
-        return commit_attempt(self._bank, best, recorded.attempt.number, self._raw, count_anyway=self._passing)
+        tries = recorded.attempt.number
+        if not np.all(self._bank.status):  # more are counted in a pass alone, which ends a campaign
+            tries = min(tries, self._plan.quality.max_attempts)
+        return commit_attempt(self._bank, best, tries, self._raw, count_anyway=self._passing)
 
-    def _against_held(self, result: AttemptResult) -> AttemptResult:
-        """Judge a good attempt at a position that the bank holds a valid row of: it must agree with that row.
+    def _confirmed(self, result: AttemptResult, row: Row) -> AttemptResult:
+        """Judge a good attempt by what the bank holds of the position, and a repeat by its neighbours.
 
-        Where a valid row may be replaced by another one, two attempts must agree with each other. In a pass with
-        second looks the rows that are to be confirmed count like valid ones that may be replaced.
+        A valid row is replaced only by one that agrees with it; where it may be replaced by another one, two attempts
+        must agree with each other. So must two where neighbours cannot judge a repeat.
         """
-        position, row = result.attempt.position, row_of(result, self._plan)
-        unconfirmed = (
-            self._passing and self._plan.quality.second_look and self._bank.status[position] == Status.POOR_SIGNAL
-        )
-        if row is None or not result.judgement.good:
-            return result
-        if self._bank.status[position] != Status.VALID and not unconfirmed:
-            return result
-        record = self._bank.record(position)
-        sweep = self._plan.excitation
-        held = in_band(self._bank.green(position), sweep.sample_rate_hz, sweep.band_hz)
-        apart = difference(Row(held, record.snr_db, record.moved_mm), row)
-        if not apart:
-            return result
+        position, judgement = result.attempt.position, result.judgement
+        status, twice = Status(int(self._bank.status[position])), position in self._replaceable
+        must_agree = status == Status.VALID
+        if self._repeats and result.estimate is not None and (twice or not must_agree):
+            judgement, judged = self._neighbours.judge(position, result.estimate.green, judgement)
+            if not judged and self._plan.quality.confirms:
+                must_agree = twice = True
+        if not (must_agree and judgement.good):
+            return replace(result, judgement=judgement)
+        apart = None
+        if status & MEASURED:
+            record, sweep = self._bank.record(position), self._plan.excitation
+            held = in_band(self._bank.green(position), sweep.sample_rate_hz, sweep.band_hz)
+            apart = difference(Row(held, record.snr_db, record.moved_mm), row)
+            if not apart:
+                return result
         earlier = self._best.get(position)
         before = None if earlier is None else row_of(earlier, self._plan)
-        if (unconfirmed or position in self._replaceable) and before is not None and not difference(before, row):
+        if twice and before is not None and not difference(before, row):
             return result
-        return replace(result, judgement=differing(apart, result.judgement.score))
+        judgement = differing(apart, judgement.score) if apart else replace(UNCONFIRMED, score=judgement.score)
+        return replace(result, judgement=judgement)
 
     def _evaluate(self, recorded: Recorded) -> AttemptResult:
         place_mm = self._plan.position_mm[recorded.attempt.position]

@@ -30,8 +30,8 @@ class QualityLimits:
         How far the mirror moves aside where the light does not come back, >= 0.
     remeasure_pass : int
         How often, at the end of a campaign, all that is not valid is measured again, >= 0.
-    second_look : bool
-        Whether the pass also measures again, once, what neighbours cannot judge: two measurements must agree.
+    second_look : str
+        ``"auto"``: the pass also measures what neighbours cannot judge, and two measurements must agree; ``"never"``.
     reference_db : float
         How far the level of the reference may be from that of the records before, in dB, > 0. From its calibration
         it may be `CALIBRATION_SPARE` times as far.
@@ -44,5 +44,10 @@ class QualityLimits:
     poor_harmonic_db: float = -42.0
     speckle_step_mm: float = 0.1
     remeasure_pass: int = 1
-    second_look: bool = False
+    second_look: str = "auto"
     reference_db: float = 0.1
+
+    @property
+    def confirms(self) -> bool:
+        """Whether positions that neighbours cannot judge are measured twice."""
+        return self.second_look != "never" and self.remeasure_pass > 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,14 +21,14 @@ SAME = 0.25
 
 
 _SENTENCE = "no neighbour can judge it: a second measurement must agree with it"
-_UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (Defect("unconfirmed", (), _SENTENCE, Cure.AGAIN),))
+UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (Defect("unconfirmed", (), _SENTENCE, Cure.AGAIN),))
 
 
 class NeighbourWatch:
     """Judges what the bank holds, and a repeat before it is committed.
 
-    Rows of earlier rounds alone are predicted from, so that the verdict on a repeat does not depend on which other
-    repeats came before it, or on whether the session was interrupted between them.
+    Verdicts depend on the bank alone, so that a campaign that is killed anywhere goes on as one that is not: a row that
+    is marked counts like before, for its first round stays complete (`marked`), until the pass replaces it.
 
     Parameters
     ----------
@@ -40,31 +42,37 @@ class NeighbourWatch:
         self._plan = plan
         self._bank = bank
 
-    def differing(self, covered: NDArray[np.int64]) -> dict[int, Judgement]:
-        """Judge rows of the bank that had no repeat in a pass yet.
+    @property
+    def first_round(self) -> bool:
+        """Whether every position has been measured, and none in a pass."""
+        return bool(np.all(self._bank.status) and np.all(self._bank.attempts <= self._plan.quality.max_attempts))
 
-        Parameters
-        ----------
-        covered : int64 array
-            Positions to judge, in the order of measurement.
+    def mark(self) -> dict[int, Judgement]:
+        """Mark as poor what neighbours contradict, and, where the plan wants second looks, what they cannot judge.
+
+        Once per campaign, after its first round. Whatever of it an interrupted session marked, the marks come out the
+        same.
 
         Returns
         -------
         dict of int to Judgement
-            Valid positions that differ from their neighbours, in that order; and, where the plan wants a second look,
-            those that their neighbours cannot judge.
+            The positions marked now, in the order of measurement.
         """
-        usable = self._usable()
-        differences, judged = self._differences(np.flatnonzero(usable), {})
+        status, attempts, most = self._bank.status, self._bank.attempts, self._plan.quality.max_attempts
+        rows = (status == Status.VALID) | (status == Status.POOR_SIGNAL) & (attempts == most)
+        differences, judged = self._differences(np.flatnonzero(rows), {})
         found: dict[int, Judgement] = {}
-        for position in covered[usable[covered]].tolist():
+        for position in self._plan.order[status[self._plan.order] == Status.VALID].tolist():
             if position in differences:
                 found[position] = _judgement(differences[position])
-            elif self._plan.quality.second_look and self._plan.quality.remeasure_pass and position not in judged:
-                found[position] = _UNCONFIRMED
+            elif self._plan.quality.confirms and position not in judged:
+                found[position] = UNCONFIRMED
+        for position, judgement in found.items():
+            record = replace(self._bank.record(position), status=int(judgement.status), attempts=most)
+            self._bank.commit(position, self._bank.green(position), record)
         return found
 
-    def judge(self, position: int, green: NDArray[np.float32], before: Judgement) -> Judgement:
+    def judge(self, position: int, green: NDArray[np.float32], before: Judgement) -> tuple[Judgement, bool]:
         """Judge a repeat that is good by its own records.
 
         Where it differs from its neighbours without a cause in level, time, wiring or place, and what the bank holds
@@ -78,24 +86,27 @@ class NeighbourWatch:
             The repeat.
         before : Judgement
             By its own records.
+
+        Returns
+        -------
+        Judgement
+            By its own records and its neighbours.
+        bool
+            Whether neighbours could judge it.
         """
-        usable = self._usable()
+        usable = self._bank.status == Status.VALID
         usable[position] = True
         rows = np.flatnonzero(usable)
         apart_mm = np.hypot(*(self._plan.position_mm[rows] - self._plan.position_mm[position]).T)
         rows = np.sort(rows[np.argsort(apart_mm, kind="stable")[:NEIGHBOURHOOD]])
-        differences = self._differences(rows, {position: green})[0].get(position, ())
+        found, judged = self._differences(rows, {position: green})
+        differences = found.get(position, ())
         if not differences:
-            return before
+            return before, position in judged
         held = self._bank.green(position)
         if all(one.kind == "other" and _same(held, green, one) for one in differences):
-            return before
-        return _judgement(differences)
-
-    def _usable(self) -> NDArray[np.bool_]:
-        return np.asarray(
-            (self._bank.status == Status.VALID) & (self._bank.attempts <= self._plan.quality.max_attempts)
-        )
+            return before, True
+        return _judgement(differences), True
 
     def _differences(
         self, rows: NDArray[np.int64], instead: dict[int, NDArray[np.float32]]

@@ -27,6 +27,8 @@ QUALITY_NAMES = FIRST_QUALITY_NAMES + LATER_QUALITY_NAMES
 _PER_ACTUATOR = FIRST_QUALITY_NAMES[:-1]
 VALID, OVER_RANGE, POOR_SIGNAL, FAILED, DISABLED = 1, 2, 4, 8, 16
 _ALL_BITS = 31
+# The ledger's status field holds `PointRecord.judged` above its lowest byte.
+_STATUS_BITS, _STATUS_MASK = 8, 255
 
 _LEDGER_MAGIC = b"WFLEDGER"
 _JOURNAL_MAGIC = b"WFREPLAC"
@@ -54,6 +56,9 @@ class PointRecord:
         How far beside the position the laser was, 0 to 65 mm; NaN where unknown.
     reference_db : float
         Level of the reference in dB of its calibration, median over the records; NaN where unknown.
+    judged : int
+        Number of positions that were judged against their neighbours together, on those that were marked for it and on
+        the last of them; 0 elsewhere.
 
     Raises
     ------
@@ -69,6 +74,7 @@ class PointRecord:
     peak_v: Float32Array
     moved_mm: float = float("nan")
     reference_db: float = float("nan")
+    judged: int = 0
 
     def __post_init__(self) -> None:
         if not 1 <= self.status <= _ALL_BITS:
@@ -120,7 +126,7 @@ def encode_row(position: int, record: PointRecord, green: Float32Array) -> bytes
     row = np.zeros((), ledger_dtype(actuators))
     row["magic"], row["version"], row["position"] = _LEDGER_MAGIC, 1, position
     row["actuators"], row["taps"] = actuators, taps
-    row["status"], row["attempts"] = record.status, record.attempts
+    row["status"], row["attempts"] = record.status | record.judged << _STATUS_BITS, record.attempts
     row["moved"] = _counted(record.moved_mm, 1)
     row["reference"] = _counted(record.reference_db, _REFERENCE_ZERO)
     row["green_crc"] = zlib.crc32(green.astype("<f4", copy=False).data)
@@ -142,7 +148,7 @@ class Ledger:
         Rows never written, all zeros.
     green_crc : uint32 array (P,)
         Checksum of the Green's functions, 0 where the row does not hold.
-    status : uint8 array (P,)
+    status, judged : uint8 and int64 arrays (P,)
         Status bits, 0 where the row does not hold.
     quality : dict of float32 arrays
         As ``/quality``: (P, N); ``attempts``, ``moved_mm`` and ``reference_db`` (P,).
@@ -155,6 +161,7 @@ class Ledger:
     empty: NDArray[np.bool_]
     green_crc: NDArray[np.uint32]
     status: NDArray[np.uint8]
+    judged: NDArray[np.int64]
     quality: dict[str, Float32Array]
     rms: NDArray[np.float64]
 
@@ -172,7 +179,8 @@ def decode_rows(content: bytes | bytearray | memoryview, actuators: int, taps: i
     whole = np.array([seal_holds(view[at : at + size]) for at in range(0, len(view), size)], bool)
     holds = whole & (rows["magic"] == _LEDGER_MAGIC) & (rows["version"] == 1)
     holds &= (rows["position"] == first + np.arange(len(rows))) & (rows["actuators"] == actuators)
-    holds &= (rows["taps"] == taps) & (rows["status"] >= 1) & (rows["status"] <= _ALL_BITS)
+    status, judged = rows["status"] & _STATUS_MASK, rows["status"] >> _STATUS_BITS
+    holds &= (rows["taps"] == taps) & (status >= 1) & (status <= _ALL_BITS)
     rms = np.full((len(rows), actuators), np.nan)
     stored = holds & rows["rms"].any(axis=1)
     rms[:, : rows["rms"].shape[1]] = np.where(stored[:, None], rows["rms"], np.nan)
@@ -180,7 +188,8 @@ def decode_rows(content: bytes | bytearray | memoryview, actuators: int, taps: i
         holds=holds,
         empty=np.asarray(np.frombuffer(content, np.uint64).reshape(len(rows), -1).max(axis=1) == 0),
         green_crc=np.where(holds, rows["green_crc"], 0).astype(np.uint32),
-        status=np.where(holds, rows["status"], 0).astype(np.uint8),
+        status=np.where(holds, status, 0).astype(np.uint8),
+        judged=np.where(holds, judged, 0).astype(np.int64),
         quality=_quality_of(rows, holds),
         rms=rms,
     )
@@ -195,7 +204,7 @@ def green_crc_of_row(row: bytes | bytearray, position: int, actuators: int, taps
     """Return the Green's functions' checksum from one ledger row; None when the row does not hold."""
     magic, _, version, found, row_actuators, row_taps, status, _, crc = _HEAD.unpack_from(row)
     names = (magic, version, found, row_actuators, row_taps) == (_LEDGER_MAGIC, 1, position, actuators, taps)
-    return crc if names and 1 <= status <= _ALL_BITS and seal_holds(row) else None
+    return crc if names and 1 <= status & _STATUS_MASK <= _ALL_BITS and seal_holds(row) else None
 
 
 def journal_bytes(actuators: int, taps: int) -> int:

@@ -231,7 +231,8 @@ class BankWriter(Closing):
         content = self._file.read(self._row_offset(position), ledger_row_bytes(self.header.actuators))
         kept = decode_rows(content, self.header.actuators, self.header.taps, position)
         figures = {name: kept.quality[name][0] for name in QUALITY_NAMES if name != "attempts"}
-        return PointRecord(int(kept.status[0]), int(kept.quality["attempts"][0]), **figures)
+        attempts, judged = int(kept.quality["attempts"][0]), int(kept.judged[0])
+        return PointRecord(int(kept.status[0]), attempts, **figures, judged=judged)
 
     def reference_before_db(self, position: int) -> float | None:
         """Median level of the reference at the latest valid positions before one; after it, where there are none.
