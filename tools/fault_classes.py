@@ -46,7 +46,7 @@ ACTUATOR_MM = ((110.0, 0.0), (60.0, 60.0), (-60.0, 60.0), (-110.0, 10.0), (-60.0
 TAPS = 1000
 RATE_HZ = 10_000.0
 BAND_HZ = (20.0, 500.0)
-SPACING_MM = 4.0
+SPACING_MM, COARSE_MM = 4.0, 25.0
 SEED = 3
 ALWAYS = 99
 
@@ -112,12 +112,17 @@ class Plate:
         Positions along x and y.
     faulty : int
         How many of them show the fault, anywhere.
+    spacing_mm : float
+        From one to the next.
     """
 
-    def __init__(self, folder: Path, columns: int = 12, rows: int = 9, faulty: int = 10) -> None:
+    def __init__(
+        self, folder: Path, columns: int = 12, rows: int = 9, faulty: int = 10, spacing_mm: float = SPACING_MM
+    ) -> None:
         self._folder = folder
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-        self.position_mm = np.stack([x.ravel(), y.ravel()], axis=1) * SPACING_MM - 10.0
+        middle = [(columns - 1) // 2, (rows - 1) // 2]
+        self.position_mm = (np.stack([x.ravel(), y.ravel()], axis=1) - middle) * spacing_mm
         self.faulty = np.sort(np.random.default_rng(SEED).choice(len(self.position_mm), faulty, replace=False))
         self._truth = _green(self._measured("sequential", "noise_v = 0.0\n"))
         self._quiet: dict[str, NDArray[np.float64]] = {}
@@ -210,6 +215,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(CLASSES)}; all, if absent")
     parser.add_argument("--schedule", choices=("sequential", "staggered"), help="both, if absent")
+    parser.add_argument("--coarse", action="store_true", help="7 x 4 positions 25 mm apart, which no neighbour judges")
     asked = parser.parse_args()
     if unknown := set(asked.kinds) - set(CLASSES):
         parser.error(f"{', '.join(sorted(unknown))}: not known; allowed: {', '.join(CLASSES)}")
@@ -217,7 +223,7 @@ def main() -> int:
     bad = False
     print("fault                level  schedule   attempts     valid wrong aside   worst alarms")
     with tempfile.TemporaryDirectory() as folder:
-        plate = Plate(Path(folder))
+        plate = Plate(Path(folder), 7, 4, spacing_mm=COARSE_MM) if asked.coarse else Plate(Path(folder))
         for case in cases(asked.kinds or list(CLASSES), schedules):
             found = plate.outcome(case)
             bad |= bool(found.wrong or found.alarms)

@@ -201,6 +201,7 @@ def commit_attempt(
         peak_v=nothing if estimate is None else estimate.peak_v,
         moved_mm=math.hypot(*result.attempt.moved_mm),
         reference_db=float("nan") if estimate is None else float(np.median(estimate.reference_db)),
+        judged=bank.record(position).judged if held else 0,
     )
     green = np.zeros((actuators, taps), np.float32) if estimate is None else estimate.green
     if raw is not None and result.recordings:

@@ -28,7 +28,6 @@ from acquisition.quality.conditions import Conditions
 from acquisition.quality.drift_watch import DriftWatch
 from acquisition.quality.judgement import differing
 from acquisition.quality.neighbour_watch import UNCONFIRMED, NeighbourWatch
-from acquisition.quality.point_status import Status
 from acquisition.schedule.plan import Plan
 from calibration.blas import one_blas_thread
 from drivers.errors import InstrumentError, TransientInstrumentError
@@ -94,7 +93,7 @@ class Campaign:
         self._neighbours = NeighbourWatch(plan, bank)
         self._queue: deque[Attempt] = deque()
         self._covered = plan.order
-        self._passing = self._repeats = False
+        self._passing = self._judged = False
         self._fruitless: frozenset[int] = frozenset()
         self._pending: Future[AttemptResult] | None = None
         self._best: dict[int, AttemptResult] = {}
@@ -136,15 +135,17 @@ class Campaign:
             An instrument failed, or was gone, for good; all that was committed is safe.
         """
         self._replaceable = frozenset(replaceable)
-        rows = self._plan.to_do(self._bank.status) if positions is None else positions
+        status = self._bank.status
+        rows = self._plan.to_do(status) if positions is None else positions
         self._queue = deque(first_attempts(rows, self._bank.attempts))
-        if positions is not None:
-            self._covered = self._plan.order[np.isin(self._plan.order, positions)]
-        self._repeats = positions is not None or bool(np.any(self._bank.attempts > self._plan.quality.max_attempts))
+        again = bool(len(rows)) and bool(np.all(status[rows]))
+        if again or np.any(status[np.setdiff1d(self._plan.order, rows)] == 0):
+            self._covered = self._plan.order[np.isin(self._plan.order, rows)]
+        self._judged = again or self._neighbours.is_done(self._covered)
         state, reason = State.FINISHED, "every position is committed"
         try:
             names = self._recovery.until_done(lambda: names_of(self._setup.instruments))
-            self._session.start(len(rows), names)
+            self._session.start(np.asarray(rows, dtype=np.int64), names, second_looks=not self._judged)
             with one_blas_thread():
                 self._mark_by_neighbours()
                 if (self._queue or self._due_again()) and not self._stop.requested:
@@ -179,12 +180,12 @@ class Campaign:
                 self._collect()
 
     def _mark_by_neighbours(self) -> None:
-        """After the first round: what neighbours contradict, or cannot judge, is poor, and due for another round."""
-        if self._repeats or not self._neighbours.first_round:
+        """Once all is measured: what neighbours contradict, or cannot judge, is poor, and due for another round."""
+        if self._judged or self._queue or not np.all(self._bank.status[self._covered]):
             return
-        self._repeats = True
-        for position, judgement in self._neighbours.mark().items():
+        for position, judgement in self._neighbours.mark(self._covered):
             self._session.differs(position, judgement)
+        self._judged = True
 
     def _measure_again(self) -> None:
         """Give everything that is not valid another round, as often as the plan says; the bank knows what had its."""
@@ -196,8 +197,6 @@ class Campaign:
             self._measure_queue()
 
     def _due_again(self) -> list[Attempt]:
-        if not np.all(self._bank.status):
-            return []  # a pass ends a campaign, not a session
         return attempts_again(self._covered, self._bank.status, self._bank.attempts, self._setup, self._plan.quality)
 
     def _goes_on(self) -> bool:
@@ -266,10 +265,7 @@ class Campaign:
         if not is_final(recorded.attempt, result.judgement, self._plan.quality):
             return result
         best = min((result, self._best.get(recorded.attempt.position, result)), key=lambda one: one.rank)
-        tries = recorded.attempt.number
-        if not np.all(self._bank.status):  # more are counted in a pass alone, which ends a campaign
-            tries = min(tries, self._plan.quality.max_attempts)
-        return commit_attempt(self._bank, best, tries, self._raw, count_anyway=self._passing)
+        return commit_attempt(self._bank, best, recorded.attempt.number, self._raw, count_anyway=self._passing)
 
     def _confirmed(self, result: AttemptResult, row: Row) -> AttemptResult:
         """Judge a good attempt by what the bank holds of the position, and a repeat by its neighbours.
@@ -280,7 +276,8 @@ class Campaign:
         position, judgement = result.attempt.position, result.judgement
         status, twice = Status(int(self._bank.status[position])), position in self._replaceable
         must_agree = status == Status.VALID
-        if self._repeats and result.estimate is not None and (twice or not must_agree):
+        repeat = self._judged or bool(status)
+        if repeat and result.estimate is not None and (twice or not must_agree):
             judgement, judged = self._neighbours.judge(position, result.estimate.green, judgement)
             if not judged and self._plan.quality.confirms:
                 must_agree = twice = True

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.engine.attempt import Attempt, AttemptResult
 from acquisition.engine.events import (
@@ -60,9 +61,12 @@ class Session:
         self._publish = publish
         self._pace = Pace(0.0), Pace(0.0)
         self._recording = False
+        self._second_looks = 0
 
-    def start(self, to_do: int, instruments: tuple[str, ...]) -> None:
+    def start(self, rows: NDArray[np.int64], instruments: tuple[str, ...], *, second_looks: bool) -> None:
         """Tell that the session begins, with which instruments and how much to do."""
+        self._second_looks = self._plan.second_looks(rows) if second_looks else 0
+        to_do = len(rows)
         self._publish(
             SessionStarted(
                 self._life.time_s(),
@@ -71,7 +75,7 @@ class Session:
                 self._plan.actuators,
                 self._done(),
                 to_do,
-                self._plan.campaign_s(to_do, self._setup),
+                self._plan.campaign_s(rows, self._setup),
                 instruments,
             )
         )
@@ -91,6 +95,7 @@ class Session:
 
     def measures_again(self, positions: tuple[int, ...]) -> None:
         """Tell that a pass over all that is not valid begins."""
+        self._second_looks = 0  # from here on they are among those that are left
         self._publish(PassStarted(self._life.time_s(), positions))
 
     def attempt_recorded(self) -> None:
@@ -208,6 +213,7 @@ class Session:
         return ended
 
     def _progress(self, left: int) -> None:
+        left += self._second_looks
         (rig, wall), (rig_s, wall_s) = self._pace, self._life.working_s()
         passes = 0
         if sentinel_of(self._plan, self._bank.status) is not None:

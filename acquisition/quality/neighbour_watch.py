@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,8 @@ UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (Defect("unconfirmed
 class NeighbourWatch:
     """Judges what the bank holds, and a repeat before it is committed.
 
-    Verdicts depend on the bank alone, so that a campaign that is killed anywhere goes on as one that is not: a row that
-    is marked counts like before, for its first round stays complete (`marked`), until the pass replaces it.
+    Verdicts depend on the bank alone, so that a campaign that is killed anywhere goes on as one that is not: until a
+    pass replaces it, a row that is marked counts as it did before.
 
     Parameters
     ----------
@@ -42,35 +42,46 @@ class NeighbourWatch:
         self._plan = plan
         self._bank = bank
 
-    @property
-    def first_round(self) -> bool:
-        """Whether every position has been measured, and none in a pass."""
-        return bool(np.all(self._bank.status) and np.all(self._bank.attempts <= self._plan.quality.max_attempts))
+    def is_done(self, covered: NDArray[np.int64]) -> bool:
+        """Whether `mark` came to its end for these positions: the last of them says so."""
+        if not len(covered):
+            return True
+        last = int(covered[-1])
+        return bool(self._bank.status[last]) and self._bank.record(last).judged == len(covered)
 
-    def mark(self) -> dict[int, Judgement]:
+    def mark(self, covered: NDArray[np.int64]) -> Iterator[tuple[int, Judgement]]:
         """Mark as poor what neighbours contradict, and, where the plan wants second looks, what they cannot judge.
 
-        Once per campaign, after its first round. Whatever of it an interrupted session marked, the marks come out the
-        same.
+        Rows that had a repeat in a pass are not judged once more. Whatever of it an interrupted session marked, the
+        marks come out the same.
 
-        Returns
-        -------
-        dict of int to Judgement
-            The positions marked now, in the order of measurement.
+        Parameters
+        ----------
+        covered : int64 array
+            Positions to judge, in the order of measurement, all of them measured.
+
+        Yields
+        ------
+        tuple of int and Judgement
+            Each position as it is marked.
         """
-        status, attempts, most = self._bank.status, self._bank.attempts, self._plan.quality.max_attempts
-        rows = (status == Status.VALID) | (status == Status.POOR_SIGNAL) & (attempts == most)
+        status, attempts = self._bank.status, self._bank.attempts
+        rows = status == Status.VALID
+        for position in np.flatnonzero(status == Status.POOR_SIGNAL).tolist():
+            rows[position] = self._bank.record(position).judged == len(covered)
         differences, judged = self._differences(np.flatnonzero(rows), {})
-        found: dict[int, Judgement] = {}
-        for position in self._plan.order[status[self._plan.order] == Status.VALID].tolist():
-            if position in differences:
-                found[position] = _judgement(differences[position])
-            elif self._plan.quality.confirms and position not in judged:
-                found[position] = UNCONFIRMED
-        for position, judgement in found.items():
-            record = replace(self._bank.record(position), status=int(judgement.status), attempts=most)
-            self._bank.commit(position, self._bank.green(position), record)
-        return found
+        judgement: Judgement | None
+        for position in covered[(status[covered] == Status.VALID)].tolist():
+            if attempts[position] > self._plan.quality.max_attempts:
+                continue
+            judgement = _judgement(differences[position]) if position in differences else None
+            if judgement is None and self._plan.quality.confirms and position not in judged:
+                judgement = UNCONFIRMED
+            if judgement is not None:
+                self._bank.set_status(position, int(judgement.status), len(covered))
+                yield position, judgement
+        if not self.is_done(covered):
+            self._bank.set_status(int(covered[-1]), int(self._bank.status[covered[-1]]), len(covered))
 
     def judge(self, position: int, green: NDArray[np.float32], before: Judgement) -> tuple[Judgement, bool]:
         """Judge a repeat that is good by its own records.

@@ -188,8 +188,8 @@ class BankWriter(Closing):
         kept = self.record(position)
         self.commit(position, self.green(position), replace(kept, status=(kept.status & ~VALID) | DISABLED))
 
-    def set_status(self, position: int, status: int) -> None:
-        """Keep all that is in a measured position's row but for its status bits.
+    def set_status(self, position: int, status: int, judged: int) -> None:
+        """Keep all that is in a measured position's row but for its status bits and `PointRecord.judged`.
 
         Raises
         ------
@@ -201,7 +201,7 @@ class BankWriter(Closing):
         self._require_position(position)
         if not self._status[position]:
             raise InputError(f"position {position} is not measured; commit it first")
-        self.commit(position, self.green(position), replace(self.record(position), status=status))
+        self.commit(position, self.green(position), replace(self.record(position), status=status, judged=judged))
 
     def count_attempts(self, position: int, attempts: int) -> None:
         """Keep all that is known of a measured position but for how often it was tried.

@@ -30,7 +30,7 @@ taps = 1000
 excitation = "{schedule}"
 when_staggered_does_not_pay = "keep"
 [quality]
-second_look = {look}
+second_look = "{look}"
 [virtual]
 seed = 5
 noise_v = {noise_v}
@@ -44,7 +44,7 @@ def captured(
     folder.mkdir()
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
     noise_v = 1e-4 if records else 0.0
-    text = RUN.format(schedule=schedule, look=str(look).lower(), noise_v=noise_v)
+    text = RUN.format(schedule=schedule, look="auto" if look else "never", noise_v=noise_v)
     for position, record in records.items():
         text += (
             f'[[virtual.fault_plan]]\nrole = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = {level_db}\n'

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+import numpy as np
+
 from acquisition.durations import hours
 from acquisition.engine.roles import names_of
 from acquisition.schedule.expectation import ASSUMED_SNR_DB, Expectation, expect, schedule_name
@@ -47,8 +49,10 @@ def plan(
     rig = blueprint.configuration.rig
     position_s = the_plan.position_s(rig.recorder)
     needed, scenes = _needed_by_scenes(scene_files, the_plan, checks=checks, allow_large=allow_large)
-    duration_s = the_plan.campaign_s(len(needed), rig.recorder)
-    sentinel_passes = the_plan.drift.passes(len(needed), position_s)
+    rows = np.array(sorted(needed), dtype=np.int64)
+    duration_s = the_plan.campaign_s(rows, rig.recorder, waves.speed_m_s)
+    second_looks = the_plan.second_looks(rows, waves.speed_m_s)
+    sentinel_passes = the_plan.drift.passes(len(needed) + second_looks, position_s)
     stop_hz = the_plan.excitation.band_hz[1]
     top_hz = top_hz_of(scenes, the_plan.excitation.sample_rate_hz, stop_hz) if scenes else stop_hz
     grids = grid_advice(the_plan.position_mm, position_s, top_hz=top_hz, waves=waves)
@@ -66,6 +70,7 @@ def plan(
         "taps": the_plan.taps,
         "band_hz": list(the_plan.excitation.band_hz),
         "averages": the_plan.excitation.averages,
+        "second_looks": second_looks,
         "sentinel_passes": sentinel_passes,
         "duration_s": duration_s,
         "hours": duration_s / 3600.0,
@@ -84,9 +89,14 @@ def plan(
     lines.append(f"positions   {the_plan.positions}, {the_plan.actuators} actuators, {facts['records']} records")
     lines.append(f"sweeps      {schedule_name(the_plan)}, {start:g}-{stop:g} Hz, {the_plan.excitation.amplitude_v:g} V")
     if scenes:
-        all_s = the_plan.campaign_s(the_plan.positions, rig.recorder)
+        all_s = the_plan.campaign_s(the_plan.order, rig.recorder, waves.speed_m_s)
         lines.append(f"scenes      need {len(needed)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
     lines.append(f"duration    {hours(duration_s)}; started now it finishes {finish:%a %d %b %H:%M}")
+    if second_looks:
+        lines.append(
+            f"second look {second_looks} positions that no neighbour can judge are measured twice, "
+            f"{hours(second_looks * position_s)} of that"
+        )
     if sentinel_passes:
         lines.append(
             f"sentinel    measured again {sentinel_passes} times, {hours(sentinel_passes * position_s)} of that"
