@@ -48,6 +48,9 @@ decay_s = 0.1
 taps = 1000
 keep_raw = {raw}
 
+[quality]
+second_look = "never"
+
 [virtual]
 seed = 3
 noise_v = 1e-4

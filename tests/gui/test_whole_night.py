@@ -42,6 +42,9 @@ averages = 2
 decay_s = 0.15
 taps = 1000
 
+[quality]
+second_look = "never"
+
 [virtual]
 seed = 3
 

@@ -34,6 +34,9 @@ averages = 2
 decay_s = 0.1
 taps = 1000
 
+[quality]
+second_look = "never"
+
 [virtual]
 seed = 3
 noise_v = 1e-4

@@ -168,7 +168,7 @@ def test_given_a_pass_that_does_not_help_then_it_comes_once_and_another_capture_
 
 
 def test_given_no_passes_in_the_run_file_then_none_comes(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _changed(lab, "run.toml", "[virtual]", "[quality]\nremeasure_pass = 0\n\n[virtual]")
+    _changed(lab, "run.toml", "[quality]", "[quality]\nremeasure_pass = 0")
     with_faults(lab, f'{READ}kind = "dropout"\nposition = 1\ncount = 3')
     bank, events, _ = _captured(lab, capsys)
     assert not _of_kind(events, "pass_started")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
+from tests.system.lines import Lines
 from wavefocus.__main__ import run
 
 RIG = """
@@ -30,7 +32,7 @@ taps = 1000
 excitation = "{schedule}"
 when_staggered_does_not_pay = "keep"
 [quality]
-second_look = "{look}"
+{quality}
 [virtual]
 seed = 5
 noise_v = {noise_v}
@@ -39,12 +41,11 @@ FAULTY = (1, 4, 5, 9)
 
 
 def captured(
-    folder: Path, schedule: str, records: dict[int, int], *, look: bool, level_db: float = 0.0
+    folder: Path, schedule: str, records: dict[int, int], *, look: bool, level_db: float = 0.0, noise_v: float = 1e-4
 ) -> tuple[np.ndarray, np.ndarray]:
     folder.mkdir()
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    noise_v = 1e-4 if records else 0.0
-    text = RUN.format(schedule=schedule, look="auto" if look else "never", noise_v=noise_v)
+    text = RUN.format(schedule=schedule, quality="" if look else 'second_look = "never"', noise_v=noise_v)
     for position, record in records.items():
         text += (
             f'[[virtual.fault_plan]]\nrole = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = {level_db}\n'
@@ -66,7 +67,7 @@ def gains(rows: np.ndarray, clean: np.ndarray) -> np.ndarray:
 def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(
     tmp_path: Path, schedule: str, level_db: float
 ) -> None:
-    clean, _ = captured(tmp_path / "clean", schedule, {}, look=False)
+    clean, _ = captured(tmp_path / "clean", schedule, {}, look=False, noise_v=0.0)
     strength = np.linalg.norm(clean, axis=2)
     loudest = {position: int(np.argmax(strength[position])) for position in FAULTY}
     records = loudest if schedule == "sequential" else dict.fromkeys(FAULTY, 0)
@@ -78,3 +79,38 @@ def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(
     assert (status_once == 1).all()
     assert (status == 1).all()
     assert gains(twice, clean)[strength > 0.2 * strength.max(axis=1, keepdims=True)] == pytest.approx(1.0, abs=0.02)
+
+
+# Marks that are told before the process is killed; all of the grid's 14 positions are marked before the pass begins.
+@pytest.mark.parametrize("schedule", ["sequential", "staggered"])
+def test_given_a_kill_while_positions_are_marked_or_in_the_second_look_then_the_bank_ends_as_an_undisturbed_one(
+    tmp_path: Path, schedule: str
+) -> None:
+    captured(tmp_path / "quiet", schedule, {}, look=True)
+    quiet = (tmp_path / "quiet" / "plate.h5").read_bytes()
+    for event, number in (("position_committed", 15), ("position_committed", 21), ("position_started", 19)):
+        bank = tmp_path / "killed.h5"
+        bank.unlink(missing_ok=True)
+        with Lines("capture", tmp_path / "quiet" / "run.toml", "--bank", bank, "--json") as killed:
+            for _ in range(number):
+                killed.hear(event)
+            killed.process.kill()
+        with h5py.File(bank, "r", locking=False) as file:
+            assert (file["status"][...] != 0).all()
+        assert run(["resume", str(bank)]) == 0
+        assert bank.read_bytes() == quiet
+        assert run(["resume", str(bank)]) == 0
+        assert bank.read_bytes() == quiet
+
+
+def test_given_fewer_positions_than_neighbours_then_each_is_measured_twice_and_the_plan_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    captured(tmp_path / "lab", "sequential", {}, look=True)
+    with h5py.File(tmp_path / "lab" / "plate.h5", "r") as file:
+        assert (file["quality/attempts"][...] == 4).all()
+        positions = len(file["status"])
+    capsys.readouterr()
+    assert run(["plan", str(tmp_path / "lab" / "run.toml"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["second_looks"] == facts["positions"] == positions
