@@ -107,7 +107,7 @@ class Plan:
         speed_m_s : float
             Phase speed of the plate's waves at the upper end of the band, > 0.
         """
-        if not self.quality.confirms:
+        if not self.quality.confirms or not len(rows):
             return 0
         from calibration.neighbours.prediction import have_neighbours  # with it comes SciPy
 

@@ -188,7 +188,7 @@ class BankWriter(Closing):
         kept = self.record(position)
         self.commit(position, self.green(position), replace(kept, status=(kept.status & ~VALID) | DISABLED))
 
-    def set_status(self, position: int, status: int, judged: int) -> None:
+    def set_status(self, position: int, status: int, judged: int = 0) -> None:
         """Keep all that is in a measured position's row but for its status bits and `PointRecord.judged`.
 
         Raises

@@ -44,6 +44,8 @@ decay_s = 0.1
 taps = 1000
 [drift]
 every_positions = 2
+[quality]
+second_look = "never"
 [virtual]
 noise_v = 1e-4
 """
