@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-import numpy as np
-
 from acquisition.durations import hours
 from acquisition.engine.roles import names_of
 from acquisition.schedule.expectation import ASSUMED_SNR_DB, Expectation, expect, schedule_name
