@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from acquisition.durations import hours
 from acquisition.engine.roles import names_of
 from acquisition.schedule.expectation import ASSUMED_SNR_DB, Expectation, expect, schedule_name
-from acquisition.schedule.plan import GROUP, Plan
+from acquisition.schedule.plan import GEL_SPEED_M_S, GROUP, Plan
 from calibration.blas import one_blas_thread
 from config.rig import RigConfig
 from config.run import RunConfig
@@ -182,9 +182,8 @@ def compared(blueprint: Blueprint) -> list[Expectation]:
     return found
 
 
-GEL_SPEED_M_S = 4.8
 GEL_ATTENUATION_DB_PER_CM = 3.8
-"""A gel plate as in the paper: group velocity about 4.8 m/s, loss about 3.8 dB/cm."""
+"""Loss of a gel plate as in the paper."""
 EMITTED_SHARE = 0.999
 """A scene's band ends where this share of what its signals emit lies below."""
 BANK_ERROR_DB = -60.0
