@@ -23,10 +23,9 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from acquisition.engine.measuring import measuring_of
-from acquisition.engine.pointing import point_at
-from acquisition.engine.raw_keeping import keep_recordings, raw_header
-from acquisition.engine.record import take_record
+from acquisition.measuring.plays import measuring_of
+from acquisition.measuring.raw_keeping import keep_recordings, raw_header
+from acquisition.measuring.record import point_at, take_record
 from acquisition.schedule.plan import Plan
 from acquisition.schedule.trial import check_position, run_trial
 from benchmarks.processes import run_command

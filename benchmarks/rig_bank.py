@@ -11,8 +11,8 @@ from scipy import fft as scipy_fft
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import Subscriber
-from acquisition.engine.setup import Setup
-from acquisition.engine.stopping import StopRequest
+from acquisition.engine.stop_signals import StopRequest
+from acquisition.measuring.setup import Setup
 from acquisition.schedule.grid import stadium_grid
 from acquisition.schedule.plan import Plan
 from calibration.excitation.staggered_signal import StaggeredSignal

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.engine.events import Event, Fault, PositionCommitted, PositionStarted
-from acquisition.engine.record import record_samples, take_record
-from acquisition.engine.setup import Setup
+from acquisition.measuring.record import record_samples, take_record
+from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import Plan
 from benchmarks.rig_bank import RATE_HZ, TAPS, measure
 from calibration.clock.timing import ClockFitter

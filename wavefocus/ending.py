@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from acquisition.engine.ending_signals import EndingSignals
+from acquisition.engine.stop_signals import EndingSignals
 from drivers.errors import InstrumentError
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from acquisition.doctor.findings import Act, Finding, Findings
 from acquisition.doctor.sound import Told, check_loopback, check_response, check_silence
-from acquisition.engine.setup import Setup
+from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentLostError
 from drivers.protocols import Clock, DeviceIdentity, Instruments, Mirror, Player, Recorder

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.doctor.findings import Act, Verdict
-from acquisition.engine.pointing import point_at
-from acquisition.engine.record import ANSWER_MARGIN_S, take_record
-from acquisition.engine.setup import Setup
+from acquisition.measuring.record import ANSWER_MARGIN_S, point_at, take_record
+from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError, fit_clock
 from calibration.excitation.sweeps import Excitation
 from drivers.protocols import Recorder, Recording, RecordRequest, Take

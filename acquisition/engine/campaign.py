@@ -9,20 +9,29 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.engine.attempt import Attempt, AttemptResult, Recorded, commit_attempt, evaluate, row_of
-from acquisition.engine.event_publisher import EventPublisher
-from acquisition.engine.events import SessionEnded, State, Subscriber
-from acquisition.engine.measuring import measuring_of
-from acquisition.engine.position_records import PositionRecords
-from acquisition.engine.raw_keeping import MEASURED
+from acquisition.engine.events import EventPublisher, SessionEnded, State, Subscriber
+from acquisition.engine.measuring import PositionRecords
 from acquisition.engine.recovery import Recovery
-from acquisition.engine.repeating import attempts_again, first_attempts, is_final, is_futile, next_attempt
-from acquisition.engine.roles import names_of
 from acquisition.engine.session import Session
-from acquisition.engine.setup import Setup
 from acquisition.engine.states import Lifecycle
-from acquisition.engine.stopping import StoppedWhileWaitingError, StopRequest
+from acquisition.engine.stop_signals import StoppedWhileWaitingError, StopRequest
 from acquisition.engine.suspension import StandBy
+from acquisition.measuring.attempt import (
+    Attempt,
+    AttemptResult,
+    Recorded,
+    attempts_again,
+    commit_attempt,
+    evaluate,
+    first_attempts,
+    is_final,
+    is_futile,
+    next_attempt,
+    row_of,
+)
+from acquisition.measuring.plays import measuring_of
+from acquisition.measuring.raw_keeping import MEASURED
+from acquisition.measuring.setup import Setup, names_of
 from acquisition.quality.agreement import Row, difference, in_band
 from acquisition.quality.conditions import Conditions
 from acquisition.quality.drift_watch import DriftWatch

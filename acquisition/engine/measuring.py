@@ -1,119 +1,104 @@
-"""What plays at each position and how it is estimated, whatever the schedule."""
+"""The records of a position: point, play, record, and take again what a passing fault voided."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
-from acquisition.engine.record import Rolls
-from acquisition.engine.setup import Setup
-from acquisition.schedule.plan import Plan, lead_samples
-from calibration.blas import one_blas_thread
-from calibration.estimator.position import Channels, JointEstimator, PositionEstimator
-from calibration.estimator.sequential import Estimator
-from drivers.protocols import Float64Array, Recording
+from acquisition.engine.session import Session
+from acquisition.measuring.attempt import Attempt
+from acquisition.measuring.plays import Play
+from acquisition.measuring.record import point_at, start_move, take_record
+from acquisition.measuring.setup import Setup
+from acquisition.schedule.plan import Plan
+from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.protocols import Recording, Take
 
-
-@dataclass(frozen=True, slots=True)
-class Play:
-    """What one record plays, and which part of it counts.
-
-    Parameters
-    ----------
-    actuator : int
-        The actuator that sounds; the first of them where several do.
-    signals_v : mapping from player channel to float64 array, shape (samples,)
-        Output volts, all of one length, the loopback channel included.
-    heard : slice, optional
-        Samples of the record that count; it ends with them. All, if absent.
-    """
-
-    actuator: int
-    signals_v: Mapping[int, Float64Array]
-    heard: slice | None = None
-
-    @property
-    def samples(self) -> int | None:
-        """Samples of the record; None where it lasts as long as the signal asks for."""
-        return None if self.heard is None else self.heard.stop
-
-    def cut(self, recording: Recording) -> Recording:
-        """What of a recording counts."""
-        return recording if self.heard is None else replace(recording, volts=recording.volts[:, self.heard].copy())
+# A record is repeated so often before the whole attempt is given up for a passing fault.
+RECORD_REPEATS = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Measuring:
-    """How every position of a campaign is measured.
-
-    Parameters
-    ----------
-    plays : tuple of Play
-        The records of a position, in order.
-    estimator : PositionEstimator
-        What their recordings become.
-    """
-
-    plays: tuple[Play, ...]
-    estimator: PositionEstimator
-
-
-def channels_of(setup: Setup) -> Channels:
-    """How the recorder's channels see drive and response."""
-    return Channels(setup.reference_gain, setup.response_per_volt, setup.response_delay_s)
-
-
-def measuring_of(plan: Plan, setup: Setup) -> Measuring:
-    """The records that a plan asks for on a rig, and their estimator."""
-    return Measuring(_plays(plan, setup), position_estimator(plan, channels_of(setup)))
-
-
-def position_estimator(plan: Plan, channels: Channels) -> PositionEstimator:
-    """The estimator for the recordings of a plan.
+class PositionRecords:
+    """Takes the records of positions.
 
     Parameters
     ----------
     plan : Plan
-        What was played.
-    channels : Channels
-        How the recorder's channels see it.
+        Where the positions are, at which rate.
+    setup : Setup
+        With what.
+    plays : tuple of Play
+        What each record of a position plays.
+    session : Session
+        Told of faults.
     """
-    with one_blas_thread():
-        if plan.staggered is not None:
-            return JointEstimator(
-                plan.staggered.base_v(),
-                plan.excitation.sample_rate_hz,
-                plan.excitation.band_hz,
-                plan.staggered.schedule(),
-                plan.taps,
-                channels,
-            )
-        return Estimator(
-            plan.excitation,
-            plan.taps,
-            reference_gain=channels.reference_gain,
-            response_per_volt=channels.response_per_volt,
-            inter_channel_delay_s=channels.inter_channel_delay_s,
-        )
 
+    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], session: Session) -> None:
+        self._plan = plan
+        self._setup = setup
+        self.plays = plays
+        self._session = session
 
-def heard_samples(plan: Plan, rolls: Rolls) -> slice | None:
-    """Which samples of a record count: of staggered ones, those where all that was silent before has died away."""
-    if plan.staggered is None:
-        return None
-    first = round(rolls.pre_roll_s * plan.excitation.sample_rate_hz) + lead_samples(plan.staggered, rolls)
-    return slice(first, first + plan.staggered.heard_samples)
+    def take(self, attempt: Attempt, purpose: str, between: Callable[[], None]) -> tuple[Recording, ...]:
+        """Point at a position and take all its records.
 
+        Parameters
+        ----------
+        attempt : Attempt
+            Which position, and which try at it.
+        purpose : str
+            ``"capture"`` or ``"sentinel"``, for the instruments' logs.
+        between : callable
+            Called after each record.
 
-def _plays(plan: Plan, setup: Setup) -> tuple[Play, ...]:
-    channels, loopback = setup.actuator_channels, setup.loopback_channel
-    if plan.staggered is None:
-        signal_v = plan.excitation.signal_v()
-        return tuple(
-            Play(actuator, {channel: signal_v, loopback: signal_v}) for actuator, channel in enumerate(channels)
-        )
-    heard = heard_samples(plan, setup)
-    return tuple(
-        Play(min(sounding), {loopback: base_v} | {channels[one]: volts for one, volts in sounding.items()}, heard)
-        for base_v, sounding in plan.staggered.played_v(lead_samples(plan.staggered, setup))
-    )
+        Raises
+        ------
+        InstrumentError
+            Of the instrument that failed; a passing fault only when repeated records did not cure it.
+        """
+        point_at(self._setup, *self._place_mm(attempt))
+        recordings: list[Recording] = []
+        for number, play in enumerate(self.plays, 1):
+            take = Take(attempt.position, attempt.number, play.actuator, purpose)
+            recordings.append(self._record(play, take, attempt))
+            if purpose == "capture":
+                self._session.record_taken(attempt, number, len(self.plays))
+            between()
+        return tuple(recordings)
+
+    def probe(self, attempt: Attempt) -> Recording:
+        """Point at a position and take one record, to see how things stand; it goes nowhere.
+
+        Raises
+        ------
+        InstrumentError
+            As :meth:`take` does.
+        """
+        point_at(self._setup, *self._place_mm(attempt))
+        play = self.plays[0]
+        return self._record(play, Take(attempt.position, attempt.number, play.actuator, "probe"), attempt)
+
+    def set_out_for(self, attempt: Attempt) -> None:
+        """Let the mirror set out for a position; when it fails, pointing there will meet that again."""
+        try:
+            start_move(self._setup, *self._place_mm(attempt))
+        except InstrumentError as fault:
+            self._session.fault(fault, attempt, retried=True)
+
+    def _place_mm(self, attempt: Attempt) -> tuple[float, float]:
+        """Where the beam goes for an attempt."""
+        x_mm, y_mm = self._plan.position_mm[attempt.position]
+        return float(x_mm) + attempt.moved_mm[0], float(y_mm) + attempt.moved_mm[1]
+
+    def _record(self, play: Play, take: Take, attempt: Attempt) -> Recording:
+        """Take one record, and take it again after a passing fault: an underflow voids a record, not a position."""
+        rate_hz = self._plan.excitation.sample_rate_hz
+        setup = self._setup
+        if attempt.response_range_v is not None:
+            setup = replace(setup, range_v=(setup.range_v[0], attempt.response_range_v))
+        for _ in range(RECORD_REPEATS):
+            try:
+                return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))
+            except TransientInstrumentError as fault:
+                self._session.fault(fault, attempt, retried=True)
+        return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))

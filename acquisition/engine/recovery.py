@@ -9,10 +9,9 @@ from typing import TypeVar
 
 from acquisition.durations import hours
 from acquisition.engine.events import Fault, ReconnectTried, State, Subscriber
-from acquisition.engine.roles import as_lost, instrument_of, silence
-from acquisition.engine.setup import Setup
 from acquisition.engine.states import Lifecycle
-from acquisition.engine.stopping import StoppedWhileWaitingError, StopRequest
+from acquisition.engine.stop_signals import StoppedWhileWaitingError, StopRequest
+from acquisition.measuring.setup import Setup, as_lost, instrument_of, silence
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 
 Result = TypeVar("Result")

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from acquisition.durations import hours
-from acquisition.engine.attempt import Attempt
-from acquisition.engine.errors import SuspendedTooLongError
-from acquisition.engine.events import State
-from acquisition.engine.position_records import PositionRecords
+from acquisition.engine.events import State, SuspendedTooLongError
+from acquisition.engine.measuring import PositionRecords
 from acquisition.engine.recovery import Recovery
-from acquisition.engine.roles import asking, silence
 from acquisition.engine.session import Session
-from acquisition.engine.setup import Setup
 from acquisition.engine.states import Lifecycle
-from acquisition.engine.stopping import StoppedWhileWaitingError, StopRequest
+from acquisition.engine.stop_signals import StoppedWhileWaitingError, StopRequest
+from acquisition.measuring.attempt import Attempt
+from acquisition.measuring.setup import Setup, asking, silence
 from acquisition.quality.conditions import Conditions
 from drivers.errors import InstrumentError
 from drivers.protocols import Recording

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from acquisition.engine.measuring import Play
-from acquisition.engine.setup import Setup
+from acquisition.measuring.plays import Play
+from acquisition.measuring.setup import Setup
 from acquisition.quality.watch import Watch
 from calibration.excitation.sweeps import Excitation
 from drivers.errors import InstrumentError

@@ -1,8 +1,12 @@
-"""When a position is good enough, as a run file says it."""
+"""Limits of point quality and of drift, as a run file has them, and how far a sentinel position drifted."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,3 +55,126 @@ class QualityLimits:
     def confirms(self) -> bool:
         """Whether positions that neighbours cannot judge are measured twice."""
         return self.second_look != "never" and self.remeasure_pass > 0
+
+
+@dataclass(frozen=True, slots=True)
+class DriftLimits:
+    """How often the sentinel position is measured again, and how far it may be from its first measurement.
+
+    At the default noise a re-measured position correlates above 0.999.
+
+    Parameters
+    ----------
+    every_positions : int
+        Measured again after so many positions, > 0.
+    every_s : float
+        And after so long on the rig's clock, whichever comes first, > 0.
+    warn_level_db, stop_level_db : float
+        Largest change of level, either way, before it is told, and before nothing more is measured.
+    warn_delay_samples, stop_delay_samples : float
+        Largest shift in time, either way.
+    warn_correlation, stop_correlation : float
+        Smallest correlation.
+    """
+
+    every_positions: int = 50
+    every_s: float = 3600.0
+    warn_level_db: float = 0.5
+    stop_level_db: float = 3.0
+    warn_delay_samples: float = 0.5
+    stop_delay_samples: float = 5.0
+    warn_correlation: float = 0.98
+    stop_correlation: float = 0.9
+
+    def passes(self, positions: int, position_s: float) -> int:
+        """How often the sentinel is measured among so many positions of so many seconds each."""
+        if positions < 2 or position_s <= 0:
+            return 0
+        between = min(self.every_positions, max(1, math.ceil(self.every_s / position_s)))
+        return (positions - 1) // between
+
+
+@dataclass(frozen=True, slots=True)
+class DriftFigures:
+    """How a re-measured sentinel differs from the first measurement.
+
+    Parameters
+    ----------
+    level_db : float
+        Energy now over energy then, in dB.
+    delay_samples : float
+        Lag of the largest cross-correlation, refined by a parabola; positive when the
+        response comes later now.
+    correlation : float
+        Cross-correlation at that lag over the root of both energies, 0 to 1.
+    """
+
+    level_db: float
+    delay_samples: float
+    correlation: float
+
+    def verdict(self, limits: DriftLimits) -> str:
+        """``"steady"``, ``"warn"`` or ``"stop"``."""
+        for word, level_db, delay_samples, correlation in (
+            ("stop", limits.stop_level_db, limits.stop_delay_samples, limits.stop_correlation),
+            ("warn", limits.warn_level_db, limits.warn_delay_samples, limits.warn_correlation),
+        ):
+            beyond = abs(self.level_db) > level_db or abs(self.delay_samples) > delay_samples
+            if beyond or self.correlation < correlation:
+                return word
+        return "steady"
+
+    def cause(self, limits: DriftLimits) -> str:
+        """What such figures come from; empty where they are steady.
+
+        The shape of a response changes from place to place, so that a low correlation is another place (or another
+        plate); a gain changes the level alone, a clock or a filter the delay alone.
+        """
+        word = self.verdict(limits)
+        if word == "steady":
+            return ""
+        stop = word == "stop"
+        if self.correlation < (limits.stop_correlation if stop else limits.warn_correlation):
+            return "plate or mirror moved"
+        if abs(self.delay_samples) > (limits.stop_delay_samples if stop else limits.warn_delay_samples):
+            return "timing changed"
+        return "level changed"
+
+    def __str__(self) -> str:
+        return (
+            f"level {self.level_db:+.2f} dB, delay {self.delay_samples:+.2f} samples, "
+            f"correlation {self.correlation:.3f}"
+        )
+
+
+def compare_sentinel(then: NDArray[np.float32], now: NDArray[np.float32]) -> DriftFigures:
+    """Compare two measurements of one position.
+
+    Parameters
+    ----------
+    then, now : float32 array, shape (actuators, taps)
+        Green's functions of the first and of the new measurement.
+
+    Returns
+    -------
+    DriftFigures
+        Pooled over all actuators, so that the strong responses, which carry the
+        information, decide.
+    """
+    first, second = then.astype(np.float64), now.astype(np.float64)
+    energy_then, energy_now = float(np.sum(first**2)), float(np.sum(second**2))
+    if energy_then == 0.0 or energy_now == 0.0:
+        return DriftFigures(-np.inf if energy_now == 0.0 else np.inf, 0.0, 0.0)
+    length = 2 * first.shape[1]
+    spectrum = np.sum(np.conj(np.fft.rfft(first, length)) * np.fft.rfft(second, length), axis=0)
+    lagged = np.fft.irfft(spectrum, length)
+    peak = int(np.argmax(lagged))
+    before, centre, after = lagged[peak - 1], lagged[peak], lagged[(peak + 1) % length]
+    curvature = before - 2.0 * centre + after
+    offset = 0.0 if curvature == 0.0 else 0.5 * (before - after) / curvature
+    delay = peak + offset if peak < length // 2 else peak + offset - length
+    return DriftFigures(
+        level_db=10.0 * np.log10(energy_now / energy_then),
+        delay_samples=float(delay),
+        correlation=float(centre / np.sqrt(energy_then * energy_now)),
+    )

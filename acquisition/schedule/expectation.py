@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from acquisition.engine.record import Rolls
+from acquisition.measuring.record import Rolls
 from acquisition.schedule.plan import Plan
 from calibration.estimator.expected_error import Method, Noise, expected_error
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine.record import Rolls, record_samples
-from acquisition.quality.limits import QualityLimits
-from acquisition.quality.sentinel import DriftLimits
+from acquisition.measuring.record import Rolls, record_samples
+from acquisition.quality.limits import DriftLimits, QualityLimits
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
 from drivers.protocols import Float64Array

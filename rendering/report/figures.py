@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.sentinel import DriftLimits
+from acquisition.quality.limits import DriftLimits
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
 from rendering.field.metrics import normalised_error
 from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
@@ -263,7 +263,7 @@ class DriftPoint:
     at : datetime
         When, with a time zone.
     level_db, delay_samples, correlation : float
-        As of `acquisition.quality.sentinel.DriftFigures`.
+        As of `acquisition.quality.limits.DriftFigures`.
     verdict : str
         ``"steady"``, ``"warn"`` or ``"stop"``.
     suspect : tuple of int

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.sentinel import DriftLimits
+from acquisition.quality.limits import DriftLimits
 from rendering.field import metrics
 from rendering.greens.regularisation import focus_gain_map
 from rendering.report import figures as report_figures

@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine.event_publisher import EventPublisher
-from acquisition.engine.events import State, Subscriber
-from acquisition.engine.pointing import point_at
-from acquisition.engine.record import take_record
+from acquisition.engine.events import EventPublisher, State, Subscriber
 from acquisition.engine.recovery import Recovery
-from acquisition.engine.setup import Setup
 from acquisition.engine.states import Lifecycle
-from acquisition.engine.stopping import StopRequest
+from acquisition.engine.stop_signals import StopRequest
+from acquisition.measuring.record import point_at, take_record
+from acquisition.measuring.setup import Setup
 from calibration.blas import one_blas_thread
 from calibration.clock.timing import ReferenceMissingError
 from drivers.errors import TransientInstrumentError

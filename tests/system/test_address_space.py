@@ -42,7 +42,7 @@ def test_given_no_thread_can_be_started_then_instruments_still_fall_silent_and_n
     tmp_path: Path,
 ) -> None:
     code = """
-from acquisition.engine.timeouts import bounded
+from drivers.timeouts import bounded
 from drivers.errors import InstrumentError
 from mocks.virtual.rig import VirtualRig
 done = []

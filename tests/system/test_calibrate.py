@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acquisition.calibration_procedures.marks import default_marks_mm
+from acquisition.calibrate.mirror import default_marks_mm
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import CalibrationRecord, load_calibration
 from mocks.virtual.chain import output_errors

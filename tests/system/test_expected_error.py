@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from acquisition.engine.measuring import measuring_of
-from acquisition.engine.pointing import point_at
-from acquisition.engine.record import take_record
-from acquisition.engine.setup import Setup
+from acquisition.measuring.plays import measuring_of
+from acquisition.measuring.record import point_at, take_record
+from acquisition.measuring.setup import Setup
 from acquisition.schedule.expectation import method_of
 from acquisition.schedule.plan import Plan
-from acquisition.schedule.trial import scheduled
-from acquisition.schedule.trial_verdict import Band, decibel_of_median, relative
+from acquisition.schedule.trial import Band, decibel_of_median, relative, scheduled
 from calibration.estimator.expected_error import Noise, expected_error
 from config.rig import Emulation
 from drivers.protocols import Take

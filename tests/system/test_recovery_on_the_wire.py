@@ -10,8 +10,8 @@ import pytest
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import Event, PositionStarted, ReconnectTried, State, StateChanged, Subscriber
-from acquisition.engine.setup import Setup
-from acquisition.engine.stopping import StopRequest
+from acquisition.engine.stop_signals import StopRequest
+from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
 from config.run import Virtual
 from drivers.errors import InstrumentLostError

@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.by_hand.gate import GatedPlayer, ShutError
-from acquisition.by_hand.level import LevelMeter
-from acquisition.by_hand.single_sweep import SingleSweeps, SweepOrder
-from acquisition.engine.pointing import point_at
-from acquisition.engine.setup import Setup
+from acquisition.manual.level import GatedPlayer, LevelMeter, ShutError
+from acquisition.manual.single_sweep import SingleSweeps, SweepOrder
+from acquisition.measuring.record import point_at
+from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
 from drivers.protocols import DeviceIdentity, Float64Array, Instruments
 from mocks.virtual.rig import VirtualRig, VirtualSettings

@@ -7,9 +7,9 @@ from datetime import timedelta
 
 import pytest
 
-from acquisition.engine.timeouts import bounded
 from config.rig import RigConfig, default_rig
 from drivers.protocols import DeviceIdentity
+from drivers.timeouts import bounded
 from mocks.virtual.rig import VirtualRig
 from mocks.virtual.settings import VirtualSettings
 from tests.unit.test_config_calibration import AT, measured

@@ -7,15 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.calibration_procedures.actuators import ActuatorsTask, listening_places, measure_actuators
-from acquisition.calibration_procedures.fiducials import read_fiducials
-from acquisition.calibration_procedures.inputs import measure_inputs
-from acquisition.calibration_procedures.marks import default_marks_mm
-from acquisition.calibration_procedures.mirror import fitted_marks
-from acquisition.calibration_procedures.operator import Here, Jog, JogView
-from acquisition.calibration_procedures.outputs import OutputFigures, OutputsTask, measure_outputs
-from acquisition.calibration_procedures.probe import NotMeasuredError, Probe
-from acquisition.engine.setup import Setup
+from acquisition.calibrate.actuators import ActuatorsTask, listening_places, measure_actuators
+from acquisition.calibrate.channels import OutputFigures, OutputsTask, measure_inputs, measure_outputs
+from acquisition.calibrate.mirror import default_marks_mm, fitted_marks, read_fiducials
+from acquisition.calibrate.operator import Here, Jog, JogView
+from acquisition.calibrate.probe import NotMeasuredError, Probe
+from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
 from config.stadium import inside_stadium
 from drivers.errors import InstrumentLostError

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from acquisition.engine.measuring import Play
-from acquisition.engine.setup import Setup
+from acquisition.measuring.plays import Play
+from acquisition.measuring.setup import Setup
 from acquisition.quality.conditions import Conditions
 from acquisition.quality.watch import Band, Watch
 from calibration.excitation.sweeps import Excitation

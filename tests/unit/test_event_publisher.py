@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from acquisition.engine.campaign import Campaign
-from acquisition.engine.event_publisher import EventPublisher
-from acquisition.engine.events import Event, State
-from acquisition.engine.stopping import StopRequest
+from acquisition.engine.events import Event, EventPublisher, State
+from acquisition.engine.stop_signals import StopRequest
 from storage.bank.creation import create_bank
 from storage.bank.writer import BankWriter
 from wavefocus.campaign.blueprint import blueprint_from_files

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 from acquisition.engine.campaign import Campaign
-from acquisition.engine.errors import DriftError
-from acquisition.engine.events import Event, Fault, ReconnectTried, SessionEnded, State, StateChanged
+from acquisition.engine.events import DriftError, Event, Fault, ReconnectTried, SessionEnded, State, StateChanged
 from acquisition.engine.states import FOLLOWS
-from acquisition.engine.stopping import StopRequest
+from acquisition.engine.stop_signals import StopRequest
 from drivers.errors import InstrumentError
 from storage.bank.creation import create_bank
 from storage.bank.writer import BankWriter

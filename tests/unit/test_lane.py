@@ -10,9 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from acquisition.engine.call_thread import HungError, Lane
-from acquisition.engine.timeouts import bounded
 from drivers.errors import InstrumentError, InstrumentLostError
+from drivers.timeouts import HungError, Lane, bounded
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 SOON_S = 0.05

@@ -8,9 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from acquisition.engine.pointing import point_at
-from acquisition.engine.record import take_record
-from acquisition.engine.setup import Setup
+from acquisition.measuring.record import point_at, take_record
+from acquisition.measuring.setup import Setup
 from acquisition.quality.defects import Cure
 from acquisition.quality.judgement import Judgement, judge
 from acquisition.quality.limits import QualityLimits

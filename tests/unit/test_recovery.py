@@ -10,12 +10,11 @@ from collections.abc import Callable
 import pytest
 
 from acquisition.engine.events import Event, ReconnectTried, State, StateChanged
-from acquisition.engine.pointing import point_at
 from acquisition.engine.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
-from acquisition.engine.roles import names_of
-from acquisition.engine.setup import Setup
 from acquisition.engine.states import FOLLOWS, IllegalStateError, Lifecycle
-from acquisition.engine.stopping import StoppedWhileWaitingError, StopRequest, stop_on_signals
+from acquisition.engine.stop_signals import StoppedWhileWaitingError, StopRequest, stop_on_signals
+from acquisition.measuring.record import point_at
+from acquisition.measuring.setup import Setup, names_of
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, WallClock

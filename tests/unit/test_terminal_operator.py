@@ -6,7 +6,7 @@ import io
 
 import pytest
 
-from acquisition.calibration_procedures.operator import By, Here, Jog, JogView, To
+from acquisition.calibrate.operator import By, Here, Jog, JogView, To
 from mocks.virtual.surroundings import PatchBay
 from storage.errors import InputError
 from wavefocus.rig.operators import TerminalOperator, VirtualHands

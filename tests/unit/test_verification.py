@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from acquisition.engine.setup import Setup
+from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentLostError

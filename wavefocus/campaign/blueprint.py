@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.limits import QualityLimits
-from acquisition.quality.sentinel import DriftLimits
+from acquisition.quality.limits import DriftLimits, QualityLimits
 from acquisition.schedule.plan import Plan
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
@@ -221,7 +220,7 @@ def estimator_for(
     recordings: RawFile, plan: Plan | None, tell: Callable[[str], None] = lambda line: None
 ) -> PositionEstimator:
     """The campaign's own estimator, which gives its bank again; else what the reference channels tell."""
-    from acquisition.engine.measuring import position_estimator  # of kept recordings alone
+    from acquisition.measuring.plays import position_estimator  # of kept recordings alone
     from calibration.estimator.position import Channels
     from calibration.estimator.raw_estimation import estimator_of
 

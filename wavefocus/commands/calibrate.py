@@ -8,9 +8,9 @@ import sys
 from datetime import date
 from pathlib import Path
 
-from acquisition.by_hand.level import LevelMeter
-from acquisition.calibration_procedures.operator import Operator
-from acquisition.engine.setup import Setup
+from acquisition.calibrate.operator import Operator
+from acquisition.manual.level import LevelMeter
+from acquisition.measuring.setup import Setup
 from config.calibration import PARTS, CalibrationRecord, name_calibration, write_calibration
 from drivers.errors import InstrumentError
 from storage.errors import InputError

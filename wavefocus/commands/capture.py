@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.engine.campaign import Campaign
-from acquisition.engine.event_publisher import EventPublisher
-from acquisition.engine.events import Event, State, Subscriber
-from acquisition.engine.raw_keeping import raw_header, require_same, without_recordings
-from acquisition.engine.setup import Setup
-from acquisition.engine.stopping import StopRequest, stop_on_signals
+from acquisition.engine.events import Event, EventPublisher, State, Subscriber
+from acquisition.engine.stop_signals import StopRequest, stop_on_signals
+from acquisition.measuring.raw_keeping import raw_header, require_same, without_recordings
+from acquisition.measuring.setup import Setup
 from acquisition.schedule.row_ranges import row_ranges
 from drivers.errors import InstrumentError
 from storage.bank.creation import create_bank

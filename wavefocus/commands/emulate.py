@@ -10,7 +10,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.engine.stopping import StopRequest, stop_on_signals
+from acquisition.engine.stop_signals import StopRequest, stop_on_signals
 from config.rig import RigConfig
 from mocks.wire.faults import WireFault
 from storage.errors import InputError

@@ -7,12 +7,11 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from acquisition.by_hand.gate import GatedPlayer
-from acquisition.engine.call_thread import HungError, Lane
-from acquisition.engine.timeouts import RECONNECTING
+from acquisition.manual.level import GatedPlayer
 from acquisition.quality.watch import Sensor
 from config.rig import RigConfig, default_rig
 from drivers.errors import InstrumentError
+from drivers.timeouts import RECONNECTING, HungError, Lane
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import say

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
-from acquisition.engine.timeouts import BoundedPlayer
 from config.rig import RigConfig, default_rig
 from drivers.protocols import Clock
+from drivers.timeouts import BoundedPlayer
 from rendering.drive.streamed_drive import StreamedDrive
 from rendering.drive.wav import InterfaceRate
 from rendering.scene.loading import load_scene

@@ -250,7 +250,7 @@ def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
 def _draw(bank: Path, drift: list[DriftPoint], plot: Path) -> None:
     if not drift:
         raise InputError(f"{drift_path(bank)}: holds no drift to draw: the sentinel has not been measured again yet")
-    from acquisition.quality.sentinel import DriftLimits
+    from acquisition.quality.limits import DriftLimits
     from rendering.report.figures import drift_over_time  # the configuration is read for a picture alone
     from wavefocus.campaign.blueprint import bank_configuration
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from acquisition.durations import hours
 from acquisition.engine.events import Event
-from acquisition.quality.sentinel import DriftLimits
+from acquisition.quality.limits import DriftLimits
 from config.rig import RigConfig, default_rig
 from config.stadium import stadium_rim
 from rendering.field.metrics import grid_spacing_mm

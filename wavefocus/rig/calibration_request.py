@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.calibration_procedures.actuators import listening_places
-from acquisition.calibration_procedures.fiducials import Pair, read_fiducials
-from acquisition.calibration_procedures.marks import default_marks_mm
-from acquisition.calibration_procedures.mirror import fitted_marks
+from acquisition.calibrate.actuators import listening_places
+from acquisition.calibrate.mirror import Pair, default_marks_mm, fitted_marks, read_fiducials
 from calibration.rig.mirror_fit import LEAST_MARKS
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import PARTS

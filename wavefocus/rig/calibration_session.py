@@ -8,14 +8,14 @@ from dataclasses import replace
 from datetime import datetime
 from importlib.metadata import version
 
-from acquisition.calibration_procedures.actuators import (
+from acquisition.calibrate.actuators import (
     REMEDIES,
     ActuatorsTask,
     measure_actuators,
 )
-from acquisition.calibration_procedures.inputs import measure_inputs
-from acquisition.calibration_procedures.mirror import fitted_marks, measure_mirror
-from acquisition.calibration_procedures.operator import (
+from acquisition.calibrate.channels import OutputsTask, measure_inputs, measure_outputs
+from acquisition.calibrate.mirror import fitted_marks, measure_mirror
+from acquisition.calibrate.operator import (
     VIBROMETER,
     Jog,
     JogView,
@@ -24,10 +24,8 @@ from acquisition.calibration_procedures.operator import (
     Operator,
     output,
 )
-from acquisition.calibration_procedures.outputs import OutputsTask, measure_outputs
-from acquisition.calibration_procedures.probe import NotMeasuredError, Probe
-from acquisition.engine.roles import names_of
-from acquisition.engine.setup import Setup
+from acquisition.calibrate.probe import NotMeasuredError, Probe
+from acquisition.measuring.setup import Setup, names_of
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import (
     FORMAT,

@@ -10,14 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from acquisition.engine.call_thread import HungError, Lane
-from acquisition.engine.timeouts import REMEDY, BoundedPlayer
 from acquisition.quality.watch import Sensor
 from config.rig import RigConfig
 from config.rig_recorder import RecorderSection
 from config.run import Virtual
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock
+from drivers.timeouts import REMEDY, BoundedPlayer, HungError, Lane
 from storage.errors import InputError
 from wavefocus.console import say
 

@@ -10,11 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from acquisition.by_hand.gate import GatedPlayer, ShutError
-from acquisition.by_hand.level import LevelMeter
-from acquisition.by_hand.single_sweep import SingleSweeps, SweepOrder, SweepResult
-from acquisition.engine.roles import asking, instrument_of, names_of, silence
-from acquisition.engine.setup import Setup
+from acquisition.manual.level import GatedPlayer, LevelMeter, ShutError
+from acquisition.manual.single_sweep import SingleSweeps, SweepOrder, SweepResult
+from acquisition.measuring.setup import Setup, asking, instrument_of, names_of, silence
 from acquisition.quality.watch import Sensor
 from config.rig import RigConfig
 from drivers.errors import InstrumentError, TransientInstrumentError

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from acquisition.by_hand.single_sweep import SweepOrder, excitation_of
+from acquisition.manual.single_sweep import SweepOrder, excitation_of
 from config.rig import RigConfig
 from storage.errors import InputError
 from wavefocus.exits import one_line

@@ -7,8 +7,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 
-from acquisition.by_hand.level import Level
-from acquisition.calibration_procedures.operator import (
+from acquisition.calibrate.operator import (
     BOTH,
     SUM,
     VIBROMETER,
@@ -24,6 +23,7 @@ from acquisition.calibration_procedures.operator import (
     Redo,
     To,
 )
+from acquisition.manual.level import Level
 from drivers.errors import InstrumentError
 from mocks.virtual.surroundings import PatchBay
 from storage.errors import InputError
@@ -45,7 +45,7 @@ def cable(source: str) -> str:
 
 
 class TerminalOperator:
-    """Implements `acquisition.calibration_procedures.operator.Operator`.
+    """Implements `acquisition.calibrate.operator.Operator`.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ Numbers = tuple[float, float]
 
 
 class LinesOperator:
-    """Implements `acquisition.calibration_procedures.operator.Operator`.
+    """Implements `acquisition.calibrate.operator.Operator`.
 
     Parameters
     ----------

@@ -7,9 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from acquisition.engine.call_thread import HungError, Lane
-from acquisition.engine.setup import Setup
-from acquisition.engine.timeouts import RECONNECTING, bounded
+from acquisition.measuring.setup import Setup
 from acquisition.quality.watch import Band, Sensor, Watch
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import calibrated
@@ -18,6 +16,7 @@ from config.rig_recorder import VibrometerSection
 from config.run import RunConfig
 from drivers.errors import InstrumentError
 from drivers.protocols import OffersRanges
+from drivers.timeouts import RECONNECTING, HungError, Lane, bounded
 from wavefocus.console import say
 from wavefocus.rig.calibration_validity import calibration_warnings, identities_of
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers

@@ -6,9 +6,8 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
-
-from acquisition.engine.ending_signals import EndingSignals
 
 BY_THE_USER = "stopped by the user"
 TERMINAL_GONE = "stopped because its terminal was closed"
@@ -105,3 +104,43 @@ def stop_on_signals(stop: StopRequest) -> Iterator[None]:
     finally:
         for number, disposition in former.items():
             signal.signal(number, disposition)
+
+
+@dataclass(frozen=True, slots=True)
+class EndingSignals:
+    """Numbers of signals by what is meant with them.
+
+    Parameters
+    ----------
+    finish : tuple of int
+        Finish the position first; once more: at once.
+    terminal_gone : tuple of int
+        Nobody watches any more; finish the position.
+    at_once : tuple of int
+        Do not wait for the position.
+    """
+
+    finish: tuple[int, ...]
+    terminal_gone: tuple[int, ...]
+    at_once: tuple[int, ...]
+
+    @classmethod
+    def here(cls, source: object = signal) -> EndingSignals:
+        """The signals of this system.
+
+        Parameters
+        ----------
+        source : object
+            Where to look for SIGINT, SIGHUP, SIGTERM and SIGBREAK; the module `signal`. SIGBREAK is what Windows
+            sends for Ctrl-Break and, with seconds to live, when the console window is closed.
+        """
+
+        def those_of(*names: str) -> tuple[int, ...]:
+            return tuple(int(getattr(source, name)) for name in names if hasattr(source, name))
+
+        return cls(those_of("SIGINT"), those_of("SIGHUP"), those_of("SIGTERM", "SIGBREAK"))
+
+    @property
+    def all(self) -> tuple[int, ...]:
+        """Every one of them."""
+        return (*self.finish, *self.terminal_gone, *self.at_once)

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine.measuring import channels_of, heard_samples
-from acquisition.engine.record import record_samples
-from acquisition.engine.setup import Setup
+from acquisition.measuring.plays import channels_of, heard_samples
+from acquisition.measuring.record import record_samples
+from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import Plan
 from drivers.protocols import Recording
 from storage.errors import InputError

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.engine.record import take_record
-from acquisition.engine.setup import Setup
+from acquisition.measuring.record import take_record
+from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.channel_comparison import ChannelComparer, Comparison, ResponseMissingError

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.calibration_procedures.probe import TRIES, NotMeasuredError
-from acquisition.engine.pointing import point_at
-from acquisition.engine.record import take_record
-from acquisition.engine.setup import Setup
+from acquisition.calibrate.probe import TRIES, NotMeasuredError
+from acquisition.measuring.record import point_at, take_record
+from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.sequential import Estimate, Estimator
 from calibration.excitation.sweeps import Excitation

@@ -1,12 +1,11 @@
-"""One record: the recorder listens, the player plays, and whatever fails leaves silence behind."""
+"""One record: point the mirror, start the recorder, play; whatever fails leaves silence behind."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Protocol
 
-from acquisition.engine.roles import as_lost, asking, silence
-from acquisition.engine.setup import Setup
+from acquisition.measuring.setup import Setup, as_lost, asking, silence
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Float64Array, Recording, RecordRequest, Take
 
@@ -96,3 +95,29 @@ def take_record(
                 raise as_lost(also, also.cause) from failure
             failure.add_note(str(also))
         raise
+
+
+def start_move(setup: Setup, x_mm: float, y_mm: float) -> None:
+    """Let the mirror set out for a place, and return at once.
+
+    Raises
+    ------
+    InstrumentError
+        Of the mirror.
+    """
+    x_mrad, y_mrad = setup.mirror_map.angles_mrad(x_mm, y_mm)
+    with asking("mirror"):
+        setup.instruments.mirror.move_to(float(x_mrad), float(y_mrad))
+
+
+def point_at(setup: Setup, x_mm: float, y_mm: float) -> None:
+    """Point at a place and wait until the beam stands; where the move is under way already, this only waits.
+
+    Raises
+    ------
+    InstrumentError
+        Of the mirror.
+    """
+    start_move(setup, x_mm, y_mm)
+    with asking("mirror"):
+        setup.instruments.mirror.wait_settled(setup.settle_timeout_s)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.by_hand.level import Level, level_of, listen
-from acquisition.engine.measuring import channels_of
-from acquisition.engine.record import record_samples, take_record
-from acquisition.engine.setup import Setup
+from acquisition.manual.level import Level, level_of, listen
+from acquisition.measuring.plays import channels_of
+from acquisition.measuring.record import record_samples, take_record
+from acquisition.measuring.setup import Setup
 from acquisition.quality.judgement import judge
 from acquisition.quality.limits import QualityLimits
 from calibration.blas import one_blas_thread

@@ -1,0 +1,1 @@
+"""Measuring one position: setup, records, estimate, attempts, recordings that are kept."""
