@@ -12,7 +12,7 @@ ARGS :=
 WINDOW_PACKAGES := libgl1 libglib2.0-0 libfontconfig1 fonts-dejavu-core
 X_PACKAGES := xvfb libdbus-1-3 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-shape0 \
 	libxcb-xinerama0 libxcb-xkb1 libxkbcommon-x11-0
-# What compiles the inner loops of rendering, before set-up, and the stand-in of NI's driver library.
+# What compiles the stand-in of NI's driver library.
 COMPILER := gcc libc6-dev
 # What the emulated wires need beyond Python and its wheels: PortAudio and its ALSA side, an audio server, libusb for pyusb.
 TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 $(COMPILER) \
@@ -54,7 +54,6 @@ lint: ## Check style, types and import directions
 	.venv/bin/lint-imports
 
 bench: ## Measure error against run time, the paper's figures, stiff cases; writes bench-out/ and their pages in docs/
-	@tools/system-packages.sh $(COMPILER)
 	@tools/set-up.sh bench
 	@tools/set-up.sh test
 	OMP_NUM_THREADS=1 $(PY) -m wavefocus bench all --out bench-out --force $(ARGS)
@@ -88,5 +87,5 @@ window-figures: ## Measure how soon the window is up and what it costs
 
 clean: ## Remove .venv, caches and what demo and bench wrote
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .coverage .coverage.* \
-		htmlcov build dist *.egg-info rendering/_inner_loops.* demo-out bench-out soak-out
+		htmlcov build dist *.egg-info demo-out bench-out soak-out
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -10,8 +10,6 @@ from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from rendering.inner_loops import inner_loops
-
 PACKAGES = ("numpy", "scipy", "h5py", "pyfar", "dask")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -28,7 +26,6 @@ def conditions(command: str) -> dict[str, object]:
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "packages": {name: found for name in PACKAGES if (found := _version(name)) is not None},
-        "inner_loops": "compiled" if inner_loops() else "by numpy",
         "threads": {name: os.environ[name] for name in THREADS if name in os.environ},
         "load_before": load(),
     }

@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 from benchmarks.render_timing import Mark, Result, best_of, relative_error
 from benchmarks.render_workloads import convolve_positions, modal_bank, noise
 from rendering.drive.rendering import render_with_report
-from rendering.drive.row_transforms import BankSpectra
+from rendering.field.bank_spectra import BankSpectra
 from rendering.field.prediction import Prediction
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene, Source

@@ -5,9 +5,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Protocol
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 
 class Limits(Protocol):
@@ -49,7 +50,13 @@ class SharedLimits:
                     self._limits = None
 
 
-_one_thread = SharedLimits(lambda: threadpool_limits(limits=1, user_api="blas"))
+@cache
+def _controller() -> ThreadpoolController:
+    # Looking for the libraries takes some milliseconds.
+    return ThreadpoolController()
+
+
+_one_thread = SharedLimits(lambda: _controller().limit(limits=1, user_api="blas"))
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from storage.errors import InputError
@@ -27,13 +28,27 @@ class Device:
     to_host : callable
         Makes a NumPy array of one of its arrays.
     memory_bytes : int
-        What one part of a computation may take.
+        Memory that row spectra may take; one part of a computation takes about as much again.
     """
 
     name: str
     xp: Any
     to_host: Callable[[Any], NDArray[Any]]
     memory_bytes: int
+
+    @property
+    def fft(self) -> Any:
+        """Transforms: SciPy's for NumPy, which make several at once, else the namespace's own."""
+        return scipy.fft if self.xp is np else self.xp.fft
+
+    def dtype(self, kind: type[Any]) -> Any:
+        """The namespace's own type for one of NumPy's."""
+        return getattr(self.xp, kind.__name__)
+
+    @property
+    def is_host(self) -> bool:
+        """Whether arrays are NumPy's, so that threads of this process compute side by side."""
+        return self.xp is np
 
 
 def host_device() -> Device:

@@ -1,107 +1,43 @@
-"""The threads that rendering and prediction share out their work to."""
+"""Threads that rendering and prediction share their work among."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
-from contextlib import AbstractContextManager, contextmanager
-from functools import cache
-from typing import Any
-from weakref import WeakKeyDictionary
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
 
-from threadpoolctl import ThreadpoolController
-
-from calibration.blas import SharedLimits
-from rendering.freed_memory import keep_freed_memory
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 WORKERS = 2
-"""Threads of our own, each with transforms and products of its own."""
 
 
-@contextmanager
-def workers() -> Iterator[Executor]:
-    """Lend the threads of our own; when they are given back, what was not begun is dropped, and the rest has ended.
+def in_order(task: Callable[[Item], Result], items: Iterable[Item], workers: int = WORKERS) -> Iterator[Result]:
+    """Results of a task for each item, in the items' order, computed by threads at most `workers` items ahead.
 
-    They are kept: to start threads takes as long as to render a second of a scene.
+    An error is raised when its result is due; what was not begun is dropped.
+
+    Parameters
+    ----------
+    task : callable
+        Called by several threads at a time.
+    items : iterable
+        Taken one by one in the calling thread, as results are asked for.
+    workers : int
+        Threads; with one, the calling thread does the work.
     """
-    given: WeakKeyDictionary[Future[Any], _Call] = WeakKeyDictionary()
+    if workers == 1:
+        yield from map(task, items)
+        return
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="render")
     try:
-        yield _Lent(_threads(os.getpid()), given)
+        pending: deque[Future[Result]] = deque()
+        for item in items:
+            pending.append(pool.submit(task, item))
+            if len(pending) > workers:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
     finally:
-        begun = []
-        for future, call in tuple(given.items()):
-            if future.cancel():
-                # A thread will come by it some time.
-                call.let_go()
-            else:
-                begun.append(future)
-        wait(begun)
-
-
-@cache
-def _threads(process: int) -> ThreadPoolExecutor:
-    # A process that was forked has none of its parent's.
-    keep_freed_memory()
-    return ThreadPoolExecutor(WORKERS, thread_name_prefix="render")
-
-
-class _Lent(Executor):
-    """Hands on what it is given, and keeps an eye on it."""
-
-    def __init__(self, threads: Executor, given: WeakKeyDictionary[Future[Any], _Call]) -> None:
-        self._threads = threads
-        self._given = given
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """What will come of it."""
-        call = _Call(fn, args, kwargs)
-        future = self._threads.submit(call)
-        self._given[future] = call
-        return future
-
-
-class _Call:
-    """A call that lets go of all that it was given before it is told to have ended.
-
-    A thread would hold on to it a little longer, and so keep memory from being used again.
-    """
-
-    def __init__(self, fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
-        self._given: list[Any] = [fn, args, kwargs]
-
-    def __call__(self) -> Any:
-        fn, args, kwargs = self._given
-        self.let_go()
-        return fn(*args, **kwargs)
-
-    def let_go(self) -> None:
-        """Hold on to nothing."""
-        self._given.clear()
-
-
-class AtOnce(Executor):
-    """Does what it is given at once, in the thread that gives it."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """What came of it."""
-        done: Future[Any] = Future()
-        done.set_result(fn(*args, **kwargs))
-        return done
-
-
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Hold BLAS to one thread while the context lasts, as `calibration.blas` does, at no cost per call.
-
-    Idle BLAS threads wait by spinning, and would take the cores away from ours.
-    """
-    return _one_thread.held()
-
-
-@cache
-def _controller() -> ThreadpoolController:
-    # Looking for the libraries takes as long as rendering half a second of a scene's blocks.
-    return ThreadpoolController()
-
-
-_one_thread = SharedLimits(lambda: _controller().limit(limits=1, user_api="blas"))
+        pool.shutdown(cancel_futures=True)

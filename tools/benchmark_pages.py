@@ -96,11 +96,9 @@ def conditions_of(measured: dict[str, Figures]) -> str:
         made = figures["made"]
         packages = ", ".join(f"{package} {version}" for package, version in made["packages"].items())
         threads = ", ".join(f"{key}={value}" for key, value in made["threads"].items()) or "threads as they come"
-        # Figures of earlier days do not tell.
-        loops = f"; inner loops {made['inner_loops']}" if "inner_loops" in made else ""
         machine = (
             f"{made['processor']}, {made['cores']} cores, {made['memory_gib'] or '?'} GiB, {made['system']}."
-            f" Python {made['python']}, {packages}; {threads}{loops}."
+            f" Python {made['python']}, {packages}; {threads}."
         )
         line = (name, f"{made['date']}", made["commit"] or "-", _load_words(made))
         machines.setdefault(machine, []).append(line)

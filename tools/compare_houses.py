@@ -1,7 +1,7 @@
 """Drives and fields of two versions of the renderer on the same synthetic banks: save with one, compare with the other.
 
-    python -m tools.compare_houses save reference.npz      # in the old version
-    python -m tools.compare_houses compare reference.npz   # in the new one: relative L2 differences
+python -m tools.compare_houses save reference.npz      # in the old version
+python -m tools.compare_houses compare reference.npz   # in the new one: relative L2 differences
 """
 
 from __future__ import annotations

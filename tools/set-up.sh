@@ -10,9 +10,8 @@ cd "$(dirname "$0")/.."
 extra=${1:-}
 target=".${extra:+[$extra]}"
 stamp=".venv/installed${extra:+-$extra}"
-# What the installation depends on: the project's description, where it lies (the install points there), what of it is
-# compiled, and whether there is a compiler to do it.
-wanted=$({ pwd; cat pyproject.toml rendering/*.c; command -v cc gcc clang || true; } | cksum)
+# What the installation depends on: the project's description, and where it lies (the install points there).
+wanted=$({ pwd; cat pyproject.toml; } | cksum)
 
 say() { echo "set-up: $*" >&2; }
 

@@ -9,21 +9,32 @@ row) pairs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft as scipy_fft
 
-from rendering.drive.blocks import Blocks
-from rendering.drive.omission import ErrorBudget
-from rendering.drive.overlap_add import scale, scale_and_measure
+from rendering.band import Band, choose_band, norm_of, scale
+from rendering.device import Device, host_device
+from rendering.drive.row_spectra import RowSpectra
+from rendering.drive.windows import Windows
 from rendering.greens.bank_rows import BankRows
 from rendering.scene.emission import Emission
-from rendering.threads import one_blas_thread, workers
+from rendering.threads import WORKERS, in_order
 
 Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+WINDOWS_AT_ONCE = 32
+"""Windows that are transformed together: about as many as stay in the cache of one core."""
+BLOCKS_AHEAD = 32
+"""Most blocks whose rows are loaded together."""
+SAMPLED_BLOCKS, SAMPLED_WINDOWS = 3, 8
+"""Blocks, and windows in each, by which the bins worth computing are chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +54,6 @@ class Accumulated:
     band_energy : float
     energy : float
         Energy of all windows within the band asked about, and in all.
-    left_out_taps : int
-        Late taps of every Green's function that were not used.
-    left_out_actuators : tuple of int
-        Actuators whose drives would hardly count.
-    left_out_windows : int
-        (Block, row) pairs that hardly emit anything.
-    energies : float64 array, shape (actuators,), or None
-        Energies of the drives, where there is nothing else in them and they were found on the way.
     """
 
     error: float
@@ -59,10 +62,17 @@ class Accumulated:
     pairs: int
     band_energy: float
     energy: float
-    left_out_taps: int = 0
-    left_out_actuators: tuple[int, ...] = ()
-    left_out_windows: int = 0
-    energies: Float64Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Drives of one block (actuators, samples) before overlap-add, and its share of the figures."""
+
+    samples: NDArray[Any]
+    error: float
+    pairs: int
+    band_energy: float
+    energy: float
 
 
 class SourceDrives:
@@ -74,97 +84,48 @@ class SourceDrives:
         The source in time.
     rows : BankRows
         Bank rows with their regularisation.
-    transform : callable
-        Gives the transform length for a number of taps, at least those and event samples - 1.
+    fft_samples : int
+        Transform length, at least taps + event samples - 1.
     tolerance : float
-        Relative magnitude that may be left out; a goal, the proved error is told. 0: everything is computed, in
+        Relative magnitude that may be left out; a goal, the proved error is reported. 0: everything is computed, in
         double precision.
     band_hz : tuple of float, optional
         Band within which the windows' energy is counted.
     on_block : callable, optional
-        Told blocks done and blocks in all.
+        Called with blocks done and blocks in all.
     live : bool
-        Make no more at a time than one block, and look ahead no further.
-    expected_rows : int
-        About how many bank rows the emission comes from, for as much room to be made.
-    meanwhile : callable, optional
-        Called early, when others compute and there would be nothing to do but to wait for them.
+        Load the rows of no more than one block at a time.
+    device : Device, optional
+        Where to compute, by default on this processor.
     """
-
-    block_samples: int
-    """Samples of drive that one block makes: those within which an event reaches, and a hop to the next block."""
 
     def __init__(
         self,
         emission: Emission,
         rows: BankRows,
         *,
-        transform: Callable[[int], int],
+        fft_samples: int,
         tolerance: float = 0.0,
         band_hz: tuple[float, float] | None = None,
         on_block: Callable[[int, int], None] | None = None,
         live: bool = False,
-        expected_rows: int = 0,
-        meanwhile: Callable[[], object] | None = None,
+        device: Device | None = None,
     ) -> None:
-        self._expected_rows = expected_rows
-        self._meanwhile = meanwhile
-        self._live = live
-        self.block_samples = transform(rows.bank.taps)
-        self._transform = transform
-        self._emission = emission
-        self._rows = rows
-        self._tolerance = tolerance
-        self._band_hz = band_hz
-        self._on_block = on_block
+        self._emission, self._rows, self._tolerance = emission, rows, tolerance
+        self.block_samples = fft_samples
+        """Samples of drive that one block makes: those within which an event reaches, and a hop to the next block."""
+        self._hop = fft_samples - (rows.bank.taps + emission.event_samples - 1) + 1
+        self._starts = range(emission.first_sample, emission.stop_event, self._hop)
+        self._on_block, self._blocks_ahead = on_block, 1 if live else BLOCKS_AHEAD
+        self._device = host_device() if device is None else device
+        self._piece_spectra = emission.piece_spectra(fft_samples)
+        inside = slice(0, 0)
+        if band_hz is not None:
+            frequency_hz = scipy_fft.rfftfreq(fft_samples, 1.0 / rows.bank.sample_rate_hz)
+            inside = slice(*np.searchsorted(frequency_hz, [band_hz[0], np.nextafter(band_hz[1], np.inf)]).tolist())
+        self._inside = inside
+        self._exponent: int | None = None
         self._facts: Accumulated | None = None
-
-    def pieces(self) -> Generator[tuple[int, NDArray[Any], int], None, None]:
-        """Give drives that nothing more is added to, without gaps and in order.
-
-        Returns
-        -------
-        iterator of tuples
-            First sample, drives (actuators, samples), and the power of two that they are to be multiplied with.
-        """
-        with one_blas_thread(), workers() as threads:
-            blocks = Blocks(
-                self._emission,
-                self._rows,
-                self._transform,
-                self._tolerance,
-                self._band_hz,
-                threads,
-                live=self._live,
-                expected_rows=self._expected_rows,
-            )
-            shape, economy = blocks.shape, blocks.shape.economy
-            overlap_add = shape.overlap_add()
-            budget = ErrorBudget(shape.fft_samples, shape.overlap)
-            pairs, quiet, band_energy, energy = 0, 0, 0.0, 0.0
-            for part in blocks.evaluate(self._meanwhile):
-                overlap_add.add(part.first, part.samples)
-                budget.add(part.first, part.errors)
-                pairs += part.pairs
-                quiet += part.quiet
-                band_energy += part.band_energy
-                energy += part.energy
-                first, taken = overlap_add.take(part.done if part.done < len(blocks.starts) else None)
-                if taken.shape[1]:
-                    yield blocks.first_sample + first, blocks.cut.spread(taken), blocks.exponent
-                if self._on_block is not None:
-                    self._on_block(part.done, len(blocks.starts))
-            self._facts = Accumulated(
-                budget.norm(blocks.exponent) if shape.bounded else 0.0,
-                economy.bins,
-                economy.kept,
-                pairs,
-                band_energy,
-                energy,
-                self._rows.bank.taps - blocks.cut.taps,
-                blocks.cut.weak_actuators,
-                quiet,
-            )
 
     @property
     def facts(self) -> Accumulated:
@@ -173,30 +134,146 @@ class SourceDrives:
             raise RuntimeError("the drives were not made to their end")
         return self._facts
 
-    def add_to(self, drive_v: Float64Array, *, silent: bool) -> Accumulated:
-        """Make all of it and add it to drives (actuators, samples) whose first sample is at -(taps - 1).
+    def pieces(self) -> Generator[tuple[int, Float64Array], None, None]:
+        """Give drives that nothing more is added to, without gaps and in order.
 
-        Parameters
-        ----------
-        drive_v : float64 array
-            Changed in place.
-        silent : bool
-            Whether nothing is in it so far, whatever it holds.
+        Returns
+        -------
+        iterator of tuples
+            First sample, in an array of drives that begins with the bank's lead-in, and drives (actuators, samples)
+            over 2**`BankRows.drive_exponent`.
         """
-        written = 0
-        energies = np.zeros(len(drive_v))
-        for first, samples, exponent in self.pieces():
-            begin, end = max(0, first), min(drive_v.shape[1], first + samples.shape[1])
-            if end <= begin:
-                continue
-            place, found = drive_v[:, begin:end], samples[:, begin - first : end - first]
-            if silent:
-                drive_v[:, written:begin] = 0
-                energies += scale_and_measure(found, exponent, place)
-            else:
-                place += scale(found, exponent)
-            written = end
-        if not silent:
-            return self.facts
-        drive_v[:, written:] = 0
-        return replace(self.facts, energies=energies)
+        bounded = self._tolerance > 0
+        spectra = RowSpectra(self._rows, Band.whole(self.block_samples), self._device, bounded=bounded)
+        if bounded:
+            spectra.narrow(self._choose_band(spectra))
+        band, count = spectra.band, len(self._starts)
+        tail: Float64Array = np.zeros((self._rows.bank.actuators, self.block_samples - self._hop))
+        errors, pairs, band_energy, energy = [], 0, 0.0, 0.0
+        for number, block in enumerate(self._blocks(spectra), 1):
+            summed = block.samples.astype(np.float64, copy=False)
+            summed[:, : tail.shape[1]] += tail
+            tail = summed[:, self._hop :]
+            errors.append(block.error)
+            pairs += block.pairs
+            band_energy += block.band_energy
+            energy += block.energy
+            done = summed if number == count else summed[:, : self._hop]
+            yield self._starts[number - 1], scale(done, self._unit)
+            if self._on_block is not None:
+                self._on_block(number, count)
+        error = 0.0
+        if not band.exact:
+            with np.errstate(over="ignore", under="ignore"):
+                error = float(np.ldexp(math.sqrt(self._overlap) * norm_of(np.array([errors])), self._unit))
+        self._facts = Accumulated(error, band.bins, band.kept, pairs, band_energy, energy)
+
+    def add_to(self, drive_v: Float64Array) -> Accumulated:
+        """Make all of it and add it to drives (actuators, samples) whose first sample is at -(taps - 1)."""
+        for first, samples in self.pieces():
+            last = min(first + samples.shape[1], drive_v.shape[1])
+            drive_v[:, first:last] += samples[:, : last - first]
+        return self.facts
+
+    @property
+    def _overlap(self) -> int:
+        """Most blocks that a sample lies in."""
+        return -(-self.block_samples // self._hop)
+
+    @property
+    def _unit(self) -> int:
+        """Power of two that samples of blocks are still to be multiplied with."""
+        return self._emission.exponent + (self._exponent or 0)
+
+    def _blocks(self, spectra: RowSpectra) -> Iterator[_Block]:
+        """Sum all blocks, in order; some of them side by side, as far as their rows fit into memory together."""
+        planned: list[Windows] = []
+        needed: dict[int, None] = {}
+        for start in self._starts:
+            windows = self._windows(start)
+            more = dict.fromkeys(windows.pairs[0].tolist())
+            if planned and (len(planned) >= self._blocks_ahead or len(needed | more) > spectra.most_rows):
+                yield from self._together(planned, list(needed), spectra)
+                planned, needed = [], {}
+            planned.append(windows)
+            needed |= more
+        yield from self._together(planned, list(needed), spectra)
+
+    def _windows(self, start: int) -> Windows:
+        return Windows(self._emission.events(start, min(start + self._hop, self._emission.stop_event)))
+
+    def _together(self, planned: Sequence[Windows], rows: Sequence[int], spectra: RowSpectra) -> Iterator[_Block]:
+        fits = len(rows) <= spectra.most_rows
+        if fits:
+            spectra.load(rows)
+        for windows in planned:
+            self._prepare(windows)
+        workers = WORKERS if self._device.is_host and len(planned) > 1 else 1
+        yield from in_order(lambda windows: self._sum(windows, spectra, loaded=fits), planned, workers)
+
+    def _prepare(self, windows: Windows) -> None:
+        """Read the rows that only regularise, and choose the unit in which windows are about 1."""
+        rows, by = windows.pairs
+        if len(rows) and self._exponent is None:
+            self._exponent = int(np.frexp(self._rows.weigh(rows[:1], by[:1])[0][0])[1])
+        windows.weigh(self._weigh)
+
+    def _weigh(self, rows: Int64Array, regularised_by: Int64Array) -> tuple[Float64Array, NDArray[np.bool_]]:
+        return self._rows.weigh(rows, regularised_by, self._exponent or 0)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def _sum(self, windows: Windows, spectra: RowSpectra, *, loaded: bool) -> _Block:
+        """Windows times their time-reversed rows, added up and transformed back."""
+        xp, band = self._device.xp, spectra.band
+        total = xp.zeros((self._rows.bank.actuators, band.kept), dtype=self._device.dtype(band.complex))
+        energy = band_energy = coherent = 0.0
+        magnitude = np.zeros(band.bins)
+        at_once = WINDOWS_AT_ONCE if loaded else min(WINDOWS_AT_ONCE, spectra.most_rows)
+        for first in range(0, len(windows), at_once):
+            last = min(first + at_once, len(windows))
+            rows = windows.rows[first:last].tolist()
+            if not loaded:
+                spectra.load(list(dict.fromkeys(rows)))
+            emitted = windows.spectra(first, last, self.block_samples, self._piece_spectra)
+            power = np.square(emitted.real) + np.square(emitted.imag)
+            energy += float(power.sum())
+            band_energy += float(power[:, self._inside].sum())
+            kept = xp.asarray(emitted[:, : band.kept].astype(band.complex, copy=False))
+            for place, (row, by) in enumerate(zip(rows, windows.regularised_by[first:last].tolist(), strict=True)):
+                known = spectra[row]
+                product = known.kept * kept[place, :]
+                if by >= 0:
+                    product *= xp.asarray(self._rows.sigma(by), dtype=self._device.dtype(band.real))[:, None]
+                total += product
+                if known.magnitude is not None:
+                    # Saturation only lessens a row.
+                    size = np.sqrt(power[place])
+                    magnitude += size * known.magnitude
+                    coherent += float(size.max()) * known.norm
+        samples = self._device.to_host(self._device.fft.irfft(total, n=self.block_samples, axis=1))
+        error = 0.0 if band.exact else band.block_error(magnitude, coherent, len(windows))
+        return _Block(samples, error, len(windows), band_energy, energy)
+
+    def _choose_band(self, spectra: RowSpectra) -> Band:
+        """Choose the bins worth computing by some windows of some blocks."""
+        contribution, energy, coherent, most = np.zeros(self.block_samples // 2 + 1), 0.0, 0.0, 0
+        for block in np.unique(np.linspace(0, len(self._starts) - 1, SAMPLED_BLOCKS).astype(int)).tolist():
+            windows = self._windows(self._starts[block])
+            self._prepare(windows)
+            every = max(1, -(-len(windows) // SAMPLED_WINDOWS))
+            magnitude, reach = np.zeros(len(contribution)), 0.0
+            for place in range(0, len(windows), every):
+                row = int(windows.rows[place])
+                spectra.load([row])
+                known = spectra[row]
+                assert known.magnitude is not None
+                size = np.abs(windows.spectra(place, place + 1, self.block_samples, self._piece_spectra)[0])
+                product = size * known.magnitude
+                magnitude += every * product
+                energy += every * float(product @ product)
+                reach += every * float(size.max()) * known.norm
+            contribution += np.square(magnitude)
+            coherent += reach**2
+            most = max(most, len(windows))
+        q = self._overlap
+        return choose_band(self.block_samples, q * contribution, energy, q * coherent, most, self._tolerance)

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive
-from rendering.drive.limits import scale_to_limit
+from rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive, require_finite
 from rendering.field.metrics import band_weights
 from rendering.greens.bank_rows import BankRows
 from rendering.greens.interpolation.base import Nodes
@@ -150,7 +149,7 @@ def inverse_filter(
     cut_share = 1.0 - float(np.square(drive_v).sum()) / energy if energy > 0 else 0.0
     with np.errstate(over="ignore", under="ignore"):
         np.ldexp(drive_v, -exponent, out=drive_v)
-    scale_to_limit(drive_v, None)
+    require_finite(drive_v)
     limiting = limit_drive(drive_v, rate_hz, DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
     drive = Drive(
         drive_v=drive_v,

@@ -9,19 +9,14 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.band import tolerance_of
 from rendering.drive.accumulate import Accumulated, SourceDrives
-from rendering.drive.coil_limits import DriveLimits
-from rendering.drive.omission import tolerance_of
-from rendering.drive.overlap_add import scale
+from rendering.drive.coil_limits import DriveLimits, RunningLevels
 from rendering.drive.rendering import chosen_method
-from rendering.drive.running_levels import RunningLevels
-from rendering.drive.upsampling import MULTIPLE
 from rendering.greens.bank_rows import BankRows
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene
@@ -38,7 +33,7 @@ SUMMED = 1e-9
 class _Source:
     """One source's drives that are not given out yet."""
 
-    pieces: Generator[tuple[int, NDArray[Any], int], None, None]
+    pieces: Generator[tuple[int, Float64Array], None, None]
     ready: Float64Array
     """From the sample that is given out next."""
     done: bool = False
@@ -116,11 +111,10 @@ class LiveDrive:
             SourceDrives(
                 source.emission,
                 self.rows,
-                transform=partial(source.fft_samples, actuators=bank.actuators, multiple=MULTIPLE if tolerance else 1),
+                fft_samples=source.fft_samples(bank.taps, bank.actuators),
                 tolerance=tolerance,
                 band_hz=self.rows.bank.band_hz,
                 live=True,
-                expected_rows=source.expected_rows,
             )
             for source in sources
         ]
@@ -174,9 +168,8 @@ class LiveDrive:
                 silence = np.zeros((len(source.ready), count - source.ready.shape[1]))
                 source.ready = np.concatenate([source.ready, silence], axis=1)
                 return
-            begin, samples, exponent = piece
+            begin, volts = piece
             have = first + source.ready.shape[1]
-            volts = scale(samples, exponent)
             if begin > have:
                 volts = np.pad(volts, ((0, 0), (begin - have, 0)))
             source.ready = np.concatenate([source.ready, volts[:, max(have - begin, 0) :]], axis=1)

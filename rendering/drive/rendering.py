@@ -5,23 +5,19 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.blas import one_blas_thread
+from rendering.band import norm_of, relative_bound, row_norms, tolerance_of
 from rendering.device import Device
 from rendering.drive.accumulate import Accumulated, SourceDrives
-from rendering.drive.coil_limits import DriveLimits, limit_drive
-from rendering.drive.device_accumulation import DeviceDrives
-from rendering.drive.limits import scale_to_limit
-from rendering.drive.omission import LEAST_NORM, relative_bound, row_norms, tolerance_of
-from rendering.drive.upsampling import MULTIPLE
+from rendering.drive.coil_limits import DriveLimits, limit_drive, require_finite
 from rendering.greens.bank_rows import BankRows
-from rendering.greens.interpolation.errors import InterpolationErrors, interpolation_errors, judge_interpolation
+from rendering.greens.interpolation.errors import interpolation_errors, judge_interpolation
 from rendering.greens.source import GreenSource, drive_unit
 from rendering.report.render_report import RenderReport, RenderWarning, report_render
-from rendering.reused_memory import reused
 from rendering.scene.model import Scene
 from rendering.scene.sampling import Method, SampledSource, sample_scene
 from storage.drive_file import Drive
@@ -90,7 +86,7 @@ def render_with_report(
     on_progress : callable, optional
         Told blocks done and blocks in all.
     device : Device, optional
-        Where to accumulate, by the array API; there all is computed, whatever the tolerance. By default here.
+        Where to compute, by the array API; by default on this processor.
 
     Returns
     -------
@@ -110,25 +106,21 @@ def render_with_report(
     kind, sources = sample_scene(scene, bank, chosen)
     signals = [source.signal for source in sources]
 
-    @cache
-    def judged() -> tuple[InterpolationErrors | None, list[str]]:
-        found = interpolation_errors(scene, bank, kind, signals, thorough=interpolation_tolerance is not None)
-        return found, judge_interpolation(found, interpolation_tolerance)
-
+    with one_blas_thread():
+        errors = interpolation_errors(scene, bank, kind, signals, thorough=interpolation_tolerance is not None)
+    remarks = judge_interpolation(errors, interpolation_tolerance)
     rows = BankRows(kind.rows_of(bank), scene.regularisation)
     samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
     try:
-        drive_v, accumulated, norms, bound = _accumulated(
-            sources, rows, samples, tolerance, on_progress, device, meanwhile=judged
-        )
+        drive_v, accumulated, norms, bound = _accumulated(sources, rows, samples, tolerance, on_progress, device)
     except MemoryError as error:
         size = samples * bank.actuators * 8 / 2**30
         raise InputError(f"the drive takes {size:.3g} GiB, which do not fit into memory; shorten the scene") from error
     finite = bool(np.isfinite(norms).all())
-    scale_to_limit(drive_v, None, finite=finite)
+    if not finite:
+        require_finite(drive_v)
     limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
     limiting = limit_drive(drive_v, float(bank.sample_rate_hz), limits)
-    errors, remarks = judged()
     drive = Drive(
         drive_v=drive_v,
         sample_rate_hz=float(bank.sample_rate_hz),
@@ -173,45 +165,26 @@ def _accumulated(
     tolerance: float,
     on_progress: OnProgress | None,
     device: Device | None,
-    meanwhile: Callable[[], object],
 ) -> tuple[Float64Array, list[Accumulated], Float64Array, float]:
-    for share in STRICTER if tolerance > 0 and device is None else (0.0,):
-        drive_v = reused((rows.bank.actuators, samples), np.float64)
+    for share in STRICTER if tolerance > 0 else (0.0,):
+        drive_v = np.zeros((rows.bank.actuators, samples))
         progress = _Progress(sources, on_progress)
         accumulated: list[Accumulated] = []
         with np.errstate(over="ignore", invalid="ignore"):
             for source in sources:
                 rows.needed_by = source.naming
-                transform = partial(
-                    source.fft_samples,
-                    actuators=rows.bank.actuators,
-                    multiple=MULTIPLE if share * tolerance > 0 else 1,
+                made = SourceDrives(
+                    source.emission,
+                    rows,
+                    fft_samples=source.fft_samples(rows.bank.taps, rows.bank.actuators),
+                    tolerance=share * tolerance,
+                    band_hz=rows.bank.band_hz,
+                    on_block=progress.of(source),
+                    device=device,
                 )
-                made: SourceDrives | DeviceDrives
-                if device is None:
-                    made = SourceDrives(
-                        source.emission,
-                        rows,
-                        transform=transform,
-                        tolerance=share * tolerance,
-                        band_hz=rows.bank.band_hz,
-                        on_block=progress.of(source),
-                        expected_rows=source.expected_rows,
-                        meanwhile=meanwhile,
-                    )
-                else:
-                    meanwhile()
-                    made = DeviceDrives(
-                        source.emission,
-                        rows,
-                        fft_samples=transform(rows.bank.taps),
-                        device=device,
-                        band_hz=rows.bank.band_hz,
-                        on_block=progress.of(source),
-                    )
-                accumulated.append(made.add_to(drive_v, silent=not accumulated))
-        norms = _norms(drive_v, accumulated)
-        bound = relative_bound(math.fsum(item.error for item in accumulated), norms)
+                accumulated.append(made.add_to(drive_v))
+        norms = row_norms(drive_v)
+        bound = relative_bound(math.fsum(item.error for item in accumulated), norm_of(norms))
         if bound <= tolerance:
             break
     if rows.drive_exponent:
@@ -219,15 +192,6 @@ def _accumulated(
             np.ldexp(drive_v, rows.drive_exponent, out=drive_v)
         norms = row_norms(drive_v)
     return drive_v, accumulated, norms, bound
-
-
-def _norms(drive_v: Float64Array, accumulated: Sequence[Accumulated]) -> Float64Array:
-    """Norms of all drives, from what was found on the way where that is safe."""
-    energies = accumulated[0].energies if len(accumulated) == 1 else None
-    if energies is None or not ((energies > LEAST_NORM**2) & (energies < np.inf)).all():
-        return row_norms(drive_v)
-    norms: Float64Array = np.sqrt(energies)
-    return norms
 
 
 class _Progress:

@@ -16,11 +16,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.drive.coil_limits import DriveLimits, Reached, strictest
+from calibration.blas import one_blas_thread
+from rendering.band import norm_of, relative_bound, tolerance_of
+from rendering.drive.coil_limits import DriveLimits, Reached, RunningLevels, strictest
 from rendering.drive.live import LiveDrive
-from rendering.drive.omission import relative_bound, tolerance_of
 from rendering.drive.rendering import STRICTER
-from rendering.drive.running_levels import RunningLevels
 from rendering.drive.wav import Interface, InterfaceRate, largest_of
 from rendering.greens.interpolation.errors import interpolation_errors, judge_interpolation
 from rendering.greens.interpolation.registry import scene_interpolation
@@ -126,7 +126,8 @@ class StreamedDrive:
         scene, bank = self._scene, self._bank
         kind = scene_interpolation(scene, bank)
         signals = [source.signal for source in self.live.sources]
-        errors = interpolation_errors(scene, bank, kind, signals, thorough=self._thorough is not None)
+        with one_blas_thread():
+            errors = interpolation_errors(scene, bank, kind, signals, thorough=self._thorough is not None)
         remarks = judge_interpolation(errors, self._thorough)
         for share in STRICTER if self._tolerance > 0 else (0.0,):
             if share != STRICTER[0]:
@@ -135,7 +136,7 @@ class StreamedDrive:
             error = math.fsum(item.error for item in self.live.accumulated)
             with np.errstate(over="ignore", under="ignore"):
                 norms = np.ldexp(self._levels.norms, -self.live.rows.drive_exponent)
-            bound = relative_bound(error, norms)
+            bound = relative_bound(error, norm_of(norms))
             if bound <= self._tolerance:
                 break
         limiting = strictest([replace(one, each_v=one.each_v * self._gain) for one in reached])

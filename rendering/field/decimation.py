@@ -1,4 +1,4 @@
-"""Signals at a fraction of their rate: low-passed and every D-th sample kept, by matrix products."""
+"""Fields at a fraction of their rate: a low-pass within the transforms, and bins above the lower rate left out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy import fft as scipy_fft
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
-RealArray = NDArray[np.float32] | NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
 
 PASSED = 0.8
 """Frequencies up to this share of half the lower rate are passed."""
@@ -20,8 +20,7 @@ LARGEST_FACTOR = 64
 class Decimation:
     """Low-passes signals (a windowed sinc, symmetrical about each sample) and keeps every D-th sample.
 
-    What lies between `passed_hz` and half the lower rate is weakened, and so is what folds onto that from as far
-    above; what folds onto `passed_hz` and below is less by 80 dB.
+    What lies between `passed_hz` and half the lower rate is weakened, what lies above is left out.
 
     Parameters
     ----------
@@ -40,6 +39,8 @@ class Decimation:
     """D."""
     passed_hz: float
     """What is passed to one part in ten thousand."""
+    half: int
+    """Samples at the lower rate that the low-pass reaches on either side."""
 
     def __init__(self, rate_hz: float, lower_hz: float) -> None:
         # Beyond any rate that is allowed, quotients are not finite.
@@ -49,51 +50,21 @@ class Decimation:
             raise InputError(
                 f"rate_hz is {lower_hz:g}; allowed are {rate_hz:g} Hz over a whole number of at most {LARGEST_FACTOR}"
             )
-        self.passed_hz = PASSED * rate_hz / self.factor / 2.0 if self.factor > 1 else rate_hz / 2.0
-        width = (1.0 - PASSED) / self.factor
-        half = int(np.ceil((STOPBAND_DB - 8.0) / (2.285 * 2.0 * np.pi * width) / 2.0 / self.factor))
-        self.half = half if self.factor > 1 else 0
-        """Samples at the lower rate that the low-pass reaches on either side."""
-        at = np.arange(-self.half * self.factor, self.half * self.factor + 1)
-        kernel = np.sinc(at / self.factor) / self.factor * np.kaiser(len(at), 0.1102 * (STOPBAND_DB - 8.7))
-        self._kernel: Float64Array = kernel / kernel.sum()
-        # So long a frame that what it makes reaches over into one other at either end, half and half.
-        self._outputs = 2 * self.half + 1
-        frame = self._outputs * self.factor
-        outputs = np.arange(-self.half, self._outputs + self.half + 1)
-        offset = outputs[None, :] * self.factor - np.arange(frame)[:, None]
-        reach = self.half * self.factor
-        weights = self._kernel[np.clip(offset + reach, 0, 2 * reach)]
-        self._matrix: Float64Array = np.where(np.abs(offset) <= reach, weights, 0.0)
-        self._single = self._matrix.astype(np.float32)
+        self.passed_hz, self.half, self._kernel = rate_hz / 2.0, 0, np.ones(1)
+        if self.factor > 1:
+            self.passed_hz *= PASSED / self.factor
+            width = (1.0 - PASSED) / self.factor
+            self.half = int(np.ceil((STOPBAND_DB - 8.0) / (2.285 * 2.0 * np.pi * width) / 2.0 / self.factor))
+            at = np.arange(-self.half * self.factor, self.half * self.factor + 1)
+            kernel = np.sinc(at / self.factor) * np.kaiser(len(at), 0.1102 * (STOPBAND_DB - 8.7))
+            self._kernel = kernel / kernel.sum()
 
-    def samples(self, count: int) -> int:
-        """Samples at the lower rate of a signal of `count`, its ends included."""
-        return -(-count // self.factor) + 2 * self.half + 1
+    @property
+    def kernel_samples(self) -> int:
+        """Length of the low-pass at the full rate."""
+        return len(self._kernel)
 
-    def lower(self, signals: RealArray) -> RealArray:
-        """Signals (n, samples) at the lower rate, (n, `samples`); the first is `half` before the signals' first."""
-        if self.factor == 1:
-            padded = np.zeros((len(signals), signals.shape[1] + 1), dtype=signals.dtype)
-            padded[:, :-1] = signals
-            return padded
-        count, length = signals.shape
-        outputs, frame = self._outputs, self._outputs * self.factor
-        frames = -(-length // frame)
-        padded = np.empty((count, frames * frame), dtype=signals.dtype)
-        padded[:, :length] = signals
-        padded[:, length:] = 0
-        matrix = self._single if signals.dtype == np.float32 else self._matrix
-        parts = (padded.reshape(count * frames, frame) @ matrix).reshape(count, frames, 2 * outputs)
-        total = np.zeros((count, (frames + 1) * outputs), dtype=signals.dtype)
-        total[:, :-outputs].reshape(count, frames, outputs)[:] = parts[:, :, :outputs]
-        total[:, outputs:].reshape(count, frames, outputs)[:] += parts[:, :, outputs:]
-        return total[:, : self.samples(length)]
-
-    def response(self, frequency_hz: Float64Array, rate_hz: float) -> Float64Array:
-        """What the low-pass makes of frequencies, before folding."""
-        spectrum = np.zeros(2**16)
-        reach = self.half * self.factor
-        spectrum[np.arange(-reach, reach + 1)] = self._kernel
-        grid = scipy_fft.rfftfreq(len(spectrum), 1.0 / rate_hz)
-        return np.interp(frequency_hz, grid, scipy_fft.rfft(spectrum).real)
+    def weights(self, fft_samples: int) -> Complex128Array:
+        """What spectra of `fft_samples` are multiplied with, up to half the lower rate; it delays by `half`."""
+        spectrum: Complex128Array = scipy_fft.rfft(self._kernel, fft_samples)[: fft_samples // self.factor // 2 + 1]
+        return spectrum / self.factor

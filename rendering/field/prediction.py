@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import fft as scipy_fft
 
-from rendering.drive.omission import relative_bound, tolerance_of
-from rendering.drive.row_transforms import BankSpectra
-from rendering.field.convolution import Convolution, Response
+from calibration.blas import one_blas_thread
+from rendering.band import relative_bound, tolerance_of
+from rendering.device import Device, host_device
+from rendering.field.bank_spectra import BankSpectra
+from rendering.field.convolution import Convolution
 from rendering.field.decimation import Decimation
-from rendering.greens.low_rate import LowRateRows
 from rendering.greens.source import GreenSource, RowReader, drive_unit
-from rendering.shared_work import share_out
-from rendering.threads import WORKERS, one_blas_thread, workers
+from rendering.threads import WORKERS, in_order
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.field_file import Field, LowPass
@@ -73,6 +70,8 @@ class Prediction:
         relative L2 error stays below it for every part of the field, < 0.
     rate_hz : float, optional
         Rate of the field, an integer fraction of the bank's; the field is low-passed to it.
+    device : Device, optional
+        Where to compute, by default on this processor.
 
     Raises
     ------
@@ -101,45 +100,31 @@ class Prediction:
         dtype: DTypeLike = np.float32,
         tolerance_db: float | None = None,
         rate_hz: float | None = None,
+        device: Device | None = None,
     ) -> None:
         self.position_index = np.asarray(positions, dtype=np.int64)
         if np.dtype(dtype) not in (np.float32, np.float64):
             raise InputError(f"dtype is {np.dtype(dtype)}; allowed are float32 and float64")
-        self._drive = drive
-        self._dtype = np.dtype(dtype)
-        spectra: BankSpectra | None = None
-        decimation: Decimation | None = None
+        self._drive, self._dtype = drive, np.dtype(dtype)
+        self._device = host_device() if device is None else device
+        kept: BankSpectra | None = None
+        rate = float(drive.sample_rate_hz)
         if isinstance(bank, BankSpectra):
             if rate_hz is not None or tolerance_db is not None:
                 raise InputError("rate_hz and tolerance_db are those of the bank's spectra; give them there")
-            spectra, self._bank, reader, decimation = bank, bank.bank, bank.reader, bank.decimation
-            self._tolerance = bank.tolerance
+            kept, self._bank, decimation, self._tolerance = bank, bank.bank, bank.decimation, bank.tolerance
         else:
-            self._bank, reader = bank, RowReader(bank)
-            if rate_hz is not None and rate_hz != bank.sample_rate_hz:
-                reader = low = LowRateRows(bank, rate_hz)
-                decimation = low.decimation
-            self._tolerance = tolerance_of(tolerance_db)
+            self._bank, self._tolerance = bank, tolerance_of(tolerance_db)
+            decimation = Decimation(rate, rate if rate_hz is None else rate_hz)
         self.start_s = drive.start_s
-        self.sample_rate_hz = float(drive.sample_rate_hz)
-        self.passed_hz = self.sample_rate_hz / 2.0
-        self.samples = int(drive.drive_v.shape[1]) + self._bank.taps - 1
-        self.low_pass = None
-        self._skipped = 0
-        drive_v = drive.drive_v
-        if decimation is not None:
-            with np.errstate(over="ignore", invalid="ignore"):
-                # NaN and infinity stay what they are, and are found below.
-                drive_v = np.asarray(decimation.factor * decimation.lower(drive_v), dtype=np.float64)
-            self._skipped = 2 * decimation.half
-            self.sample_rate_hz /= decimation.factor
-            self.passed_hz = decimation.passed_hz
-            if decimation.factor > 1:
-                self.low_pass = LowPass(decimation.passed_hz, decimation.factor)
-            self.samples = -(-self.samples // decimation.factor)
-        self._convolution = Convolution(drive_v, reader, np.dtype(dtype), self.position_index, self._tolerance, spectra)
-        self._errors = 0.0
-        self._energy = 0.0
+        self.sample_rate_hz, self.passed_hz = rate / decimation.factor, decimation.passed_hz
+        self.low_pass = LowPass(decimation.passed_hz, decimation.factor) if decimation.factor > 1 else None
+        self._convolution = Convolution(
+            drive.drive_v, RowReader(self._bank), self._dtype, self.position_index, decimation, self._device,
+            self._tolerance, kept,
+        )  # fmt: skip
+        self.samples = self._convolution.samples
+        self._errors = self._energy = 0.0
 
     @property
     def kept_share(self) -> float:
@@ -149,55 +134,34 @@ class Prediction:
     @property
     def omitted_bound(self) -> float:
         """Proved bound on the relative L2 error of the rows given so far from what was left out of them."""
-        return relative_bound(float(np.sqrt(self._errors)), np.array([np.sqrt(self._energy)]))
+        return relative_bound(float(np.sqrt(self._errors)), float(np.sqrt(self._energy)))
 
     def rows(self, on_progress: OnProgress | None = None) -> Iterator[FieldRows]:
-        """Compute all rows; `on_progress` is told positions done and positions in all."""
-        index = self.position_index
-        parts = deque((rows.start, index[rows.start : rows.stop]) for rows in self.parts())
-        under_way: deque[tuple[int, Int64Array, Future[Response]]] = deque()
-        with one_blas_thread(), workers() as threads:
-            while parts or under_way:
-                while parts and len(under_way) <= WORKERS:
-                    first, part = parts.popleft()
-                    under_way.append((first, part, threads.submit(self._convolution.respond, part)))
-                first, part, future = under_way.popleft()
-                response = future.result()
+        """Compute all rows; `on_progress` is called with positions done and positions in all."""
+        index, parts = self.position_index, self.parts()
+        workers = WORKERS if self._device.is_host and len(parts) > 1 else 1
+        with one_blas_thread():
+            computed = in_order(lambda part: self._convolution.respond(index[part.start : part.stop]), parts, workers)
+            for part, response in zip(parts, computed, strict=True):
                 self._errors += response.error**2
                 self._energy += response.energy
-                yield FieldRows(first, part, response.field[:, self._skipped : self._skipped + self.samples])
+                yield FieldRows(part.start, index[part.start : part.stop], response.field)
                 if on_progress is not None:
-                    on_progress(first + len(part), len(index))
+                    on_progress(part.stop, len(index))
 
     def field(self, on_progress: OnProgress | None = None) -> Field:
         """Compute all rows into memory."""
-        index, parts = self.position_index, self.parts()
-        whole = np.empty((len(index), self._convolution.padded_samples), dtype=self._dtype)
-        errors, energies, done = np.zeros(len(parts)), np.zeros(len(parts)), np.zeros(len(parts), dtype=np.int64)
-        calling = threading.get_ident()
-
-        def compute(number: int) -> None:
-            rows = slice(parts[number].start, parts[number].stop)
-            response = self._convolution.respond(index[rows], whole[rows])
-            errors[number], energies[number], done[number] = response.error, response.energy, len(parts[number])
-            if on_progress is not None and threading.get_ident() == calling:
-                on_progress(int(done.sum()), len(index))
-
-        with one_blas_thread():
-            share_out(range(len(parts)), compute)
-        self._errors += float(np.square(errors).sum())
-        self._energy += float(energies.sum())
-        if on_progress is not None:
-            on_progress(len(index), len(index))
+        whole = np.empty((len(self.position_index), self.samples), dtype=self._dtype)
+        for rows in self.rows(on_progress):
+            whole[rows.first : rows.first + len(rows.field)] = rows.field
         return Field(
-            field=whole[:, self._skipped : self._skipped + self.samples],
+            field=whole,
             position_index=self.position_index,
             sample_rate_hz=self.sample_rate_hz,
             start_s=self.start_s,
             response_unit=response_unit(self._bank.response_unit, drive_unit(self._bank)),
             low_pass=self.low_pass,
-            # Energies are told where errors are bounded, and those of what is not finite are not finite either.
-            known_finite=self._tolerance > 0 and bool(np.isfinite(energies).all()),
+            known_finite=True,
         )
 
     def parts(self) -> list[range]:
@@ -211,8 +175,7 @@ class Prediction:
     def respond(self, positions: Int64Array) -> RealArray:
         """Compute some bank rows as one part, in the calling thread, (rows, samples)."""
         with one_blas_thread():
-            response = self._convolution.respond(positions)
-        return response.field[:, self._skipped : self._skipped + self.samples]
+            return self._convolution.respond(positions).field
 
     def lost_share(self) -> float:
         """Share of the response's energy above `passed_hz`: the largest of a few positions, by some of the drive."""

@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from rendering.drive.omission import Economy
-from rendering.drive.row_transforms import BankSpectra, transform_rows
+from calibration.blas import one_blas_thread
+from rendering.band import Band
+from rendering.device import host_device
+from rendering.field.bank_spectra import BankSpectra, transform_rows
 from rendering.greens.source import GreenSource, RowReader, drive_unit
-from rendering.threads import WORKERS, one_blas_thread
+from rendering.threads import WORKERS
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.units import response_unit
@@ -90,30 +92,31 @@ def predict_spectra(
         raise InputError("the drive holds NaN or infinity; render it again")
     spectra = bank if isinstance(bank, BankSpectra) else None
     source: GreenSource = bank.bank if isinstance(bank, BankSpectra) else bank
-    if spectra is not None and spectra.decimation is not None:
+    if spectra is not None and spectra.decimation.factor > 1:
         raise InputError("the spectra of a bank at a lower rate do not fit the drive's; make them at the full rate")
     if spectra is not None:
-        fft_samples, economy = spectra.fft_samples, spectra.economy
+        band = spectra.band
     else:
-        fft_samples = int(scipy_fft.next_fast_len(int((1.0 + WINDOW_TAPS) * source.taps), real=True))
-        economy = Economy.of(fft_samples // 2 + 1, single=True)
+        length = int(scipy_fft.next_fast_len(int((1.0 + WINDOW_TAPS) * source.taps), real=True))
+        band = Band.whole(length, single=True)
+    fft_samples = band.fft_samples
     exponent = int(np.frexp(float(np.abs(drive.drive_v).max(initial=0.0)))[1])
     blocks = _windowed(np.ldexp(drive.drive_v, -exponent), max(2, min(fft_samples - source.taps + 1, 2 * source.taps)))
-    power = np.zeros((len(index), economy.kept))
+    power = np.zeros((len(index), band.kept))
     reader = RowReader(source)
     with one_blas_thread():
         for first in range(0, len(blocks), BLOCKS_AT_ONCE):
             whole = scipy_fft.rfft(blocks[first : first + BLOCKS_AT_ONCE], fft_samples, axis=2, workers=WORKERS)
-            kept = whole[:, :, economy.low : economy.high].astype(economy.complex).transpose(2, 1, 0)
-            kept = np.ascontiguousarray(kept)
+            kept = np.ascontiguousarray(whole[:, :, : band.kept].astype(band.complex).transpose(2, 1, 0))
             for begin in range(0, len(index), ROWS_AT_ONCE):
                 some = index[begin : begin + ROWS_AT_ONCE]
                 rows = (
-                    transform_rows(reader, some.tolist(), fft_samples, economy, bounded=False)
+                    transform_rows(reader, some.tolist(), band, band.kept, host_device(), bounded=False)
                     if spectra is None
                     else spectra.rows(some)
                 )
-                squares = economy.squared(np.matmul(rows.kept.transpose(1, 0, 2), kept)).sum(axis=2, dtype=np.float64)
+                response = np.matmul(rows.kept, kept)
+                squares = (np.square(response.real) + np.square(response.imag)).sum(axis=2, dtype=np.float64)
                 power[begin : begin + len(some)] += np.ldexp(squares.T, 2 * (rows.exponents + exponent)[:, None])
     rate_hz = float(drive.sample_rate_hz)
     # Parseval: two bins each but for the first and, of an even length, the last.
@@ -121,8 +124,8 @@ def predict_spectra(
     twice[0] = 1.0
     if fft_samples % 2 == 0:
         twice[-1] = 1.0
-    power *= twice[economy.low : economy.high] / rate_hz**2
-    frequency_hz = scipy_fft.rfftfreq(fft_samples, 1.0 / rate_hz)[economy.low : economy.high]
+    power *= twice[: band.kept] / rate_hz**2
+    frequency_hz = scipy_fft.rfftfreq(fft_samples, 1.0 / rate_hz)[: band.kept]
     return ResponseSpectra(frequency_hz, power, index, response_unit(source.response_unit, drive_unit(source)))
 
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.regularisation import RowWeights, green_energies, row_weights, saturation_threshold, weights_of
-from rendering.greens.row_scaling import RawRow, RealArray, ScaledRow, look_at_rows, scale_row, scale_together
+from rendering.greens.regularisation import RowWeights, row_weights, saturation_threshold
+from rendering.greens.row_scaling import ScaledRow, scale_row
 from rendering.greens.source import GreenSource, fetch_row, refusal
-from rendering.inner_loops import InnerLoops
 from rendering.scene.model import Regularisation
 from storage.errors import InputError
 
@@ -54,10 +52,6 @@ class BankRows:
         self._reading = threading.Lock()
         self._loud = np.zeros(bank.actuators, dtype=bool)
 
-    def knows(self, row: int) -> bool:
-        """Whether a row was read before, so that its weights are known."""
-        return row in self._weights
-
     @property
     def used(self) -> list[int]:
         """Rows read so far, in ascending order."""
@@ -76,10 +70,9 @@ class BankRows:
         reason = refusal(int(self.status[row]))
         scaled = None
         if not reason:
-            raw = self._fetch(row)
-            # Weights are those of the row as it is, not as it is rounded.
-            rounded = single and (raw.dtype == np.float32 or row in self._weights)
-            scaled = scale_row(raw, row, single=rounded)
+            with self._reading:
+                raw = fetch_row(self.bank, row)
+            scaled = scale_row(raw, row)
         if scaled is None or scaled.silent:
             x, y = self._position_mm[row]
             raise InputError(
@@ -88,76 +81,10 @@ class BankRows:
                 " the path"
             )
         if row not in self._weights:
-            self._know(row, scaled)
-        return scaled.rounded() if single and scaled.values.dtype != np.float32 else scaled
-
-    def read_together(self, rows: Sequence[int], out: RealArray) -> None:
-        """Read some rows side by side, in few steps for all of them; otherwise as `read` does.
-
-        Parameters
-        ----------
-        rows : sequence of int
-            Bank rows, none twice.
-        out : float32 or float64 array, shape (rows, actuators, taps)
-            Where the scaled values go, however it lies.
-        """
-        if not any(refusal(int(self.status[row])) for row in rows):
-            exponents = scale_together([self._fetch(row) for row in rows], out)
-            if exponents is not None:
-                self._learn(rows, out, exponents)
-                return
-        for place, row in enumerate(rows):
-            out[place] = self.read(row, single=out.dtype == np.float32).values
-
-    def look_together(self, rows: Sequence[int], used_taps: int, loops: InnerLoops) -> list[RawRow] | None:
-        """Read some rows for compiled loops to scale; None where one needs `read`.
-
-        Parameters
-        ----------
-        rows : sequence of int
-            Bank rows, none twice.
-        used_taps : int
-            How many taps, from the first, are used.
-        loops : InnerLoops
-            The loops.
-        """
-        if any(refusal(int(self.status[row])) for row in rows):
-            return None
-        found = look_at_rows([self._fetch(row) for row in rows], used_taps, loops)
-        if found is None:
-            return None
-        new = [(row, raw) for row, raw in zip(rows, found, strict=True) if row not in self._weights]
-        if new:
-            energies = np.array([raw.energies for _, raw in new]).sum(axis=1)
-            self._loud |= (energies > 0).any(axis=0)
-            exponents = [raw.exponent for _, raw in new]
-            weights = weights_of(energies, self.bank.taps, exponents, self.threshold, normalise=self._normalise)
-            for (row, raw), weight in zip(new, weights, strict=True):
-                self._exponent[row], self._weights[row] = raw.exponent, weight
-        return found
-
-    def _fetch(self, row: int) -> NDArray[Any]:
-        with self._reading:
-            return fetch_row(self.bank, row)
-
-    def _learn(self, rows: Sequence[int], values: RealArray, exponents: Int64Array) -> None:
-        """Find the weights of rows that were scaled together."""
-        new = [place for place, row in enumerate(rows) if row not in self._weights]
-        if not new:
-            return
-        found = green_energies(values if len(new) == len(rows) else values[new])
-        for place, energies in zip(new, found, strict=True):
-            self._know(rows[place], ScaledRow(values[place], int(exponents[place])), energies)
-
-    def _know(self, row: int, scaled: ScaledRow, energies: Float64Array | None = None) -> None:
-        if not self._loud.all():
             self._loud |= scaled.values.any(axis=1)
-        self._exponent[row] = scaled.exponent
-        self._weights[row] = row_weights(scaled, self.threshold, normalise=self._normalise, energies=energies)
-
-    def norm_of(self, rows: Int64Array) -> Float64Array:
-        """Norms of scaled rows that were read, over all actuators and taps."""
-        return np.array([self._weights[row].norm for row in rows.tolist()])
+            self._exponent[row] = scaled.exponent
+            self._weights[row] = row_weights(scaled, self.threshold, normalise=self._normalise)
+        return scaled.rounded() if single else scaled
 
     def sigma(self, regularised_by: int) -> Float64Array | None:
         """Saturation factors (actuators,) of a row, None where all are 1."""

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.row_scaling import RealArray, ScaledRow
+from rendering.greens.row_scaling import ScaledRow
 from rendering.greens.source import GreenSource, read_row, usable
-from rendering.reused_memory import reused
 from rendering.scene.model import Regularisation
 from storage.errors import InputError
 
@@ -103,19 +98,14 @@ class RowWeights:
     gain : float
     gain_exponent : int
         n(x) = gain * 2**gain_exponent; 1 * 2**0 where normalisation is off.
-    norm : float
-        Norm of the scaled row over all actuators and taps.
     """
 
     sigma: Float64Array | None
     gain: float
     gain_exponent: int
-    norm: float
 
 
-def row_weights(
-    row: ScaledRow, threshold: float, *, normalise: bool, energies: Float64Array | None = None
-) -> RowWeights:
+def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeights:
     """Evaluate eqs. (14) and (15) at one position.
 
     Parameters
@@ -126,74 +116,21 @@ def row_weights(
         C, > 0, infinity for off.
     normalise : bool
         Whether to form n(x).
-    energies : float64 array, shape (actuators,), optional
-        `green_energies` of the row, where they are known.
     """
-    found = green_energies(row.values) if energies is None else energies
-    return _weights(found, lambda: _rms(row), row.exponent, threshold, normalise=normalise)
-
-
-def weights_of(
-    energies: Float64Array, taps: int, exponents: Sequence[int], threshold: float, *, normalise: bool
-) -> list[RowWeights]:
-    """Evaluate eqs. (14) and (15) for rows by the energies of their Green's functions, none of which may have vanished.
-
-    Parameters
-    ----------
-    energies : float64 array, shape (rows, actuators)
-        Of the scaled rows.
-    taps : int
-        Length of the Green's functions.
-    exponents : sequence of int
-        Of the rows.
-    threshold : float
-        C, > 0, infinity for off.
-    normalise : bool
-        Whether to form n(x).
-    """
-    if math.isinf(threshold):
-        gains = 1.0 / energies.sum(axis=1) if normalise else np.ones(len(energies))
-        norms = np.sqrt(energies.sum(axis=1)).tolist()
-        gain_exponents = [-2 * exponent if normalise else 0 for exponent in exponents]
-        return [RowWeights(None, *row) for row in zip(gains.tolist(), gain_exponents, norms, strict=True)]
-    return [
-        _weights(row, partial(_rms_of, row, taps), exponent, threshold, normalise=normalise)
-        for row, exponent in zip(energies, exponents, strict=True)
-    ]
-
-
-def _weights(
-    energies: Float64Array, rms: Callable[[], Float64Array], exponent: int, threshold: float, *, normalise: bool
-) -> RowWeights:
     sigma = None
     if np.isfinite(threshold):
-        level = np.ldexp(rms(), exponent)
+        level = np.ldexp(_rms(row), row.exponent)
         saturated = level >= threshold
         if saturated.any():
             sigma = np.ones(len(level))
             sigma[saturated] = threshold / level[saturated]
-    energy = float(energies.sum())
     if not normalise:
-        return RowWeights(sigma, 1.0, 0, math.sqrt(energy))
-    total = energy if sigma is None else float(sigma @ energies)
+        return RowWeights(sigma, 1.0, 0)
+    energies = np.einsum("ij,ij->i", row.values, row.values, dtype=np.float64)
+    total = float(energies.sum() if sigma is None else sigma @ energies)
     if not total > LEAST_TOTAL:
         raise InputError(f"the saturation threshold is {threshold:.3g}, too small for numbers; use a larger saturation")
-    return RowWeights(sigma, 1.0 / total, -2 * exponent, math.sqrt(energy))
-
-
-def _rms_of(energies: Float64Array, taps: int) -> Float64Array:
-    rms: Float64Array = np.sqrt(energies / taps)
-    return rms
-
-
-def green_energies(values: RealArray) -> Float64Array:
-    """Energies of Green's functions (..., actuators, taps), summed up in double precision."""
-    double: NDArray[Any] = values
-    if values.dtype != np.float64:
-        double = reused(values.shape, np.float64)
-        double[...] = values
-    energies: Float64Array = np.matmul(double[..., None, :], double[..., :, None])[..., 0, 0]
-    return energies
+    return RowWeights(sigma, 1.0 / total, -2 * row.exponent)
 
 
 def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float64Array:

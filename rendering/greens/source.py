@@ -10,9 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendering.greens.row_scaling import RawRow, ScaledRow, look_at_rows, scale_row, scale_together
-from rendering.inner_loops import InnerLoops
-from rendering.reused_memory import reused
+from rendering.greens.row_scaling import ScaledRow, scale_row
 from storage.errors import InputError
 from storage.point_status import DOUBTFUL, USABLE, Status
 from storage.point_status import usable as usable_rows
@@ -152,26 +150,8 @@ def read_row(bank: GreenSource, position: int) -> ScaledRow:
 
 
 def read_rows(bank: GreenSource, positions: Sequence[int]) -> NDArray[np.float32]:
-    """Read some rows as float32, each scaled by a power of two, (rows, actuators, taps).
-
-    Parameters
-    ----------
-    bank : GreenSource
-        The bank.
-    positions : sequence of int
-        Rows.
-
-    Raises
-    ------
-    InputError
-        As of `read_row`.
-    """
-    raws = [fetch_row(bank, position) for position in positions]
-    rows = reused((len(raws), bank.actuators, bank.taps), np.float32)
-    if scale_together(raws, rows) is None:
-        for place, (raw, position) in enumerate(zip(raws, positions, strict=True)):
-            rows[place] = scale_row(raw, position, single=True).values
-    return rows
+    """Read some rows as float32, each scaled by a power of two, (rows, actuators, taps). Raises as `read_row` does."""
+    return np.stack([scale_row(fetch_row(bank, row), row, single=True).values for row in positions])
 
 
 def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:
@@ -205,12 +185,12 @@ class RowReader:
 
     @property
     def actuators(self) -> int:
-        """Rows of a row."""
+        """Number of actuators."""
         return self._bank.actuators
 
     @property
     def taps(self) -> int:
-        """Samples of a row."""
+        """Taps of a Green's function."""
         return self._bank.taps
 
     def read(self, position: int, *, single: bool) -> ScaledRow:
@@ -218,12 +198,6 @@ class RowReader:
         with self._asking:
             raw = fetch_row(self._bank, position)
         return scale_row(raw, position, single=single)
-
-    def look_together(self, positions: Sequence[int], loops: InnerLoops) -> list[RawRow] | None:
-        """Read some rows for compiled loops to scale; None where one needs `read`."""
-        with self._asking:
-            raws = [fetch_row(self._bank, position) for position in positions]
-        return look_at_rows(raws, self._bank.taps, loops)
 
 
 def usable(bank: GreenSource) -> NDArray[np.bool_]:

@@ -65,12 +65,6 @@ class RenderReport:
         See `bins`.
     pairs : int
         (Block, row) pairs that were multiplied: what the render cost.
-    left_out_pairs : int
-        (Block, row) pairs that hardly emit anything and were left out.
-    left_out_taps : tuple of int
-        Per source, late taps of every Green's function that were not used.
-    left_out_actuators : tuple of tuples of int
-        Per source, actuators that hardly count and were left silent.
     interpolation_errors : InterpolationErrors or None
         Estimated error of the Green's functions between the bank's positions, by band; None where the paths
         keep to the positions, or the bank does not let one tell.
@@ -90,16 +84,14 @@ class RenderReport:
     bins: int
     kept_bins: int
     pairs: int
-    left_out_pairs: int = 0
-    left_out_taps: tuple[int, ...] = ()
-    left_out_actuators: tuple[tuple[int, ...], ...] = ()
     interpolation_errors: InterpolationErrors | None = None
     tail: ResponseTail | None = None
 
     @property
     def left_out_words(self) -> tuple[str, ...]:
         """What was left out, a phrase each."""
-        return _left_out_words(self)
+        left_out = self.bins - self.kept_bins
+        return (f"{left_out} of {self.bins} frequency bins",) if left_out else ()
 
     @property
     def scale(self) -> float:
@@ -110,22 +102,6 @@ class RenderReport:
     def dynamic_range_db(self) -> float:
         """Largest over smallest rms of all actuators that are driven at all, in dB."""
         return dynamic_range_db(self.relative_rms_drive)
-
-
-def _left_out_words(report: RenderReport) -> tuple[str, ...]:
-    words = []
-    if report.kept_bins < report.bins:
-        words.append(f"{report.bins - report.kept_bins} of {report.bins} frequency bins")
-    words += [f"the last {taps} taps of source {index}" for index, taps in enumerate(report.left_out_taps) if taps]
-    words += [
-        f"actuator {_listed(list(some))} of source {index}"
-        for index, some in enumerate(report.left_out_actuators)
-        if some
-    ]
-    if report.left_out_pairs:
-        whole = report.left_out_pairs + report.pairs
-        words.append(f"{report.left_out_pairs} of {whole} stretches of the path that hardly emit")
-    return tuple(words)
 
 
 def report_render(
@@ -192,9 +168,6 @@ def report_render(
         bins=sum(item.bins for item in accumulated),
         kept_bins=sum(item.kept_bins for item in accumulated),
         pairs=sum(item.pairs for item in accumulated),
-        left_out_pairs=sum(item.left_out_windows for item in accumulated),
-        left_out_taps=tuple(item.left_out_taps for item in accumulated),
-        left_out_actuators=tuple(item.left_out_actuators for item in accumulated),
         interpolation_errors=errors,
         tail=tail,
     )

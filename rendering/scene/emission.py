@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from rendering.drive.windows import Events, Weigh, Windows
+from rendering.drive.windows import Events
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -33,8 +33,12 @@ class Emission(Protocol):
     exponent: int
     """The signal is emitted over 2**exponent, so that its largest value is about 1."""
 
-    def windows(self, start: int, hop: int, blocks: int, weigh: Weigh) -> Windows:
-        """Windows of the events that begin in `blocks` blocks of `hop` samples from sample `start`."""
+    def events(self, start: int, stop: int) -> Events:
+        """Events that begin at samples [start, stop), counted from `start`."""
+        ...
+
+    def piece_spectra(self, fft_samples: int) -> Complex128Array | None:
+        """Spectra (pieces, bins) of what begins at an event; None where an event is a sample."""
         ...
 
 
@@ -78,22 +82,19 @@ class ContinuousEmission:
             self._last_point = np.flatnonzero(np.diff(focus_sample, append=stop_sample) > 0)
             self._focus = focus_sample[self._last_point]
 
-    def windows(self, start: int, hop: int, blocks: int, weigh: Weigh) -> Windows:
-        stop = max(min(start + hop * blocks, self.stop_event), start)
+    def events(self, start: int, stop: int) -> Events:
         begin, end = start - self.first_sample, stop - self.first_sample
         signal = np.ldexp(self.signal[begin:end], -self.exponent)
         if self._focus is None:
-            nodes, sample = self._nodes_at(begin, end), np.arange(end - begin)
-        else:
-            first = int(np.searchsorted(self._focus, start, side="right")) - 1
-            last = int(np.searchsorted(self._focus, stop))
-            point = self._last_point[first:last]
-            rows, weights, by = (
-                self._nodes_at(int(point[0]), int(point[-1]) + 1) if len(point) else self._nodes_at(0, 0)
-            )
-            kept = point - point[0] if len(point) else point
-            nodes, sample = (rows[kept], weights[kept], by[kept]), np.maximum(self._focus[first:last] - start, 0)
-        return Windows(Events(*nodes, sample, np.diff(sample, append=end - begin), signal), hop, blocks, weigh)
+            return Events(*self._nodes_at(begin, end), np.arange(end - begin), signal)
+        point = self._last_point[np.searchsorted(self._focus, np.arange(start, stop), side="right") - 1]
+        first = int(point[0])
+        rows, weights, by = self._nodes_at(first, int(point[-1]) + 1)
+        point = point - first
+        return Events(rows[point], weights[point], by[point], np.arange(end - begin), signal)
+
+    def piece_spectra(self, fft_samples: int) -> None:
+        return None
 
 
 class PointEmission:
@@ -128,33 +129,23 @@ class PointEmission:
         self.stop_sample = int(focus_sample[-1]) + len(signal)
         self.stop_event = int(focus_sample[-1]) + (len(self._pieces) - 1) * self.event_samples + 1
         self._nodes_at = nodes_at
-        self._piece_spectra: Complex128Array | None = None
 
-    def windows(self, start: int, hop: int, blocks: int, weigh: Weigh) -> Windows:
-        found = [self._piece_events(piece, start, start + hop * blocks) for piece in range(len(self._pieces))]
-        events = Events(
-            np.concatenate([entry.rows for entry in found]),
-            np.concatenate([entry.weights for entry in found]),
-            np.concatenate([entry.regularised_by for entry in found]),
-            np.concatenate([entry.sample for entry in found]),
-            np.concatenate([entry.length for entry in found]),
-            np.concatenate([entry.values for entry in found]),
-            np.repeat(np.arange(len(found)), [len(entry.values) for entry in found]),
-        )
-        return Windows(events, hop, blocks, weigh, self._spectra_of_pieces)
+    def events(self, start: int, stop: int) -> Events:
+        found = [self._piece_events(piece, start, stop) for piece in range(len(self._pieces))]
+        rows, weights, by, sample = (np.concatenate(part) for part in zip(*found, strict=True))
+        piece = np.repeat(np.arange(len(found)), [len(entry[3]) for entry in found])
+        return Events(rows, weights, by, sample, np.ones(len(sample)), piece)
 
-    def _piece_events(self, piece: int, start: int, stop: int) -> Events:
-        """Path points whose emission comes to this piece in [start, stop)."""
+    def _piece_events(
+        self, piece: int, start: int, stop: int
+    ) -> tuple[Int64Array, Float64Array, Int64Array, Int64Array]:
+        """Nodes and samples of path points whose emission comes to this piece in [start, stop)."""
         delay = piece * self.event_samples
         first, last = np.searchsorted(self.focus_sample, [start - delay, stop - delay])
-        sample = self.focus_sample[first:last] + delay - start
-        one = np.ones(int(last - first))
-        return Events(*self._nodes_at(int(first), int(last)), sample, one.astype(np.int64), one)
+        return *self._nodes_at(int(first), int(last)), self.focus_sample[first:last] + delay - start
 
-    def _spectra_of_pieces(self, fft_samples: int) -> Complex128Array:
-        if self._piece_spectra is None or self._piece_spectra.shape[1] != fft_samples // 2 + 1:
-            self._piece_spectra = np.stack([scipy_fft.rfft(piece, fft_samples) for piece in self._pieces])
-        return self._piece_spectra
+    def piece_spectra(self, fft_samples: int) -> Complex128Array:
+        return np.stack([scipy_fft.rfft(piece, fft_samples) for piece in self._pieces])
 
 
 def _exponent(signal: Float64Array) -> int:

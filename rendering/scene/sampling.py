@@ -63,16 +63,11 @@ class SampledSource:
     signal: Float64Array
     nodes: int
 
-    def fft_samples(self, taps: int, *, actuators: int, multiple: int = 1) -> int:
-        """Transform length that costs least for Green's functions of so many taps, a multiple of a number."""
+    def fft_samples(self, taps: int, actuators: int) -> int:
+        """Transform length that costs least for Green's functions of so many taps."""
         reach = taps + self.emission.event_samples - 1
         span = self.emission.stop_event - self.emission.first_sample
-        return choose_fft_samples(reach, span, actuators, self.focus_position, self.nodes, multiple)[0]
-
-    @property
-    def expected_rows(self) -> int:
-        """About how many bank rows its points are made of: along a path, those beside the nearest ones too."""
-        return len(np.unique(self.focus_position)) * (1 if self.nodes == 1 else 3)
+        return choose_fft_samples(reach, span, actuators, self.focus_position, self.nodes)
 
     def naming(self, row: int, at_mm: Float64Array) -> str:
         """Say which path point needs a row at `at_mm`: the first that is snapped to it, else the closest."""

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rendering.device import Device, cuda_device, host_device
-from rendering.field.device_prediction import DevicePrediction
+from rendering.field.prediction import Prediction
 from rendering.greens.source import GreenArray
 from storage.drive_file import Drive
 from storage.errors import InputError
@@ -39,7 +39,7 @@ def direct(bank: GreenArray, drive: Drive, positions: list[int]) -> np.ndarray:
 
 
 def field_of(bank: GreenArray, drive: Drive, positions: list[int], device: Device) -> np.ndarray:
-    prediction = DevicePrediction(drive, bank, positions, device)
+    prediction = Prediction(drive, bank, positions, dtype=np.float64, device=device)
     parts = list(prediction.rows())
     assert [one for part in parts for one in part.position_index] == positions
     return np.concatenate([part.field for part in parts])
@@ -64,7 +64,7 @@ def test_given_many_rows_then_memory_bounds_how_many_are_computed_at_once() -> N
     random = np.random.default_rng(1)
     bank = GreenArray(random.standard_normal((50, 2, 30)), np.zeros((50, 2)), 2000.0)
     drive = drive_of(random.standard_normal((2, 500)))
-    assert len(list(DevicePrediction(drive, bank, range(50), STRICT).rows())) > 5
+    assert len(list(Prediction(drive, bank, range(50), dtype=np.float64, device=STRICT).rows())) > 5
     assert np.allclose(field_of(bank, drive, list(range(50)), STRICT), direct(bank, drive, list(range(50))))
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-
 import numpy as np
 import pytest
 import soundfile
@@ -14,7 +12,6 @@ from rendering.drive.rendering import render, render_with_report
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
 from rendering.report.render_report import RenderWarning
-from rendering.reused_memory import spare_bytes
 from rendering.scene.model import Output, Regularisation, Scene, Source
 from rendering.scene.paths import Circle, Line, Point, Polyline
 from rendering.scene.signals import Impulse, Noise, Sine, SoundFile
@@ -271,6 +268,7 @@ def test_a_tolerance_on_a_banded_bank_leaves_bins_out():
     exact, _ = render_with_report(Scene("s", (MOVING,)), bank)
     drive, report = render_with_report(Scene("s", (MOVING,)), bank, tolerance_db=-20)
     assert report.kept_bins < report.bins
+    assert report.left_out_words == (f"{report.bins - report.kept_bins} of {report.bins} frequency bins",)
     assert 0 < drive.omitted_bound <= 0.1
     assert 0 < relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound
 
@@ -284,7 +282,7 @@ def test_a_tolerance_on_a_banded_bank_leaves_bins_out():
     threshold=st.sampled_from([None, 0.5]),
 )
 @settings(max_examples=40, deadline=None)
-def test_the_bound_holds_for_taps_actuators_and_windows_that_are_left_out(
+def test_the_bound_holds_with_weak_actuators_short_responses_and_quiet_stretches(
     tmp_path_factory, seed, weak, decay, quiet, tolerance_db, threshold
 ):
     bank = banded_bank(seed, 300, 0.0)
@@ -301,36 +299,6 @@ def test_the_bound_holds_for_taps_actuators_and_windows_that_are_left_out(
     drive, _ = render_with_report(scene, bank, tolerance_db=tolerance_db)
     assert relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound + 1e-13
     assert drive.omitted_bound <= 10 ** (tolerance_db / 20)
-
-
-def test_the_report_tells_taps_actuators_and_windows_that_are_left_out(tmp_path):
-    bank = banded_bank(5, 400, 0.0)
-    values = bank.values * np.exp(-np.arange(400) / 12)
-    values[:, 1] *= 1e-9
-    bank = GreenArray(values, bank.position_mm, RATE_HZ, band_hz=(50.0, 150.0))
-    signal = np.random.default_rng(0).standard_normal(20_000)
-    signal[3000:15_000] *= 1e-9
-    soundfile.write(tmp_path / "quiet.wav", signal / np.abs(signal).max(), int(RATE_HZ), subtype="DOUBLE")
-    source = Source(Line((-13, 5), (14, -9)), SoundFile(tmp_path / "quiet.wav"), 0.0, 1.5, 0.5)
-    scene = Scene("s", (source,), Regularisation(normalise=False))
-    drive, report = render_with_report(scene, bank, method="sampled", tolerance_db=-40)
-    assert report.left_out_actuators == ((1,),)
-    assert not drive.drive_v[1].any()
-    assert report.left_out_taps[0] > 0
-    assert report.left_out_pairs > 0
-    # So short a decay fills all frequencies.
-    assert report.kept_bins == report.bins
-    assert report.left_out_words == (
-        f"the last {report.left_out_taps[0]} taps of source 0",
-        "actuator 1 of source 0",
-        f"{report.left_out_pairs} of {report.left_out_pairs + report.pairs} stretches of the path that hardly emit",
-    )
-
-
-@pytest.mark.parametrize("tolerance_db", [0.0, 3.0, float("nan"), float("-inf")])
-def test_a_tolerance_that_is_not_below_zero_is_refused(tolerance_db):
-    with pytest.raises(InputError, match="tolerance_db"):
-        render(Scene("s", (MOVING,)), make_bank(), tolerance_db=tolerance_db)
 
 
 def test_an_unknown_method_is_refused():
@@ -369,19 +337,3 @@ def test_the_report_tells_how_far_path_points_were_snapped():
     _, report = render_with_report(Scene("s", (Source(path, Impulse(), 0, 100.0, 1.0),)), make_bank())
     assert (report.points, report.snapped_points, report.largest_snap_mm) == (5, 3, 2.0)
     assert report.relative_rms_drive.max() == 1.0
-
-
-@pytest.mark.parametrize("tolerance_db", [None, -60.0])
-def test_a_render_gives_its_memory_back_at_its_end_not_when_garbage_is_collected(tolerance_db):
-    scene = Scene("", (Source(Circle((0.0, 0.0), 10.0, 2.0), Noise((0.0, 500.0), 1.0), 0.0, 120.0, 1.0),))
-    bank = make_bank()
-    render_with_report(scene, bank, tolerance_db=tolerance_db)
-    gc.disable()
-    try:
-        gc.collect()
-        before = spare_bytes()
-        for _ in range(3):
-            render_with_report(scene, bank, tolerance_db=tolerance_db)
-            assert spare_bytes() == before
-    finally:
-        gc.enable()

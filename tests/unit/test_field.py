@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.drive.row_transforms import BankSpectra
+from rendering.field.bank_spectra import BankSpectra
 from rendering.field.model import measured_positions, predict, predict_rows
 from rendering.field.prediction import Prediction
 from rendering.field.response_spectra import predict_spectra

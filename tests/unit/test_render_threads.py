@@ -1,91 +1,51 @@
-"""The threads that rendering keeps."""
+"""Work that rendering and prediction share among threads."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
-import weakref
 
 import pytest
 
-from rendering.threads import WORKERS, workers
+from rendering.threads import WORKERS, in_order
 
 
-def test_given_one_use_after_another_then_the_threads_are_the_same():
-    def idents():
-        together = threading.Barrier(WORKERS)
+@pytest.mark.parametrize("workers", [1, WORKERS])
+def test_given_items_then_results_come_in_their_order_and_a_few_items_are_taken_ahead(workers):
+    taken = []
 
-        def ident():
-            together.wait(timeout=60)
-            return threading.get_ident()
+    def items():
+        for number in range(20):
+            taken.append(number)
+            yield number
 
-        with workers() as threads:
-            return {future.result() for future in [threads.submit(ident) for _ in range(WORKERS)]}
-
-    first = idents()
-    assert len(first) == WORKERS
-    assert idents() == first
+    for number, result in enumerate(in_order(lambda item: item**2, items(), workers)):
+        assert result == number**2
+        assert len(taken) <= number + workers + 2
+    assert taken == list(range(20))
 
 
-def test_given_an_error_then_what_was_begun_has_ended_and_the_rest_is_not_done():
-    begun, done, go_on = threading.Barrier(WORKERS + 1), [], threading.Event()
+def test_given_several_workers_then_they_work_side_by_side():
+    together = threading.Barrier(WORKERS)
+    assert len(list(in_order(lambda _: together.wait(timeout=60), range(WORKERS)))) == WORKERS
 
-    def task(number):
-        begun.wait(timeout=60)
-        go_on.wait(timeout=60)
-        done.append(number)
 
-    waiting = []
+def test_given_an_error_then_it_is_raised_when_its_turn_comes_and_the_rest_is_not_begun():
+    begun = []
 
-    def fail_amid_work():
-        with workers() as threads:
-            for number in range(WORKERS):
-                threads.submit(task, number)
-            waiting.extend(threads.submit(done.append, "late") for _ in range(10))
-            begun.wait(timeout=60)
-            threading.Timer(0.05, go_on.set).start()
-            raise ZeroDivisionError
+    def task(item):
+        begun.append(item)
+        return 1 // (3 - item)
 
+    results = in_order(task, range(1000))
+    assert [next(results) for _ in range(3)] == [0, 0, 1]
     with pytest.raises(ZeroDivisionError):
-        fail_amid_work()
-    assert sorted(done) == list(range(WORKERS))
-    assert all(future.cancelled() for future in waiting)
+        next(results)
+    assert len(begun) <= 3 + WORKERS + 2
 
 
-def test_given_a_call_that_was_not_begun_then_it_holds_on_to_nothing():
-    go_on = threading.Event()
-    with workers() as busy:
-        for _ in range(WORKERS):
-            busy.submit(go_on.wait, 60)
-        with workers() as threads:
-            given = threading.Event()
-            gone = weakref.ref(given)
-            threads.submit(given.wait)
-            del given
-        # Its place in the queue is still there, as all threads wait.
-        assert gone() is None
-        go_on.set()
-
-
-def test_given_two_uses_at_once_then_both_come_to_an_end():
-    with workers() as some, workers() as others:
-        futures = [threads.submit(pow, 2, number) for number in range(50) for threads in (some, others)]
-        assert [future.result(60) for future in futures] == [2**number for number in range(50) for _ in "ab"]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="there is no fork")
-def test_given_a_process_that_was_forked_then_it_has_threads_of_its_own():
-    code = """
-import os, sys, warnings
-from rendering.threads import workers
-with workers() as threads:
-    assert threads.submit(int, "7").result(60) == 7
-warnings.simplefilter("ignore")
-child = os.fork()
-with workers() as threads:
-    assert threads.submit(int, "8").result(60) == 8
-if child:
-    sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-"""
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=120).returncode == 0
+def test_given_results_that_are_not_asked_for_then_what_was_begun_ends():
+    done = []
+    results = in_order(done.append, range(1000))
+    next(results)
+    results.close()
+    assert len(done) <= WORKERS + 2

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
 
 import numpy as np
-import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-import calibration.blas
-import rendering.threads
-
-HOLDS = [calibration.blas.one_blas_thread, rendering.threads.one_blas_thread]
+from calibration.blas import one_blas_thread
 
 
 def _threads() -> set[int]:
@@ -20,12 +15,9 @@ def _threads() -> set[int]:
     return {int(one["num_threads"]) for one in threadpool_info() if one["user_api"] == "blas"}
 
 
-@pytest.mark.parametrize("hold", HOLDS)
-def test_given_generators_that_end_out_of_order_then_the_limit_is_put_back_by_the_last(
-    hold: Callable[[], AbstractContextManager[object]],
-) -> None:
+def test_given_generators_that_end_out_of_order_then_the_limit_is_put_back_by_the_last() -> None:
     def blocks() -> Iterator[int]:
-        with hold():
+        with one_blas_thread():
             yield 1
 
     with threadpool_limits(limits=2, user_api="blas"):

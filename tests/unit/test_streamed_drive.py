@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.drive.coil_limits import DriveLimits, largest_rms
+from rendering.drive.coil_limits import DriveLimits, RunningLevels, largest_rms
 from rendering.drive.rendering import render_with_report
-from rendering.drive.running_levels import RunningLevels
 from rendering.drive.streamed_drive import StreamedDrive
 from rendering.drive.wav import Interface, InterfaceRate
 from rendering.scene.model import Output, Regularisation, Scene, Source

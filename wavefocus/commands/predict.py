@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.device import cuda_device
-from rendering.field.device_prediction import DevicePrediction
 from rendering.field.model import chosen_positions, field_unit
 from rendering.field.prediction import Prediction
 from rendering.field.response_spectra import predict_spectra
@@ -56,7 +55,10 @@ def predict(
         wanted = parse_positions(positions, view.positions) if positions else None
         view.require_sound(wanted)
         index = chosen_positions(drive, view, wanted)
-        prediction = Prediction(drive, view, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz)
+        prediction = Prediction(
+            drive, view, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz,
+            device=None if device == "cpu" else cuda_device(),
+        )  # fmt: skip
         unit, peak = field_unit(view), 0.0
         with (
             FieldWriter(
@@ -70,12 +72,7 @@ def predict(
             ) as writer,
             progress("predict", len(index)) as report,
         ):
-            if device == "cpu":
-                parts = _parts(prediction, drive_file, bank, rate_hz, cluster, report)
-            else:
-                there = DevicePrediction(drive, view, index, cuda_device())
-                parts = ((rows.first, rows.field) for rows in there.rows(report))
-            for first, field in parts:
+            for first, field in _parts(prediction, drive_file, bank, rate_hz, cluster, report):
                 writer.write(first, field)
                 peak = max(peak, float(np.abs(field).max(initial=0.0)))
         lost = prediction.lost_share()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.drive.row_transforms import BankSpectra
+from rendering.field.bank_spectra import BankSpectra
 from rendering.field.decimation import LARGEST_FACTOR, PASSED
 from rendering.field.model import measured_positions
 from rendering.greens.regularisation import saturation_threshold

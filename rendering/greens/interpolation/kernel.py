@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from calibration.blas import one_blas_thread
 from calibration.neighbours.wave_fit import fit_waves
 from calibration.neighbours.wave_model import WaveModel
 from rendering.greens.interpolation.base import Follow, Interpolation, Nodes, OffGridError, near, show_mm
@@ -20,7 +21,6 @@ from rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_row, usable
 from rendering.scene.paths import Path
-from rendering.threads import one_blas_thread
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 from scipy.interpolate import CubicSpline
 
+from calibration.blas import one_blas_thread
 from calibration.neighbours.wave_model import PatchKernel, WaveModel
 from rendering.greens.interpolation.neighbourhoods import Neighbourhoods, Patch
 from rendering.greens.source import GreenSource, read_row
-from rendering.threads import one_blas_thread
 from storage.point_status import Status
 
 Float64Array = NDArray[np.float64]
