@@ -19,7 +19,6 @@ from acquisition.doctor.findings import Act, Finding, Findings
 from calibration.rig.mirror_map import MirrorMap
 from config.rig import RigConfig
 from drivers.protocols import DeviceIdentity
-from rendering.inner_loops import inner_loops
 from storage.errors import InputError
 from storage.network_mount import is_network_mount
 from wavefocus.configuration import load_rig
@@ -158,17 +157,13 @@ USB_S = 60.0
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, of the system and of the packages that matter; "missing" where there is none.
-
-    Beside them whether the inner loops of rendering are compiled; where not, numpy takes a third longer or more.
-    """
+    """Versions of Python, of the system and of the packages that matter; "missing" where there is none."""
     told = {"python": platform.python_version(), "system": platform.platform()}
     for package in PACKAGES:
         try:
             told[package] = version(package)
         except PackageNotFoundError:
             told[package] = "missing"
-    told["inner loops"] = "compiled" if inner_loops() else "numpy"
     return told
 
 
