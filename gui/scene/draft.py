@@ -1,171 +1,162 @@
-"""A scene as people edit it: every key of the scene file, immutable, and not yet checked."""
+"""The scene being edited: tables of a scene file that may still be incomplete, and their TOML text."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from config.fields import Table
+from config.loading import parse_toml, validated
+from config.scene import (
+    CircleTable,
+    FileTable,
+    ImpulseTable,
+    LineTable,
+    NoiseTable,
+    OutputTable,
+    PathTable,
+    PointTable,
+    PolylineTable,
+    SceneConfig,
+    SignalTable,
+    SineTable,
+    SourceTable,
+    SvgTable,
+    TextTable,
+)
 
 PointMm = tuple[float, float]
-Emission = Literal["continuous", "per_point"]
+AnyTable = TypeVar("AnyTable", bound=Table)
+
+#: What a new path or signal is until it is edited, by kind.
+NEW_PATHS: dict[str, PathTable] = {
+    one.kind: one
+    for one in (
+        PointTable(at_mm=(0.0, 0.0)),
+        LineTable(start_mm=(-30.0, 0.0), end_mm=(30.0, 0.0)),
+        CircleTable(radius_mm=20.0),
+        PolylineTable(points_mm=((-20.0, -10.0), (0.0, 20.0), (20.0, -10.0))),
+        TextTable(string="text", height_mm=20.0),
+        SvgTable.model_construct(file=""),
+    )
+}
+NEW_SIGNALS: dict[str, SignalTable] = {
+    one.kind: one
+    for one in (
+        ImpulseTable(),
+        SineTable(frequency_hz=200.0, duration_s=0.1),
+        NoiseTable(band_hz=(50.0, 450.0), duration_s=0.015, seed=1),
+        FileTable.model_construct(path=""),
+    )
+}
+_SPEED_MM_S, _STEP_MM = 80.0, 4.0
+# A drive that no actuator could play is of no use: new scenes keep to the limit of the scenes of `init`.
+NEW_SCENE = SceneConfig.model_construct(source=(), output=OutputTable(limit_v=1.0))
 
 
-@dataclass(frozen=True, slots=True)
-class PointDraft:
-    """A source that stands still."""
-
-    kind: ClassVar[str] = "point"
-    at_mm: PointMm = (0.0, 0.0)
+def changed(table: AnyTable, **changes: object) -> AnyTable:
+    """Return a table with other values; they are checked when the scene is read."""
+    return table.model_copy(update=changes)
 
 
-@dataclass(frozen=True, slots=True)
-class LineDraft:
-    """A straight line."""
-
-    kind: ClassVar[str] = "line"
-    start_mm: PointMm = (-30.0, 0.0)
-    end_mm: PointMm = (30.0, 0.0)
+def with_source(scene: SceneConfig, index: int, source: SourceTable) -> SceneConfig:
+    """Return the scene with another source in one place."""
+    return changed(scene, source=(*scene.source[:index], source, *scene.source[index + 1 :]))
 
 
-@dataclass(frozen=True, slots=True)
-class CircleDraft:
-    """An arc or several turns of a circle, anticlockwise where turns are positive."""
-
-    kind: ClassVar[str] = "circle"
-    centre_mm: PointMm = (0.0, 0.0)
-    radius_mm: float = 20.0
-    turns: float = 1.0
-    start_deg: float = 0.0
+def new_source(path: PathTable, model: SourceTable | None = None) -> SourceTable:
+    """Return a source on a path; all else is as in `model`."""
+    if model is None:
+        source = SourceTable.model_construct(path=path, signal=NEW_SIGNALS["noise"], emission="per_point")
+    else:
+        source = changed(model, path=path)
+    return source if path.kind == "point" else moving(source)
 
 
-@dataclass(frozen=True, slots=True)
-class PolylineDraft:
-    """Straight lines through points."""
-
-    kind: ClassVar[str] = "polyline"
-    points_mm: tuple[PointMm, ...] = ((-20.0, -10.0), (0.0, 20.0), (20.0, -10.0))
-    closed: bool = False
+def moving(source: SourceTable) -> SourceTable:
+    """Return the source with speed and step, where it has none."""
+    return changed(source, speed_mm_s=source.speed_mm_s or _SPEED_MM_S, step_mm=source.step_mm or _STEP_MM)
 
 
-@dataclass(frozen=True, slots=True)
-class SvgDraft:
-    """A path of a drawing; the file's name is absolute, empty while none is chosen."""
-
-    kind: ClassVar[str] = "svg"
-    file: str = ""
-    path_id: str = ""
-    scale: float = 1.0
-    origin_mm: PointMm = (0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class TextDraft:
-    """The outlines of letters."""
-
-    kind: ClassVar[str] = "text"
-    string: str = "text"
-    height_mm: float = 20.0
-    centre_mm: PointMm = (0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class ImpulseDraft:
-    """One sample of 1."""
-
-    kind: ClassVar[str] = "impulse"
-
-
-@dataclass(frozen=True, slots=True)
-class SineDraft:
-    """A sine of amplitude 1 and phase 0, without a fade."""
-
-    kind: ClassVar[str] = "sine"
-    frequency_hz: float = 200.0
-    duration_s: float = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseDraft:
-    """Band-limited noise, scaled to peak 1."""
-
-    kind: ClassVar[str] = "noise"
-    band_hz: tuple[float, float] = (50.0, 450.0)
-    duration_s: float = 0.015
-    seed: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class FileDraft:
-    """A sound file, resampled and scaled to peak 1; its name is absolute, empty while none is chosen."""
-
-    kind: ClassVar[str] = "file"
-    path: str = ""
-
-
-PathDraft = PointDraft | LineDraft | CircleDraft | PolylineDraft | SvgDraft | TextDraft
-SignalDraft = ImpulseDraft | SineDraft | NoiseDraft | FileDraft
-
-PATHS: tuple[type[PathDraft], ...] = (PointDraft, LineDraft, CircleDraft, PolylineDraft, TextDraft, SvgDraft)
-SIGNALS: tuple[type[SignalDraft], ...] = (ImpulseDraft, SineDraft, NoiseDraft, FileDraft)
-
-
-@dataclass(frozen=True, slots=True)
-class SourceDraft:
-    """One source.
+def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:
+    """Write a scene as a scene file.
 
     Parameters
     ----------
-    path, signal : PathDraft, SignalDraft
-        Where it goes and what it emits.
-    start_s : float
-        When it starts.
-    speed_mm_s, step_mm : float or None
-        How fast it moves and how far its path's samples are apart; a point needs neither.
-    amplitude : float
-        At the focus, in the bank's response unit, where the scene normalises.
-    emission : {"continuous", "per_point"}
-        Whether the signal runs on along the path or every sample of it emits all of it anew.
+    scene : SceneConfig
+        The scene; nothing about it is checked here.
+    folder : Path, optional
+        Folder of the file: files inside it are named relative to it, others in full.
+
+    Returns
+    -------
+    str
+        TOML, as contract section 4 says.
     """
-
-    path: PathDraft
-    signal: SignalDraft = field(default_factory=NoiseDraft)
-    start_s: float = 0.0
-    speed_mm_s: float | None = 80.0
-    step_mm: float | None = 4.0
-    amplitude: float = 1.0
-    emission: Emission = "continuous"
-
-
-@dataclass(frozen=True, slots=True)
-class RegularisationDraft:
-    """How weak and strong actuators are evened out; 0 is off."""
-
-    saturation: float = 0.0
-    saturation_absolute: float = 0.0
-    normalise: bool = True
+    held = scene.regularisation
+    return "\n".join(
+        [
+            _table("[scene]", scene.scene),
+            *(source_toml(source, folder) for source in scene.source),
+            _table("[regularisation]", held, {} if held.saturation_absolute else {"saturation_absolute": None}),
+            _table("[output]", scene.output),
+        ]
+    )
 
 
-@dataclass(frozen=True, slots=True)
-class OutputDraft:
-    """Between grid positions, and at the amplifier; None is no limit."""
-
-    interpolation: str = "nearest"
-    limit_v: float | None = None
-    limit_rms_v: float | None = None
+def source_toml(source: SourceTable, folder: Path | None = None) -> str:
+    """Write one source as its `[[source]]` table."""
+    start = "" if folder is None else f"{folder}/"
+    return _table("[[source]]", with_files(source, lambda file: file.removeprefix(start)))
 
 
-@dataclass(frozen=True, slots=True)
-class SceneDraft:
-    """All of a scene; unlike a scene, it may have no source yet."""
+def read_draft(text: str, path: Path) -> SceneConfig:
+    """Read the text of a scene file, but not the files that it names.
 
-    name: str = "scene"
-    sources: tuple[SourceDraft, ...] = ()
-    regularisation: RegularisationDraft = field(default_factory=RegularisationDraft)
-    output: OutputDraft = field(default_factory=OutputDraft)
+    Parameters
+    ----------
+    text : str
+        What the scene file holds.
+    path : Path
+        The scene file; names of files in the result are absolute.
 
-    def with_source(self, index: int, source: SourceDraft) -> SceneDraft:
-        """The same scene with another source in one place."""
-        return replace(self, sources=(*self.sources[:index], source, *self.sources[index + 1 :]))
+    Raises
+    ------
+    InputError
+        The text is no scene.
+    """
+    scene = validated(SceneConfig, parse_toml(text, str(path)), str(path))
+    return changed(
+        scene, source=tuple(with_files(source, lambda file: str(path.parent / file)) for source in scene.source)
+    )
 
-    def with_sources(self, sources: tuple[SourceDraft, ...]) -> SceneDraft:
-        """The same scene with other sources."""
-        return replace(self, sources=sources)
+
+def with_files(source: SourceTable, rename: Callable[[str], str]) -> SourceTable:
+    """Return the source with other names of the files that it has."""
+    if isinstance(source.path, SvgTable):
+        source = changed(source, path=changed(source.path, file=rename(source.path.file)))
+    if isinstance(source.signal, FileTable):
+        source = changed(source, signal=changed(source.signal, path=rename(source.signal.path)))
+    return source
+
+
+def _table(heading: str, table: Table, changes: dict[str, object] | None = None) -> str:
+    values = {**dict(table), **(changes or {})}
+    return (
+        "\n".join([heading, *(f"{key} = {_value(value)}" for key, value in values.items() if value is not None)]) + "\n"
+    )
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # TOML escapes as JSON does, and the delete character too.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, tuple):
+        return f"[{', '.join(_value(entry) for entry in value)}]"
+    if isinstance(value, Table):
+        return f"{{ {', '.join(f'{key} = {_value(entry)}' for key, entry in value)} }}"
+    return repr(value)

@@ -1,4 +1,4 @@
-"""A scene's file: opened, saved, asked about, and kept against crashes while it is not saved."""
+"""Opens and saves the scene's file, asks about unsaved changes, and keeps them across a crash."""
 
 from __future__ import annotations
 
@@ -25,17 +25,7 @@ Then = Callable[[], object]
 
 
 class SceneFiles(QObject):
-    """Opens and saves; every question is asked in the message bar.
-
-    Parameters
-    ----------
-    context : TabContext
-        Messages and memory.
-    document : SceneDocument
-        What is saved.
-    owner : QWidget
-        Dialogs stand over it.
-    """
+    """Opens and saves; questions are asked in the message bar. Dialogs belong to `owner`."""
 
     opened = pyqtSignal()
 
@@ -43,7 +33,7 @@ class SceneFiles(QObject):
         super().__init__(owner)
         self._context, self._document, self._owner = context, document, owner
         self._seen_ns = 0
-        self._others_text = False
+        self._written_elsewhere = False
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
         self._soon.setInterval(_KEPT_AFTER_MS)
@@ -52,25 +42,25 @@ class SceneFiles(QObject):
 
     @property
     def name(self) -> str:
-        """The file's name, or what stands for it."""
+        """The file's name."""
         return self._document.path.name if self._document.path else "a new scene"
 
     def new(self) -> None:
         """Begin a new scene."""
-        self._unless_unsaved("starting a new scene", self._document.start_anew)
+        self._unless_unsaved("starting a new scene", self._document.clear)
 
     def open(self, path: Path) -> None:
         """Open a scene file."""
         self._unless_unsaved(f"opening {path.name}", lambda: self._open(path))
 
     def save(self, then: Then | None = None) -> None:
-        """Save to the scene's file, or ask for one; `then` follows when it is saved."""
+        """Save to the scene's file, or ask for one; calls `then` when it is saved."""
         path = self._document.path
         if path is None:
             self.save_as(then)
         elif self._seen_ns and _written_ns(path) not in (0, self._seen_ns):
             self._context.messages.ask(
-                f"{path} has been changed by another program since it was opened here; what is to become of that?",
+                f"{path} was changed by another program after it was opened here. Save anyway?",
                 ("Save over it", lambda: self._save(path, then)),
                 ("Save under another name", lambda: self.save_as(then)),
                 ("Do not save", lambda: None),
@@ -79,7 +69,7 @@ class SceneFiles(QObject):
             self._save(path, then)
 
     def save_as(self, then: Then | None = None) -> None:
-        """Ask for a file and save to it; nothing is held up meanwhile."""
+        """Ask for a file and save to it."""
         file = self._document.path or self._context.settings.folder(".toml") / "scene.toml"
         choose_place(self._owner, "Save the scene", file, "scene", ".toml", lambda chosen: self._save(chosen, then))
 
@@ -88,7 +78,7 @@ class SceneFiles(QObject):
         if self._nothing_to_lose:
             return None
         return Question(
-            f"{self.name} has changes that are not saved: what is to become of them?",
+            f"{self.name} has unsaved changes. Save them?",
             (
                 ("Save and close", self.save),
                 ("Close without saving", self._drop),
@@ -97,9 +87,9 @@ class SceneFiles(QObject):
         )
 
     def save_settings(self) -> None:
-        """Keep what is not saved where the next window finds it, should this one come to harm."""
+        """Keep unsaved changes in the settings, for the next window."""
         settings, document = self._context.settings, self._document
-        unsaved = not document.saved and bool(document.draft.sources)
+        unsaved = not document.saved and bool(document.draft.source)
         if not unsaved:
             if self._is_ours():
                 settings.keep(_TEXT, "")
@@ -108,34 +98,36 @@ class SceneFiles(QObject):
         settings.keep(_PLACE, str(document.path or ""))
         settings.keep(_OWNER, os.getpid())
 
-    def take_up_what_was_kept(self) -> None:
-        """Go on with the scene that was not saved last time, unless another window is at it."""
+    def restore_unsaved(self) -> None:
+        """Restore the scene that was not saved last time, unless another window that runs has it."""
         settings = self._context.settings
         text, place = settings.text(_TEXT), settings.text(_PLACE)
         if not text or (not self._is_ours() and _lives(settings.whole(_OWNER, 0))):
             return
         path = Path(place) if place else None
         try:
-            self._document.take_up(text, path)
+            self._document.restore(text, path)
         except WavefocusError:
-            settings.keep(_TEXT, "")  # of an older version: it would be told again for ever
+            settings.keep(_TEXT, "")  # of an older version
             return
         self._seen_ns = 0 if path is None else _written_ns(path)
-        words = f"{path.name} has changes of last time" if path else "The scene of last time is back, which was"
-        self._context.messages.note(f"{words} that were not saved" if path else f"{words} not saved")
+        words = (
+            f"{path.name} has unsaved changes of the last session" if path else "The unsaved scene of the last session"
+        )
+        self._context.messages.note(f"{words}; restored" if path else f"{words} is restored")
         self.save_settings()
 
     @property
     def _nothing_to_lose(self) -> bool:
         document = self._document
-        return document.saved or not (document.draft.sources or document.path)
+        return document.saved or not (document.draft.source or document.path)
 
     def _unless_unsaved(self, doing: str, act: Then) -> None:
         if self._nothing_to_lose:
             act()
             return
         self._context.messages.ask(
-            f"{self.name} has changes that are not saved; save them before {doing}?",
+            f"{self.name} has unsaved changes. Save them before {doing}?",
             ("Save", lambda: self.save(act)),
             ("Do not save", act),
             ("Cancel", lambda: None),
@@ -147,36 +139,36 @@ class SceneFiles(QObject):
         except (WavefocusError, OSError) as failure:
             self._context.report_failure(failure)
             return
-        self._seen_ns, self._others_text = _written_ns(path), True
+        self._seen_ns, self._written_elsewhere = _written_ns(path), True
         self.save_settings()
         self.opened.emit()
 
     def _save(self, path: Path, then: Then | None) -> None:
         try:
-            told = self._put_aside(path) if path == self._document.path else ""
+            copied = self._keep_copy(path) if path == self._document.path else ""
             self._document.save(path)
         except (WavefocusError, OSError) as failure:
             self._context.report_failure(failure)
             return
-        self._seen_ns, self._others_text = _written_ns(path), False
+        self._seen_ns, self._written_elsewhere = _written_ns(path), False
         self._context.settings.opened(path)
         self.save_settings()
-        self._context.messages.note(f"{path} is saved{told}")
+        self._context.messages.note(f"{path} is saved{copied}")
         if then is not None:
             then()
 
-    def _put_aside(self, path: Path) -> str:
-        """Keep a file that people wrote beside the first one saved over it: comments are not taken over."""
-        if not self._others_text or not path.is_file() or b"#" not in path.read_bytes():
+    def _keep_copy(self, path: Path) -> str:
+        """Copy a file with comments before it is saved for the first time: comments are not kept."""
+        if not self._written_elsewhere or not path.is_file() or b"#" not in path.read_bytes():
             return ""
         names = (path.with_name(f"{path.name}~{count or ''}") for count in itertools.count())
         aside = next(name for name in names if not os.path.lexists(name))
         with new_file(aside) as temporary:
             shutil.copy2(path, temporary)
-        return f"; the file as it was, with its comments, is {aside.name}"
+        return f"; the earlier file with its comments is {aside.name}"
 
     def _drop(self, close: Then) -> None:
-        self._document.start_anew()
+        self._document.clear()
         close()
 
     def _is_ours(self) -> bool:
@@ -191,7 +183,7 @@ def _written_ns(path: Path) -> int:
 
 
 def _lives(pid: int) -> bool:
-    """Whether a process of this computer runs; where that cannot be asked, it does not."""
+    """Whether a process of this computer runs; on Windows always no."""
     if pid <= 0 or sys.platform == "win32":
         return False
     try:

@@ -1,118 +1,315 @@
-"""A form for the keys of a part of a scene, made from a list of what they are."""
+"""Forms made from the fields of a table of the scene file: a row for each, with its title, unit, bounds and tooltip."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal, get_args, get_origin
 
-from PyQt5.QtCore import pyqtSignal
-from PyQt5.QtWidgets import QFormLayout, QLabel, QWidget
-
-from gui.scene.fields import (
-    ChoiceField,
-    NumberField,
-    OptionalField,
-    PairField,
-    SwitchField,
-    TextField,
-    WholeField,
-    coordinates,
+from PyQt5.QtCore import QEvent, QLocale, Qt, pyqtSignal
+from PyQt5.QtGui import QKeyEvent, QKeySequence, QWheelEvent
+from PyQt5.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QSizePolicy,
+    QWidget,
 )
 
-AnyField = NumberField | PairField | OptionalField | SwitchField | ChoiceField | TextField
+from config.fields import Table
 
-WIDE = 1e9
-#: As far as the fields' decimals reach.
-TINY = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class Key:
-    """One key.
-
-    Parameters
-    ----------
-    name : str
-        In the draft.
-    words, tip : str
-        For people.
-    kind : str
-        ``"number"``, ``"whole"``, ``"optional"``, ``"place"``, ``"band"``, ``"switch"``, ``"text"`` or ``"choice"``.
-    unit : str
-        Its unit.
-    low, high, step : float
-        What is allowed, and the step of the arrows.
-    choices : sequence of (value, words)
-        Of a choice.
-    """
-
-    name: str
-    words: str
-    tip: str
-    kind: str = "number"
-    unit: str = ""
-    low: float = -WIDE
-    high: float = WIDE
-    step: float = 1.0
-    choices: Sequence[tuple[str, str]] = ()
+_DECIMALS = 6
+_WIDE = 1e9
+_TINY = 10.0**-_DECIMALS
+# A key ends with its unit; the step of the arrows follows from it.
+_UNITS = {"_mm_s": ("mm/s", 5.0), "_mm": ("mm", 1.0), "_s": ("s", 0.01), "_hz": ("Hz", 10.0), "_deg": ("°", 5.0),
+          "_v": ("V", 0.1)}  # fmt: skip
+_NO_UNIT = ("", 0.1)
 
 
 class Form(QWidget):
-    """Fields for the keys of one dataclass.
+    """A row for each field of a table.
 
     Parameters
     ----------
-    keys : sequence of Key
-        From top to bottom.
+    model : type of Table
+        Its fields carry titles, descriptions, types and bounds.
+    without : sequence of str
+        Keys that are edited elsewhere.
+    needed : sequence of str
+        Keys that the table may leave out, but that are always given here.
     """
 
-    #: A key, and what it is now.
+    #: A key, and its new value.
     edited = pyqtSignal(str, object)
 
-    def __init__(self, keys: Sequence[Key]) -> None:
+    def __init__(self, model: type[Table], without: Sequence[str] = (), needed: Sequence[str] = ()) -> None:
         super().__init__()
-        self.fields: dict[str, AnyField] = {}
+        self.fields: dict[str, Any] = {}
         self.labels: dict[str, QLabel] = {}
         self.rows = QFormLayout(self)
         self.rows.setContentsMargins(0, 0, 0, 0)
         self.rows.setVerticalSpacing(4)
         self.rows.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
-        for key in keys:
-            field = _field(key)
-            label = QLabel("" if key.kind == "switch" else key.words)
+        for key, info in model.model_fields.items():
+            if key == "kind" or key in without:
+                continue
+            title, tip = info.title or key, info.description or ""
+            self.fields[key] = field = _field(key, title, tip, info.annotation, info.metadata, needed=key in needed)
+            self.labels[key] = label = QLabel("" if isinstance(field, SwitchField) else title)
             label.setBuddy(field)
-            label.setToolTip(key.tip)
+            label.setToolTip(tip)
             self.rows.addRow(label, field)
-            self.fields[key.name], self.labels[key.name] = field, label
-            field.edited.connect(lambda value, name=key.name: self.edited.emit(name, value))
+            field.edited.connect(lambda value, key=key: self.edited.emit(key, value))
 
-    def show_values(self, part: object) -> None:
-        """Show a dataclass that has these keys."""
-        named = {one.name for one in fields(part)}  # type: ignore[arg-type]
-        for name, field in self.fields.items():
-            if name in named:
-                field.show_value(getattr(part, name))
+    def insert(self, label: str, field: QWidget) -> None:
+        """Put a row of its own kind at the top."""
+        self.rows.insertRow(0, QLabel(label), field)
 
-    def align(self, width: int) -> None:
-        """Make the labels of several forms equally wide."""
-        for label in self.labels.values():
-            label.setMinimumWidth(width)
+    def show_values(self, table: Table) -> None:
+        """Show the values of a table."""
+        for key, field in self.fields.items():
+            field.show_value(getattr(table, key))
+
+    def show_row(self, key: str, shown: bool) -> None:
+        """Show or hide a row."""
+        self.fields[key].setVisible(shown)
+        self.labels[key].setVisible(shown)
 
 
-def _field(key: Key) -> AnyField:
-    match key.kind:
-        case "place":
-            return coordinates(key.words, key.tip)
-        case "band":
-            return PairField(*(NumberField(f"{key.words}: {end}", key.unit, key.low, key.high, key.step,
-                                           f"{key.tip}: {end} end") for end in ("lower", "upper")))  # fmt: skip
-        case "switch":
-            return SwitchField(key.words, key.tip)
-        case "choice":
-            return ChoiceField(key.words, key.choices, key.tip)
-        case "text":
-            return TextField(key.words, key.tip)
-        case "optional":
-            return OptionalField(key.words, NumberField(key.words, key.unit, key.low, key.high, key.step, key.tip))
-    make = WholeField if key.kind == "whole" else NumberField
-    return make(key.words, key.unit, key.low, key.high, key.step, key.tip)
+def align(forms: Sequence[QFormLayout]) -> None:
+    """Make the labels of several forms equally wide."""
+    role = QFormLayout.ItemRole.LabelRole
+    items = [form.itemAt(row, role) for form in forms for row in range(form.rowCount())]
+    labels = [label for item in items if item is not None and (label := item.widget()) is not None]
+    width = max(label.sizeHint().width() for label in labels)
+    for label in labels:
+        label.setMinimumWidth(width)
+
+
+class NumberField(QDoubleSpinBox):
+    """A number with its unit; Ctrl+Z and the mouse wheel pass through unless it is being edited."""
+
+    edited = pyqtSignal(object)
+
+    def __init__(
+        self, title: str, tip: str, unit: str = "", step: float = 0.1, low: float = -_WIDE, high: float = _WIDE, *,
+        decimals: int = _DECIMALS,
+    ) -> None:  # fmt: skip
+        super().__init__()
+        self.setAccessibleName(f"{title} in {unit}" if unit else title)
+        self.setLocale(QLocale.c())  # a decimal point, as in files
+        self.setDecimals(decimals)
+        self.setRange(low, high)
+        self.setSingleStep(step)
+        self.setKeyboardTracking(False)
+        self.setSuffix(f" {unit}" if unit else "")
+        least = f", {low:g} or more" if low > -_WIDE else ""
+        self.setToolTip(f"{tip}{least}")
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setMinimumWidth(self.fontMetrics().horizontalAdvance("-0000") + 30)
+        self.valueChanged.connect(lambda value: self.edited.emit(value if decimals else int(value)))
+
+    def show_value(self, value: float | None) -> None:
+        """Show a value without reporting a change."""
+        value = value or 0.0
+        if value != self.value():
+            self.blockSignals(True)
+            self.setValue(value)
+            self.blockSignals(False)
+
+    def event(self, event: QEvent | None) -> bool:
+        typing = self.text() != f"{self.textFromValue(self.value())}{self.suffix()}"
+        return False if not typing and _is_undo(event) else super().event(event)
+
+    def textFromValue(self, value: float) -> str:  # noqa: N802
+        text = f"{value:.{self.decimals()}f}"
+        return text.rstrip("0").rstrip(".") if "." in text else text
+
+    def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802
+        if event is not None and not self.hasFocus():
+            event.ignore()
+        else:
+            super().wheelEvent(event)
+
+
+class PairField(QWidget):
+    """Two numbers in a row, such as a point's coordinates."""
+
+    edited = pyqtSignal(object)
+
+    def __init__(self, *fields: NumberField) -> None:
+        super().__init__()
+        self.fields = fields
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(4)
+        for field in fields:
+            row.addWidget(field)
+            field.edited.connect(lambda _value: self.edited.emit(tuple(one.value() for one in self.fields)))
+        self.setFocusProxy(fields[0])
+
+    def show_value(self, value: Sequence[float]) -> None:
+        """Show both numbers."""
+        for field, one in zip(self.fields, value, strict=True):
+            field.show_value(one)
+
+
+class OptionalField(QWidget):
+    """A number that may be left out."""
+
+    edited = pyqtSignal(object)
+
+    def __init__(self, title: str, field: NumberField) -> None:
+        super().__init__()
+        self.field, self.switch = field, QCheckBox()
+        self.switch.setAccessibleName(f"Use {title}")
+        self.switch.setToolTip(field.toolTip())
+        field.setEnabled(False)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.addWidget(self.switch)
+        row.addWidget(field, stretch=1)
+        self.setFocusProxy(self.switch)
+        self.switch.clicked.connect(lambda on: self.edited.emit(field.value() if on else None))
+        field.edited.connect(self.edited)
+
+    def show_value(self, value: float | None) -> None:
+        """Show a number, or that it is left out."""
+        self.switch.setChecked(value is not None)
+        self.field.setEnabled(value is not None)
+        if value is not None:
+            self.field.show_value(value)
+
+
+class SwitchField(QCheckBox):
+    """Yes or no."""
+
+    edited = pyqtSignal(object)
+
+    def __init__(self, title: str, tip: str) -> None:
+        super().__init__(title)
+        self.setAccessibleName(title)
+        self.setToolTip(tip)
+        self.clicked.connect(self.edited.emit)
+
+    def show_value(self, value: bool) -> None:
+        """Show whether it is on."""
+        self.setChecked(value)
+
+
+class ChoiceField(QComboBox):
+    """One of several values."""
+
+    edited = pyqtSignal(object)
+
+    def __init__(self, title: str, tip: str, choices: Sequence[str] = ()) -> None:
+        super().__init__()
+        self.setAccessibleName(title)
+        self.setToolTip(tip)
+        for value in choices:
+            self.addItem(value.replace("_", " "), value)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.activated.connect(lambda _index: self.edited.emit(self.currentData()))
+
+    def show_value(self, value: str) -> None:
+        """Show the chosen value."""
+        self.setCurrentIndex(self.findData(value))
+
+    def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802
+        if event is not None and not self.hasFocus():
+            event.ignore()
+        else:
+            super().wheelEvent(event)
+
+
+class TextField(QLineEdit):
+    """A line of text, which may not be empty."""
+
+    edited = pyqtSignal(object)
+
+    def __init__(self, title: str, tip: str) -> None:
+        super().__init__()
+        self.setAccessibleName(title)
+        self.setToolTip(tip)
+        self.setAcceptDrops(False)  # the window accepts dropped files
+        self._shown = ""
+        self.textEdited.connect(self._edited)
+        self.editingFinished.connect(lambda: self.show_value(self._shown))
+
+    def show_value(self, value: str) -> None:
+        """Show a text."""
+        self._shown = value
+        if value != self.text():
+            self.setText(value)
+
+    def event(self, event: QEvent | None) -> bool:
+        return False if _is_undo(event) else super().event(event)
+
+    def _edited(self, text: str) -> None:
+        if text:
+            self._shown = text
+            self.edited.emit(text)
+
+
+def _field(key: str, title: str, tip: str, annotation: Any, metadata: Sequence[object], *, needed: bool) -> QWidget:
+    """The field of a key, by its type."""
+    unit, step = next((_UNITS[ending] for ending in _UNITS if key.endswith(ending)), _NO_UNIT)
+    kinds = list(_plain_types(annotation))
+    if get_origin(annotation) is Literal:
+        return ChoiceField(title, tip, get_args(annotation))
+    if kinds == [bool]:
+        return SwitchField(title, tip)
+    if kinds == [str]:
+        return TextField(title, tip)
+    if get_origin(annotation) is tuple:
+        names = ("x", "y") if unit == "mm" else ("lower", "upper")
+        parts = zip(names, get_args(annotation), strict=True)
+        return PairField(*(NumberField(f"{title}: {name}", tip, unit, step, *_bounds(part)) for name, part in parts))
+    whole = kinds[0] is int
+    decimals, step = (0, 1.0) if whole else (_DECIMALS, step)
+    number = NumberField(title, tip, unit, step, *_bounds(annotation, metadata), decimals=decimals)
+    return OptionalField(title, number) if type(None) in kinds and not needed else number
+
+
+def _plain_types(annotation: Any) -> Iterator[Any]:
+    parts = get_args(annotation)
+    if hasattr(annotation, "__metadata__"):
+        yield from _plain_types(parts[0])
+    elif parts:
+        for part in parts:
+            yield from _plain_types(part)
+    else:
+        yield annotation
+
+
+def _bounds(annotation: Any, metadata: Sequence[object] = ()) -> tuple[float, float]:
+    """The least and the largest number that a type allows, as far as the form's fields can hold them."""
+    marks = [*metadata, *getattr(annotation, "__metadata__", ())]
+    for mark in list(marks):
+        marks += getattr(mark, "metadata", ())
+    low = max(
+        [
+            -_WIDE,
+            *(one.ge for one in marks if hasattr(one, "ge")),
+            *(one.gt + _TINY for one in marks if hasattr(one, "gt")),
+        ]
+    )
+    high = min([_WIDE, *(one.le for one in marks if hasattr(one, "le"))])
+    inner = [_bounds(part) for part in get_args(annotation) if hasattr(part, "__metadata__")]
+    return max([low, *(one[0] for one in inner)]), min([high, *(one[1] for one in inner)])
+
+
+def _is_undo(event: QEvent | None) -> bool:
+    """Whether a field is asked if it handles the keys of undo itself; those are for the scene."""
+    if not isinstance(event, QKeyEvent) or event.type() != QEvent.Type.ShortcutOverride:
+        return False
+    undoes = event.matches(QKeySequence.StandardKey.Undo) or event.matches(QKeySequence.StandardKey.Redo)
+    if undoes:
+        event.ignore()
+    return undoes

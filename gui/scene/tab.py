@@ -1,4 +1,4 @@
-"""The Scene tab: sources and their numbers, the surface they are drawn on, and what comes of them."""
+"""The Scene tab: sources and their forms, the surface they are drawn on, and the results."""
 
 from __future__ import annotations
 
@@ -17,16 +17,14 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
+from config.scene import SourceTable, TextTable
 from gui.scene.document import SceneDocument
-from gui.scene.draft import SourceDraft, TextDraft
 from gui.scene.files import SceneFiles
-from gui.scene.live import Live
+from gui.scene.forms import SceneForm, SourceForm
+from gui.scene.preview import LivePreview
 from gui.scene.results.panel import ResultsPanel
-from gui.scene.scene_form import SceneForm
-from gui.scene.source_actions import SourceActions
-from gui.scene.source_form import SourceForm
-from gui.scene.source_list import SourceList
-from gui.scene.surface.surface_panel import SurfacePanel
+from gui.scene.sources import SourceActions, SourceList
+from gui.scene.surface_panel import SurfacePanel
 from gui.shell.file_choice import PathField
 from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
@@ -35,15 +33,15 @@ from gui.shell.widgets import make_action, make_button, side_by_side, stacked
 
 
 class SceneTab(Tab):
-    """Draw what is to be felt, see what comes of it, save it, render it, play it."""
+    """Draw a scene, see its drives and field, save, render and play it."""
 
     title = "Scene"
     opens = (".toml", ".svg", ".wav")
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
-        self.document = SceneDocument(context.front, self)
-        self.live = Live(context, self.document)
+        self.document = SceneDocument(self)
+        self.live = LivePreview(context, self.document)
         self.files = SceneFiles(context, self.document, self)
         self.acts = SourceActions(context, self.document, self.live, self)
         self.actions_by_name = self._make_actions()
@@ -60,15 +58,14 @@ class SceneTab(Tab):
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
         self.acts.added.connect(self._added)
-        self.live.came.connect(self._show_drawn)
+        self.live.updated.connect(self._show_preview)
         self.document.edited.connect(self._show_possible)
         self.document.chosen_changed.connect(self._show_possible)
         self.document.file_changed.connect(self._show_possible)
         self._show_possible()
-        self.files.take_up_what_was_kept()
+        self.files.restore_unsaved()
 
     def menu_actions(self) -> list[QAction | None]:
-        """What the buttons do."""
         named = self.actions_by_name
         return [
             named["new"], named["save"], named["save as"], None, named["undo"], named["redo"], None,
@@ -92,35 +89,28 @@ class SceneTab(Tab):
             self.files.open(path)
 
     def poll(self) -> None:
-        """Take up what came in."""
         self.results.poll()
 
     def draw(self) -> None:
-        """Draw what changed."""
         self.results.draw()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take a theme's colours."""
         for part in (self.sources, self.surface, self.results):
             part.apply_theme(theme)
 
     def instruments_held(self) -> str:
-        """What is played."""
         return self.results.playing.held()
 
     def closing_question(self) -> Question | None:
-        """Ask what is to become of changes that are not saved."""
         return self.files.closing_question()
 
     def shut_down(self) -> None:
-        """Let go of threads."""
-        self.live.end()
+        self.live.shut_down()
         self.results.shut_down()
 
     def save_settings(self) -> None:
-        """Remember how the room is divided, and what is not saved."""
         super().save_settings()
-        self.context.settings.keep("scene/snaps", int(self.surface.tools.snaps.isChecked()))
+        self.context.settings.keep("scene/snaps", int(self.surface.snaps.isChecked()))
         self.context.settings.keep("scene/bank", str(self.document.bank or ""))
         self.files.save_settings()
 
@@ -128,12 +118,12 @@ class SceneTab(Tab):
         """Stand on the bank as it is now, or the one at hand where none was chosen, and take the keys."""
         super().showEvent(event)
         if self.document.bank is None:
-            bank = self._bank_at_hand()
+            bank = self._latest_bank()
             if bank is not None:
                 self.bank_field.show_path(bank)
                 self.document.use_bank(bank)
         else:
-            self.live.look_again()
+            self.live.read_bank()
         self.surface.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
 
     def _make_actions(self) -> dict[str, QAction]:
@@ -142,16 +132,16 @@ class SceneTab(Tab):
             "new": make_action(self, "&New", files.new, "Ctrl+N", tip="Begin a new scene"),
             "save": make_action(self, "&Save", files.save, "Ctrl+S", tip="Save the scene to its file"),
             "save as": make_action(self, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
-            "undo": make_action(self, "&Undo", steps.undo, "Ctrl+Z", tip="Take the last change back"),
-            "redo": make_action(self, "&Redo", steps.redo, "Ctrl+Shift+Z", "Ctrl+Y", tip="Do it again"),
+            "undo": make_action(self, "&Undo", steps.undo, "Ctrl+Z", tip="Undo the last change"),
+            "redo": make_action(self, "&Redo", steps.redo, "Ctrl+Shift+Z", "Ctrl+Y", tip="Redo the change"),
             "copy": make_action(self, "&Copy", acts.copy, "Ctrl+C", tip="Copy the source as text of a scene file"),
             "paste": make_action(self, "&Paste", acts.paste, "Ctrl+V", tip="Add sources that were copied"),
             "duplicate": make_action(
                 self, "&Duplicate", acts.duplicate, "Ctrl+Shift+D", tip="Add the same source again"
             ),
             "delete": make_action(self, "D&elete", acts.delete, tip="Delete the source (Del, on the surface)"),
-            "up": make_action(self, "Up", lambda: acts.move(-1), tip="Put the source before the one above it"),
-            "down": make_action(self, "Down", lambda: acts.move(1), tip="Put the source behind the one beneath it"),
+            "up": make_action(self, "Up", lambda: acts.move(-1), tip="Move the source up"),
+            "down": make_action(self, "Down", lambda: acts.move(1), tip="Move the source down"),
             "drawing": make_action(self, "Add a dra&wing…", acts.choose_drawing, tip="Add a path of an SVG file"),
         }
         steps.undoTextChanged.connect(self._name_undo)
@@ -175,7 +165,7 @@ class SceneTab(Tab):
         top.addWidget(self._file, stretch=1)
         top.addWidget(self.bank_field, stretch=1)
         pages = QTabWidget()
-        pages.setAccessibleName("Numbers of the source and of the scene")
+        pages.setAccessibleName("Forms of the source and of the scene")
         pages.setDocumentMode(True)
         pages.addTab(_scrolling(self.source_form), "Source")
         pages.addTab(_scrolling(self.scene_form), "Scene")
@@ -186,7 +176,7 @@ class SceneTab(Tab):
         column.setContentsMargins(4, 6, 4, 4)
         column.addLayout(top)
         column.addWidget(columns, stretch=1)
-        self.surface.tools.snaps.setChecked(bool(self.context.settings.whole("scene/snaps", 0)))
+        self.surface.snaps.setChecked(bool(self.context.settings.whole("scene/snaps", 0)))
 
     def _name_undo(self, words: str) -> None:
         self.actions_by_name["undo"].setText(f"&Undo {words}".strip())
@@ -198,27 +188,26 @@ class SceneTab(Tab):
         self.context.settings.opened(path)
         self.document.use_bank(path)
 
-    def _bank_at_hand(self) -> Path | None:
+    def _latest_bank(self) -> Path | None:
         """The bank of last time, or the one opened last in any tab."""
         last = self.context.settings.text("scene/bank")
         recent = [path for path in self.context.settings.recent() if path.suffix.lower() == ".h5"]
         found = [path for path in ([Path(last)] if last else []) + recent if not path.name.endswith(".raw.h5")]
         return next((path for path in found if path.is_file()), None)
 
-    def _added(self, source: SourceDraft) -> None:
-        if isinstance(source.path, TextDraft):
+    def _added(self, source: SourceTable) -> None:
+        if isinstance(source.path, TextTable):
             field = self.source_form.paths["text"].fields["string"]
             field.setFocus(Qt.FocusReason.OtherFocusReason)
             field.selectAll()
 
-    def _show_drawn(self) -> None:
-        drawn = self.live.drawn
-        self.sources.show_traces(drawn.traces)
-        self.source_form.show_drawn(drawn)
+    def _show_preview(self) -> None:
+        self.sources.show_traces(self.live.preview.traces)
+        self.source_form.show_preview(self.live.preview)
 
     def _show_possible(self) -> None:
         document = self.document
-        chosen, count = document.chosen, len(document.draft.sources)
+        chosen, count = document.chosen, len(document.draft.source)
         for name, possible in (
             ("save", not document.saved or document.path is None),
             ("copy", chosen >= 0),

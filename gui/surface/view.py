@@ -53,8 +53,8 @@ class SurfaceView(pyqtgraph.PlotWidget):
     #: A position that was clicked, or reached with the arrow keys.
     picked = pyqtSignal(int)
 
-    surface: Surface | None = None  # Qt resizes the widget before __init__ has ended
-    _fits = True
+    surface: Surface | None = None
+    _fits = False  # Qt resizes the widget before __init__ has ended
 
     def __init__(self, name: str) -> None:
         self.box = SurfaceBox(self)
@@ -83,6 +83,7 @@ class SurfaceView(pyqtgraph.PlotWidget):
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.box.sigRangeChangedManually.connect(lambda *_: self._set_fits(False))
         self.apply_theme(LIGHT)
+        self._fits = True
 
     def add_item(self, item: QGraphicsItem, depth: float, *, bounds: bool = False) -> None:
         """Add an item; only those with `bounds` count where everything is to be seen."""
@@ -234,7 +235,7 @@ class SurfaceView(pyqtgraph.PlotWidget):
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802
         """Use the room, unless the view was panned or zoomed by hand."""
         super().resizeEvent(event)
-        if self.surface is not None and self._fits:
+        if self._fits:
             self.fit()
 
     def _set_fits(self, fits: bool) -> None:

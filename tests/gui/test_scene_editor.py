@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,32 +14,33 @@ from PyQt5.QtGui import QMouseEvent
 from PyQt5.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFileDialog, QLineEdit
 from pytestqt.qtbot import QtBot
 
-from gui.scene.document import NEW_SCENE, SceneDocument
-from gui.scene.draft import (
-    CircleDraft,
-    FileDraft,
-    ImpulseDraft,
-    LineDraft,
-    NoiseDraft,
-    OutputDraft,
-    PathDraft,
-    PointDraft,
-    PolylineDraft,
-    RegularisationDraft,
-    SceneDraft,
-    SineDraft,
-    SourceDraft,
-    SvgDraft,
-    TextDraft,
+from config.scene import (
+    CircleTable,
+    FileTable,
+    ImpulseTable,
+    LineTable,
+    NoiseTable,
+    OutputTable,
+    PathTable,
+    PointTable,
+    PolylineTable,
+    RegularisationTable,
+    SceneConfig,
+    SceneTable,
+    SineTable,
+    SourceTable,
+    SvgTable,
+    TextTable,
 )
-from gui.scene.surface.canvas import SceneCanvas
-from gui.scene.surface.handles import handles_of, shifted, with_handle_at
+from gui.scene.canvas import SceneCanvas
+from gui.scene.document import SceneDocument
+from gui.scene.draft import NEW_PATHS, NEW_SCENE, changed, new_source, read_draft, scene_toml, with_source
+from gui.scene.handles import handles_of, shifted, with_handle_at
 from gui.scene.tab import SceneTab
-from gui.scene.toml_text import draft_of, scene_toml
 from gui.shell.settings import Settings
 from gui.shell.window import Window
 from rendering.scene import paths, signals
-from rendering.scene.loading import load_scene, read_scene_tables
+from rendering.scene.loading import load_scene
 from rendering.scene.model import Output, Regularisation, Scene, Source
 from rendering.scene.paths import TextPath
 from rendering.scene.svg import SvgPath
@@ -96,10 +96,10 @@ def window(qapp: QApplication, tmp_path_factory: pytest.TempPathFactory) -> Gene
 def tab(qtbot: QtBot, window: Window) -> Generator[SceneTab]:
     """The Scene tab of the window, shown and empty."""
     shown = scene_of(window)
-    shown.document.start_anew()
+    shown.document.clear()
     shown.document.use_bank(None)
     shown.surface.canvas.use_tool("")
-    shown.surface.tools.snaps.setChecked(False)
+    shown.surface.snaps.setChecked(False)
     shown.surface.canvas.setFocus()
     window.messages.dismiss()
     wait(qtbot, lambda: shown.surface.canvas.isVisible() and shown.live.ground.surface is None and shown.live.idle)
@@ -142,10 +142,10 @@ def near(at: tuple[float, float], x_mm: float, y_mm: float, reach_mm: float = 1.
     return math.dist(at, (x_mm, y_mm)) < reach_mm
 
 
-def draw(qtbot: QtBot, tab: SceneTab, kind: str) -> PathDraft:
+def draw(qtbot: QtBot, tab: SceneTab, kind: str) -> PathTable:
     """Draw a path of each kind with the mouse."""
     canvas = tab.surface.canvas
-    qtbot.mouseClick(tab.surface.tools.buttons[kind], LEFT)
+    qtbot.mouseClick(tab.surface.tools[kind], LEFT)
     match kind:
         case "line":
             drag(qtbot, canvas, [pixel(canvas, -40, 0), pixel(canvas, 40, 20)], NONE)
@@ -169,28 +169,28 @@ def test_given_each_tool_then_its_path_is_drawn_chosen_and_sampled_and_the_tool_
 ) -> None:
     canvas = tab.surface.canvas
     line = draw(qtbot, tab, "line")
-    assert isinstance(line, LineDraft)
+    assert isinstance(line, LineTable)
     assert near(line.start_mm, -40, 0)
     assert near(line.end_mm, 40, 20)
     circle = draw(qtbot, tab, "circle")
-    assert isinstance(circle, CircleDraft)
+    assert isinstance(circle, CircleTable)
     assert near(circle.centre_mm, 5, 5)
     assert circle.radius_mm == pytest.approx(30, abs=1.5)
     polyline = draw(qtbot, tab, "polyline")
-    assert isinstance(polyline, PolylineDraft)
+    assert isinstance(polyline, PolylineTable)
     assert len(polyline.points_mm) == 3
     assert near(polyline.points_mm[2], 30, -30)
     assert not polyline.closed
     point = draw(qtbot, tab, "point")
-    assert isinstance(point, PointDraft)
+    assert isinstance(point, PointTable)
     assert near(point.at_mm, -20, 10)
     text = draw(qtbot, tab, "text")
-    assert isinstance(text, TextDraft)
+    assert isinstance(text, TextTable)
     assert QApplication.focusWidget() is tab.source_form.paths["text"].fields["string"]
     assert canvas.kind == ""
     assert tab.sources.list.count() == 5
     assert tab.document.chosen == 4
-    traces = tab.live.drawn.traces
+    traces = tab.live.preview.traces
     assert [trace.problem for trace in traces] == [""] * 5
     assert traces[0].points == math.floor(math.dist(line.start_mm, line.end_mm) / 4.0) + 1
     assert traces[4].length_mm > 50
@@ -202,7 +202,7 @@ def test_given_a_polyline_then_the_first_corner_closes_it_and_backspace_takes_on
 ) -> None:
     canvas = tab.surface.canvas
     qtbot.keyClick(canvas, Qt.Key.Key_P)
-    assert tab.surface.tools.buttons["polyline"].isChecked()
+    assert tab.surface.tools["polyline"].isChecked()
     for x_mm, y_mm in ((-30, -30), (80, 0), (0, 30), (30, -30)):
         click(canvas, pixel(canvas, x_mm, y_mm))
         if x_mm == 80:
@@ -211,13 +211,13 @@ def test_given_a_polyline_then_the_first_corner_closes_it_and_backspace_takes_on
     source = tab.document.source
     assert source is not None
     path = source.path
-    assert isinstance(path, PolylineDraft)
+    assert isinstance(path, PolylineTable)
     assert path.closed
     assert len(path.points_mm) == 3
     qtbot.keyClick(canvas, Qt.Key.Key_L)
     click(canvas, pixel(canvas, 0, 0))
     qtbot.keyClick(canvas, Qt.Key.Key_Escape)
-    assert (canvas.kind, len(tab.document.draft.sources)) == ("", 1)
+    assert (canvas.kind, len(tab.document.draft.source)) == ("", 1)
 
 
 def test_given_a_drag_of_a_handle_then_it_is_one_step_that_is_undone_and_done_again(
@@ -225,23 +225,23 @@ def test_given_a_drag_of_a_handle_then_it_is_one_step_that_is_undone_and_done_ag
 ) -> None:
     canvas, document = tab.surface.canvas, tab.document
     drawn = draw(qtbot, tab, "line")
-    assert isinstance(drawn, LineDraft)
+    assert isinstance(drawn, LineTable)
     drag(qtbot, canvas, [pixel(canvas, *drawn.end_mm), pixel(canvas, 20, -30), pixel(canvas, 10, -40)], NONE)
     source = document.source
     assert source is not None
     shaped = source.path
-    assert isinstance(shaped, LineDraft)
+    assert isinstance(shaped, LineTable)
     assert near(shaped.end_mm, 10, -40)
     assert shaped.start_mm == drawn.start_mm
     assert document.steps.count() == 2
     canvas.setFocus()
     qtbot.keyClick(canvas, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
-    assert document.draft.sources[0].path == drawn
+    assert document.draft.source[0].path == drawn
     qtbot.keyClick(canvas, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
-    assert document.draft.sources[0].path == shaped
+    assert document.draft.source[0].path == shaped
     qtbot.keyClick(canvas, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     qtbot.keyClick(canvas, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
-    assert (document.draft.sources, document.chosen) == ((), -1)
+    assert (document.draft.source, document.chosen) == ((), -1)
 
 
 def test_given_a_drag_of_a_path_or_arrow_keys_then_all_of_it_moves_and_a_drag_elsewhere_moves_the_view(
@@ -249,20 +249,20 @@ def test_given_a_drag_of_a_path_or_arrow_keys_then_all_of_it_moves_and_a_drag_el
 ) -> None:
     canvas, document = tab.surface.canvas, tab.document
     drawn = draw(qtbot, tab, "circle")
-    assert isinstance(drawn, CircleDraft)
+    assert isinstance(drawn, CircleTable)
     slope = math.radians(225)
     rim = drawn.centre_mm[0] + drawn.radius_mm * math.cos(slope), drawn.centre_mm[1] + drawn.radius_mm * math.sin(slope)
     drag(qtbot, canvas, [pixel(canvas, *rim), pixel(canvas, rim[0] - 20, rim[1] + 10)], NONE)
     source = document.source
     assert source is not None
-    assert isinstance(source.path, CircleDraft)
+    assert isinstance(source.path, CircleTable)
     assert near(source.path.centre_mm, drawn.centre_mm[0] - 20, drawn.centre_mm[1] + 10)
     assert source.path.radius_mm == drawn.radius_mm
     canvas.setFocus()
     for _ in range(3):
         qtbot.keyClick(canvas, Qt.Key.Key_Right)
     qtbot.keyClick(canvas, Qt.Key.Key_Up, Qt.KeyboardModifier.ShiftModifier)
-    assert document.source == replace(source, path=shifted(source.path, (3.0, 10.0)))
+    assert document.source == changed(source, path=shifted(source.path, (3.0, 10.0)))
     assert document.steps.count() == 3
     settled(qtbot, tab)
     before = canvas.box.viewRange()
@@ -276,20 +276,20 @@ def test_given_a_polyline_then_a_double_click_adds_a_vertex_and_del_deletes_the_
 ) -> None:
     canvas, document = tab.surface.canvas, tab.document
     drawn = draw(qtbot, tab, "polyline")
-    assert isinstance(drawn, PolylineDraft)
+    assert isinstance(drawn, PolylineTable)
     (x0, y0), (x1, y1) = drawn.points_mm[:2]
     double_click(canvas, pixel(canvas, (x0 + x1) / 2, (y0 + y1) / 2))
-    path = document.draft.sources[0].path
-    assert isinstance(path, PolylineDraft)
+    path = document.draft.source[0].path
+    assert isinstance(path, PolylineTable)
     assert len(path.points_mm) == 4
     assert near(path.points_mm[1], (x0 + x1) / 2, (y0 + y1) / 2)
     click(canvas, pixel(canvas, *path.points_mm[1]))
     canvas.setFocus()
     qtbot.keyClick(canvas, Qt.Key.Key_Delete)
-    assert document.draft.sources[0].path == drawn
+    assert document.draft.source[0].path == drawn
     assert tab.source_form.vertices.table.rowCount() == 3
     qtbot.keyClick(canvas, Qt.Key.Key_Delete)
-    assert document.draft.sources == ()
+    assert document.draft.source == ()
 
 
 def test_given_a_bank_then_points_are_snapped_coloured_and_those_off_its_grid_are_told(
@@ -298,23 +298,24 @@ def test_given_a_bank_then_points_are_snapped_coloured_and_those_off_its_grid_ar
     tab._bank_chosen(finished)
     wait(qtbot, lambda: tab.live.ground.surface is not None)
     laid_out(tab.surface.canvas)
-    tab.document.edit("draw", SceneDraft(sources=(SourceDraft(LineDraft((0.0, 0.0), (4.5, 0.0)), step_mm=1.5),)))
+    source = changed(new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(4.5, 0.0))), step_mm=1.5)
+    tab.document.edit("draw", SceneConfig(source=(source,)))
     settled(qtbot, tab)
-    trace = tab.live.drawn.traces[0]
+    trace = tab.live.preview.traces[0]
     surface = tab.live.ground.surface
     assert surface is not None
     assert surface.position_mm[trace.rows].tolist() == trace.points_mm.tolist()
     assert not trace.off.any()
-    assert tab.surface.trouble == ""
-    source = replace(tab.document.draft.sources[0], path=LineDraft((0.0, 0.0), (9.0, 0.0)))
-    tab.document.edit("draw", tab.document.draft.with_source(0, source))
-    wait(qtbot, lambda: "2 of 7 points" in tab.surface.trouble)
-    assert tab.live.drawn.traces[0].off.tolist() == [False] * 5 + [True] * 2
+    assert tab.surface.problem == ""
+    source = changed(source, path=LineTable(start_mm=(0.0, 0.0), end_mm=(9.0, 0.0)))
+    tab.document.edit("draw", with_source(tab.document.draft, 0, source))
+    wait(qtbot, lambda: "2 of 7 points" in tab.surface.problem)
+    assert tab.live.preview.traces[0].off.tolist() == [False] * 5 + [True] * 2
     canvas = tab.surface.canvas
-    tab.surface.tools.snaps.setChecked(True)
+    tab.surface.snaps.setChecked(True)
     qtbot.keyClick(canvas, Qt.Key.Key_D)
     click(canvas, pixel(canvas, 1.7, 2.8))
-    assert tab.document.draft.sources[1].path == PointDraft((1.5, 3.0))
+    assert tab.document.draft.source[1].path == PointTable(at_mm=(1.5, 3.0))
 
 
 def test_given_the_form_then_every_number_reaches_the_scene_and_undo_brings_it_back(
@@ -327,52 +328,52 @@ def test_given_the_form_then_every_number_reaches_the_scene_and_undo_brings_it_b
     speed.selectAll()
     qtbot.keyClicks(speed, "37.5")
     qtbot.keyClick(speed, Qt.Key.Key_Return)
-    assert document.draft.sources[0].speed_mm_s == 37.5
+    assert document.draft.source[0].speed_mm_s == 37.5
     qtbot.keyClick(speed, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
-    assert document.draft.sources[0].speed_mm_s == 80.0
+    assert document.draft.source[0].speed_mm_s == 80.0
     assert speed.text() == "80 mm/s"
     form.signal_kind.setCurrentIndex(form.signal_kind.findData("sine"))
     form.signal_kind.activated.emit(form.signal_kind.currentIndex())
-    assert isinstance(document.draft.sources[0].signal, SineDraft)
-    wait(qtbot, lambda: isinstance(tab.live.drawn.draft.sources[0].signal, SineDraft))
+    assert isinstance(document.draft.source[0].signal, SineTable)
+    wait(qtbot, lambda: isinstance(tab.live.preview.draft.source[0].signal, SineTable))
     form.path_kind.setCurrentIndex(form.path_kind.findData("point"))
     form.path_kind.activated.emit(form.path_kind.currentIndex())
-    assert isinstance(document.draft.sources[0].path, PointDraft)
+    assert isinstance(document.draft.source[0].path, PointTable)
     assert not speed.isVisible()
-    limit = tab.scene_form.output.fields["limit_v"]
+    limit = tab.scene_form.tables["output"].fields["limit_v"]
     assert document.draft.output.limit_v == 1.0  # a new scene can be played
     limit.switch.click()  # type: ignore[union-attr]
     assert document.draft.output.limit_v is None
     tab.scene_form.saturates.setCurrentIndex(1)
     tab.scene_form.saturates.activated.emit(1)
-    assert document.draft.regularisation == RegularisationDraft(saturation=0.5)
+    assert document.draft.regularisation == RegularisationTable(saturation=0.5)
 
 
 def test_given_sources_then_they_are_copied_as_text_pasted_duplicated_reordered_and_deleted(
     qtbot: QtBot, tab: SceneTab
 ) -> None:
     document, named = tab.document, tab.actions_by_name
-    document.edit("draw", SceneDraft(sources=(SourceDraft(PointDraft()), SourceDraft(LineDraft()))), chosen=1)
+    document.edit("draw", SceneConfig(source=(new_source(NEW_PATHS["point"]), new_source(NEW_PATHS["line"]))), chosen=1)
     named["copy"].trigger()
     clipboard = QApplication.clipboard()
     assert clipboard is not None
     assert clipboard.text().startswith("[[source]]\n")
     named["paste"].trigger()
-    assert document.draft.sources[2] == document.draft.sources[1]
+    assert document.draft.source[2] == document.draft.source[1]
     named["up"].trigger()
     named["up"].trigger()
-    assert [source.path.kind for source in document.draft.sources] == ["line", "point", "line"]
+    assert [source.path.kind for source in document.draft.source] == ["line", "point", "line"]
     assert document.chosen == 0
     named["duplicate"].trigger()
-    assert document.draft.sources[1].path == shifted(LineDraft(), (5.0, -5.0))
+    assert document.draft.source[1].path == shifted(NEW_PATHS["line"], (5.0, -5.0))
     named["delete"].trigger()
-    assert [source.path.kind for source in document.draft.sources] == ["line", "point", "line"]
+    assert [source.path.kind for source in document.draft.source] == ["line", "point", "line"]
     clipboard.setText("[[source]]\npath = 3\n")
     named["paste"].trigger()
     assert "nothing is pasted: source[0].path" in tab.context.messages.sentence
     clipboard.setText("a shopping list")
     named["paste"].trigger()
-    assert "holds no text with a [[source]]" in tab.context.messages.sentence
+    assert "no [[source]]" in tab.context.messages.sentence
 
 
 def test_given_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene(
@@ -383,10 +384,10 @@ def test_given_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same
     assert tab.accepts(file)
     tab.open_file(file)
     document = tab.document
-    assert (document.path, document.saved, len(document.draft.sources)) == (file, True, 2)
+    assert (document.path, document.saved, len(document.draft.source)) == (file, True, 2)
     assert document.scene() == load_scene(file)
     document.choose(0)
-    document.edit_source("edit", replace(document.draft.sources[0], amplitude=0.25))
+    document.edit_source("edit", amplitude=0.25)
     assert not document.saved
     tab.actions_by_name["save"].trigger()
     assert document.saved
@@ -410,7 +411,7 @@ def test_given_unsaved_changes_then_closing_asks_and_saving_closes(
     window.close()
     assert window.isVisible()
     answers = {button.text(): button for button in window.messages.buttons()}
-    assert "a new scene has changes that are not saved" in window.messages.sentence
+    assert "has unsaved changes" in window.messages.sentence
     qtbot.mouseClick(answers["Save and close"], LEFT)
     dialog = own_tab.findChild(QFileDialog)
     assert dialog is not None
@@ -428,12 +429,12 @@ def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_
     file = tmp_path / "two.toml"
     file.write_text(SCENE, encoding="utf-8")
     own_tab.open_file(file)
-    own_tab.document.edit("edit", replace(own_tab.document.draft, name="three"))
+    own_tab.document.edit("edit", changed(own_tab.document.draft, scene=SceneTable(name="three")))
     wait(qtbot, lambda: 'name = "three"' in memory.text("scene/unsaved"))
     other = scene_of(open_window())
     assert other.document.draft == own_tab.document.draft
     assert (other.document.path, other.document.saved) == (file, False)
-    assert "two.toml has changes of last time that were not saved" in other.context.messages.sentence
+    assert "two.toml" in other.context.messages.sentence
     other.actions_by_name["save"].trigger()
     assert load_scene(file).name == "three"
     assert memory.text("scene/unsaved") == ""
@@ -446,9 +447,9 @@ def test_given_a_file_that_another_program_changed_then_saving_asks(
     file.write_text(SCENE, encoding="utf-8")
     tab.open_file(file)
     file.write_text(SCENE.replace("80.0", "81.0"), encoding="utf-8")
-    tab.document.edit("edit", replace(tab.document.draft, name="three"))
+    tab.document.edit("edit", changed(tab.document.draft, scene=SceneTable(name="three")))
     tab.actions_by_name["save"].trigger()
-    assert "changed by another program" in tab.context.messages.sentence
+    assert "another program" in tab.context.messages.sentence
     assert load_scene(file).sources[0].speed_mm_s == 81.0
     over = next(button for button in tab.context.messages.buttons() if button.text() == "Save over it")
     qtbot.mouseClick(over, LEFT)
@@ -463,21 +464,21 @@ def test_given_a_drawing_then_it_comes_in_at_a_size_that_fits_and_its_paths_can_
     window = tab.window()
     assert isinstance(window, Window)
     window.open_file(file)
-    wait(qtbot, lambda: len(tab.document.draft.sources) == 1)
-    assert tab.document.draft.sources[0].path == SvgDraft(str(file), "", 1.0, (-10.0, 5.0))
+    wait(qtbot, lambda: len(tab.document.draft.source) == 1)
+    assert tab.document.draft.source[0].path == SvgTable(file=str(file), origin_mm=(-10.0, 5.0))
     form = tab.source_form
     wait(qtbot, lambda: form.path_ids.findData("second") >= 0)
     form.path_ids.setCurrentIndex(form.path_ids.findData("second"))
     form.path_ids.activated.emit(form.path_ids.currentIndex())
     settled(qtbot, tab)
-    assert tab.live.drawn.traces[0].length_mm == pytest.approx(500.0)
+    assert tab.live.preview.traces[0].length_mm == pytest.approx(500.0)
     canvas = tab.surface.canvas
     scale = next(handle for handle in canvas.handles if handle.name == "scale")
     assert near(scale.at_mm, 390, -295)
     file.unlink()
-    tab.document.edit("edit", replace(tab.document.draft, name="gone"))
-    wait(qtbot, lambda: "source[0].path.file" in tab.surface.trouble)
-    assert "must be a file" in tab.surface.trouble
+    tab.document.edit("edit", changed(tab.document.draft, scene=SceneTable(name="gone")))
+    wait(qtbot, lambda: "source[0].path.file" in tab.surface.problem)
+    assert "must be a file" in tab.surface.problem
     window.open_file(file)
     wait(qtbot, lambda: "cannot be read" in tab.context.messages.sentence)
 
@@ -512,20 +513,22 @@ def test_given_a_scene_that_commands_would_refuse_then_the_window_says_so_and_do
         document.scene()
     with pytest.raises(InputError, match="not saved: the scene has no source yet"):
         document.save(tmp_path / "empty.toml")
-    wrong = SourceDraft(LineDraft(), NoiseDraft((300.0, 20.0)))
-    document.edit("draw", SceneDraft(sources=(wrong,)), chosen=0)
-    wait(qtbot, lambda: "band_hz = [300.0, 20.0]" in tab.surface.trouble)
-    assert tab.surface.trouble == (
+    noise = NoiseTable.model_construct(band_hz=(300.0, 20.0), duration_s=0.1)
+    wrong = changed(new_source(NEW_PATHS["line"]), signal=noise)
+    document.edit("draw", changed(NEW_SCENE, source=(wrong,)), chosen=0)
+    wait(qtbot, lambda: "band_hz = [300.0, 20.0]" in tab.surface.problem)
+    assert tab.surface.problem == (
         "source[0].signal.band_hz = [300.0, 20.0]: must be [lower, upper] with lower below upper"
     )
     with pytest.raises(InputError, match="band_hz"):
         document.save(tmp_path / "wrong.toml")
     assert list(tmp_path.glob("*.toml")) == []
-    letters = SourceDraft(TextDraft("\U00013000"))
-    document.edit("draw", SceneDraft(sources=(letters,)), chosen=0)
-    wait(qtbot, lambda: "DejaVu Sans cannot draw" in tab.surface.trouble)
-    document.edit("draw", SceneDraft(name="a\udcff", sources=(SourceDraft(PointDraft()),)), chosen=0)
-    with pytest.raises(InputError, match="a text file cannot hold"):
+    letters = new_source(TextTable(string="\U00013000", height_mm=20.0))
+    document.edit("draw", SceneConfig(source=(letters,)), chosen=0)
+    wait(qtbot, lambda: "DejaVu Sans cannot draw" in tab.surface.problem)
+    scene = SceneTable.model_construct(name="a\udcff")
+    document.edit("draw", changed(NEW_SCENE, scene=scene, source=(new_source(NEW_PATHS["point"]),)), chosen=0)
+    with pytest.raises(InputError, match="which a text file cannot hold"):
         document.save(tmp_path / "name.toml")
 
 
@@ -553,8 +556,8 @@ def test_given_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else
     file.write_text(WILD, encoding="utf-8")
     tab.open_file(file)
     tab.document.use_bank(finished)
-    wait(qtbot, lambda: tab.live.drawn.ground.surface is not None and tab.live.idle)
-    point, circle, line = tab.live.drawn.traces
+    wait(qtbot, lambda: tab.live.preview.ground.surface is not None and tab.live.idle)
+    point, circle, line = tab.live.preview.traces
     assert (point.points, point.far) == (1, 1)
     assert "later than numbers reach" in circle.problem
     assert "at most 100000000 are allowed" in line.problem
@@ -562,7 +565,7 @@ def test_given_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else
     for index in range(3):
         tab.document.choose(index)
         settled(qtbot, tab)
-        told.append(tab.live.drawn.signal)
+        told.append(tab.live.preview.signal)
     assert "frequency_hz is 1e+300" in str(told[1])
     assert "too long to be drawn" in str(told[2])
 
@@ -586,33 +589,52 @@ WORDS = st.text(st.characters(codec="utf-8"), min_size=1, max_size=20)
 LETTERS = st.text("abcXYZ089 \"\\'é☺#{}", min_size=1, max_size=6).filter(lambda text: bool(text.strip()))
 BAND = st.tuples(NONNEGATIVE, ABOVE).map(lambda one: (min(one), max(one) + 1.0))
 PATHS = st.one_of(
-    st.builds(PointDraft, PLACE),
-    st.builds(LineDraft, PLACE, PLACE),
-    st.builds(CircleDraft, PLACE, NONNEGATIVE, st.floats(-100.0, 100.0), FINITE),
-    st.builds(PolylineDraft, st.lists(PLACE, min_size=1, max_size=8).map(tuple), st.booleans()),
-    st.builds(TextDraft, LETTERS, ABOVE, PLACE),
-    st.builds(SvgDraft, st.just("drawing.svg"), st.sampled_from(["", "first", "second"]), ABOVE, PLACE),
+    st.builds(PointTable, at_mm=PLACE),
+    st.builds(LineTable, start_mm=PLACE, end_mm=PLACE),
+    st.builds(CircleTable, centre_mm=PLACE, radius_mm=NONNEGATIVE, turns=st.floats(-100.0, 100.0), start_deg=FINITE),
+    st.builds(PolylineTable, points_mm=st.lists(PLACE, min_size=1, max_size=8).map(tuple), closed=st.booleans()),
+    st.builds(TextTable, string=LETTERS, height_mm=ABOVE, centre_mm=PLACE),
+    st.builds(
+        SvgTable,
+        file=st.just("drawing.svg"),
+        path_id=st.sampled_from(["", "first", "second"]),
+        scale=ABOVE,
+        origin_mm=PLACE,
+    ),
 )
 SIGNALS = st.one_of(
-    st.builds(ImpulseDraft),
-    st.builds(SineDraft, ABOVE, ABOVE),
-    st.builds(NoiseDraft, BAND, ABOVE, st.integers(0, 2**63 - 1)),
-    st.builds(FileDraft, st.just("a folder/sound.wav")),
+    st.builds(ImpulseTable),
+    st.builds(SineTable, frequency_hz=ABOVE, duration_s=ABOVE),
+    st.builds(NoiseTable, band_hz=BAND, duration_s=ABOVE, seed=st.integers(0, 2**63 - 1)),
+    st.builds(FileTable, path=st.just("a folder/sound.wav")),
 )
 SOURCES = st.builds(
-    SourceDraft, PATHS, SIGNALS, NONNEGATIVE, ABOVE, ABOVE, FINITE, st.sampled_from(["continuous", "per_point"])
+    SourceTable,
+    path=PATHS,
+    signal=SIGNALS,
+    start_s=NONNEGATIVE,
+    speed_mm_s=ABOVE,
+    step_mm=ABOVE,
+    amplitude=FINITE,
+    emission=st.sampled_from(["continuous", "per_point"]),
 )
 SATURATIONS = st.one_of(st.tuples(NONNEGATIVE, st.just(0.0)), st.tuples(st.just(0.0), NONNEGATIVE))
 DRAFTS = st.builds(
-    SceneDraft,
-    WORDS,
-    st.lists(SOURCES, min_size=1, max_size=4).map(tuple),
-    st.builds(lambda both, normalise: RegularisationDraft(*both, normalise), SATURATIONS, st.booleans()),
-    st.builds(
-        OutputDraft,
-        st.sampled_from(["nearest", "bilinear", "bicubic", "kernel"]),
-        st.one_of(st.none(), ABOVE),
-        st.one_of(st.none(), ABOVE),
+    SceneConfig,
+    scene=st.builds(SceneTable, name=WORDS),
+    source=st.lists(SOURCES, min_size=1, max_size=4).map(tuple),
+    regularisation=st.builds(
+        lambda both, normalise: RegularisationTable(
+            saturation=both[0], saturation_absolute=both[1], normalise=normalise
+        ),
+        SATURATIONS,
+        st.booleans(),
+    ),
+    output=st.builds(
+        OutputTable,
+        interpolation=st.sampled_from(["nearest", "bilinear", "bicubic", "kernel"]),
+        limit_v=st.one_of(st.none(), ABOVE),
+        limit_rms_v=st.one_of(st.none(), ABOVE),
     ),
 )
 
@@ -627,41 +649,41 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def expected(draft: SceneDraft, folder: Path) -> Scene:
+def expected(draft: SceneConfig, folder: Path) -> Scene:
     """The scene of a draft, made by hand."""
 
-    def path_of(path: PathDraft) -> paths.Path:
+    def path_of(path: PathTable) -> paths.Path:
         match path:
-            case PointDraft():
+            case PointTable():
                 return paths.Point(path.at_mm)
-            case LineDraft():
+            case LineTable():
                 return paths.Line(path.start_mm, path.end_mm)
-            case CircleDraft():
+            case CircleTable():
                 return paths.Circle(path.centre_mm, path.radius_mm, path.turns, path.start_deg)
-            case PolylineDraft():
+            case PolylineTable():
                 return paths.Polyline(path.points_mm, path.closed)
-            case SvgDraft():
+            case SvgTable():
                 return SvgPath(folder / "drawing.svg", path.path_id, path.scale, path.origin_mm)
-            case TextDraft():
+            case TextTable():
                 return TextPath(path.string, path.height_mm, path.centre_mm)
 
     sources = []
-    for one in draft.sources:
+    for one in draft.source:
         signal: signals.Signal
         match one.signal:
-            case ImpulseDraft():
+            case ImpulseTable():
                 signal = signals.Impulse()
-            case SineDraft(frequency_hz, duration_s):
-                signal = signals.Sine(frequency_hz, duration_s)
-            case NoiseDraft(band_hz, duration_s, seed):
-                signal = signals.Noise(band_hz, duration_s, seed)
-            case FileDraft():
+            case SineTable():
+                signal = signals.Sine(one.signal.frequency_hz, one.signal.duration_s)
+            case NoiseTable():
+                signal = signals.Noise(one.signal.band_hz, one.signal.duration_s, one.signal.seed)
+            case FileTable():
                 signal = signals.SoundFile(folder / "a folder" / "sound.wav")
         speed, step = one.speed_mm_s or 0.0, one.step_mm or 0.0
         sources.append(Source(path_of(one.path), signal, one.start_s, speed, step, one.amplitude, one.emission))
     held, output = draft.regularisation, draft.output
     return Scene(
-        draft.name,
+        draft.scene.name,
         tuple(sources),
         Regularisation(held.saturation, held.saturation_absolute, held.normalise),
         Output(output.interpolation, output.limit_v, output.limit_rms_v),
@@ -671,16 +693,16 @@ def expected(draft: SceneDraft, folder: Path) -> Scene:
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(draft=DRAFTS)
 def test_given_any_draft_then_what_is_written_is_the_same_scene_to_the_command_line_and_the_same_draft_again(
-    draft: SceneDraft, folder: Path
+    draft: SceneConfig, folder: Path
 ) -> None:
     file = folder / "scene.toml"
     text = scene_toml(draft, folder)
     file.write_bytes(text.encode("utf-8"))
     assert load_scene(file) == expected(draft, folder)
-    again = draft_of(read_scene_tables(text, file), folder)
+    again = read_draft(text, file)
     assert scene_toml(again, folder) == text
     assert again.regularisation == draft.regularisation
-    document = SceneDocument(front_door())
+    document = SceneDocument()
     document.load(file)
     assert document.scene() == load_scene(file)
     assert document.toml() == text
@@ -689,14 +711,14 @@ def test_given_any_draft_then_what_is_written_is_the_same_scene_to_the_command_l
 @settings(max_examples=60, deadline=None)
 @given(path=PATHS, by=st.tuples(NEAR, NEAR), to=st.tuples(NEAR, NEAR))
 def test_given_any_handle_then_moving_it_moves_it_there_and_a_shift_moves_them_all(
-    path: PathDraft, by: tuple[float, float], to: tuple[float, float]
+    path: PathTable, by: tuple[float, float], to: tuple[float, float]
 ) -> None:
     before = handles_of(path)
     after = handles_of(shifted(path, by))
     for one, other in zip(before, after, strict=True):
         moved = one.at_mm[0] + by[0], one.at_mm[1] + by[1]
         assert math.dist(other.at_mm, moved) < 0.02 + 1e-9 * math.dist(moved, (0, 0))
-    if isinstance(path, LineDraft | PolylineDraft | PointDraft):
+    if isinstance(path, LineTable | PolylineTable | PointTable):
         for one in before:
             there = {handle.name: handle.at_mm for handle in handles_of(with_handle_at(path, one.name, to))}
             assert math.dist(there[one.name], to) < 0.01

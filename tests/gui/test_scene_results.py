@@ -16,8 +16,8 @@ from PyQt5.QtGui import QMouseEvent
 from PyQt5.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QLineEdit
 from pytestqt.qtbot import QtBot
 
-from gui.scene.document import NOTHING_DRAWN, SceneDocument
-from gui.scene.draft import LineDraft, OutputDraft, SceneDraft, SineDraft, SourceDraft
+from config.scene import SceneConfig
+from gui.scene.document import EMPTY, SceneDocument
 from gui.scene.results.figures import GOOD, HELD
 from gui.scene.results.instants import between
 from gui.scene.results.panel import NO_BANK, ResultsPanel
@@ -27,16 +27,10 @@ from gui.shell.theme import DARK
 from gui.shell.window import Window
 from storage.drive_file import Drive, read_drive, write_drive
 from tests.gui.conftest import wait
+from tests.gui.scenes import line_scene
 from wavefocus.commands.gui import front_door
 
 LEFT = Qt.MouseButton.LeftButton
-
-
-def drawn(end_mm: float = 4.5, amplitude: float = 1.0, **output: float) -> SceneDraft:
-    source = SourceDraft(
-        LineDraft((0.0, 0.0), (end_mm, 0.0)), SineDraft(150.0, 0.2), speed_mm_s=30.0, step_mm=1.5, amplitude=amplitude
-    )
-    return SceneDraft("line", (source,), output=OutputDraft(**output))
 
 
 class Bench:
@@ -44,7 +38,7 @@ class Bench:
 
     def __init__(self, qtbot: QtBot, window: Window, bank: Path | None) -> None:
         self.qtbot, self.window = qtbot, window
-        self.document = SceneDocument(window.context.front, window)
+        self.document = SceneDocument(window)
         self.panel = ResultsPanel(window.context, self.document)
         self.numbers: list[int] = []
         self._ticks = QTimer(self.panel)
@@ -59,7 +53,7 @@ class Bench:
         if self.panel.driven is not None and self.panel.driven.number not in self.numbers:
             self.numbers.append(self.panel.driven.number)
 
-    def edit(self, draft: SceneDraft, *, complete: bool = True) -> None:
+    def edit(self, draft: SceneConfig, *, complete: bool = True) -> None:
         asked = self.panel.calculation.number
         self.document.edit("draw", draft)
         wait(self.qtbot, lambda: self.panel.calculation.number > asked)
@@ -85,22 +79,22 @@ def test_given_edits_then_drives_field_and_figures_follow_and_nothing_of_an_olde
     qtbot: QtBot, bench: Bench
 ) -> None:
     panel = bench.panel
-    bench.says(NOTHING_DRAWN)
+    bench.says(EMPTY)
     assert not panel.bar.saves[DRIVE].isEnabled()
     for amplitude in (1.0, 5.0, 2.0):
-        bench.edit(drawn(amplitude=amplitude), complete=False)
+        bench.edit(line_scene(amplitude=amplitude), complete=False)
     wait(qtbot, lambda: panel.complete)
     first = panel.driven
     assert first is not None
     assert first.number == panel.calculation.number
     assert bench.numbers[-1] == first.number
     assert first.limiting.decided_by is None
-    bench.edit(drawn(amplitude=4.0))
+    bench.edit(line_scene(amplitude=4.0))
     louder = panel.driven
     assert louder is not None
     np.testing.assert_allclose(louder.peak_v, 2.0 * first.peak_v, rtol=1e-5)
     limit_v = float(louder.peak_v.max()) / 4.0
-    bench.edit(drawn(amplitude=4.0, limit_v=limit_v))
+    bench.edit(line_scene(amplitude=4.0, limit_v=limit_v))
     assert panel.driven is not None
     assert panel.driven.peak_v.max() == pytest.approx(limit_v)
     assert panel.drives.said.text() == "scaled by 0.25 for limit_v"
@@ -109,7 +103,7 @@ def test_given_edits_then_drives_field_and_figures_follow_and_nothing_of_an_olde
     assert "crosstalk of source 0" in verdicts
     assert panel.figures.table.item(1, 1).text().endswith(" V")
     assert "after scaling" in panel.figures.table.item(1, 1).toolTip()
-    bench.edit(drawn(amplitude=1.0, limit_v=limit_v))
+    bench.edit(line_scene(amplitude=1.0, limit_v=limit_v))
     assert panel.figures.figures[0].verdict == GOOD
     assert bench.numbers == sorted(bench.numbers)
     panel.drives.actuator.setCurrentIndex(2)
@@ -143,7 +137,7 @@ def look_at_field(qtbot: QtBot, bench: Bench) -> None:
     wait(qtbot, lambda: view.slider.sample > 0)
     at_s = view.time_s
     view.slider.pause()
-    bench.edit(drawn(amplitude=2.0))
+    bench.edit(line_scene(amplitude=2.0))
     assert view.time_s >= at_s - 1e-9
     assert view.map.marked == 6
     for theme in (DARK,):
@@ -170,12 +164,12 @@ def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_
     bench.document.use_bank(None)
     bench.says(NO_BANK)
     bench.document.use_bank(finished)
-    bench.edit(drawn(end_mm=60.0), complete=False)
+    bench.edit(line_scene(end_mm=60.0), complete=False)
     bench.says("source 0")
     assert panel.driven is None
     assert panel.field.begun is None
     assert panel.figures.table.rowCount() == 0
-    bench.edit(drawn())
+    bench.edit(line_scene())
     bench.document.use_bank(None)
     bench.says(NO_BANK)
     bench.document.use_bank(finished)
@@ -189,22 +183,22 @@ def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_
     assert panel.driven is not None
 
     # Stopped by hand, or its process killed: the next edit calculates again.
-    bench.edit(drawn(amplitude=1.5), complete=False)
+    bench.edit(line_scene(amplitude=1.5), complete=False)
     bench.qtbot.mouseClick(panel.cancel, LEFT)
     assert panel.stage.text() == "stopped"
-    bench.edit(drawn(amplitude=2.0))
+    bench.edit(line_scene(amplitude=2.0))
     process = panel.calculation.process_id
     assert process is not None
     os.kill(process, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
     bench.says("process was ended")
     assert panel.calculation.process_id is None
-    bench.edit(drawn(amplitude=3.0))
+    bench.edit(line_scene(amplitude=3.0))
     assert panel.driven is not None
     assert panel.calculation.process_id not in (None, process)
 
 
 def test_given_save_then_the_files_are_what_the_command_makes(bench: Bench, tmp_path: Path) -> None:
-    bench.edit(drawn(limit_v=2.0))
+    bench.edit(line_scene(limit_v=2.0))
     panel, driven = bench.panel, bench.panel.driven
     assert driven is not None
     panel.save(DRIVE, tmp_path / "out.h5")
@@ -226,8 +220,8 @@ def test_given_save_then_the_files_are_what_the_command_makes(bench: Bench, tmp_
 
 
 @pytest.mark.long
-def test_given_save_movie_then_the_field_is_predicted_and_drawn(bench: Bench, tmp_path: Path) -> None:
-    bench.edit(drawn())
+def test_given_save_movie_then_the_field_is_predicted_and_line_scene(bench: Bench, tmp_path: Path) -> None:
+    bench.edit(line_scene())
     bench.panel.save(MOVIE, tmp_path / "out.gif")
     bench.qtbot.waitUntil(lambda: not bench.panel.saving.busy, timeout=100_000)
     assert "out.gif is saved" in bench.window.messages.sentence
@@ -236,11 +230,11 @@ def test_given_save_movie_then_the_field_is_predicted_and_drawn(bench: Bench, tm
 
 def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench: Bench, finished: Path) -> None:
     panel, bar = bench.panel, bench.panel.bar
-    bench.edit(drawn())
+    bench.edit(line_scene())
     assert not bar.play.isEnabled()
     bar.rig_field.line.setText(str(finished.with_name("rig.toml")))
     bar.rig_field.line.editingFinished.emit()
-    bench.edit(drawn(amplitude=0.5))
+    bench.edit(line_scene(amplitude=0.5))
     assert bar.play.isEnabled()
     bar.loops.setValue(2)
     states: list[str] = []

@@ -14,9 +14,10 @@ from PyQt5.QtCore import QThread, QTimer
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
+from config.scene import SceneConfig, TextTable
 from gui.campaign.plots import GreenPlot, Greens
 from gui.process.command_process import CommandProcess
-from gui.scene.draft import SceneDraft, SourceDraft, TextDraft
+from gui.scene.draft import new_source
 from gui.scene.results.scene_job import SceneJob
 from gui.scene.tab import SceneTab
 from gui.shell.settings import Settings
@@ -234,8 +235,8 @@ def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_comma
     window = open_window()
     tab = next(one for one in window.tabs if isinstance(one, SceneTab))
     document = tab.document
-    text = TextDraft(string="wave" * 300, height_mm=8.0)
-    document.edit("add", SceneDraft(sources=(SourceDraft(path=text, speed_mm_s=80.0, step_mm=4.0),)))
+    text = TextTable(string="wave" * 300, height_mm=8.0)
+    document.edit("add", SceneConfig(source=(new_source(text),)))
     with pytest.raises(InputError, match="1200 letters"):
         document.scene()
     tab.scene_form.large.setChecked(True)
@@ -243,7 +244,7 @@ def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_comma
     job = SceneJob(window.context, document, "", lambda _words: None)
     assert "--allow-large" in job.render()
     job.close()
-    wait(qtbot, lambda: bool(tab.live.idle and tab.live.drawn.traces and not tab.live.drawn.traces[0].problem))
+    wait(qtbot, lambda: bool(tab.live.idle and tab.live.preview.traces and not tab.live.preview.traces[0].problem))
 
 
 @pytest.mark.parametrize("folder", ["lab", "missing"])

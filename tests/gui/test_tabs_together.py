@@ -15,7 +15,6 @@ from PyQt5.QtWidgets import QCheckBox, QStyle, QStyleOptionButton
 from pytestqt.qtbot import QtBot
 
 from gui.rig.tab import RigTab
-from gui.scene.draft import LineDraft, SceneDraft, SineDraft, SourceDraft
 from gui.scene.results.rig_play import IDLE
 from gui.scene.tab import SceneTab
 from gui.shell.theme import DARK, LIGHT, Theme, TickStyle, palette_of
@@ -24,6 +23,7 @@ from gui.verification.tab import VerificationTab
 from storage.bank.creation import create_bank
 from storage.bank.layout import BankHeader
 from tests.gui.conftest import campaign_of, wait, write_lab
+from tests.gui.scenes import line_scene
 from tests.gui.test_run import HOLDER, answer, press
 from tests.system.test_startup import loaded_by
 
@@ -44,7 +44,7 @@ address = "localhost:1"
 driver = "sounddevice"
 device = "none"
 """
-SCENE = SceneDraft("line", (SourceDraft(LineDraft((0.0, 0.0), (4.5, 0.0)), SineDraft(150.0, 0.2), speed_mm_s=30.0),))
+SCENE = line_scene(step_mm=4.0)
 OPEN_WINDOW = """
 import os
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
@@ -223,7 +223,7 @@ def test_given_files_of_every_kind_then_the_window_lets_each_be_dropped(
 def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Path) -> None:
     loaded = loaded_by(OPEN_WINDOW, tmp_path)
     assert "gui.verification.tab" in loaded
-    assert not loaded & {"scipy", "h5py", "matplotlib", "pydantic", "soundfile", "mocks", "acquisition.engine.campaign"}
+    assert not loaded & {"scipy", "h5py", "matplotlib", "soundfile", "mocks", "acquisition.engine.campaign"}
     assert not loaded & {
         "rendering.field.prediction",
         "rendering.drive.rendering",

@@ -18,7 +18,7 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.scene.document import NOTHING_DRAWN, SceneDocument
+from gui.scene.document import EMPTY, SceneDocument
 from gui.scene.results.actions_bar import ActionsBar
 from gui.scene.results.calculation import Calculation
 from gui.scene.results.drives_view import DrivesView
@@ -195,10 +195,10 @@ class ResultsPanel(QWidget):
 
     def _ask(self) -> None:
         document, rig = self._document, self.bar.rig
-        if document.bank is None or not document.draft.sources:
+        if document.bank is None or not document.draft.source:
             self._halt()
             self._clear()
-            self._say(NO_BANK if document.bank is None else NOTHING_DRAWN)
+            self._say(NO_BANK if document.bank is None else EMPTY)
             return
         try:
             self.calculation.ask(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gui.process.command_process import CommandProcess
 from gui.scene.document import SceneDocument
-from gui.scene.toml_text import scene_toml
+from gui.scene.draft import scene_toml
 from gui.shell.tab import TabContext
 
 CANCELLED = -1

@@ -1,45 +1,41 @@
-"""What draws a path: from clicks and drags on the surface to the path they mean."""
+"""Tools that draw a path with clicks and drags on the surface."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 
-from gui.scene.draft import CircleDraft, LineDraft, PathDraft, PointDraft, PointMm, PolylineDraft, TextDraft
-
-_DECIMALS = 2
+from config.scene import CircleTable, LineTable, PathTable, PolylineTable
+from gui.scene.draft import NEW_PATHS, PointMm, changed
+from gui.scene.handles import rounded
 
 
 class Tool:
-    """One way to draw; `sketch` is what it would be now, `done` what it has become."""
+    """A way to draw; `sketch` is the path so far, `done` the finished one."""
 
-    #: What to do with the mouse.
+    #: Instruction for the user.
     hint = ""
 
     def __init__(self) -> None:
-        self.sketch: PathDraft | None = None
-        self.done: PathDraft | None = None
+        self.sketch: PathTable | None = None
+        self.done: PathTable | None = None
 
     def click(self, at: PointMm, reach_mm: float) -> None:
-        """Take a click; `reach_mm` is how near counts as there."""
+        """Receive a click; points within `reach_mm` count as hit."""
         raise NotImplementedError
 
-    def drag(self, start: PointMm, at: PointMm, *, over: bool) -> None:
-        """Take a drag that began at `start`."""
+    def drag(self, start: PointMm, at: PointMm, *, ended: bool) -> None:
+        """Receive a drag that began at `start`."""
         raise NotImplementedError
 
     def move(self, at: PointMm) -> None:
         """Follow the mouse between clicks."""
 
     def finish(self) -> None:
-        """Take what is there as it is (double click, Enter)."""
+        """End the path (double click, Enter)."""
 
     def back(self) -> None:
-        """Take the last click back."""
-
-    def cancel(self) -> None:
-        """Begin anew."""
-        self.sketch = self.done = None
+        """Undo the last click."""
 
 
 class PlaceTool(Tool):
@@ -51,18 +47,18 @@ class PlaceTool(Tool):
         From a place to the path there.
     """
 
-    hint = "Click where it shall be"
+    hint = "Click its position"
 
-    def __init__(self, make: Callable[[PointMm], PathDraft]) -> None:
+    def __init__(self, make: Callable[[PointMm], PathTable]) -> None:
         super().__init__()
         self._make = make
 
     def click(self, at: PointMm, reach_mm: float) -> None:
-        self.done = self._make(_round(at))
+        self.done = self._make(rounded(at))
 
-    def drag(self, start: PointMm, at: PointMm, *, over: bool) -> None:
-        self.sketch = self._make(_round(at))
-        if over:
+    def drag(self, start: PointMm, at: PointMm, *, ended: bool) -> None:
+        self.sketch = self._make(rounded(at))
+        if ended:
             self.done = self.sketch
 
 
@@ -77,7 +73,7 @@ class TwoPointTool(Tool):
         What the points are.
     """
 
-    def __init__(self, make: Callable[[PointMm, PointMm], PathDraft | None], hint: str) -> None:
+    def __init__(self, make: Callable[[PointMm, PointMm], PathTable | None], hint: str) -> None:
         super().__init__()
         self._make, self.hint = make, hint
         self._first: PointMm | None = None
@@ -88,10 +84,10 @@ class TwoPointTool(Tool):
         else:
             self.done = self._make(self._first, at)
 
-    def drag(self, start: PointMm, at: PointMm, *, over: bool) -> None:
+    def drag(self, start: PointMm, at: PointMm, *, ended: bool) -> None:
         self._first = None
         self.sketch = self._make(start, at)
-        if over:
+        if ended:
             self.done = self.sketch
 
     def move(self, at: PointMm) -> None:
@@ -99,11 +95,7 @@ class TwoPointTool(Tool):
             self.sketch = self._make(self._first, at)
 
     def back(self) -> None:
-        self.cancel()
-
-    def cancel(self) -> None:
-        super().cancel()
-        self._first = None
+        self.sketch = self._first = None
 
 
 class PolylineTool(Tool):
@@ -118,43 +110,39 @@ class PolylineTool(Tool):
     def click(self, at: PointMm, reach_mm: float) -> None:
         points = self._points
         if len(points) >= 3 and math.dist(at, points[0]) <= reach_mm:
-            self.done = PolylineDraft(tuple(points), closed=True)
+            self.done = PolylineTable(points_mm=tuple(points), closed=True)
         elif not points or math.dist(at, points[-1]) > 0:
-            points.append(_round(at))
+            points.append(rounded(at))
             self.move(at)
 
-    def drag(self, start: PointMm, at: PointMm, *, over: bool) -> None:
+    def drag(self, start: PointMm, at: PointMm, *, ended: bool) -> None:
         if not self._points:
-            self._points.append(_round(start))
+            self._points.append(rounded(start))
         self.move(at)
-        if over:
+        if ended:
             self.click(at, 0.0)
 
     def move(self, at: PointMm) -> None:
         if self._points:
-            self.sketch = PolylineDraft((*self._points, _round(at)))
+            self.sketch = PolylineTable(points_mm=(*self._points, rounded(at)))
 
     def finish(self) -> None:
         if len(self._points) >= 2:
-            self.done = PolylineDraft(tuple(self._points))
+            self.done = PolylineTable(points_mm=tuple(self._points))
 
     def back(self) -> None:
         if self._points:
             self._points.pop()
-        self.sketch = PolylineDraft(tuple(self._points)) if self._points else None
-
-    def cancel(self) -> None:
-        super().cancel()
-        self._points = []
+        self.sketch = PolylineTable(points_mm=tuple(self._points)) if self._points else None
 
 
 def tool_of(kind: str) -> Tool | None:
     """The tool that draws a kind of path; None for those that are chosen from a file."""
     match kind:
         case "point":
-            return PlaceTool(PointDraft)
+            return PlaceTool(lambda at: changed(NEW_PATHS["point"], at_mm=at))
         case "text":
-            return PlaceTool(lambda at: TextDraft(centre_mm=at))
+            return PlaceTool(lambda at: changed(NEW_PATHS["text"], centre_mm=at))
         case "line":
             return TwoPointTool(_line, "Drag from start to end, or click both")
         case "circle":
@@ -164,15 +152,11 @@ def tool_of(kind: str) -> Tool | None:
     return None
 
 
-def _line(start: PointMm, end: PointMm) -> PathDraft | None:
-    start, end = _round(start), _round(end)
-    return LineDraft(start, end) if start != end else None
+def _line(start: PointMm, end: PointMm) -> PathTable | None:
+    start, end = rounded(start), rounded(end)
+    return LineTable(start_mm=start, end_mm=end) if start != end else None
 
 
-def _circle(centre: PointMm, rim: PointMm) -> PathDraft | None:
-    radius_mm = round(math.dist(centre, rim), _DECIMALS)
-    return CircleDraft(_round(centre), radius_mm) if radius_mm else None
-
-
-def _round(at: PointMm) -> PointMm:
-    return round(at[0], _DECIMALS) + 0.0, round(at[1], _DECIMALS) + 0.0
+def _circle(centre: PointMm, rim: PointMm) -> PathTable | None:
+    radius_mm = round(math.dist(centre, rim), 2)
+    return CircleTable(centre_mm=rounded(centre), radius_mm=radius_mm) if radius_mm else None

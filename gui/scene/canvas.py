@@ -1,0 +1,300 @@
+"""The surface that scenes are drawn on: paths are drawn, chosen, moved and shaped with mouse and keyboard."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from PyQt5.QtCore import Qt, pyqtSignal
+from PyQt5.QtGui import QKeyEvent, QMouseEvent
+
+from config.scene import PathTable, PolylineTable
+from gui.scene.canvas_items import SceneItems, sketched
+from gui.scene.document import SceneDocument
+from gui.scene.draft import PointMm
+from gui.scene.handles import (
+    Box,
+    Handle,
+    anchor_of,
+    box_of,
+    handles_of,
+    shifted,
+    with_handle_at,
+    with_vertex,
+    without_vertex,
+)
+from gui.scene.preview import LivePreview
+from gui.scene.tools import Tool, tool_of
+from gui.shell.theme import Theme
+from gui.surface.view import STEPS, Keys, SurfaceView
+
+_HANDLE_PX, _LINE_PX = 9.0, 7.0
+_NUDGE_MM, _LONG_NUDGE_MM = 1.0, 10.0
+_DELETES = (Qt.Key.Key_Delete, Qt.Key.Key_Backspace)
+_SELECT_HINT = "Drag a path or its handles; arrow keys nudge (Shift: 10 mm); drag empty space to pan; wheel zooms"
+_POLYLINE_HINT = "Double-click a line to add a vertex; Del deletes the chosen one; arrow keys nudge it"
+
+
+class SceneCanvas(SurfaceView):
+    """The surface with the scene's sources."""
+
+    #: A path that was drawn.
+    drawn = pyqtSignal(object)
+    #: Another tool: the kind of path that it draws, empty for selecting.
+    tool_changed = pyqtSignal(str)
+    #: Position of the mouse, None off the surface.
+    hovered = pyqtSignal(object)
+    delete_wanted = pyqtSignal()
+
+    def __init__(self, document: SceneDocument, live: LivePreview) -> None:
+        self._document, self._live = document, live
+        self.snaps = False
+        self.kind = ""
+        self._tool: Tool | None = None
+        self._held = ""
+        self._dragged: tuple[PathTable, Box | None, str] | None = None
+        self._gesture = 0
+        self._outline_mm = np.zeros((0, 2))
+        self.items: SceneItems | None = None
+        super().__init__("Surface to draw on")
+        self.setAccessibleDescription("Arrow keys move the chosen source, Del deletes it")
+        self.picture = self.items = SceneItems(self)
+        document.edited.connect(self._show_handles)
+        document.chosen_changed.connect(self._release)
+        live.updated.connect(self.show_scene)
+        live.ground_changed.connect(self._show_ground)
+        self.apply_theme(self.theme)
+        self._show_ground()
+
+    @property
+    def hint(self) -> str:
+        """What the mouse does now."""
+        if self._tool is not None:
+            return f"{self._tool.hint}; Esc stops drawing"
+        source = self._document.source
+        return _POLYLINE_HINT if source and isinstance(source.path, PolylineTable) else _SELECT_HINT
+
+    @property
+    def handles(self) -> list[Handle]:
+        """Handles of the chosen source."""
+        source = self._document.source
+        return [] if source is None or self._tool is not None else handles_of(source.path, self._box_mm())
+
+    def use_tool(self, kind: str) -> None:
+        """Draw paths of a kind, or select where it is empty."""
+        self._tool, self.kind = (tool_of(kind), kind) if kind else (None, "")
+        self.picture.show_sketch(sketched(None))
+        self.setCursor(Qt.CursorShape.CrossCursor if self._tool else Qt.CursorShape.ArrowCursor)
+        self._show_handles()
+        self.tool_changed.emit(self.kind)
+
+    def show_scene(self) -> None:
+        """Show the latest preview."""
+        preview = self._live.preview
+        # Points snapped to another bank's positions are out of date.
+        traces = preview.traces if preview.ground is self._live.ground else []
+        self.picture.show_traces(traces, self._document.chosen, self._live.ground)
+        self._show_handles()
+
+    def apply_theme(self, theme: Theme) -> None:
+        super().apply_theme(theme)
+        if self.items is not None:
+            self.items.apply_theme(theme)
+            self.show_scene()
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        """Nudge, delete, end a drawing, and choose no source."""
+        assert event is not None
+        key, tool, source = event.key(), self._tool, self._document.source
+        if tool is not None and key in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            tool.finish()
+            self._show_tool()
+        elif tool is not None and key == Qt.Key.Key_Backspace:
+            tool.back()
+            self._show_tool()
+        elif tool is not None and key == Qt.Key.Key_Escape:
+            self.use_tool("")
+        elif key == Qt.Key.Key_Escape and source is not None:
+            self._document.choose(-1)
+        elif tool is None and key in STEPS and source is not None:
+            long = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
+            self._nudge(STEPS[key], _LONG_NUDGE_MM if long else _NUDGE_MM)
+        elif tool is None and key in _DELETES and source is not None:
+            self._delete()
+        elif key not in STEPS:
+            super().keyPressEvent(event)
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        """Report the mouse's position; the path being drawn follows it."""
+        super().mouseMoveEvent(event)
+        if event is None:
+            return
+        point = self.box.mapSceneToView(self.mapToScene(event.pos()))
+        at = point.x(), point.y()
+        self.hovered.emit(at)
+        if self._tool is not None and not event.buttons():
+            self._tool.move(self._snapped(at))
+            self._show_tool()
+        elif self._tool is None and not event.buttons():
+            self._point_at(at)
+
+    def leaveEvent(self, event: object) -> None:  # noqa: N802
+        super().leaveEvent(event)
+        self.hovered.emit(None)
+
+    def claims_drag(self, at_mm: PointMm, _keys: Keys) -> bool:
+        """Whether a drag from here draws, or moves something."""
+        self._gesture += 1
+        if self._tool is not None:
+            return True
+        handle = self._handle_at(at_mm)
+        index = self._document.chosen if handle else self._source_at(at_mm)
+        if index < 0:
+            return False
+        self._document.choose(index)
+        self._held = handle
+        source = self._document.source
+        assert source is not None
+        self._dragged = source.path, self._box_mm(), handle
+        return True
+
+    def drag_to(self, start_mm: PointMm, at_mm: PointMm, _keys: Keys, *, ended: bool) -> None:
+        if self._tool is not None:
+            self._tool.drag(self._snapped(start_mm), self._snapped(at_mm), ended=ended)
+            self._show_tool()
+        elif self._dragged is not None:
+            path, box_mm, handle = self._dragged
+            if handle:
+                path = with_handle_at(path, handle, self._snapped(at_mm), box_mm)
+            else:
+                anchor = anchor_of(path)
+                to = self._snapped((anchor[0] + at_mm[0] - start_mm[0], anchor[1] + at_mm[1] - start_mm[1]))
+                path = shifted(path, (to[0] - anchor[0], to[1] - anchor[1]))
+            self._document.edit_source("reshape" if handle else "move", f"drag {self._gesture}", path=path)
+
+    def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
+        if self._tool is not None:
+            self._tool.click(self._snapped(at_mm), _HANDLE_PX * self.box.mm_per_pixel)
+            self._show_tool()
+            return
+        self._held = self._handle_at(at_mm)
+        if not self._held:
+            self._document.choose(self._source_at(at_mm))
+        self._show_handles()
+
+    def double_click_at(self, at_mm: PointMm) -> None:
+        if self._tool is not None:
+            self._tool.finish()
+            self._show_tool()
+            return
+        source = self._document.source
+        if self._source_at(at_mm) < 0:
+            self.show_everything()
+        elif (
+            source is not None
+            and isinstance(source.path, PolylineTable)
+            and self._source_at(at_mm) == self._document.chosen
+            and not self._handle_at(at_mm)
+        ):
+            self._document.edit_source("add a vertex", path=with_vertex(source.path, self._snapped(at_mm)))
+
+    def _show_tool(self) -> None:
+        tool = self._tool
+        if tool is None:
+            return
+        if tool.done is None:
+            self.picture.show_sketch(sketched(tool.sketch))
+            return
+        path = tool.done
+        self.use_tool("")
+        self.drawn.emit(path)
+
+    def _nudge(self, way: PointMm, step_mm: float) -> None:
+        source = self._document.source
+        assert source is not None
+        by = way[0] * step_mm, way[1] * step_mm
+        held = next((one for one in self.handles if one.name == self._held), None)
+        if held is None:
+            self._document.edit_source("nudge", "nudge", path=shifted(source.path, by))
+        else:
+            to = held.at_mm[0] + by[0], held.at_mm[1] + by[1]
+            path = with_handle_at(source.path, held.name, to, self._box_mm())
+            self._document.edit_source("nudge", f"nudge {held.name}", path=path)
+
+    def _delete(self) -> None:
+        source = self._document.source
+        if source is not None and isinstance(source.path, PolylineTable) and self._held:
+            path, self._held = without_vertex(source.path, int(self._held)), ""
+            self._document.edit_source("delete a vertex", path=path)
+        else:
+            self.delete_wanted.emit()
+
+    def _snapped(self, at: PointMm) -> PointMm:
+        """The bank's nearest position, or whole millimetres without a bank; unchanged where snapping is off."""
+        if not self.snaps:
+            return at
+        row, surface = self.position_at(at), self.surface
+        if surface is None or row < 0:
+            return float(round(at[0])), float(round(at[1]))
+        x_mm, y_mm = surface.position_mm[row].tolist()
+        return x_mm, y_mm
+
+    def _handle_at(self, at: PointMm) -> str:
+        reach_mm = _HANDLE_PX * self.box.mm_per_pixel
+        near = [(math.dist(at, one.at_mm), place, one.name) for place, one in enumerate(self.handles)]
+        distance_mm, _, name = min(near, default=(math.inf, 0, ""))
+        return name if distance_mm <= reach_mm else ""
+
+    def _source_at(self, at: PointMm) -> int:
+        """The source whose path is below the mouse, the chosen one first; -1 for none."""
+        reach_mm = _LINE_PX * self.box.mm_per_pixel
+        near = []
+        for index, trace in enumerate(self._live.preview.traces[: len(self._document.draft.source)]):
+            if len(trace.line_mm):
+                away = float(np.nanmin(np.hypot(*(trace.line_mm - at).T)))
+                near.append((away > reach_mm, index != self._document.chosen, away, index))
+        best = min(near, default=(True, True, 0.0, -1))
+        return -1 if best[0] else best[3]
+
+    def _box_mm(self) -> Box | None:
+        """Corners of the chosen path as it is drawn; None where the preview is of another kind of path."""
+        preview, chosen, source = self._live.preview, self._document.chosen, self._document.source
+        if source is None or chosen >= len(preview.traces):
+            return None
+        if type(preview.draft.source[chosen].path) is not type(source.path):
+            return None
+        line_mm = preview.traces[chosen].line_mm
+        line_mm = line_mm[np.isfinite(line_mm).all(axis=1)]
+        return box_of(line_mm.tolist()) if len(line_mm) else None
+
+    def _point_at(self, at: PointMm) -> None:
+        """Show by the cursor and the tooltip what a drag would move."""
+        name = self._handle_at(at)
+        handle = next((one for one in self.handles if one.name == name), None)
+        over = handle is not None or self._source_at(at) >= 0
+        self.setCursor(Qt.CursorShape.SizeAllCursor if over else Qt.CursorShape.ArrowCursor)
+        self.setToolTip("" if handle is None else f"{handle.words}: ({handle.at_mm[0]:.6g}, {handle.at_mm[1]:.6g}) mm")
+
+    def _release(self) -> None:
+        self._held = ""
+        self._dragged = None
+        self.show_scene()
+
+    def _show_handles(self) -> None:
+        self.picture.show_handles(self.handles, self._held)
+
+    def fit(self) -> None:
+        self.show_everything()
+
+    def _show_ground(self) -> None:
+        ground, former_mm, view = self._live.ground, self._outline_mm, self.box.viewRect()
+        self._outline_mm = ground.outline_mm
+        self.show_surface(ground.surface)
+        self.show_outline(ground.outline_mm)
+        for side in ("left", "bottom"):
+            self.getPlotItem().showAxis(side)
+        if np.array_equal(former_mm, ground.outline_mm):
+            self.box.setRange(view, padding=0)
+        else:
+            self.show_everything()
+        self.show_scene()

@@ -1,0 +1,385 @@
+"""The live preview of a scene, made in a thread: the surface, each source's path and points, the signal, problems."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from PyQt5.QtCore import QObject, pyqtSignal
+
+from config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, SvgTable, TextTable
+from gui.process.background import Background
+from gui.scene.document import SceneDocument
+from gui.scene.draft import source_toml
+from gui.shell.tab import TabContext
+from gui.surface.surface import Surface, stadium_mm, surface_of
+from storage.errors import InputError, WavefocusError
+
+if TYPE_CHECKING:
+    from rendering.greens.interpolation.position_grid import PositionGrid
+    from rendering.scene.model import Source
+
+Float64Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+# The surface of the virtual rig, and the rate of its banks, while there is no bank.
+_LENGTH_MM, _WIDTH_MM = 250.0, 150.0
+_USUAL_RATE_HZ = 10_000.0
+# More points than these look like a line; the figures count all of them.
+MOST_DRAWN = 2000
+_MOST_LINE_POINTS = 6000
+_LINE_POINTS_PER_MM = 8.0
+# Longer signals are not drawn: making them would delay editing.
+_LONGEST_DRAWN_S = 30.0
+_LARGEST_FILE = 64 * 2**20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """What a scene is drawn over: a bank's surface, or only an outline.
+
+    Parameters
+    ----------
+    outline_mm : float64 array (points, 2)
+        Rim of the surface, closed; a rectangle about the positions where the bank does not have it.
+    sample_rate_hz : float
+        Of the bank.
+    surface : Surface or None
+        The bank's, None without a bank.
+    grid : PositionGrid or None
+        Its positions, to be searched.
+    usable : bool array (positions,)
+        Positions that hold a valid measurement.
+    """
+
+    outline_mm: Float64Array
+    sample_rate_hz: float = _USUAL_RATE_HZ
+    surface: Surface | None = None
+    grid: PositionGrid | None = None
+    usable: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """One source as it is drawn.
+
+    Parameters
+    ----------
+    line_mm : float64 array (n, 2)
+        Its path, NaN where it jumps from stroke to stroke.
+    points_mm, instant_s : float64 arrays (k, 2), (k,)
+        Path points, and when each is a focus; thinned where there are many.
+    rows : int64 array (k,)
+        The bank's position that each is snapped to; empty without a bank.
+    off : bool array (k,)
+        Points further than one grid spacing from every position, or nearest to one without a measurement.
+    far : int
+        How many of them are too far from the grid.
+    length_mm, period_s, lasts_s : float
+        Of the path, between path points (d / v), and of the emission.
+    points : int
+        Number M of path points.
+    problem : str
+        Why it cannot be drawn; empty where it is.
+    """
+
+    line_mm: Float64Array
+    points_mm: Float64Array
+    instant_s: Float64Array
+    rows: Int64Array
+    off: NDArray[np.bool_]
+    far: int = 0
+    length_mm: float = 0.0
+    period_s: float = 0.0
+    lasts_s: float = 0.0
+    points: int = 0
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Preview:
+    """A scene as it is drawn.
+
+    Parameters
+    ----------
+    draft : SceneConfig
+        The scene.
+    ground : Ground
+        What it is drawn over.
+    traces : list of Trace
+        One per source.
+    signal : float64 array (samples,) or str
+        Signal of the chosen source, amplitude included; else why it is not drawn.
+    problem : str
+        Why commands would refuse the scene; empty where they would not.
+    """
+
+    draft: SceneConfig
+    ground: Ground
+    traces: list[Trace]
+    signal: Float64Array | str
+    problem: str
+
+
+class LivePreview(QObject):
+    """Draws the latest scene whenever the one before is done, so that a long drag is seen all the while."""
+
+    updated = pyqtSignal()
+    ground_changed = pyqtSignal()
+
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
+        super().__init__(document)
+        self._context, self._document = context, document
+        self._background = Background(self)
+        self.ground = _bare_ground()
+        self.preview = Preview(document.draft, self.ground, [], "", "")
+        self._busy = self._stale = self._ended = False
+        for signal in (document.changed, document.chosen_changed, document.file_changed):
+            signal.connect(self._ask)
+        document.bank_changed.connect(self.read_bank)
+
+    @property
+    def idle(self) -> bool:
+        """Whether the preview is of the present scene."""
+        return not self._busy and self.preview.draft == self._document.draft
+
+    def read_bank(self) -> None:
+        """Read the bank's surface; again when a campaign may have filled it."""
+        bank = self._document.bank
+        if self._ended:
+            return
+        if bank is None:
+            self._use_ground(_bare_ground())
+        else:
+            self._background.ask("ground", partial(_ground_of, bank), self._use_ground, partial(self._no_bank, bank))
+
+    def shut_down(self) -> None:
+        """End the thread."""
+        self._ended = True
+        self._background.end()
+
+    def _ask(self) -> None:
+        self._stale = True
+        if self._busy or self._ended:
+            return
+        self._busy, self._stale = True, False
+        draft, ground, chosen = self._document.draft, self.ground, self._document.chosen
+        read, allow_large = self._document.reader(), self._document.allow_large
+
+        def work() -> Preview:
+            traces = [_trace(source, ground, allow_large) for source in draft.source]
+            signal = _signal(draft.source[chosen], ground, allow_large) if chosen >= 0 else ""
+            try:
+                read()
+                problem = ""
+            except WavefocusError as error:
+                problem = str(error)
+            return Preview(draft, ground, traces, signal, problem)
+
+        self._background.ask("scene", work, self._show, self._fail)
+
+    def _show(self, preview: Preview) -> None:
+        self.preview = preview
+        self._busy = False
+        self.updated.emit()
+        if self._stale:
+            self._ask()
+
+    def _fail(self, failure: Exception) -> None:
+        self._busy = False
+        raise failure
+
+    def _no_bank(self, bank: Path, why: Exception) -> None:
+        if self._document.bank == bank:
+            self._use_ground(_bare_ground())
+        self._context.report_failure(why)
+
+    def _use_ground(self, ground: Ground) -> None:
+        self.ground = ground
+        self.ground_changed.emit()
+        self._ask()
+
+
+def name_of(source: SourceTable) -> str:
+    """Return a source's name in a word or two."""
+    path = source.path
+    if isinstance(path, TextTable):
+        return f"text “{path.string}”"
+    if isinstance(path, PolylineTable):
+        return f"{'closed ' if path.closed else ''}polyline of {len(path.points_mm)}"
+    return "drawing" if isinstance(path, SvgTable) else path.kind
+
+
+def title_of(source: SourceTable, trace: Trace | None) -> str:
+    """Return a source's line in the list."""
+    words = [name_of(source), source.signal.kind]
+    if trace is not None and trace.length_mm > 0:
+        words.insert(1, f"{trace.length_mm:.0f} mm")
+    if source.start_s:
+        words.append(f"from {source.start_s:g} s")
+    return ", ".join(words)
+
+
+def trace_text(trace: Trace) -> str:
+    """Return a source's figures in a sentence."""
+    if trace.problem or not trace.points:
+        return ""
+    emits = f"emits for {_duration(trace.lasts_s)}"
+    if trace.points == 1 and not trace.length_mm:
+        return f"At rest, {emits}"
+    points = f"{trace.points} point{'s' if trace.points > 1 else ''}, one every {_duration(trace.period_s)}"
+    return f"{trace.length_mm:.4g} mm, {points}; {emits}"
+
+
+def problem_of(preview: Preview) -> str:
+    """Return what is wrong with a scene; empty where nothing is."""
+    if not preview.draft.source or preview.problem:
+        return preview.problem if preview.draft.source else ""
+    ground, problems = preview.ground, []
+    if ground.grid is None:
+        return ""
+    for index, trace in enumerate(preview.traces):
+        off, drawn = int(trace.off.sum()), len(trace.points_mm)
+        if off:
+            share = f"{off} of {drawn}" if drawn == trace.points else f"{off / drawn:.0%} of its"
+            reach = f"over {ground.grid.spacing_mm:.3g} mm from every position"
+            where = reach if trace.far else "without a measurement"
+            problems.append(f"source {index}: {share} points (crosses) are {where}: move the path, or measure there")
+    return "; ".join(problems[:2]) + (f"; and {len(problems) - 2} more" if len(problems) > 2 else "")
+
+
+def _duration(seconds: float) -> str:
+    if 0 < seconds < 1e-3:
+        return f"{seconds * 1e6:.3g} µs"
+    return f"{seconds * 1e3:.4g} ms" if 0 < seconds < 1 else f"{seconds:.4g} s"
+
+
+def _bare_ground() -> Ground:
+    return Ground(stadium_mm(_LENGTH_MM, _WIDTH_MM))
+
+
+def _ground_of(path: Path) -> Ground:
+    from rendering.greens.interpolation.position_grid import PositionGrid  # loads scipy and h5py, in a thread
+    from rendering.greens.source import usable
+    from storage.bank.reading import open_bank
+
+    with open_bank(path) as bank:
+        surface, allowed = surface_of(bank), usable(bank)
+    outline_mm = surface.outline_mm
+    if outline_mm is None:
+        (left, bottom), (right, top) = surface.position_mm.min(axis=0), surface.position_mm.max(axis=0)
+        outline_mm = np.array([[left, bottom], [right, bottom], [right, top], [left, top], [left, bottom]])
+    return Ground(outline_mm, surface.sample_rate_hz, surface, PositionGrid(surface.position_mm), allowed)
+
+
+def _trace(draft: SourceTable, ground: Ground, allow_large: bool) -> Trace:
+    source = _source(draft, _file_times(draft), allow_large)
+    if isinstance(source, str):
+        return _no_trace(source)
+    samples = _samples(draft, _file_times(draft), allow_large, ground.sample_rate_hz)
+    signal_s = 0.0 if isinstance(samples, str) else len(samples) / ground.sample_rate_hz
+    try:
+        return _drawn(source, ground, float(getattr(draft.signal, "duration_s", signal_s)))
+    except WavefocusError as error:
+        return _no_trace(_without_number(str(error)))
+
+
+def _signal(draft: SourceTable, ground: Ground, allow_large: bool) -> Float64Array | str:
+    samples = _samples(draft, _file_times(draft), allow_large, ground.sample_rate_hz)
+    return samples if isinstance(samples, str) else draft.amplitude * samples
+
+
+@lru_cache(maxsize=256)
+def _source(draft: SourceTable, _times: tuple[int, ...], allow_large: bool) -> Source | str:
+    """A source as commands make it, or why they refuse it."""
+    from rendering.scene.loading import read_scene
+
+    place = Path.cwd() / "scene.toml"
+    try:
+        return read_scene(source_toml(draft), place, allow_large=allow_large).sources[0]
+    except InputError as error:
+        return _without_number(str(error).removeprefix(f"{place}: "))
+
+
+@lru_cache(maxsize=32)
+def _samples(draft: SourceTable, times: tuple[int, ...], allow_large: bool, rate_hz: float) -> Float64Array | str:
+    """The samples of a signal at the bank's rate, or why they are not drawn."""
+    source = _source(draft, times, allow_large)
+    if isinstance(source, str):
+        return source
+    file = draft.signal.path if isinstance(draft.signal, FileTable) else ""
+    try:
+        too_large = file and Path(file).stat().st_size > _LARGEST_FILE
+        if too_large or getattr(draft.signal, "duration_s", 0.0) > _LONGEST_DRAWN_S:
+            return "too long to be drawn here; it can be rendered"
+        return source.signal.samples(rate_hz)
+    except (WavefocusError, OSError) as error:
+        return " ".join(str(error).split())
+
+
+def _drawn(source: Source, ground: Ground, signal_s: float) -> Trace:
+    from rendering.scene.sampling import point_count
+
+    points = point_count(source, 0)
+    moves = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)
+    period_s = source.step_mm / source.speed_mm_s if moves else 0.0
+    if not math.isfinite(source.start_s + points * period_s):
+        raise InputError("its last focus is later than numbers reach; raise speed_mm_s")
+    number = np.unique(np.linspace(0, points - 1, min(points, MOST_DRAWN)).astype(np.int64))
+    points_mm = source.path.point_at(number * (source.step_mm if points > 1 else 0.0))
+    if not np.isfinite(points_mm).all():
+        raise InputError("a path point is further away than numbers reach")
+    runs_on = source.emission == "continuous" and moves
+    rows, off, far = np.zeros(0, np.int64), np.zeros(len(points_mm), np.bool_), 0
+    if ground.grid is not None and ground.usable is not None:
+        rows, distance_mm = ground.grid.nearest(points_mm)
+        too_far = distance_mm > ground.grid.spacing_mm * (1.0 + 1e-9) + 1e-9
+        off, far = too_far | ~ground.usable[rows], int(too_far.sum())
+    return Trace(
+        line_mm=_line(source),
+        points_mm=points_mm,
+        instant_s=np.asarray(source.start_s + number * period_s, np.float64),
+        rows=rows,
+        off=off,
+        far=far,
+        length_mm=source.path.length_mm,
+        period_s=period_s,
+        lasts_s=points * period_s if runs_on else (points - 1) * period_s + signal_s,
+        points=points,
+    )
+
+
+def _line(source: Source) -> Float64Array:
+    length_mm = source.path.length_mm
+    if length_mm == 0:
+        return source.path.point_at(np.zeros(1))
+    count = int(min(max(_LINE_POINTS_PER_MM * length_mm, 2.0), _MOST_LINE_POINTS)) + 1
+    line_mm = source.path.point_at(np.linspace(0.0, length_mm, count))
+    jumps = np.flatnonzero(np.hypot(*np.diff(line_mm, axis=0).T) > 1.5 * length_mm / (count - 1) + 1e-6) + 1
+    return np.insert(line_mm, jumps, np.nan, axis=0)
+
+
+def _file_times(draft: SourceTable) -> tuple[int, ...]:
+    """When the files that a source names were last written, 0 where there is none: a change draws it again."""
+    times = []
+    for name in (getattr(draft.path, "file", ""), getattr(draft.signal, "path", "")):
+        try:
+            times.append(Path(name).stat().st_mtime_ns if name else 0)
+        except (OSError, ValueError):
+            times.append(0)
+    return tuple(times)
+
+
+def _no_trace(problem: str) -> Trace:
+    none, nowhere = np.zeros(0), np.zeros((0, 2))
+    return Trace(nowhere, nowhere, none, np.zeros(0, np.int64), np.zeros(0, np.bool_), problem=problem)
+
+
+def _without_number(sentence: str) -> str:
+    """A message about the one source of a scene, without its number there."""
+    return sentence.removeprefix("source[0]: ").removeprefix("source[0].").replace(" of source 0", "")
