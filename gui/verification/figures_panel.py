@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from PyQt5.QtCore import QPointF, QSize, Qt
 from PyQt5.QtGui import QColor, QIcon, QPainter, QPen, QPixmap, QPolygonF
@@ -21,8 +22,9 @@ from PyQt5.QtWidgets import (
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import Badge
 from gui.verification.results import Results
-from rendering.report.words import number, precise
-from rendering.verify.record import Figure, VerificationRecord
+
+if TYPE_CHECKING:
+    from rendering.verify.record import Figure, VerificationRecord
 
 _COLUMNS = (
     ("Figure", "What it is stands in each line's tooltip"),
@@ -155,6 +157,8 @@ class FiguresPanel(QWidget):
 
 def _cells(figure: Figure) -> list[str]:
     """The table's texts of a figure; a dash is left out where a figure has no such side."""
+    from rendering.report.words import number, precise  # the window starts without scipy
+
     shown = precise if "correlation" in figure.name else lambda value: number(value, figure.unit)
     between = figure.difference
     if between is None and figure.scanned is None:

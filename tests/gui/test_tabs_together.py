@@ -186,7 +186,7 @@ def test_given_a_campaign_and_an_unsaved_scene_then_closing_asks_one_after_the_o
     window.close()
     assert "plate.h5 is being measured by a run of this window" in window.messages.sentence
     answer(qtbot, window, "Stop after this position")
-    assert "a new scene has changes that are not saved" in window.messages.sentence
+    assert "a new scene has unsaved changes" in window.messages.sentence
     answer(qtbot, window, "Do not close")
     assert window.isVisible()
     assert window.messages.sentence == ""  # nothing was ordered
