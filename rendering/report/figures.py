@@ -280,15 +280,7 @@ class DriftPoint:
 
 @drawn_in_style
 def drift_over_time(points: Sequence[DriftPoint], limits: DriftLimits) -> Picture:
-    """Level, delay and correlation of the sentinel position over the hours, with the limits for warning and stopping.
-
-    Parameters
-    ----------
-    points : sequence of DriftPoint
-        Oldest first, at least one.
-    limits : DriftLimits
-        Those of the run.
-    """
+    """Level, delay and correlation of the sentinel position over the hours, with the limits."""
     from matplotlib.patches import Patch
 
     canvas = Canvas("drift", 1120, 470)

@@ -72,29 +72,7 @@ def write_movie(
     Positive and negative responses have opposite colours; the scale is symmetric, goes to the largest response at a
     focus, and is the same for all frames. Memory holds the field at the frames' instants and one drawn frame.
 
-    Parameters
-    ----------
-    path : Path
-        The file; an older one is replaced at the end.
-    field : FieldRowReader
-        What is shown.
-    surface : Surface
-        Where its positions are, outline, actuators and paths.
-    drive : Drive, optional
-        Whose foci are marked while they last.
-    plan : FramePlan
-        Which instants.
-    width_px : int
-        Width of the movie in pixels, >= 240.
-    limit : float, optional
-        End of the colour scale in response units, > 0.
-    on_progress : callable, optional
-        Told frames done and frames in all.
-
-    Returns
-    -------
-    float
-        End of the colour scale in response units.
+    Returns end of the colour scale in response units.
     """
     from matplotlib import rc_context
 
@@ -190,21 +168,7 @@ def snapshots(field: FieldRowReader, surface: Surface, drive: Drive, *, most: in
 
     The instant is where the response at the focus is largest between its emission and the next one of its source.
 
-    Parameters
-    ----------
-    field : FieldRowReader
-        What is shown.
-    surface : Surface
-        Where its positions are, outline, actuators and paths.
-    drive : Drive
-        Whose foci.
-    most : int
-        Largest number of instants.
-
-    Raises
-    ------
-    InputError
-        The field holds no focus of the drive.
+    Raises InputError: the field holds no focus of the drive.
     """
     foci = Foci.of(drive)
     seen = foci.seen(field)
@@ -283,15 +247,7 @@ class GifStream:
         self.add(first)
 
     def add(self, pixels: NDArray[np.uint8], left: int = 0, top: int = 0) -> None:
-        """Add a frame that changes a part of the picture.
-
-        Parameters
-        ----------
-        pixels : uint8 array, shape (height, width, 3)
-            The part.
-        left, top : int
-            Where it is.
-        """
+        """Add a frame that changes a part of the picture."""
         from PIL import GifImagePlugin, Image
 
         part = Image.fromarray(pixels).quantize(palette=self._palette, dither=Image.Dither.NONE)

@@ -57,23 +57,7 @@ def plan_frames(
 ) -> FramePlan:
     """Choose the instants of a movie.
 
-    Parameters
-    ----------
-    field : FieldRowReader
-        What is shown.
-    drive : Drive, optional
-        Whose foci say what of the field matters: from 20 ms before the first to 20 ms after the last one.
-    from_s, to_s : float, optional
-        What to show instead, in scene time.
-    slow : float, optional
-        How many times slower than life; by default so much that there are about 240 frames.
-    frame_rate_hz : float
-        Frames a second of the movie, > 0.
-
-    Raises
-    ------
-    InputError
-        Nothing is left to show, or there would be too many frames.
+    Raises InputError: nothing is left to show, or there would be too many frames.
     """
     rate_hz = field.sample_rate_hz
     ends_s = field.start_s + (field.samples - 1) / rate_hz
@@ -186,15 +170,7 @@ class Seen:
 
 
 def read_frames(field: FieldRowReader, sample: Int64Array) -> Float32Array:
-    """The field at some samples, (frames, rows); rows of the file are read one block at a time.
-
-    Parameters
-    ----------
-    field : FieldRowReader
-        The field.
-    sample : int64 array, shape (frames,)
-        Which samples.
-    """
+    """The field at some samples, (frames, rows); rows of the file are read one block at a time."""
     frames = np.empty((len(sample), len(field.position_index)), np.float32)
     for first, values in field.blocks():
         frames[:, first : first + len(values)] = values[:, sample].T

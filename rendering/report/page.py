@@ -52,29 +52,7 @@ def build_report(
 
     The file holds everything it shows: no network, scripts or fonts of others.
 
-    Parameters
-    ----------
-    out_dir : Path
-        Folder, made where missing; an older report in it is replaced.
-    verification : Verification
-        What `compare` found.
-    scene, drive, prediction, scan, bank
-        What was rendered, played, predicted, scanned, and with which Green's functions.
-    campaign : mapping
-        Facts to list, in their order: name and value as text or number.
-    outline_mm : float64 array, shape (points, 2), optional
-        Rim of the surface.
-    drift : sequence of DriftPoint
-        What became of the sentinel position during the campaign, oldest first; left out where there is nothing.
-    drift_limits : DriftLimits, optional
-        Those of the run.
-    save_pictures : bool
-        Whether to write each picture beside the report as PNG.
-
-    Returns
-    -------
-    Path
-        The report.
+    Returns the report.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

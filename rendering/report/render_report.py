@@ -116,29 +116,7 @@ def report_render(
     errors: InterpolationErrors | None = None,
     remarks: Sequence[str] = (),
 ) -> RenderReport:
-    """Collect the figures and warnings of a render.
-
-    Parameters
-    ----------
-    scene : Scene
-        What was rendered.
-    rows : BankRows
-        Rows that were used.
-    sources : sequence of SampledSource
-        The sources, sampled.
-    accumulated : sequence of Accumulated
-        What each of them cost and left out.
-    norms : float64 array, shape (actuators,)
-        Euclidean norms of the drives, up to a factor.
-    limiting : Limiting
-        What the limits did.
-    omitted_bound : float
-        Proved bound on the relative error.
-    errors : InterpolationErrors, optional
-        What interpolating the bank is wrong by.
-    remarks : sequence of str
-        Warnings about that.
-    """
+    """Collect the figures and warnings of a render."""
     measured: GreenSource = getattr(rows.bank, "measured", rows.bank)
     peak = float(norms.max())
     snaps = np.concatenate([source.snap_mm for source in sources])

@@ -51,19 +51,7 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
     that the points are snapped to, coloured by n(x) of eq. (15) where the scene normalises, else by the instant of the
     first focus there; a line shows the order in which they are visited.
 
-    Parameters
-    ----------
-    scene : Scene
-        What to draw.
-    bank : GreenSource
-        Its positions and actuators, and its Green's functions at the snapped positions.
-    outline_mm : float64 array, shape (n, 2), optional
-        Rim of the surface, closed.
-
-    Raises
-    ------
-    InputError
-        A path leaves the bank's positions, or a source is not as stated.
+    Raises InputError: a path leaves the bank's positions, or a source is not as stated.
     """
     sources = _sources(scene, bank)
     grid = PositionGrid(bank.position_mm)

@@ -80,17 +80,7 @@ def waves_of(scene: Scene, bank: GreenSource, fields: FieldComparison, spacing_m
 
 
 def line_of(position_mm: NDArray[np.float64], measured: NDArray[np.bool_], spacing_mm: float) -> Int64Array:
-    """Measured positions one spacing apart on a line along x, as near the middle as they come; at most 24.
-
-    Parameters
-    ----------
-    position_mm : float64 array, shape (positions, 2)
-        The grid.
-    measured : bool array, shape (positions,)
-        Which of them may be used.
-    spacing_mm : float
-        Distance of neighbours.
-    """
+    """Measured positions one spacing apart on a line along x, as near the middle as they come; at most 24."""
     longest = np.zeros(0, dtype=np.int64)
     off_mm = np.abs(position_mm[:, 1] - np.median(position_mm[:, 1]))
     for line in np.unique(off_mm[measured].round(3)):

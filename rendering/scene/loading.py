@@ -31,17 +31,7 @@ from storage.errors import InputError
 def load_scene(path: Path, *, allow_large: bool = False) -> Scene:
     """Read a scene file with all that it names.
 
-    Parameters
-    ----------
-    path : Path
-        The scene file; paths in it are relative to its folder.
-    allow_large : bool
-        Whether it may be larger than the limits of `rendering.scene.size`.
-
-    Raises
-    ------
-    InputError
-        Anything in the files is wrong.
+    Raises InputError: anything in the files is wrong.
     """
     return build_scene(validated(SceneConfig, read_toml(path), str(path)), path, allow_large=allow_large)
 
@@ -49,19 +39,7 @@ def load_scene(path: Path, *, allow_large: bool = False) -> Scene:
 def read_scene(text: str, path: Path, *, allow_large: bool = False) -> Scene:
     """Make the scene of a text, as `load_scene` would of a file of that text.
 
-    Parameters
-    ----------
-    text : str
-        What the scene file holds, or would hold.
-    path : Path
-        The scene file, which need not exist; paths in it are relative to its folder.
-    allow_large : bool
-        As for `load_scene`.
-
-    Raises
-    ------
-    InputError
-        Anything in the text or in the files that it names is wrong.
+    Raises InputError: anything in the text or in the files that it names is wrong.
     """
     return build_scene(validated(SceneConfig, parse_toml(text, str(path)), str(path)), path, allow_large=allow_large)
 
@@ -69,17 +47,7 @@ def read_scene(text: str, path: Path, *, allow_large: bool = False) -> Scene:
 def read_scene_tables(text: str, path: Path) -> dict[str, Any]:
     """Take the tables of a scene file's text, valid and with all their defaults, without the files that it names.
 
-    Parameters
-    ----------
-    text : str
-        What the scene file holds.
-    path : Path
-        The scene file, for messages.
-
-    Raises
-    ------
-    InputError
-        Anything in the text is wrong.
+    Raises InputError: anything in the text is wrong.
     """
     return validated(SceneConfig, parse_toml(text, str(path)), str(path)).model_dump()
 
@@ -87,19 +55,7 @@ def read_scene_tables(text: str, path: Path) -> dict[str, Any]:
 def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -> Scene:
     """Make the scene of a validated scene file.
 
-    Parameters
-    ----------
-    config : SceneConfig
-        The validated file.
-    file : Path
-        The scene file: what it names is relative to its folder, and messages begin with it.
-    allow_large : bool
-        Whether it may be larger than the limits of `rendering.scene.size`.
-
-    Raises
-    ------
-    InputError
-        A file that the scene names is missing or cannot be understood.
+    Raises InputError: a file that the scene names is missing or cannot be understood.
     """
     built = []
     for index, table in enumerate(config.source):

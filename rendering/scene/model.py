@@ -1,4 +1,4 @@
-"""What is to be felt: sources that emit signals along paths, and how their drives are kept in bounds."""
+"""A scene: sources that emit signals along paths, and the bounds of their drives."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Source:
     Parameters
     ----------
     path : Path
-        Where it goes, in surface millimetres.
+        Its path, in surface millimetres.
     signal : Signal
-        What it emits, peak 1 before `amplitude`.
+        Its signal, peak 1 before `amplitude`.
     start_s : float
         Start in scene time, >= 0: the drive array has no room before the lead-in.
     speed_mm_s : float
@@ -34,10 +34,7 @@ class Source:
     emission : {"continuous", "per_point"}
         Whether the signal runs on along the path or every path point emits all of it anew.
 
-    Raises
-    ------
-    InputError
-        A figure is out of range.
+    Raises InputError where a value is out of range.
     """
 
     path: Path
@@ -49,18 +46,15 @@ class Source:
     emission: Emission = "continuous"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.start_s) and self.start_s >= 0):
-            raise InputError(f"start_s is {self.start_s}; it must be a finite number, 0 or above")
-        if not math.isfinite(self.amplitude):
-            raise InputError(f"amplitude is {self.amplitude}; it must be a finite number")
+        _check(self.start_s >= 0, "start_s", self.start_s, ", 0 or above")
+        _check(True, "amplitude", self.amplitude, "")
         if self.emission not in ("continuous", "per_point"):
             raise InputError(f"emission is {self.emission!r}; allowed are 'continuous' and 'per_point'")
         if isinstance(self.path, Point):
             return
         for name in ("speed_mm_s", "step_mm"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(f"{name} is {value}; it must be a finite number above 0")
+            _check(value >= 0, name, value, " above 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +71,7 @@ class Regularisation:
     normalise : bool
         Whether n(x) makes the response at the focus equal the amplitude.
 
-    Raises
-    ------
-    InputError
-        Both are given, or one is negative or not finite.
+    Raises InputError where a value is out of range.
     """
 
     saturation: float | None = None
@@ -89,9 +80,8 @@ class Regularisation:
 
     def __post_init__(self) -> None:
         for name in ("saturation", "saturation_absolute"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value >= 0):
-                raise InputError(f"{name} is {value}; it must be a finite number above 0, or 0 for off")
+            value = getattr(self, name) or 0.0
+            _check(value >= 0, name, value, " above 0, or 0 for off")
         if self.saturation and self.saturation_absolute:
             raise InputError(
                 f"saturation is {self.saturation} and saturation_absolute is {self.saturation_absolute};"
@@ -112,10 +102,7 @@ class Output:
     limit_rms_v : float, optional
         Largest rms in volts of any actuator's drive over any second, > 0; the drive is scaled down to it.
 
-    Raises
-    ------
-    InputError
-        A limit is not a finite number above 0.
+    Raises InputError where a value is out of range.
     """
 
     interpolation: str = "nearest"
@@ -125,8 +112,7 @@ class Output:
     def __post_init__(self) -> None:
         for name in ("limit_v", "limit_rms_v"):
             limit_v = getattr(self, name)
-            if limit_v is not None and not (math.isfinite(limit_v) and limit_v > 0):
-                raise InputError(f"{name} is {limit_v}; it must be a finite number above 0")
+            _check(limit_v is None or limit_v > 0, name, limit_v, " above 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +122,7 @@ class Scene:
     Parameters
     ----------
     name : str
-        For people.
+        Its name in pictures and reports.
     sources : tuple of Source
         At least one; their drives add.
     regularisation : Regularisation
@@ -145,11 +131,6 @@ class Scene:
         Interpolation and limit.
     allow_large : bool
         Whether it may be larger than the limits of `rendering.scene.size`.
-
-    Raises
-    ------
-    InputError
-        There is no source.
     """
 
     name: str
@@ -161,3 +142,8 @@ class Scene:
     def __post_init__(self) -> None:
         if not self.sources:
             raise InputError("the scene has no source; at least one [[source]] is needed")
+
+
+def _check(allowed: bool, name: str, value: float | None, words: str) -> None:
+    if not allowed or not math.isfinite(value or 0.0):
+        raise InputError(f"{name} is {value}; it must be a finite number{words}")

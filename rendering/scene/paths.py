@@ -116,7 +116,7 @@ class Point:
     at_mm: PointMm
 
     def __post_init__(self) -> None:
-        _finite_point(self.at_mm, "at_mm")
+        check_point(self.at_mm, "at_mm")
 
     @property
     def length_mm(self) -> float:
@@ -127,28 +127,10 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """A straight line.
+class DrawnPath:
+    """A path that is drawn as strokes; base of those below."""
 
-    Parameters
-    ----------
-    start_mm, end_mm : tuple of float
-        Its ends in millimetres.
-
-    Raises
-    ------
-    InputError
-        A coordinate is not finite.
-    """
-
-    start_mm: PointMm
-    end_mm: PointMm
     _strokes: Strokes = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        _finite_point(self.start_mm, "start_mm")
-        _finite_point(self.end_mm, "end_mm")
-        object.__setattr__(self, "_strokes", Strokes([np.array([self.start_mm, self.end_mm], dtype=np.float64)]))
 
     @property
     def length_mm(self) -> float:
@@ -157,27 +139,32 @@ class Line:
     def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
         return self._strokes.point_at(arc_length_mm)
 
+    def _draw(self, strokes_mm: Sequence[Float64Array]) -> None:
+        object.__setattr__(self, "_strokes", Strokes(strokes_mm))
+
 
 @dataclass(frozen=True, slots=True)
-class Polyline:
-    """Straight lines from point to point.
+class Line(DrawnPath):
+    """A straight line between two points in millimetres; raises InputError where one is not finite."""
 
-    Parameters
-    ----------
-    points_mm : sequence of tuple of float
-        At least one point, in millimetres.
-    closed : bool
-        Whether a last line leads back to the first point.
+    start_mm: PointMm
+    end_mm: PointMm
 
-    Raises
-    ------
-    InputError
-        There is no point, or a coordinate is not finite.
+    def __post_init__(self) -> None:
+        check_point(self.start_mm, "start_mm")
+        check_point(self.end_mm, "end_mm")
+        self._draw([np.array([self.start_mm, self.end_mm], dtype=np.float64)])
+
+
+@dataclass(frozen=True, slots=True)
+class Polyline(DrawnPath):
+    """Straight lines from point to point, at least one, in millimetres; a closed one leads back to the first.
+
+    Raises InputError where there is no point, or a coordinate is not finite.
     """
 
     points_mm: Sequence[PointMm]
     closed: bool = False
-    _strokes: Strokes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         points = [tuple(point) for point in self.points_mm]
@@ -185,14 +172,7 @@ class Polyline:
             raise InputError("points_mm is empty; a polyline needs at least one point")
         if self.closed:
             points.append(points[0])
-        object.__setattr__(self, "_strokes", Strokes([np.array(points, dtype=np.float64)]))
-
-    @property
-    def length_mm(self) -> float:
-        return self._strokes.length_mm
-
-    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
-        return self._strokes.point_at(arc_length_mm)
+        self._draw([np.array(points, dtype=np.float64)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +202,7 @@ class Circle:
     start_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        _finite_point(self.centre_mm, "centre_mm")
+        check_point(self.centre_mm, "centre_mm")
         if not (math.isfinite(self.radius_mm) and self.radius_mm >= 0):
             raise InputError(f"radius_mm is {self.radius_mm}; it must be a finite number, 0 or above")
         for name in ("turns", "start_deg"):
@@ -246,7 +226,8 @@ class Circle:
         return np.stack([x, y], axis=1)
 
 
-def _finite_point(point: PointMm, name: str) -> None:
+def check_point(point: PointMm, name: str) -> None:
+    """Raise InputError where a point is not two finite numbers."""
     if len(point) != 2 or not all(math.isfinite(value) for value in point):
         raise InputError(f"{name} is {point}; two finite numbers (x, y) in millimetres are expected")
 
@@ -255,13 +236,13 @@ MOST_LETTERS = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class TextPath:
+class TextPath(DrawnPath):
     """The outlines of a line of text; each contour is a closed stroke, and the source jumps between them.
 
     Parameters
     ----------
     string : str
-        The text, in characters that DejaVu Sans has.
+        The text, in characters that DejaVu Sans has; it comes with matplotlib.
     height_mm : float
         Height of the drawn outlines' bounding box, > 0.
     centre_mm : tuple of float
@@ -279,13 +260,11 @@ class TextPath:
     height_mm: float
     centre_mm: PointMm = (0.0, 0.0)
     allow_large: bool = False
-    _strokes: Strokes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.height_mm) and self.height_mm > 0):
             raise InputError(f"height_mm is {self.height_mm}; it must be a finite number above 0")
-        if len(self.centre_mm) != 2 or not all(map(math.isfinite, self.centre_mm)):
-            raise InputError(f"centre_mm is {self.centre_mm}; two finite numbers are expected")
+        check_point(self.centre_mm, "centre_mm")
         if len(self.string) > MOST_LETTERS and not self.allow_large:
             raise InputError(
                 f"string has {len(self.string)} letters; more than {MOST_LETTERS} must be allowed with --allow-large"
@@ -293,18 +272,9 @@ class TextPath:
         contours = _contours(self.string)
         corners = np.concatenate(contours)
         low, high = corners.min(axis=0), corners.max(axis=0)
-        middle = (low + high) / 2
         with np.errstate(over="ignore", invalid="ignore"):  # strokes that are not finite are refused
             scale = self.height_mm / (high[1] - low[1])
-            strokes = [np.array(self.centre_mm) + scale * (contour - middle) for contour in contours]
-        object.__setattr__(self, "_strokes", Strokes(strokes))
-
-    @property
-    def length_mm(self) -> float:
-        return self._strokes.length_mm
-
-    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
-        return self._strokes.point_at(arc_length_mm)
+            self._draw([np.array(self.centre_mm) + scale * (contour - (low + high) / 2) for contour in contours])
 
 
 def _contours(text: str) -> list[Float64Array]:

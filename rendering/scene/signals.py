@@ -61,10 +61,7 @@ class Sine:
     def samples(self, sample_rate_hz: float) -> Float64Array:
         """Samples at `sample_rate_hz`.
 
-        Raises
-        ------
-        InputError
-            The frequency is not between 0 and Nyquist, or nothing is left to emit.
+        Raises InputError: the frequency is not between 0 and Nyquist, or nothing is left to emit.
         """
         if not 0 < self.frequency_hz < sample_rate_hz / 2:
             raise InputError(
@@ -101,10 +98,7 @@ class Noise:
     def samples(self, sample_rate_hz: float) -> Float64Array:
         """Samples at `sample_rate_hz`.
 
-        Raises
-        ------
-        InputError
-            The band or the seed is not allowed, or the band holds no bin of so short a noise.
+        Raises InputError: the band or the seed is not allowed, or the band holds no bin of so short a noise.
         """
         lower, upper = self.band_hz
         if not 0 <= lower < upper <= sample_rate_hz / 2:
@@ -143,10 +137,7 @@ class SoundFile:
     def samples(self, sample_rate_hz: float) -> Float64Array:
         """Samples at `sample_rate_hz`.
 
-        Raises
-        ------
-        InputError
-            The file cannot be read, is silent, or holds NaN or infinity.
+        Raises InputError: the file cannot be read, is silent, or holds NaN or infinity.
         """
         with self._opened() as file:
             # Block by block, because a header can declare any number of frames and channels.
@@ -163,10 +154,7 @@ class SoundFile:
     def declared(self) -> tuple[int, int]:
         """Frames that the file declares, and its rate in Hz.
 
-        Raises
-        ------
-        InputError
-            The file cannot be read.
+        Raises InputError: the file cannot be read.
         """
         with self._opened() as file:
             return file.frames, file.samplerate
@@ -185,10 +173,7 @@ class SoundFile:
 def signal_size(signal: Signal, sample_rate_hz: float) -> tuple[float, float]:
     """Samples of a signal at a rate, and the most that are held while it is made; found without making it.
 
-    Raises
-    ------
-    InputError
-        A sound file cannot be read.
+    Raises InputError: a sound file cannot be read.
     """
     if isinstance(signal, Sine | Noise):
         samples = signal.duration_s * sample_rate_hz

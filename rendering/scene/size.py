@@ -50,19 +50,7 @@ class SceneSize:
 def scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuators: int) -> SceneSize:
     """Find how large the drives of a scene become, without making any of them.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    sample_rate_hz : float
-        Rate of the bank, > 0.
-    taps, actuators : int
-        Of the bank.
-
-    Raises
-    ------
-    InputError
-        A sound file cannot be read.
+    Raises InputError: a sound file cannot be read.
     """
     points, signals, last = 0.0, 0.0, 0.0
     for source in scene.sources:
@@ -78,10 +66,7 @@ def scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuators: int
 def check_scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuators: int) -> SceneSize:
     """Find the size of a scene; beyond the limits it must be allowed.
 
-    Raises
-    ------
-    InputError
-        A limit is exceeded and the scene is not allowed to be large, or is too large to be allowed.
+    Raises InputError: a limit is exceeded and the scene is not allowed to be large, or is too large to be allowed.
     """
     size = scene_size(scene, sample_rate_hz=sample_rate_hz, taps=taps, actuators=actuators)
     limits = (

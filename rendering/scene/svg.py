@@ -1,19 +1,19 @@
-"""The path language of SVG 1.1, section 8.3: M L H V C S Q T A Z, absolute and relative, into polylines."""
+"""A path out of an SVG file, flattened to polylines: SVG 1.1, section 8.3, and `transform` attributes."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rendering.scene.paths import PointMm, Strokes
+from rendering.scene.paths import DrawnPath, PointMm, check_point
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -32,19 +32,7 @@ LARGEST_COORDINATE = 1e100
 def flatten(data: str, tolerance: float, most_points: float = MOST_POINTS) -> list[Float64Array]:
     """Turn path data into polylines, one per `M` that draws something.
 
-    Parameters
-    ----------
-    data : str
-        The `d` attribute.
-    tolerance : float
-        Largest distance of a polyline from its curve, in drawing units, > 0.
-    most_points : float
-        Points of all polylines together; infinite: any number.
-
-    Raises
-    ------
-    InputError
-        The data does not follow the path grammar, is empty, or makes too many points.
+    Raises InputError: the data does not follow the path grammar, is empty, or makes too many points.
     """
     pen = _Pen(tolerance, most_points)
     at, command = 0, ""
@@ -170,11 +158,8 @@ class _Pen:
 
     def _quadratic(self, middle: complex, end: complex) -> None:
         start = self._at
-        t = self._pieces(2.0 * abs(start - 2 * middle + end))
-        points = (1.0 - t) ** 2 * start + 2 * (1.0 - t) * t * middle + t**2 * end
-        points[-1] = end
-        self._curve(points)
-        self._quadratic_handle = middle
+        self._cubic((start + 2 * middle) / 3, (end + 2 * middle) / 3, end)
+        self._cubic_handle, self._quadratic_handle = None, middle
 
     def _arc(self, values: list[float], end: complex) -> None:
         """Endpoint to centre, SVG 1.1 appendix F.6.5 and F.6.6."""
@@ -214,7 +199,7 @@ LEAST_SCALE = 1e-100
 
 
 @dataclass(frozen=True, slots=True)
-class SvgPath:
+class SvgPath(DrawnPath):
     """A path drawn in an SVG file.
 
     The file's y axis points down; it is turned so that the drawing is seen upright. A drawing point (a, b),
@@ -244,13 +229,11 @@ class SvgPath:
     scale: float = 1.0
     origin_mm: PointMm = (0.0, 0.0)
     allow_large: bool = False
-    _strokes: Strokes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale) and self.scale > 0):
             raise InputError(f"scale is {self.scale}; it must be a finite number above 0")
-        if len(self.origin_mm) != 2 or not all(map(math.isfinite, self.origin_mm)):
-            raise InputError(f"origin_mm is {self.origin_mm}; two finite numbers are expected")
+        check_point(self.origin_mm, "origin_mm")
         found = _find_path(self.file, self.path_id)
         enlarged = self.scale * max(math.hypot(*found.transform[:, :2].flat), 1e-12)
         try:
@@ -262,16 +245,9 @@ class SvgPath:
             for stroke in drawn:
                 moved = stroke @ found.transform[:, :2].T + found.transform[:, 2]
                 strokes.append(np.array(self.origin_mm) + self.scale * moved * (1.0, -1.0))
-            object.__setattr__(self, "_strokes", Strokes(strokes))
+            self._draw(strokes)
         except InputError as error:
             raise InputError(f"{self.file}, path {found.path_id[:60]!r}: {error}") from error
-
-    @property
-    def length_mm(self) -> float:
-        return self._strokes.length_mm
-
-    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
-        return self._strokes.point_at(arc_length_mm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,10 +260,7 @@ class _Found:
 def svg_path_ids(file: Path) -> tuple[str, ...]:
     """The `id` of each `path` element of an SVG file, in order; empty where it has none.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no XML, or declares a document type or an entity.
+    Raises InputError: the file cannot be read, is no XML, or declares a document type or an entity.
     """
     return tuple(one.path_id for one in _paths_of(file))
 

@@ -106,10 +106,7 @@ class FieldComparison:
 def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: GreenSource) -> FieldComparison:
     """Compare fields where both have positions, the record is sound and the bank's row is valid.
 
-    Raises
-    ------
-    InputError
-        The fields do not belong together, or no position can be compared.
+    Raises InputError: the fields do not belong together, or no position can be compared.
     """
     _check_grids(prediction, scan)
     rows, in_prediction, in_scan, excluded = _compared_rows(prediction, scan, bank)

@@ -103,15 +103,7 @@ class FieldPair:
         )
 
     def loudest(self, samples: NDArray[np.int64], compared: NDArray[np.bool_]) -> tuple[float, float]:
-        """Magnitude that all but a thousandth of both fields, and of their difference, keep to.
-
-        Parameters
-        ----------
-        samples : int64 array
-            Where to look.
-        compared : bool array (positions,)
-            Whose positions count: a row that is not valid may hold anything.
-        """
+        """Magnitude that all but a thousandth of both fields, and of their difference, keep to."""
         fields, differences = [], []
         for sample in samples:
             predicted, scanned = (one[compared] for one in self.at_sample(int(sample)))
@@ -134,25 +126,8 @@ def read_pair(
 ) -> FieldPair:
     """Read two field files and limit them to a band.
 
-    Parameters
-    ----------
-    prediction, scan : Path
-        Field files of one drive; the scan may lack positions.
-    band_hz : tuple of float or None
-        The band; None leaves them as they are.
-    on_progress : callable, optional
-        Called with the rows read and the rows there are.
-    wanted : callable
-        Looked at while reading; False gives up.
-
-    Raises
-    ------
-    InputError
-        A file is missing, damaged or no field, or they do not belong together.
-    OSError
-        The temporary folder is full.
-    CancelledError
-        Nobody wants it any more.
+    Raises InputError: a file is missing, damaged or no field, or they do not belong together. Raises OSError: the
+    temporary folder is full. Raises CancelledError: nobody wants it any more.
     """
     with FieldRowReader(prediction) as predicted, FieldRowReader(scan) as scanned:
         _require_one_grid(predicted, scanned)

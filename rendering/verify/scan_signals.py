@@ -44,19 +44,7 @@ def scan_signals(setup: Setup, drive: Drive, samples: int) -> dict[int, Float64A
     The sweep runs from 20 Hz to 1 kHz, or to 0.4 of the rate where that is lower, over the whole
     record, at half of full scale or 0.7 of the reference input's range.
 
-    Parameters
-    ----------
-    setup : Setup
-        The rig.
-    drive : Drive
-        Of as many actuators as the rig has, within the player's full scale.
-    samples : int
-        Length of all signals; the drive is followed by silence.
-
-    Raises
-    ------
-    InputError
-        The rig cannot play the drive.
+    Raises InputError: the rig cannot play the drive.
     """
     actuators, drive_samples = drive.drive_v.shape
     if actuators != len(setup.actuator_channels):
@@ -120,10 +108,7 @@ class Alignment:
     def align(self, recording: Recording) -> Aligned:
         """Bring one recorded response to the playback clock.
 
-        Raises
-        ------
-        ReferenceMissingError
-            The marker is not on the reference channel.
+        Raises ReferenceMissingError: the marker is not on the reference channel.
         """
         reference, response = recording.volts
         fit = self._clock.fit(reference)
@@ -188,13 +173,7 @@ class DropoutCheck:
         self._outside = np.concatenate([outside.real, outside.imag], axis=1).astype(np.float32)
 
     def finds_one(self, response_v: NDArray[np.float32]) -> bool:
-        """Whether the vibrometer lost the signal during a record.
-
-        Parameters
-        ----------
-        response_v : float32 array, shape (samples,)
-            The response channel, not clipped.
-        """
+        """Whether the vibrometer lost the signal during a record."""
         windows = np.lib.stride_tricks.sliding_window_view(response_v, 2 * self._half)[:: self._half]
         if not self._outside.size or len(windows) < LEAST_WINDOWS:
             return False

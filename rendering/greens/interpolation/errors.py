@@ -105,24 +105,7 @@ def interpolation_errors(
 ) -> InterpolationErrors | None:
     """Estimate the error along a scene's paths.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    bank : GreenSource
-        The measured bank.
-    kind : Interpolation
-        Its interpolation.
-    signals : sequence of float64 array, shape (samples,)
-        What each source emits, at the bank's rate.
-    thorough : bool
-        Leave positions out also where the kind is not "kernel". That reads some hundred rows; else a kind of
-        the grid alone gets by on a few.
-
-    Returns
-    -------
-    InterpolationErrors or None
-        None where every point lies on a position, or the bank does not let one tell.
+    Returns none where every point lies on a position, or the bank does not let one tell.
     """
     points_mm = scene_points(scene)
     points_mm = points_mm[np.unique(np.linspace(0, len(points_mm) - 1, MOST_POINTS).astype(np.int64))]
@@ -150,17 +133,7 @@ def interpolation_errors(
 def judge_interpolation(errors: InterpolationErrors | None, tolerance: float | None) -> list[str]:
     """Warn of an error worth saying; refuse one beyond the tolerance.
 
-    Parameters
-    ----------
-    errors : InterpolationErrors, optional
-        What was found.
-    tolerance : float, optional
-        Largest median error allowed in any band that the scene makes use of, > 0.
-
-    Raises
-    ------
-    InputError
-        The tolerance is not above 0, or a band exceeds it.
+    Raises InputError: the tolerance is not above 0, or a band exceeds it.
     """
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError(f"interpolation_tolerance is {tolerance}; it must be a finite number above 0")

@@ -104,10 +104,7 @@ class Neighbourhoods:
     def patch(self, row: int) -> Patch:
         """The patch around a row that may be used.
 
-        Raises
-        ------
-        SparseError
-            Too few positions are near, or all are on one line.
+        Raises SparseError: too few positions are near, or all are on one line.
         """
         if row not in self._patches:
             self._patches[row] = self._make(row)

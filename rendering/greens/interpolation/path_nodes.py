@@ -26,15 +26,7 @@ MOST_LOOKS = 4_000_000
 
 
 def node_spacing_mm(wavenumber_rad_mm: float, error: float) -> float:
-    """Spacing at which a wave along the path is interpolated with an error.
-
-    Parameters
-    ----------
-    wavenumber_rad_mm : float
-        Largest wave number, > 0.
-    error : float
-        Relative rms error allowed, > 0.
-    """
+    """Spacing at which a wave along the path is interpolated with an error."""
     return float((error / CUBIC_ERROR) ** (1.0 / STENCIL) / wavenumber_rad_mm)
 
 
@@ -81,16 +73,7 @@ class PathNodes:
     def weights(self, arc_length_mm: Float64Array) -> tuple[Int64Array, Float64Array]:
         """Nodes and their weights at arc lengths.
 
-        Parameters
-        ----------
-        arc_length_mm : float64 array, shape (n,)
-            In [0, length of the path].
-
-        Returns
-        -------
-        nodes : int64 array, shape (n, 4)
-        weights : float64 array, shape (n, 4)
-            They sum to 1; 0 for nodes that a short piece does not have.
+        Returns they sum to 1; 0 for nodes that a short piece does not have.
         """
         piece = np.clip(np.searchsorted(self._begins, arc_length_mm, side="right") - 1, 0, len(self._begins) - 1)
         nodes = np.zeros((len(arc_length_mm), STENCIL), dtype=np.int64)
