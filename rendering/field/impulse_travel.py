@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,7 +58,10 @@ class ImpulseTravel:
 
 
 def impulse_travel(
-    bank: GreenSource, band_hz: tuple[float, float] = IMPULSE_BAND_HZ, span_mm: tuple[float, float] = SPAN_MM
+    bank: GreenSource,
+    band_hz: tuple[float, float] | None = IMPULSE_BAND_HZ,
+    span_mm: tuple[float, float] = SPAN_MM,
+    rows: Sequence[int] | None = None,
 ) -> ImpulseTravel:
     """Fit group velocity and attenuation to the bank's Green's functions.
 
@@ -70,28 +74,31 @@ def impulse_travel(
     ----------
     bank : GreenSource
         With known actuator positions.
-    band_hz : tuple of float
-        Band of the impulse.
+    band_hz : tuple of float, optional
+        Band of the impulse; None: the Green's functions as they are.
     span_mm : tuple of float
-        Distances that are used.
+        Distances that are used, above 0.
+    rows : sequence of int, optional
+        Rows to choose from; by default all usable ones.
 
     Raises
     ------
     InputError
         Too few pairs of a measured position and an actuator of known place are that far apart.
     """
-    rows = np.flatnonzero(usable(bank))
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(MOST_ROWS, len(rows))).astype(np.int64))]
+    allowed = np.flatnonzero(usable(bank)) if rows is None else np.asarray(rows, dtype=np.int64)
+    allowed = allowed[np.unique(np.linspace(0, len(allowed) - 1, min(MOST_ROWS, len(allowed))).astype(np.int64))]
     actuator_mm = np.asarray(bank.actuator_mm, dtype=np.float64)
     distance, arrival, level, actuator = ([] for _ in range(4))
     time_s = np.arange(bank.taps) / bank.sample_rate_hz
-    for row in rows.tolist():
+    for row in allowed.tolist():
         apart_mm = np.hypot(*(actuator_mm - np.asarray(bank.position_mm)[row]).T)
         near = np.flatnonzero((apart_mm >= span_mm[0]) & (apart_mm <= span_mm[1]))
         if not len(near):
             continue
         scaled = read_row(bank, row)
-        energy = np.square(band_limited(scaled.values[near], bank.sample_rate_hz, band_hz))
+        green = scaled.values[near]
+        energy = np.square(green if band_hz is None else band_limited(green, bank.sample_rate_hz, band_hz))
         total = energy.sum(axis=1)
         heard = total > 0
         distance.append(apart_mm[near][heard])

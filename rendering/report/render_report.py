@@ -12,20 +12,22 @@ from scipy import fft as scipy_fft
 
 from rendering.drive.accumulate import Accumulated
 from rendering.drive.coil_limits import Limiting, dynamic_range_db
+from rendering.field.impulse_travel import impulse_travel
 from rendering.greens.bank_rows import BankRows
 from rendering.greens.interpolation.errors import InterpolationErrors
 from rendering.greens.response_tail import ResponseTail, response_tail
 from rendering.greens.source import DOUBTFUL_BITS, GreenSource
-from rendering.greens.wave_speed import wave_speed_mm_s
 from rendering.scene.emission import ContinuousEmission
 from rendering.scene.model import Scene
 from rendering.scene.sampling import SampledSource
+from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
 
 SPREAD_SHARE = 0.1
 """Share of the signal's energy that cutting it into segments may move out of the band before it is said."""
 NAMED = 8
+ANY_DISTANCE_MM = (1.0, math.inf)
 LEAST_OWN_SAMPLES = 2**13
 """A signal is padded to so many samples to see what lies outside the bank's band: a click has bins there, too."""
 
@@ -170,13 +172,17 @@ def _too_fast(scene: Scene, rows: BankRows) -> list[str]:
     # No plate or soft solid that is focused on carries waves slower than this.
     if max(speeds) < 500.0:
         return []
-    wave = wave_speed_mm_s(rows.bank, rows.used)
+    try:
+        travel = impulse_travel(rows.bank, rows.bank.band_hz, ANY_DISTANCE_MM, rows.used)
+    except InputError:
+        return []
+    wave, doubt = travel.group_velocity_m_s, travel.velocity_doubt_m_s
     return [
-        f"source {index} moves at {speed / 1000:.3g} m/s, faster than the waves (about {wave[0] / 1000:.2g}"
-        f" m/s, give or take {wave[1] / 1000:.1g} m/s, by their arrival times); the focus is"
+        f"source {index} moves at {speed / 1000:.3g} m/s, faster than the waves (about {wave:.2g}"
+        f" m/s, give or take {doubt:.1g} m/s, by their arrival times); the focus is"
         " rendered, but waves pile up along the path"
         for index, speed in enumerate(speeds)
-        if wave is not None and speed > wave[0]
+        if travel.is_told and speed > 1000 * wave
     ]
 
 
