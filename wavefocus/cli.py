@@ -18,6 +18,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     no_args_is_help=True,
+    rich_markup_mode=None,  # help as plain text: rich would take longer to load than all else
     help=(
         "Measure a plate's Green's functions overnight, render moving tactile sources by time reversal, "
         "and check the focusing against new scans. Start with: wavefocus init lab"
@@ -171,7 +172,7 @@ def init(
         RigKind, typer.Option("--rig", help="A virtual rig, a template of your own, or real drivers for `emulate`.")
     ] = (RigKind.VIRTUAL),
 ) -> None:
-    """Write rig.toml, run.toml and scene.toml with every key explained."""
+    """Write rig.toml, run.toml and scene.toml, commented."""
     from wavefocus.commands import init as command
 
     command.init(folder, rig.value)
@@ -192,7 +193,7 @@ def doctor(
         bool, typer.Option("--lines", help="Print each finding as a JSON line when it is made, then the JSON of all.")
     ] = False,
 ) -> None:
-    """Find, identify and exercise every instrument; say what is wrong and what to do about it."""
+    """Check every instrument, and say what to do about each fault."""
     from wavefocus.commands import doctor as command
 
     done = command.doctor(
@@ -242,7 +243,10 @@ def calibrate(
     use: Annotated[bool, typer.Option("--use", help="Name the new file in RIG.toml.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Measure mirror map, latencies, delays, levels and polarities, into a calibration file."""
+    """Measure mirror map, latencies, levels and polarities.
+
+    The result is a calibration file, which the rig file names.
+    """
     from wavefocus.commands import calibrate as command
     from wavefocus.rig.calibration_request import Request
 
@@ -262,7 +266,9 @@ def calibrate(
 
 @app.command()
 def operate(rig: RigArgument) -> None:
-    """Operate a rig by hand: orders as JSON lines on standard input, answers as JSON lines on standard output.
+    """Operate a rig by hand, by JSON lines.
+
+    Orders are read from standard input, answers written to standard output:
 
     {"order": "jog", "x_mm": 10, "y_mm": 5} moves the beam; or x_mrad, y_mrad.
 
@@ -283,7 +289,7 @@ def operate(rig: RigArgument) -> None:
 
 @app.command()
 def emulate(rig: RigArgument, json: JsonOption = False) -> None:
-    """Stand in for a rig's instruments at the far ends of their wires, until it is told quit."""
+    """Emulate instruments at the far ends of a rig's wires."""
     from wavefocus.commands import emulate as command
 
     raise typer.Exit(command.emulate(rig, as_json=json))
@@ -309,7 +315,7 @@ def plan(
     ] = 3.8,
     json: JsonOption = False,
 ) -> None:
-    """Dry run: positions, hours, bytes, limits and finish time; nothing is played."""
+    """Dry run: positions, hours, bytes, limits, finish time."""
     from wavefocus.commands import plan as command
     from wavefocus.commands.plan import Waves
 
@@ -328,7 +334,10 @@ def capture(
     accept_drift: DriftOption = False,
     accept_calibration: CalibrationOption = False,
 ) -> None:
-    """Start, or go on with, a campaign. Ctrl-C finishes the position; twice stops at once."""
+    """Start, or go on with, a campaign.
+
+    Ctrl-C finishes the position; twice stops at once.
+    """
     from wavefocus.commands import capture as command
 
     raise typer.Exit(
@@ -353,7 +362,10 @@ def resume(
     accept_drift: DriftOption = False,
     accept_calibration: CalibrationOption = False,
 ) -> None:
-    """Go on with a campaign from its bank alone, or with a corrected rig file."""
+    """Go on with a campaign from its bank alone.
+
+    A corrected rig file may replace the one that the bank holds.
+    """
     from wavefocus.commands import capture as command
 
     raise typer.Exit(
@@ -378,7 +390,10 @@ def remeasure(
     accept_drift: DriftOption = False,
     accept_calibration: CalibrationOption = False,
 ) -> None:
-    """Measure positions again; what the bank holds stays until something better is in, a valid row until one agrees."""
+    """Measure positions of a bank again.
+
+    What the bank holds stays until something better is in, a valid row until one agrees.
+    """
     from wavefocus.commands import capture as command
 
     raise typer.Exit(
@@ -404,7 +419,10 @@ def status(
         Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw the sentinel position's drift over time.")
     ] = None,
 ) -> None:
-    """Counts per status, state, last sign of life, rate and finish time; safe while a run is on."""
+    """Show counts, state, rate and finish time of a campaign.
+
+    Safe while a run is on.
+    """
     from wavefocus.commands import status as command
 
     command.status(bank, as_json=json, plot=plot, force=force)
@@ -412,7 +430,7 @@ def status(
 
 @app.command()
 def pause(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
-    """Let a running capture finish its position and stand still, muted and parked."""
+    """Pause a running capture after its position."""
     from wavefocus.commands import status as command
 
     raise typer.Exit(command.order(bank, "pause", wait_s, as_json=json))
@@ -428,7 +446,7 @@ def go_on(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = Fals
 
 @app.command()
 def stop(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
-    """Let a running capture finish its position and end; resume goes on."""
+    """End a running capture after its position."""
     from wavefocus.commands import status as command
 
     raise typer.Exit(command.order(bank, "stop", wait_s, as_json=json))
@@ -439,7 +457,7 @@ def check(
     file: Annotated[Path, typer.Argument(metavar="FILE.h5", help="A bank, raw recordings, a drive or a field.")],
     json: JsonOption = False,
 ) -> None:
-    """Verify a bank, raw recordings, a drive or a field: checksums; of banks the physical sanity of every row."""
+    """Verify checksums and, of banks, every row's plausibility."""
     from wavefocus.commands import check as command
 
     raise typer.Exit(command.check(file, as_json=json))
@@ -456,7 +474,10 @@ def estimate(
     cluster: ClusterOption = "",
     json: JsonOption = False,
 ) -> None:
-    """Green's functions from kept recordings; goes on where a stopped estimate left off."""
+    """Estimate Green's functions from kept recordings.
+
+    Goes on where a stopped estimate left off.
+    """
     from wavefocus.commands import estimate as command
 
     command.estimate(raw, bank, workers, cluster=cluster, as_json=json)
@@ -645,7 +666,10 @@ def play(
     allow_large: AllowLargeOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Play drives, or a scene of any length, on the rig's actuators. Ctrl-C mutes at once."""
+    """Play drives, or a scene of any length, on the rig.
+
+    Ctrl-C mutes at once.
+    """
     from wavefocus.commands import play as command
 
     if bank is None:
@@ -689,7 +713,7 @@ def verify(
     force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Play a scene on the rig, scan it, compare with the prediction, write a report."""
+    """Play a scene, scan it, compare it with the prediction."""
     from wavefocus.commands import verify as command
 
     raise typer.Exit(
@@ -745,7 +769,7 @@ def bench(
     quick: Annotated[bool, typer.Option("--quick", help="Small sizes, to see that it works.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Error against run time, ours beside peers, in one run."""
+    """Measure error against run time, ours beside peers."""
     from wavefocus.commands import bench as command
 
     command.bench(what, out, quick=quick, force=force)
@@ -755,7 +779,7 @@ def bench(
 def gui(
     files: Annotated[list[Path] | None, typer.Argument(metavar="[RUN.toml|BANK.h5]...", help="What to open.")] = None,
 ) -> None:
-    """Open the window: start, watch and mend campaigns; everything works without it."""
+    """Open the window; everything works without it."""
     from wavefocus.commands import gui as command
 
     raise typer.Exit(command.gui(files or ()))
@@ -768,7 +792,7 @@ def demo(
     ] = Path("demo-out"),
     force: ForceOption = False,
 ) -> None:
-    """All of it on the virtual rig: capture, power cut, resume, render, verify, report."""
+    """Run everything on the virtual rig, with a power cut."""
     from wavefocus.commands import demo as command
 
     raise typer.Exit(command.demo(out, force=force))

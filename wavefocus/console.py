@@ -8,22 +8,15 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime, timedelta
-from typing import IO, Protocol, cast
-
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    Task,
-    TextColumn,
-)
-from rich.text import Text
+from functools import cache
+from typing import IO, TYPE_CHECKING, Protocol, cast
 
 from acquisition.durations import hours
 from wavefocus.exits import escaped
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Task
 
 # Without a terminal (a log file, a service) a line this often tells that the work goes on.
 LINE_EVERY_S = 30.0
@@ -63,14 +56,18 @@ class _StandardError(io.TextIOBase):
         return cast(IO[str], getattr(sys.stderr, "rich_proxied_file", sys.stderr))
 
 
-people = Console(file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True)
-answers = Console(highlight=False, soft_wrap=True)
-"""Tables of what a command was asked for, on standard output."""
+@cache
+def people() -> Console:
+    """Tables, rules and progress bars on standard error."""
+    from rich.console import Console  # most commands only say lines
+
+    return Console(file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True)
 
 
 def say(line: str) -> None:
-    """Tell people one line, on standard error; square brackets are text, not markup."""
-    people.print(escaped(line), markup=False)
+    """Write one line to standard error; dropped where the terminal is gone."""
+    with suppress(OSError, ValueError):  # ValueError: it was closed
+        print(escaped(line), file=sys.stderr, flush=True)
 
 
 def answer(line: str) -> None:
@@ -99,17 +96,15 @@ class Report(Protocol):
         ...
 
 
-class _RateColumn(ProgressColumn):
+def _rate(task: Task) -> str:
     """Rate, remaining time and finish time, from the task's own figures."""
-
-    def render(self, task: Task) -> Text:
-        speed = task.finished_speed or task.speed
-        if task.finished:
-            return Text(f"in {hours(task.finished_time or 0.0)}")
-        if not speed or task.total is None:
-            return Text("")
-        remaining_s = (task.total - task.completed) / speed
-        return Text(f"{speed:.1f}/s  {hours(remaining_s)} left  finished at {finish_clock(remaining_s)}")
+    speed = task.finished_speed or task.speed
+    if task.finished:
+        return f"in {hours(task.finished_time or 0.0)}"
+    if not speed or task.total is None:
+        return ""
+    remaining_s = (task.total - task.completed) / speed
+    return f"{speed:.1f}/s  {hours(remaining_s)} left  finished at {finish_clock(remaining_s)}"
 
 
 @contextmanager
@@ -132,18 +127,25 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
     callable
         ``report(done, total, note="")``, to be called as items are done.
     """
-    if not people.is_terminal:
+    if not sys.stderr.isatty():
         yield _line_reporter(what, done, timed=timed)
         return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, SpinnerColumn, TextColumn
+    from rich.text import Text
+
+    class RateColumn(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text(_rate(task))
+
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=None),
         MofNCompleteColumn(),
-        *([_RateColumn()] if timed else []),
+        *([RateColumn()] if timed else []),
         TextColumn("{task.fields[note]}", markup=False),
     )
-    with Progress(*columns, console=people, expand=True) as bar:
+    with Progress(*columns, console=people(), expand=True) as bar:
         task = bar.add_task(what, total=total, completed=done, note="")
 
         def report(done: int, total: int, note: str = "") -> None:

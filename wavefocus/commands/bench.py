@@ -25,7 +25,7 @@ def bench(what: str, out: Path, *, quick: bool, force: bool = False) -> None:
         module = import_module(f"benchmarks.{name}")
         made = conditions(f"wavefocus bench {name}")
         begun_s = time.monotonic()
-        with people.status(f"{BENCHMARKS[name].title} ..."):
+        with people().status(f"{BENCHMARKS[name].title} ..."):
             figures: dict[str, Any] = module.run(out, quick=quick)
         made |= {"seconds": round(time.monotonic() - begun_s, 1), "load_after": load()}
         path = out / f"{name}.json"

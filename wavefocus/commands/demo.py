@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from rich.table import Table
 
 from config.run import Virtual
 from mocks.virtual.rig import VirtualRig
@@ -46,7 +45,7 @@ class _Stopwatch:
 
     def time(self, name: str, work: Callable[[], object]) -> None:
         """Announce a part, do it and note how long it took."""
-        people.rule(name, align="left")
+        people().rule(name, align="left")
         started_s = time.monotonic()
         work()
         self.parts.append((name, time.monotonic() - started_s))
@@ -141,16 +140,18 @@ def _compare(bank: Path) -> Exit:
 
 def _tell(watch: _Stopwatch, report: Path) -> None:
     """Times, memory and where the report is; opens it where somebody can look."""
-    people.rule("Done", align="left")
+    people().rule("Done", align="left")
+    from rich.table import Table
+
     table = Table(box=None, show_header=False, pad_edge=False)
     for name, seconds in watch.parts:
         table.add_row(name, f"{seconds:6.1f} s")
     table.add_row("Together", f"{sum(seconds for _, seconds in watch.parts):6.1f} s")
-    people.print(table)
+    people().print(table)
     if (peak := _peak_memory_bytes()) is not None:
         say(f"largest process: {peak / 1e6:.0f} MB of memory")
     say(f"report: {report}")
-    if sys.stdin.isatty() and people.is_terminal and _has_display():
+    if sys.stdin.isatty() and people().is_terminal and _has_display():
         webbrowser.open(report.resolve().as_uri())
 
 

@@ -6,13 +6,12 @@ import json
 import math
 import platform
 import shutil
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-
-from rich.table import Table
 
 from acquisition.doctor.examination import Patient, examine
 from acquisition.doctor.findings import Act, Finding, Findings
@@ -22,7 +21,7 @@ from drivers.protocols import DeviceIdentity
 from storage.errors import InputError
 from storage.network_mount import is_network_mount
 from wavefocus.configuration import load_rig
-from wavefocus.console import answer, answers, people, say
+from wavefocus.console import answer, people, say
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.rig.calibration_validity import calibration_warnings
@@ -55,7 +54,7 @@ def doctor(
         _reset(rig, rig_file, reset_usb)
     folder = rig_file.resolve().parent
     findings: list[Finding] = []
-    with people.status("examining") if people.is_terminal else nullcontext() as status:
+    with people().status("examining") if sys.stderr.isatty() else nullcontext() as status:
         resettable = {one.role for one in rig.usb}
 
         def publish(finding: Finding) -> None:
@@ -132,13 +131,16 @@ def _patient(rig: RigConfig) -> Patient:
 
 def _show(findings: list[Finding]) -> None:
     """A table for people; what there is to do stands below what was found."""
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in ("", "instrument", "check", "found"):
         table.add_column(heading, overflow="fold")
     for one in findings:
         found = f"{one.what}\n-> {one.remedy}" if one.remedy else one.what
         table.add_row(_styled(one.verdict), one.instrument, one.check, _plain(found))
-    answers.print(table)
+    Console(highlight=False, soft_wrap=True).print(table)
 
 
 def _styled(verdict: str) -> str:
