@@ -49,7 +49,7 @@ whole() { recent .venv/bin/python && .venv/bin/python -c 'import pip' >/dev/null
 
 usable() {
     (cd / && "$OLDPWD/.venv/bin/python" -c '
-import wavefocus, numpy, scipy.fft, h5py, pydantic, typer, rich, matplotlib, jinja2, soundfile') >/dev/null 2>&1
+import wavefocus, numpy, scipy.fft, h5py, pydantic, rich, matplotlib, jinja2, soundfile') >/dev/null 2>&1
 }
 
 install() {
@@ -70,7 +70,7 @@ if ! usable; then
     install
     usable || {
         say "what was installed does not work:"
-        .venv/bin/python -c 'import wavefocus, numpy, scipy.fft, h5py, pydantic, typer, rich, matplotlib, jinja2, soundfile'
+        .venv/bin/python -c 'import wavefocus, numpy, scipy.fft, h5py, pydantic, rich, matplotlib, jinja2, soundfile'
         exit 1
     }
 fi

@@ -30,23 +30,20 @@ def run(arguments: Sequence[str]) -> int:
     arguments : sequence of str
         Without the program's name; none shows the help.
     """
-    from typer.exceptions import TyperException
-
     from wavefocus.exits import Exit, exit_code, one_line
 
     rest = [one for one in arguments if one != TRACEBACK]
     as_traceback = len(rest) < len(arguments) or bool(os.environ.get(TRACEBACK_VARIABLE))
     try:
-        import typer.main
+        from wavefocus import cli
 
-        from wavefocus.cli import app
-
-        command = typer.main.get_command(app)
-        result = command.main(rest or ["--help"], prog_name="wavefocus", standalone_mode=False)
-    except TyperException as wrong:
-        message = one_line(wrong.format_message())
-        print(f"wavefocus: {message} (wavefocus --help shows what there is)", file=sys.stderr)
-        return Exit.WRONG_INPUT
+        try:
+            return cli.run_command(rest or ["--help"])
+        except cli.UsageError as wrong:
+            print(f"wavefocus: {one_line(str(wrong))}", file=sys.stderr)
+            return Exit.WRONG_INPUT
+        except SystemExit:  # the help was shown
+            return Exit.DONE
     except BrokenPipeError:
         return Exit.NOT_GOOD_ENOUGH
     except BaseException as failure:
@@ -62,7 +59,6 @@ def run(arguments: Sequence[str]) -> int:
                 traceback.print_exception(failure)
             print(f"wavefocus: {_account(failure, code, rest)}", file=sys.stderr, flush=True)
         return code
-    return int(result or 0)
 
 
 def main() -> None:

@@ -1,798 +1,532 @@
-"""The command line: names, arguments and help of every command; the work is in ``wavefocus.commands``."""
+"""The command line: names, arguments and help of every command; the work is in ``wavefocus.commands``.
+
+A command is a row of `COMMANDS`. Its arguments are passed by their names in Python to a function of the module in
+`wavefocus.commands`, which is imported only when the command is chosen.
+"""
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
-from collections.abc import Callable, Iterable
-from enum import StrEnum
+import re
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-import typer
+from typing import Any, NamedTuple, NoReturn
 
 from benchmarks import BENCHMARKS
 from storage.exchange import EXPORTS
 
-app = typer.Typer(
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-    rich_markup_mode=None,  # help as plain text: rich would take longer to load than all else
-    help=(
-        "Measure a plate's Green's functions overnight, render moving tactile sources by time reversal, "
-        "and check the focusing against new scans. Start with: wavefocus init lab"
-    ),
+DESCRIPTION = (
+    "Measure a plate's Green's functions overnight, render moving tactile sources by time reversal, and check the "
+    "focusing against new scans. Start with: wavefocus init lab"
 )
 
 
-def _finite(value: float | None) -> float | None:
-    """Refuse NaN and infinity, which pass every comparison with a bound or none."""
-    if value is not None and not math.isfinite(value):
-        raise typer.BadParameter(f"{value} is not a finite number")
-    return value
+class UsageError(Exception):
+    """The command line is wrong; the message names the argument."""
 
 
-def _one_of(names: Iterable[str]) -> Callable[[str], str]:
-    """Refuse a name that a registry does not have."""
-    allowed = tuple(names)
+class Argument(NamedTuple):
+    """One argument of a command: its flags or its name, and what argparse is told of it."""
 
-    def check(name: str) -> str:
-        if name not in allowed:
-            raise typer.BadParameter(f"{name!r} is not one of {', '.join(allowed)}")
-        return name
-
-    return check
+    names: tuple[str, ...]
+    settings: Mapping[str, Any]
 
 
-def _number(*names: str, **settings: Any) -> Any:
-    """Declare an option that takes a finite number."""
-    return typer.Option(*names, callback=_finite, **settings)
+class Command(NamedTuple):
+    """One command.
 
-
-class RigKind(StrEnum):
-    """Which rig file ``init`` writes."""
-
-    VIRTUAL = "virtual"
-    TEMPLATE = "template"
-    EMULATED = "emulated"
-
-
-class Person(StrEnum):
-    """Where ``calibrate`` asks the person at the bench."""
-
-    TERMINAL = "terminal"
-    LINES = "lines"
-
-
-class Method(StrEnum):
-    """How a moving source is rendered."""
-
-    SAMPLED = "sampled"
-    EXACT = "exact"
-
-
-class Focusing(StrEnum):
-    """How waves are made to meet."""
-
-    TIME_REVERSAL = "time-reversal"
-    INVERSE = "inverse"
-
-
-class ComputingDevice(StrEnum):
-    """Where ``render`` and ``predict`` compute."""
-
-    CPU = "cpu"
-    CUDA = "cuda"
-
-
-class Missing(StrEnum):
-    """What becomes of positions without a measurement."""
-
-    LEAVE_OUT = "leave-out"
-    NAN = "nan"
-
-
-class Per(StrEnum):
-    """What one sound file holds."""
-
-    POSITION = "position"
-    ACTUATOR = "actuator"
-
-
-BankArgument = Annotated[Path, typer.Argument(metavar="BANK.h5", help="The bank file.")]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")]
-RigArgument = Annotated[Path, typer.Argument(metavar="RIG.toml", help="The rig file.")]
-SceneArgument = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene file.")]
-BankOption = Annotated[Path, typer.Option("--bank", metavar="BANK.h5", help="The bank file.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
-JsonLines = Annotated[bool, typer.Option("--json", help="Print one JSON line per event on standard output.")]
-DriftOption = Annotated[bool, typer.Option("--accept-drift", help="Go on although the sentinel position has changed.")]
-CalibrationOption = Annotated[
-    bool, typer.Option("--accept-calibration", help="Go on with another calibration, or on other devices than its own.")
-]
-ForceOption = Annotated[
-    bool, typer.Option("--force", help="Replace older outputs; never an input, a bank or raw recordings.")
-]
-RigOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--rig", metavar="RIG.toml", help="A corrected rig file: other ports, device names, limits or time-outs."
-    ),
-]
-WaitOption = Annotated[float, _number("--wait-s", min=0, max=86_400, help="Longest wait for it to be done.")]
-ScenesOption = Annotated[
-    list[Path] | None,
-    typer.Option("--scene", metavar="SCENE.toml", help="Only the positions that this scene needs; may be repeated."),
-]
-ClusterOption = Annotated[
-    str,
-    typer.Option(
-        "--cluster", metavar="ADDRESS", help="A dask scheduler, tcp://HOST:8786, or local, local:N: processes here."
-    ),
-]
-AllowLargeOption = Annotated[
-    bool, typer.Option("--allow-large", help="Allow scenes of over an hour, 8 GiB of drives or a million path points.")
-]
-NoChecksOption = Annotated[
-    bool, typer.Option("--no-checks", help="With --scene: leave out the positions that only `verify` looks at.")
-]
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        from importlib.metadata import version
-
-        print(f"wavefocus {version('wavefocus')}")
-        raise typer.Exit
-
-
-@app.callback()
-def wavefocus(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
-    traceback: Annotated[  # taken by `wavefocus.__main__.run`, wherever it stands; here for --help alone
-        bool, typer.Option("--traceback", help="Show where in the program an error arose; or WAVEFOCUS_TRACEBACK=1.")
-    ] = False,
-    most_gib: Annotated[
-        float | None,
-        _number("--most-gib", help="Largest part of a file that is read at once, in GiB; 8 unless told otherwise."),
-    ] = None,
-) -> None:
-    """Say what all commands share."""
-    if most_gib is not None:
-        os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too
-
-
-@app.command()
-def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to write; made when missing.")],
-    rig: Annotated[
-        RigKind, typer.Option("--rig", help="A virtual rig, a template of your own, or real drivers for `emulate`.")
-    ] = (RigKind.VIRTUAL),
-) -> None:
-    """Write rig.toml, run.toml and scene.toml, commented."""
-    from wavefocus.commands import init as command
-
-    command.init(folder, rig.value)
-
-
-@app.command()
-def doctor(
-    rig: RigArgument,
-    json: JsonOption = False,
-    no_play: Annotated[bool, typer.Option("--no-play", help="Play nothing.")] = False,
-    reset_usb: Annotated[
-        str, typer.Option("--reset-usb", metavar="ROLE", help="Reset that instrument's USB device first.")
-    ] = "",
-    test_message: Annotated[
-        bool, typer.Option("--test-message", help="Send a message to each address of the rig file.")
-    ] = False,
-    lines: Annotated[
-        bool, typer.Option("--lines", help="Print each finding as a JSON line when it is made, then the JSON of all.")
-    ] = False,
-) -> None:
-    """Check every instrument, and say what to do about each fault."""
-    from wavefocus.commands import doctor as command
-
-    done = command.doctor(
-        rig, as_json=json, play=not no_play, reset_usb=reset_usb, test_message=test_message, as_lines=lines
-    )
-    raise typer.Exit(done)
-
-
-@app.command()
-def calibrate(
-    rig: RigArgument,
-    only: Annotated[
-        str, typer.Option("--only", help="Which: inputs, outputs, mirror, actuators; commas between several.")
-    ] = "",
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="By default calibration-DATE.toml beside RIG.toml.")
-    ] = None,
-    fiducials: Annotated[
-        Path | None,
-        typer.Option("--fiducials", metavar="FILE.csv", help="Marks: x_mm,y_mm to jog to, with x_mrad,y_mrad not."),
-    ] = None,
-    limit_mm: Annotated[
-        float,
-        _number("--limit-mm", min=1e-6, max=1e6, help="Largest residual of the mirror map."),
-    ] = 1.0,
-    summing_box: Annotated[
-        bool, typer.Option("--summing-box", help="All outputs for actuators are in one box, none is plugged singly.")
-    ] = False,
-    box_gain: Annotated[
-        float | None,
-        _number("--box-gain", min=1e-6, max=1e6, help="The box's gain; without it no full scale is measured."),
-    ] = None,
-    amplitude_v: Annotated[
-        float | None,
-        _number("--amplitude-v", help="Peak of what is played; by default well below the limit."),
-    ] = None,
-    distance_mm: Annotated[
-        float | None,
-        _number("--distance-mm", min=1e-6, max=1e6, help="From each actuator to where it is listened to."),
-    ] = None,
-    sample_rate_hz: Annotated[
-        float, _number("--sample-rate-hz", min=2_000, max=1e6, help="Rate of the records.")
-    ] = 10_000.0,
-    operator: Annotated[
-        Person, typer.Option("--operator", help="lines: asks by JSON lines on standard output, for a window or script.")
-    ] = Person.TERMINAL,
-    use: Annotated[bool, typer.Option("--use", help="Name the new file in RIG.toml.")] = False,
-    json: JsonOption = False,
-) -> None:
-    """Measure mirror map, latencies, levels and polarities.
-
-    The result is a calibration file, which the rig file names.
+    Parameters
+    ----------
+    name : str
+        As it is typed.
+    run : str or callable
+        ``"module:function"`` in `wavefocus.commands`, or an adapter in this module.
+    help : str
+        The first paragraph stands in the list of commands.
+    arguments : tuple of Argument
+        In the order of the help.
     """
+
+    name: str
+    run: str | Callable[..., Any]
+    help: str
+    arguments: tuple[Argument, ...]
+
+
+def argument(*names: str, **settings: Any) -> Argument:
+    """Declare an argument, as ``add_argument`` of argparse does."""
+    return Argument(names, settings)
+
+
+def file(*names: str, **settings: Any) -> Argument:
+    """Declare a file or folder."""
+    return Argument(names, {"type": Path, **settings})
+
+
+def switch(name: str, dest: str = "", *, off: bool = False, help: str) -> Argument:
+    """Declare an option without a value; `off` where it is False when given."""
+    named = {"dest": dest} if dest else {}
+    return Argument((name,), {"action": "store_false" if off else "store_true", "help": help, **named})
+
+
+def number(
+    name: str, low: float = -math.inf, high: float = math.inf, *, help: str, whole: bool = False, **settings: Any
+) -> Argument:
+    """Declare an option that takes a finite number within bounds, which its help repeats."""
+
+    def read(text: str) -> float:
+        try:
+            value = int(text) if whole else float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is no {'whole ' if whole else ''}number") from None
+        if not math.isfinite(value):
+            raise argparse.ArgumentTypeError(f"{text} is not a finite number")
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} is out of range; allowed: {bounds}")
+        return value
+
+    bounds = f"{low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
+    notes = [bounds] if math.isfinite(low) else []
+    if settings.get("default") is not None:
+        notes.append(f"default: {settings['default']:g}")
+    told = f"{help} [{'; '.join(notes)}]" if notes else help
+    return Argument((name,), {"type": read, "metavar": "N", "help": told, **settings})
+
+
+BANK = file("bank", metavar="BANK.h5", help="The bank file.")
+RUN = file("run_file", metavar="RUN.toml", help="The run file.")
+RIG = file("rig_file", metavar="RIG.toml", help="The rig file.")
+SCENE = file("scene_file", metavar="SCENE.toml", help="The scene file.")
+FROM_BANK = file("--bank", metavar="BANK.h5", required=True, help="The bank file.")
+ON_RIG = file("--rig", dest="rig_file", metavar="RIG.toml", required=True, help="The rig file, or: virtual.")
+JSON = switch("--json", "as_json", help="Print JSON on standard output.")
+JSON_LINES = switch("--json", "as_json", help="Print one JSON line per event on standard output.")
+FORCE = switch("--force", help="Replace older outputs; never an input, a bank or raw recordings.")
+DRIFT = switch("--accept-drift", help="Go on although the sentinel position has changed.")
+CALIBRATION = switch("--accept-calibration", help="Go on with another calibration, or on other devices than its own.")
+OTHER_RIG = file(
+    "--rig", dest="rig_file", metavar="RIG.toml",
+    help="A corrected rig file: other ports, device names, limits or time-outs.",
+)  # fmt: skip
+WAIT = number("--wait-s", 0, 86_400, default=15.0, help="Longest wait for it to be done.")
+POSITIONS = argument("--positions", default="", metavar="I,J,...", help="Bank rows; by default all measured.")
+SCENES = file(
+    "--scene", dest="scene_files", action="append", default=[], metavar="SCENE.toml",
+    help="Only the positions that this scene needs; may be repeated.",
+)  # fmt: skip
+CLUSTER = argument(
+    "--cluster", default="", metavar="ADDRESS",
+    help="A dask scheduler, tcp://HOST:8786, or local, local:N: processes here.",
+)  # fmt: skip
+LARGE = switch("--allow-large", help="Allow scenes of over an hour, 8 GiB of drives or a million path points.")
+NO_CHECKS = switch(
+    "--no-checks", "checks", off=True, help="With --scene: leave out the positions that only `verify` looks at."
+)
+METHOD = argument(
+    "--method", choices=("sampled", "exact"), help="By default exact, or sampled where emission is per point."
+)
+TOLERANCE = number("--tolerance-db", help="Leave out what a proved bound allows, e.g. -60.")
+DEVICE = argument("--device", choices=("cpu", "cuda"), default="cpu", help="cuda: on a GPU, through CuPy.")
+
+
+def _out(metavar: str, help: str, **settings: Any) -> Argument:
+    return file("--out", metavar=metavar, help=help, **{"required": True, **settings})
+
+
+def _calibrate(
+    rig_file: Path, only: str, out: Path | None, *, as_json: bool, operator: str, use: bool, **asked: Any
+) -> int:
     from wavefocus.commands import calibrate as command
     from wavefocus.rig.calibration_request import Request
 
-    request = Request(
-        parts=command.parts_named(only),
-        fiducials=fiducials,
-        limit_mm=limit_mm,
-        summing_box=summing_box,
-        box_gain=box_gain,
-        amplitude_v=amplitude_v,
-        distance_mm=distance_mm,
-        sample_rate_hz=sample_rate_hz,
-    )
-    as_lines = operator is Person.LINES
-    raise typer.Exit(command.calibrate(rig, request, out, as_json=json, as_lines=as_lines, use=use))
+    request = Request(parts=command.parts_named(only), **asked)
+    return command.calibrate(rig_file, request, out, as_json=as_json, as_lines=operator == "lines", use=use)
 
 
-@app.command()
-def operate(rig: RigArgument) -> None:
-    """Operate a rig by hand, by JSON lines.
+def _plan(interpolation_error: float, wave_speed: float, attenuation: float, **rest: Any) -> None:
+    from wavefocus.commands.plan import Waves, plan
 
-    Orders are read from standard input, answers written to standard output:
-
-    {"order": "jog", "x_mm": 10, "y_mm": 5} moves the beam; or x_mrad, y_mrad.
-
-    {"order": "level"} tells levels; on, every_s, actuator, level_v.
-
-    {"order": "sweep"} plays once; actuator, level_v, start_hz, stop_hz, duration_s.
-
-    {"order": "reconnect", "instrument": "mirror"} connects afresh.
-
-    "park", "mute", "state" and "end" need nothing more.
-
-    However it ends, outputs are muted and the mirror is parked. docs/reference/operate.md has every order and answer.
-    """
-    from wavefocus.commands import operate as command
-
-    raise typer.Exit(command.operate(rig))
+    plan(waves=Waves(interpolation_error, wave_speed, attenuation), **rest)
 
 
-@app.command()
-def emulate(rig: RigArgument, json: JsonOption = False) -> None:
-    """Emulate instruments at the far ends of a rig's wires."""
-    from wavefocus.commands import emulate as command
+def _order(word: str) -> Callable[..., int]:
+    def order(bank: Path, wait_s: float, *, as_json: bool) -> int:
+        from wavefocus.commands.status import order as give
 
-    raise typer.Exit(command.emulate(rig, as_json=json))
+        return give(bank, word, wait_s, as_json=as_json)
+
+    return order
 
 
-@app.command()
-def plan(
-    run: RunArgument,
-    scene: ScenesOption = None,
-    no_checks: NoChecksOption = False,
-    allow_large: AllowLargeOption = False,
-    interpolation_error: Annotated[
-        float,
-        _number("--interpolation-error", min=1e-4, max=0.99, help="Allowed between the grid's positions."),
-    ] = 0.05,
-    wave_speed: Annotated[
-        float,
-        _number("--wave-speed", metavar="M_S", min=1e-3, help="Of the plate, in m/s; a gel's by default."),
-    ] = 4.8,
-    attenuation: Annotated[
-        float,
-        _number("--attenuation", metavar="DB_CM", min=0.0, max=1e6, help="Of the plate's waves, in dB/cm."),
-    ] = 3.8,
-    json: JsonOption = False,
+def _render(
+    method: Any,
+    tolerance_db: float | None,
+    interpolation_tolerance: float | None,
+    focusing: Any,
+    regularisation_db: float | None,
+    device: Any,
+    **rest: Any,
 ) -> None:
-    """Dry run: positions, hours, bytes, limits, finish time."""
-    from wavefocus.commands import plan as command
-    from wavefocus.commands.plan import Waves
+    from wavefocus.commands.render import RenderOptions, render
 
-    waves = Waves(interpolation_error, wave_speed, attenuation)
-    command.plan(run, scene or (), waves, checks=not no_checks, allow_large=allow_large, as_json=json)
-
-
-@app.command()
-def capture(
-    run: RunArgument,
-    bank: BankOption,
-    scene: ScenesOption = None,
-    no_checks: NoChecksOption = False,
-    allow_large: AllowLargeOption = False,
-    json: JsonLines = False,
-    accept_drift: DriftOption = False,
-    accept_calibration: CalibrationOption = False,
-) -> None:
-    """Start, or go on with, a campaign.
-
-    Ctrl-C finishes the position; twice stops at once.
-    """
-    from wavefocus.commands import capture as command
-
-    raise typer.Exit(
-        command.capture(
-            run,
-            bank,
-            scene or (),
-            checks=not no_checks,
-            allow_large=allow_large,
-            as_json=json,
-            accept_drift=accept_drift,
-            accept_calibration=accept_calibration,
-        )
+    render(
+        options=RenderOptions(method, tolerance_db, interpolation_tolerance, focusing, regularisation_db, device),
+        **rest,
     )
 
 
-@app.command()
-def resume(
-    bank: BankArgument,
-    rig: RigOption = None,
-    json: JsonLines = False,
-    accept_drift: DriftOption = False,
-    accept_calibration: CalibrationOption = False,
-) -> None:
-    """Go on with a campaign from its bank alone.
-
-    A corrected rig file may replace the one that the bank holds.
-    """
-    from wavefocus.commands import capture as command
-
-    raise typer.Exit(
-        command.resume(bank, rig, as_json=json, accept_drift=accept_drift, accept_calibration=accept_calibration)
-    )
-
-
-@app.command()
-def remeasure(
-    bank: BankArgument,
-    status: Annotated[
-        str, typer.Option("--status", help="Which: poor, over-range or failed; commas between several.")
-    ] = "",
-    positions: Annotated[
-        str, typer.Option("--positions", metavar="I,J,...", help="Bank rows; 5-9 names a range.")
-    ] = "",
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Also valid rows by others, where two attempts agree on them.")
-    ] = False,
-    rig: RigOption = None,
-    json: JsonLines = False,
-    accept_drift: DriftOption = False,
-    accept_calibration: CalibrationOption = False,
-) -> None:
-    """Measure positions of a bank again.
-
-    What the bank holds stays until something better is in, a valid row until one agrees.
-    """
-    from wavefocus.commands import capture as command
-
-    raise typer.Exit(
-        command.remeasure(
-            bank,
-            status,
-            positions,
-            rig,
-            replace=replace,
-            as_json=json,
-            accept_drift=accept_drift,
-            accept_calibration=accept_calibration,
-        )
-    )
-
-
-@app.command()
-def status(
-    bank: BankArgument,
-    force: ForceOption = False,
-    json: JsonOption = False,
-    plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw the sentinel position's drift over time.")
-    ] = None,
-) -> None:
-    """Show counts, state, rate and finish time of a campaign.
-
-    Safe while a run is on.
-    """
-    from wavefocus.commands import status as command
-
-    command.status(bank, as_json=json, plot=plot, force=force)
-
-
-@app.command()
-def pause(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
-    """Pause a running capture after its position."""
-    from wavefocus.commands import status as command
-
-    raise typer.Exit(command.order(bank, "pause", wait_s, as_json=json))
-
-
-@app.command()
-def go_on(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
-    """Let a paused capture go on."""
-    from wavefocus.commands import status as command
-
-    raise typer.Exit(command.order(bank, "go-on", wait_s, as_json=json))
-
-
-@app.command()
-def stop(bank: BankArgument, wait_s: WaitOption = 15.0, json: JsonOption = False) -> None:
-    """End a running capture after its position."""
-    from wavefocus.commands import status as command
-
-    raise typer.Exit(command.order(bank, "stop", wait_s, as_json=json))
-
-
-@app.command()
-def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE.h5", help="A bank, raw recordings, a drive or a field.")],
-    json: JsonOption = False,
-) -> None:
-    """Verify checksums and, of banks, every row's plausibility."""
-    from wavefocus.commands import check as command
-
-    raise typer.Exit(command.check(file, as_json=json))
-
-
-@app.command()
-def estimate(
-    raw: Annotated[Path, typer.Argument(metavar="RAW.h5", help="The file of raw recordings.")],
-    bank: BankOption,
-    workers: Annotated[
-        int | None,
-        typer.Option("--workers", min=1, max=256, help="Threads, or processes of --cluster local; one per processor."),
-    ] = None,
-    cluster: ClusterOption = "",
-    json: JsonOption = False,
-) -> None:
-    """Estimate Green's functions from kept recordings.
-
-    Goes on where a stopped estimate left off.
-    """
-    from wavefocus.commands import estimate as command
-
-    command.estimate(raw, bank, workers, cluster=cluster, as_json=json)
-
-
-def _method_name(method: Method) -> Literal["sampled", "exact"]:
-    return "sampled" if method is Method.SAMPLED else "exact"
-
-
-@app.command()
-def render(
-    scene: SceneArgument,
-    bank: BankOption,
-    out: Annotated[Path, typer.Option("--out", metavar="DRIVE.h5", help="The drive file to write.")],
-    wav: Annotated[
-        Path | None, typer.Option("--wav", metavar="FILE", help="Also write the drives as a WAV file.")
-    ] = None,
-    method: Annotated[
-        Method | None,
-        typer.Option("--method", help="By default exact, or sampled where emission is per point."),
-    ] = None,
-    tolerance_db: Annotated[
-        float | None,
-        _number("--tolerance-db", help="Leave out what a proved bound allows, e.g. -60."),
-    ] = None,
-    interpolation_tolerance: Annotated[
-        float | None,
-        _number(
-            "--interpolation-tolerance", min=1e-9, help="Refuse a larger error between the bank's positions, e.g. 0.05."
-        ),
-    ] = None,
-    focusing: Annotated[
-        Focusing, typer.Option("--focusing", help="Time reversal, or a regularised inverse of the path points.")
-    ] = Focusing.TIME_REVERSAL,
-    regularisation_db: Annotated[
-        float | None,
-        _number("--regularisation-db", help="Of the inverse, below 0; by default -20."),
-    ] = None,
-    rig: Annotated[
-        Path | None, typer.Option("--rig", metavar="RIG.toml", help="Keep to this rig's limits too: volts, coil power.")
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="FILE.png", help="Draw the scene before and after snapping.")
-    ] = None,
-    device: Annotated[ComputingDevice, typer.Option("--device", help="cuda: on a GPU, through CuPy.")] = (
-        ComputingDevice.CPU
-    ),
-    stream: Annotated[
-        bool,
-        typer.Option("--stream", help="In constant memory, in two passes; drives above 2 GiB are streamed anyway."),
-    ] = False,
-    allow_large: AllowLargeOption = False,
-    force: ForceOption = False,
-    json: JsonOption = False,
-) -> None:
-    """Turn a scene into drive signals."""
-    from wavefocus.commands import render as command
-    from wavefocus.commands.render import RenderOptions
-
-    options = RenderOptions(
-        method=None if method is None else _method_name(method),
-        tolerance_db=tolerance_db,
-        interpolation_tolerance=interpolation_tolerance,
-        focusing="inverse" if focusing is Focusing.INVERSE else "time-reversal",
-        regularisation_db=regularisation_db,
-        device="cpu" if device is ComputingDevice.CPU else "cuda",
-    )
-    command.render(
-        scene,
-        bank,
-        out,
-        wav=wav,
-        picture=picture,
-        rig_file=rig,
-        options=options,
-        stream=stream,
-        allow_large=allow_large,
-        force=force,
-        as_json=json,
-    )
-
-
-@app.command()
-def predict(
-    drive: Annotated[Path, typer.Argument(metavar="DRIVE.h5", help="The drive file.")],
-    bank: BankOption,
-    out: Annotated[Path, typer.Option("--out", metavar="FIELD.h5", help="The field file to write.")],
-    positions: Annotated[
-        str, typer.Option("--positions", metavar="I,J,...", help="Bank rows; by default all measured.")
-    ] = "",
-    rate_hz: Annotated[
-        float | None,
-        _number("--rate", metavar="HZ", min=1e-3, max=1e9, help="Of the field: the bank's over a whole number."),
-    ] = None,
-    tolerance_db: Annotated[
-        float | None,
-        _number("--tolerance-db", help="Leave out what a proved bound allows to, e.g. -60."),
-    ] = None,
-    spectra: Annotated[
-        bool, typer.Option("--spectra", help="Energy spectra alone, into an .npz file: far faster than the field.")
-    ] = False,
-    cluster: ClusterOption = "",
-    device: Annotated[ComputingDevice, typer.Option("--device", help="cuda: on a GPU, through CuPy.")] = (
-        ComputingDevice.CPU
-    ),
-    force: ForceOption = False,
-    json: JsonOption = False,
-) -> None:
-    """Predict the field that a drive makes, from the bank."""
+def _predict(spectra: bool, cluster: str, device: str, **rest: Any) -> None:
     from wavefocus.commands import predict as command
 
     if spectra:
-        command.predict_energy(
-            drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, force=force, as_json=json
-        )
-        return
-    command.predict(
-        drive, bank, out, positions, rate_hz=rate_hz, tolerance_db=tolerance_db, cluster=cluster, device=device.value,
-        force=force, as_json=json,
-    )  # fmt: skip
+        command.predict_energy(**rest)
+    else:
+        command.predict(cluster=cluster, device=device, **rest)
 
 
-@app.command()
-def movie(
-    field: Annotated[Path, typer.Argument(metavar="FIELD.h5", help="The field file, predicted or scanned.")],
-    bank: BankOption,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE.gif", help="The movie to write.")] = None,
-    snapshots: Annotated[
-        Path | None, typer.Option("--snapshots", metavar="FILE.png", help="Draw the field at focus instants.")
-    ] = None,
-    drive: Annotated[
-        Path | None, typer.Option("--drive", metavar="DRIVE.h5", help="Whose foci and paths are shown.")
-    ] = None,
-    from_s: Annotated[float | None, _number("--from-s", min=-1e9, max=1e9, help="Start in scene time.")] = None,
-    to_s: Annotated[float | None, _number("--to-s", min=-1e9, max=1e9, help="End in scene time.")] = None,
-    slow: Annotated[
-        float | None,
-        _number("--slow", min=1e-3, max=1e6, help="Times slower than life; by default 240 frames."),
-    ] = None,
-    frame_rate_hz: Annotated[
-        float, _number("--frame-rate-hz", min=1, max=50, help="Frames a second of the movie.")
-    ] = 25.0,
-    width_px: Annotated[int, typer.Option("--width-px", min=240, max=3840, help="Width of the movie.")] = 720,
-    limit: Annotated[
-        float | None,
-        _number("--limit", min=1e-30, max=1e30, help="End of the colour scale, in the field's unit."),
-    ] = None,
-    force: ForceOption = False,
-    json: JsonOption = False,
+def _movie(
+    from_s: float | None,
+    to_s: float | None,
+    slow: float | None,
+    frame_rate_hz: float,
+    width_px: int,
+    limit: float | None,
+    **rest: Any,
 ) -> None:
-    """Draw a field on the surface: a movie, snapshots at focus instants."""
-    from wavefocus.commands import movie as command
+    from wavefocus.commands.movie import MovieOptions, movie
 
-    options = command.MovieOptions(from_s, to_s, slow, frame_rate_hz, width_px, limit)
-    command.movie(field, bank, out, snapshots, drive, options, force=force, as_json=json)
+    movie(options=MovieOptions(from_s, to_s, slow, frame_rate_hz, width_px, limit), **rest)
 
 
-@app.command()
-def play(
-    what: Annotated[
-        Path, typer.Argument(metavar="DRIVE.h5|SCENE.toml", help="A drive file; or, with --bank, a scene file.")
-    ],
-    rig: Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="The rig file, or: virtual.")],
-    loop: Annotated[int, typer.Option("--loop", min=1, help="How many times, without a gap; of a drive.")] = 1,
-    gain_db: Annotated[
-        float,
-        _number("--gain-db", min=-200, max=200, help="Softer (negative) or louder; limits hold all the same."),
-    ] = 0.0,
-    bank: Annotated[
-        Path | None,
-        typer.Option("--bank", metavar="BANK.h5", help="The bank to render a scene from while it is played."),
-    ] = None,
-    method: Annotated[Method | None, typer.Option("--method", help="Of a scene, as for render.")] = None,
-    tolerance_db: Annotated[
-        float | None,
-        _number("--tolerance-db", help="Of a scene, as for render: faster, e.g. -60."),
-    ] = None,
-    ahead_s: Annotated[
-        float | None,
-        _number("--ahead-s", min=0.05, max=60, help="How much of a scene is rendered ahead; by default 2 s."),
-    ] = None,
-    watched: Annotated[
-        bool,
-        typer.Option("--watched", help="End, muted, when standard input closes; print a JSON line when it plays."),
-    ] = False,
-    allow_large: AllowLargeOption = False,
-    json: JsonOption = False,
-) -> None:
-    """Play drives, or a scene of any length, on the rig.
-
-    Ctrl-C mutes at once.
-    """
+def _play(
+    what: Path,
+    bank: Path | None,
+    loop: int,
+    method: Any,
+    tolerance_db: float | None,
+    ahead_s: float | None,
+    allow_large: bool,
+    **rest: Any,
+) -> int:
     from wavefocus.commands import play as command
 
     if bank is None:
         command.refuse_for_drives(what, method=method, tolerance_db=tolerance_db, ahead_s=ahead_s)
-        raise typer.Exit(command.play(what, rig, loop=loop, gain_db=gain_db, as_json=json, watched=watched))
+        return command.play(what, loop=loop, **rest)
     command.refuse_for_scenes(what, loop=loop)
     from wavefocus.commands.render import RenderOptions
 
-    options = RenderOptions(method=None if method is None else _method_name(method), tolerance_db=tolerance_db)
-    ahead = command.AHEAD_S if ahead_s is None else ahead_s
-    raise typer.Exit(
-        command.play_scene(
-            what,
-            bank,
-            rig,
-            options=options,
-            gain_db=gain_db,
-            ahead_s=ahead,
-            as_json=json,
-            watched=watched,
-            allow_large=allow_large,
-        )
-    )
-
-
-@app.command()
-def verify(
-    scene: SceneArgument,
-    bank: BankOption,
-    rig: Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="The rig file, or: virtual.")],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report.html and files.")],
-    positions: Annotated[
-        str,
-        typer.Option(
-            "--positions",
-            metavar="I,J,...",
-            help="Bank rows to scan, or every:N for one of N, or path for those that the scene needs; by default all.",
-        ),
-    ] = "",
-    allow_large: AllowLargeOption = False,
-    force: ForceOption = False,
-    json: JsonOption = False,
-) -> None:
-    """Play a scene, scan it, compare it with the prediction."""
-    from wavefocus.commands import verify as command
-
-    raise typer.Exit(
-        command.verify(scene, bank, rig, out, positions, force=force, allow_large=allow_large, as_json=json)
-    )
-
-
-@app.command()
-def export(
-    bank: BankArgument,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; for wav a folder.")],
-    to: Annotated[
-        str,
-        typer.Option(
-            "--to",
-            metavar="|".join(EXPORTS),
-            callback=_one_of(EXPORTS),
-            help=", ".join(one.title for one in EXPORTS.values()) + ".",
-        ),
-    ],
-    positions: Annotated[
-        str, typer.Option("--positions", metavar="I,J,...", help="Bank rows; by default all measured.")
-    ] = "",
-    missing: Annotated[
-        Missing, typer.Option("--missing", help="Positions that are not measured, failed or disabled.")
-    ] = Missing.LEAVE_OUT,
-    per: Annotated[Per, typer.Option("--per", help="For wav: what one file holds.")] = Per.POSITION,
-    force: ForceOption = False,
-    json: JsonOption = False,
-) -> None:
-    """Write a bank in the format of another field."""
-    from wavefocus.commands import export as command
-
-    command.export(
+    return command.play_scene(
+        what,
         bank,
-        out,
-        to,
-        positions=positions,
-        missing_as_nan=missing is Missing.NAN,
-        per=per.value,
-        force=force,
-        as_json=json,
+        options=RenderOptions(method=method, tolerance_db=tolerance_db),
+        ahead_s=command.AHEAD_S if ahead_s is None else ahead_s,
+        allow_large=allow_large,
+        **rest,
     )
 
 
-@app.command()
-def bench(
-    what: Annotated[
-        str,
-        typer.Argument(metavar="NAME", callback=_one_of((*BENCHMARKS, "all")), help=", ".join((*BENCHMARKS, "all"))),
-    ] = "all",
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for tables.")] = Path("bench-out"),
-    quick: Annotated[bool, typer.Option("--quick", help="Small sizes, to see that it works.")] = False,
-    force: ForceOption = False,
-) -> None:
-    """Measure error against run time, ours beside peers."""
-    from wavefocus.commands import bench as command
+COMMANDS = (
+    Command(
+        "init", "init:init", "Write rig.toml, run.toml and scene.toml, commented.",
+        (
+            file("folder", metavar="DIR", help="Where to write; made when missing."),
+            argument("--rig", choices=("virtual", "template", "emulated"), default="virtual",
+                     help="A virtual rig, a template of your own, or real drivers for `emulate`."),
+        ),
+    ),
+    Command(
+        "doctor", "doctor:doctor", "Check every instrument, and say what to do about each fault.",
+        (
+            RIG, JSON,
+            switch("--no-play", "play", off=True, help="Play nothing."),
+            argument("--reset-usb", default="", metavar="ROLE", help="Reset that instrument's USB device first."),
+            switch("--test-message", help="Send a message to each address of the rig file."),
+            switch("--lines", "as_lines",
+                   help="Print each finding as a JSON line when it is made, then the JSON of all."),
+        ),
+    ),
+    Command(
+        "calibrate", _calibrate,
+        "Measure mirror map, latencies, levels and polarities.\n\n"
+        "The result is a calibration file, which the rig file names.",
+        (
+            RIG,
+            argument("--only", default="", help="Which: inputs, outputs, mirror, actuators; commas between several."),
+            _out("FILE", "By default calibration-DATE.toml beside RIG.toml.", required=False),
+            file("--fiducials", metavar="FILE.csv", help="Marks: x_mm,y_mm to jog to, with x_mrad,y_mrad not."),
+            number("--limit-mm", 1e-6, 1e6, default=1.0, help="Largest residual of the mirror map."),
+            switch("--summing-box", help="All outputs for actuators are in one box, none is plugged singly."),
+            number("--box-gain", 1e-6, 1e6, help="The box's gain; without it no full scale is measured."),
+            number("--amplitude-v", help="Peak of what is played; by default well below the limit."),
+            number("--distance-mm", 1e-6, 1e6, help="From each actuator to where it is listened to."),
+            number("--sample-rate-hz", 2000, 1e6, default=10_000.0, help="Rate of the records."),
+            argument("--operator", choices=("terminal", "lines"), default="terminal",
+                     help="lines: asks by JSON lines on standard output, for a window or script."),
+            switch("--use", help="Name the new file in RIG.toml."),
+            JSON,
+        ),
+    ),
+    Command(
+        "operate", "operate:operate",
+        "Operate a rig by hand, by JSON lines.\n\n"
+        "Orders are read from standard input, answers written to standard output:\n\n"
+        '{"order": "jog", "x_mm": 10, "y_mm": 5} moves the beam; or x_mrad, y_mrad.\n\n'
+        '{"order": "level"} tells levels; on, every_s, actuator, level_v.\n\n'
+        '{"order": "sweep"} plays once; actuator, level_v, start_hz, stop_hz, duration_s.\n\n'
+        '{"order": "reconnect", "instrument": "mirror"} connects afresh.\n\n'
+        '"park", "mute", "state" and "end" need nothing more.\n\n'
+        "However it ends, outputs are muted and the mirror is parked. docs/reference/operate.md has every order and "
+        "answer.",
+        (RIG,),
+    ),
+    Command("emulate", "emulate:emulate", "Emulate instruments at the far ends of a rig's wires.", (RIG, JSON)),
+    Command(
+        "plan", _plan, "Dry run: positions, hours, bytes, limits, finish time.",
+        (
+            RUN, SCENES, NO_CHECKS, LARGE,
+            number("--interpolation-error", 1e-4, 0.99, default=0.05, help="Allowed between the grid's positions."),
+            number("--wave-speed", 1e-3, default=4.8, help="Of the plate, in m/s; a gel's by default."),
+            number("--attenuation", 0, 1e6, default=3.8, help="Of the plate's waves, in dB/cm."),
+            JSON,
+        ),
+    ),
+    Command(
+        "capture", "capture:capture",
+        "Start, or go on with, a campaign.\n\nCtrl-C finishes the position; twice stops at once.",
+        (RUN, FROM_BANK, SCENES, NO_CHECKS, LARGE, JSON_LINES, DRIFT, CALIBRATION),
+    ),
+    Command(
+        "resume", "capture:resume",
+        "Go on with a campaign from its bank alone.\n\nA corrected rig file may replace the one that the bank holds.",
+        (BANK, OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION),
+    ),
+    Command(
+        "remeasure", "capture:remeasure",
+        "Measure positions of a bank again.\n\n"
+        "What the bank holds stays until something better is in, a valid row until one agrees.",
+        (
+            BANK,
+            argument("--status", dest="words", default="",
+                     help="Which: poor, over-range or failed; commas between several."),
+            argument("--positions", default="", metavar="I,J,...", help="Bank rows; 5-9 names a range."),
+            switch("--replace", help="Also valid rows by others, where two attempts agree on them."),
+            OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION,
+        ),
+    ),
+    Command(
+        "status", "status:status",
+        "Show counts, state, rate and finish time of a campaign.\n\nSafe while a run is on.",
+        (
+            BANK, FORCE, JSON,
+            file("--plot", metavar="FILE.png", help="Draw the sentinel position's drift over time."),
+        ),
+    ),
+    Command("pause", _order("pause"), "Pause a running capture after its position.", (BANK, WAIT, JSON)),
+    Command("go-on", _order("go-on"), "Let a paused capture go on.", (BANK, WAIT, JSON)),
+    Command("stop", _order("stop"), "End a running capture after its position.", (BANK, WAIT, JSON)),
+    Command(
+        "check", "check:check", "Verify checksums and, of banks, every row's plausibility.",
+        (file("file", metavar="FILE.h5", help="A bank, raw recordings, a drive or a field."), JSON),
+    ),
+    Command(
+        "estimate", "estimate:estimate",
+        "Estimate Green's functions from kept recordings.\n\nGoes on where a stopped estimate left off.",
+        (
+            file("raw", metavar="RAW.h5", help="The file of raw recordings."),
+            FROM_BANK,
+            number("--workers", 1, 256, whole=True,
+                   help="Threads, or processes of --cluster local; one per processor."),
+            CLUSTER, JSON,
+        ),
+    ),
+    Command(
+        "render", _render, "Turn a scene into drive signals.",
+        (
+            SCENE, FROM_BANK,
+            _out("DRIVE.h5", "The drive file to write."),
+            file("--wav", metavar="FILE", help="Also write the drives as a WAV file."),
+            METHOD, TOLERANCE,
+            number("--interpolation-tolerance", 1e-9,
+                   help="Refuse a larger error between the bank's positions, e.g. 0.05."),
+            argument("--focusing", choices=("time-reversal", "inverse"), default="time-reversal",
+                     help="Time reversal, or a regularised inverse of the path points."),
+            number("--regularisation-db", help="Of the inverse, below 0; by default -20."),
+            file("--rig", dest="rig_file", metavar="RIG.toml",
+                 help="Keep to this rig's limits too: volts, coil power."),
+            file("--picture", metavar="FILE.png", help="Draw the scene before and after snapping."),
+            DEVICE,
+            switch("--stream", help="In constant memory, in two passes; drives above 2 GiB are streamed anyway."),
+            LARGE, FORCE, JSON,
+        ),
+    ),
+    Command(
+        "predict", _predict, "Predict the field that a drive makes, from the bank.",
+        (
+            file("drive_file", metavar="DRIVE.h5", help="The drive file."),
+            FROM_BANK,
+            _out("FIELD.h5", "The field file to write."),
+            POSITIONS,
+            number("--rate", 1e-3, 1e9, dest="rate_hz", metavar="HZ",
+                   help="Of the field: the bank's over a whole number."),
+            TOLERANCE,
+            switch("--spectra", help="Energy spectra alone, into an .npz file: far faster than the field."),
+            CLUSTER, DEVICE, FORCE, JSON,
+        ),
+    ),
+    Command(
+        "movie", _movie, "Draw a field on the surface: a movie, or snapshots.",
+        (
+            file("field_file", metavar="FIELD.h5", help="The field file, predicted or scanned."),
+            FROM_BANK,
+            _out("FILE.gif", "The movie to write.", required=False),
+            file("--snapshots", dest="snapshot_file", metavar="FILE.png", help="Draw the field at focus instants."),
+            file("--drive", dest="drive_file", metavar="DRIVE.h5", help="Whose foci and paths are shown."),
+            number("--from-s", -1e9, 1e9, help="Start in scene time."),
+            number("--to-s", -1e9, 1e9, help="End in scene time."),
+            number("--slow", 1e-3, 1e6, help="Times slower than life; by default 240 frames."),
+            number("--frame-rate-hz", 1, 50, default=25.0, help="Frames a second of the movie."),
+            number("--width-px", 240, 3840, whole=True, default=720, help="Width of the movie."),
+            number("--limit", 1e-30, 1e30, help="End of the colour scale, in the field's unit."),
+            FORCE, JSON,
+        ),
+    ),
+    Command(
+        "play", _play, "Play drives, or a scene of any length, on the rig.\n\nCtrl-C mutes at once.",
+        (
+            file("what", metavar="DRIVE.h5|SCENE.toml", help="A drive file; or, with --bank, a scene file."),
+            ON_RIG,
+            number("--loop", 1, whole=True, default=1, help="How many times, without a gap; of a drive."),
+            number("--gain-db", -200, 200, default=0.0,
+                   help="Softer (negative) or louder; limits hold all the same."),
+            file("--bank", metavar="BANK.h5", help="The bank to render a scene from while it is played."),
+            METHOD, TOLERANCE,
+            number("--ahead-s", 0.05, 60, help="How much of a scene is rendered ahead; by default 2 s."),
+            switch("--watched", help="End, muted, when standard input closes; print a JSON line when it plays."),
+            LARGE, JSON,
+        ),
+    ),
+    Command(
+        "verify", "verify:verify", "Play a scene, scan it, compare it with the prediction.",
+        (
+            SCENE, FROM_BANK, ON_RIG,
+            _out("DIR", "Folder for report.html and files."),
+            argument("--positions", default="", metavar="I,J,...",
+                     help="Bank rows to scan, or every:N for one of N, or path for those that the scene needs; by "
+                     "default all."),
+            LARGE, FORCE, JSON,
+        ),
+    ),
+    Command(
+        "export", "export:export", "Write a bank in the format of another field.",
+        (
+            BANK,
+            file("out", metavar="OUT", help="The file to write; for wav a folder."),
+            argument("--to", choices=tuple(EXPORTS), required=True,
+                     help=", ".join(one.title for one in EXPORTS.values()) + "."),
+            POSITIONS,
+            argument("--missing", choices=("leave-out", "nan"), default="leave-out",
+                     help="Positions that are not measured, failed or disabled."),
+            argument("--per", choices=("position", "actuator"), default="position",
+                     help="For wav: what one file holds."),
+            FORCE, JSON,
+        ),
+    ),
+    Command(
+        "bench", "bench:bench", "Measure error against run time, ours beside peers.",
+        (
+            argument("what", nargs="?", choices=(*BENCHMARKS, "all"), default="all", help="Which benchmark."),
+            _out("DIR", "Folder for tables.", required=False, default=Path("bench-out")),
+            switch("--quick", help="Small sizes, to see that it works."),
+            FORCE,
+        ),
+    ),
+    Command(
+        "gui", "gui:gui", "Open the window; everything works without it.",
+        (file("files", nargs="*", metavar="RUN.toml|BANK.h5", help="What to open."),),
+    ),
+    Command(
+        "demo", "demo:demo", "Run everything on the virtual rig, with a power cut.",
+        (
+            _out("DIR", "Folder for the demo's files; its own alone.", required=False, default=Path("demo-out")),
+            FORCE,
+        ),
+    ),
+)  # fmt: skip
 
-    command.bench(what, out, quick=quick, force=force)
+
+class _Formatter(argparse.HelpFormatter):
+    """Help whose paragraphs are wrapped one by one."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=32)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return "\n\n".join(textwrap.fill(one, width) for one in text.split("\n\n"))
 
 
-@app.command()
-def gui(
-    files: Annotated[list[Path] | None, typer.Argument(metavar="[RUN.toml|BANK.h5]...", help="What to open.")] = None,
-) -> None:
-    """Open the window; everything works without it."""
-    from wavefocus.commands import gui as command
+class _Parser(argparse.ArgumentParser):
+    """Raises `UsageError` in place of ending the process; reads -1e-3 as a number and not as an option."""
 
-    raise typer.Exit(command.gui(files or ()))
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(formatter_class=_Formatter, allow_abbrev=False, **settings)
+        self._negative_number_matcher = re.compile(r"-(\d|\.\d|inf|nan)")
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message} ({self.prog} --help shows what there is)")
 
 
-@app.command()
-def demo(
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for the demo's files; its own alone.")
-    ] = Path("demo-out"),
-    force: ForceOption = False,
-) -> None:
-    """Run everything on the virtual rig, with a power cut."""
-    from wavefocus.commands import demo as command
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
 
-    raise typer.Exit(command.demo(out, force=force))
+        print(f"wavefocus {version('wavefocus')}")
+        parser.exit()
+
+
+def parser(commands: Sequence[Command] = COMMANDS) -> argparse.ArgumentParser:
+    """The parser of the command line."""
+    whole = _Parser(prog="wavefocus", description=DESCRIPTION)
+    whole.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="Print the version.")
+    # Taken by `wavefocus.__main__.run`, wherever it stands; here for the help alone.
+    whole.add_argument(
+        "--traceback", action="store_true", help="Show where in the program an error arose; or WAVEFOCUS_TRACEBACK=1."
+    )
+    most = number("--most-gib", help="Largest part of a file that is read at once, in GiB; 8 unless told otherwise.")
+    whole.add_argument(*most.names, **most.settings)
+    chosen = whole.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
+    for one in commands:
+        first = one.help.partition("\n\n")[0]
+        under = chosen.add_parser(one.name, help=first, description=one.help)
+        for each in one.arguments:
+            under.add_argument(*each.names, **each.settings)
+    return whole
+
+
+def run_command(arguments: Sequence[str]) -> int:
+    """Run one command line.
+
+    Returns
+    -------
+    int
+        The exit code.
+
+    Raises
+    ------
+    UsageError
+        The command line is wrong.
+    """
+    given = vars(parser(COMMANDS).parse_args(arguments))
+    del given["traceback"]
+    if (most_gib := given.pop("most_gib")) is not None:
+        os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too
+    name = given.pop("command")
+    run = next(one.run for one in COMMANDS if one.name == name)
+    if isinstance(run, str):
+        module, _, function = run.partition(":")
+        run = getattr(import_module(f"wavefocus.commands.{module}"), function)
+    return int(run(**given) or 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,3 +179,27 @@ def compare_sentinel(then: NDArray[np.float32], now: NDArray[np.float32]) -> Dri
         delay_samples=float(delay),
         correlation=float(centre / np.sqrt(energy_then * energy_now)),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class DriftPoint:
+    """The sentinel position measured again, against its first measurement.
+
+    Parameters
+    ----------
+    at : datetime
+        When, with a time zone.
+    level_db, delay_samples, correlation : float
+        As of `acquisition.quality.limits.DriftFigures`.
+    verdict : str
+        ``"steady"``, ``"warn"`` or ``"stop"``.
+    suspect : tuple of int
+        Positions measured since it was last steady, where the verdict is to stop.
+    """
+
+    at: datetime
+    level_db: float
+    delay_samples: float
+    correlation: float
+    verdict: str
+    suspect: tuple[int, ...] = ()

@@ -22,7 +22,7 @@ from gui.surface.surface import Surface, surface_of
 from storage.errors import WavefocusError
 
 if TYPE_CHECKING:
-    from rendering.report.figures import DriftPoint
+    from acquisition.quality.limits import DriftPoint
     from storage.bank.owner import Owner
     from storage.bank.reading import Bank
 

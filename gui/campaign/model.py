@@ -20,7 +20,7 @@ from gui.shell.front_door import Pulse
 from gui.surface.surface import Surface
 
 if TYPE_CHECKING:
-    from rendering.report.figures import DriftPoint
+    from acquisition.quality.limits import DriftPoint
     from storage.bank.owner import Owner
 
 # A week of a night's events; what is older is in the log.

@@ -18,7 +18,7 @@ from gui.surface.surface import Surface
 from storage.units import quantity
 
 if TYPE_CHECKING:
-    from rendering.report.figures import DriftPoint
+    from acquisition.quality.limits import DriftPoint
     from storage.raw.reading import Recordings
 
 _FLOOR_DB = -60.0

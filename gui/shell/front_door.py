@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from acquisition.quality.limits import DriftPoint
     from rendering.drive.coil_limits import DriveLimits
-    from rendering.report.figures import DriftPoint
     from rendering.scene.model import Scene
 
 

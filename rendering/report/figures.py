@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.limits import DriftLimits
+from acquisition.quality.limits import DriftLimits, DriftPoint
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
 from rendering.field.metrics import normalised_error
 from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
@@ -252,30 +251,6 @@ VERDICT_COLOURS = {"steady": "#0b3c5d", "warn": "#e69f00", "stop": "#d55e00"}
 WARN, STOP = VERDICT_COLOURS["warn"], VERDICT_COLOURS["stop"]
 # Steady figures fill the middle of the picture; limits far beyond them would press them flat.
 ROOM = 1.35
-
-
-@dataclass(frozen=True, slots=True)
-class DriftPoint:
-    """The sentinel position measured again, against its first measurement.
-
-    Parameters
-    ----------
-    at : datetime
-        When, with a time zone.
-    level_db, delay_samples, correlation : float
-        As of `acquisition.quality.limits.DriftFigures`.
-    verdict : str
-        ``"steady"``, ``"warn"`` or ``"stop"``.
-    suspect : tuple of int
-        Positions measured since it was last steady, where the verdict is to stop.
-    """
-
-    at: datetime
-    level_db: float
-    delay_samples: float
-    correlation: float
-    verdict: str
-    suspect: tuple[int, ...] = ()
 
 
 @drawn_in_style

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.limits import DriftLimits
+from acquisition.quality.limits import DriftLimits, DriftPoint
 from rendering.field import metrics
 from rendering.greens.regularisation import focus_gain_map
 from rendering.report import figures as report_figures
 from rendering.report.canvas import Picture, Surface
-from rendering.report.figures import DriftPoint, drift_over_time
+from rendering.report.figures import drift_over_time
 from rendering.report.waves import wave_figures, waves_of, waves_picture
 from rendering.report.words import figure_lines, number, precise, remarks
 from rendering.verify.record import REPORT_NAME, Figure

@@ -134,7 +134,7 @@ def test_given_rows_then_those_alone_are_exported_in_their_order(
         (["nowhere/bank.npz", "--to", "npz"], "there is no folder"),
         (["foreign.h5", "--to", "npz"], "is an input"),
         (["foreign.h5", "--to", "wav"], "is a file"),
-        (["bank.doc", "--to", "doc"], "'doc' is not one of"),
+        (["bank.doc", "--to", "doc"], "invalid choice: 'doc'"),
     ],
 )
 def test_given_what_cannot_be_exported_then_one_sentence_says_why(

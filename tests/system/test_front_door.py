@@ -61,7 +61,7 @@ AS_ANOTHER = f"""
 
 @pytest.mark.may_skip("signals to a process of its own")
 @pytest.mark.skipif(os.name != "posix", reason="signals to a process of its own")
-@pytest.mark.parametrize("module", ["typer", "wavefocus.cli", "h5py", "numpy", "wavefocus.commands.check"])
+@pytest.mark.parametrize("module", ["argparse", "wavefocus.cli", "h5py", "numpy", "wavefocus.commands.check"])
 @pytest.mark.parametrize("act", [KILL, IN_A_FINALISER, AS_ANOTHER], ids=["plain", "finaliser", "another"])
 def test_given_ctrl_c_while_modules_are_loaded_then_the_exit_code_is_130_without_a_traceback(
     tmp_path: Path, module: str, act: str
@@ -76,10 +76,10 @@ def test_given_ctrl_c_while_modules_are_loaded_then_the_exit_code_is_130_without
 FAILING = """
 from pathlib import Path
 import numpy as np
-from wavefocus.cli import app
-@app.command()
+from wavefocus import cli
 def fail(file: Path) -> None:
     {act}
+cli.COMMANDS = (cli.Command("fail", fail, "", (cli.file("file"),)),)
 """
 
 

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from acquisition.quality.limits import DriftPoint
 from rendering.drive.rendering import render_with_report
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
-from rendering.report.figures import DriftPoint
 from rendering.report.page import build_report
 from rendering.report.words import number, remarks
 from rendering.scene.model import Output, Regularisation, Scene, Source

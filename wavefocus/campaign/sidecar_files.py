@@ -14,15 +14,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
 
 from acquisition.engine.events import Drift, Event, State, event_record
+from acquisition.quality.limits import DriftPoint
 from acquisition.schedule.row_ranges import row_ranges
 from storage.sidecar_files import Log, create, is_replaceable
 from wavefocus.console import say
-
-if TYPE_CHECKING:
-    from rendering.report.figures import DriftPoint
 
 # A file that somebody reads just now cannot be replaced on Windows; the reader is done at once.
 _TRIES = 5
@@ -239,8 +236,6 @@ def suspect_rows(points: list[DriftPoint]) -> str:
 
 
 def _point(record: Mapping[str, object]) -> DriftPoint:
-    from rendering.report.figures import DriftPoint  # slow to load, and most banks hold no drift
-
     at = datetime.fromisoformat(str(record["at"]))
     at.utctimetuple()
     suspect = record["suspect"]

@@ -51,7 +51,7 @@ from wavefocus.rig.setup import open_setup
 def capture(
     run_file: Path,
     bank: Path,
-    scenes: Sequence[Path] = (),
+    scene_files: Sequence[Path] = (),
     *,
     checks: bool = True,
     allow_large: bool = False,
@@ -62,10 +62,10 @@ def capture(
     """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
     blueprint = blueprint_from_files(run_file)
     needed = None
-    if scenes:
+    if scene_files:
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
-        needed = needed_by(scenes, blueprint.plan.position_mm, checks=checks, allow_large=allow_large)
+        needed = needed_by(scene_files, blueprint.plan.position_mm, checks=checks, allow_large=allow_large)
     blueprint, told = _with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
     named = blueprint.configuration.run.rig
     rig_file = None if named == "virtual" else run_file.parent / named

@@ -24,7 +24,7 @@ def export(
     to: str,
     *,
     positions: str,
-    missing_as_nan: bool,
+    missing: Literal["leave-out", "nan"],
     per: Literal["position", "actuator"],
     force: bool = False,
     as_json: bool,
@@ -36,7 +36,7 @@ def export(
     InputError
         The bank cannot be read or does not fit the format, or a package is missing.
     """
-    form = EXPORTS[to]
+    form, missing_as_nan = EXPORTS[to], missing == "nan"
     if missing_as_nan and not form.holds_nan:
         raise InputError(f"--missing nan: {to} files hold no NaN; missing positions are left out there")
     if out.exists() and out.is_dir() != form.folder:

@@ -13,7 +13,7 @@ from wavefocus.campaign.sidecar_files import log_path, raw_path
 from wavefocus.campaign.supervision import SILENT_AFTER_S, read_heartbeat
 
 if TYPE_CHECKING:
-    from rendering.report.figures import DriftPoint
+    from acquisition.quality.limits import DriftPoint
     from rendering.scene.model import Scene
 
 

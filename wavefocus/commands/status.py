@@ -26,7 +26,7 @@ from wavefocus.console import answer, say
 from wavefocus.exits import Exit
 
 if TYPE_CHECKING:
-    from rendering.report.figures import DriftPoint
+    from acquisition.quality.limits import DriftPoint
 
 # So many positions that stayed as they were are told one by one.
 MOST_LINES = 5
