@@ -150,7 +150,7 @@ FORKS = """
 import json, os, resource, signal, sys
 from pathlib import Path
 from wavefocus.__main__ import run
-import rendering.report.movie, rendering.report.scene_picture, rendering.drive.wav, storage.exchange.arrays
+import rendering.report.movie, rendering.report.scene_picture, rendering.drive.wav, storage.exchange.mat, storage.exchange.npz
 import matplotlib.figure, h5py
 
 def forked(arguments, prepare):
