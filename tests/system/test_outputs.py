@@ -150,7 +150,8 @@ FORKS = """
 import json, os, resource, signal, sys
 from pathlib import Path
 from wavefocus.__main__ import run
-import rendering.report.movie, rendering.report.scene_picture, rendering.drive.wav, storage.exchange.mat, storage.exchange.npz
+import rendering.report.movie, rendering.report.scene_picture, rendering.drive.wav
+import storage.exchange.mat, storage.exchange.npz
 import matplotlib.figure, h5py
 
 def forked(arguments, prepare):
