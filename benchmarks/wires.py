@@ -28,10 +28,11 @@ from calibration.clock.timing import ClockFitter
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
 from drivers.audio.resampling import converted, lead_samples, rate_ratio
-from drivers.audio.signals import HALF_STEP
-from drivers.audio.stream_player import StreamPlayer
-from drivers.daq.ni_recorder import NiRecorder
+from drivers.audio.stream.player import StreamPlayer
+from drivers.audio.stream.signals import HALF_STEP
+from drivers.daq.ni.ni_recorder import NiRecorder
 from drivers.errors import TransientInstrumentError
+from drivers.mirror.asi_tiger import AsiTiger
 from drivers.mirror.serial_mirror import SerialMirror
 from drivers.protocols import Float64Array, Instruments, Take, WallClock
 from mocks.virtual.settings import VirtualSettings
@@ -134,7 +135,7 @@ def opened(sides: FarSides, post_roll_s: float = POST_ROLL_S) -> Iterator[Setup]
     """Production drivers on the far sides."""
     virtual, clock = settings(), WallClock()
     mirror = SerialMirror(
-        "asi-tiger",
+        AsiTiger(),
         sides.mirror,
         baud=None,
         identity=None,

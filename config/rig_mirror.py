@@ -4,70 +4,33 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from config.fields import (
-    Finite,
-    NonNegative,
-    Positive,
-    Table,
-    Text,
-    Whole,
-    check_driver_keys,
-    like,
-    mistake,
-    with_driver_defaults,
-)
+from config.drivers import DriverTable, with_drivers
+from config.fields import Finite, NonNegative, Positive, Text, Whole, mistake
+from drivers.registry import MIRRORS
 
-MirrorDriver = Literal["virtual", "asi-tiger", "mirrorcle-mti", "generic", "optotune-mre2"]
-
-SERIAL_MIRRORS = ("asi-tiger", "mirrorcle-mti", "generic", "optotune-mre2")
-DRIVERS_OF = {
-    "port": SERIAL_MIRRORS,
-    "baud": SERIAL_MIRRORS,
-    "identity": SERIAL_MIRRORS,
-    "full_scale_mrad": ("mirrorcle-mti",),
-    "axes": ("asi-tiger",),
-    "beam_per_mirror": ("asi-tiger",),
-    "tolerance_mrad": ("asi-tiger", "generic"),
-    "setup": ("mirrorcle-mti",),
-}
-NEEDED = {
-    "port": 'it, such as "/dev/ttyUSB0", "COM3", "socket://10.0.0.7:4001" or "serial-number:ABC123"',
-    "full_scale_mrad": "the optical angle at full scale in mrad: its commands have no unit",
-}
-# What the drivers take where they are told nothing.
-DEFAULTS: dict[str, dict[str, object]] = {
-    # Micro-mirrors of its scanner cards turn by 4.6 degrees to either side, the beam by 160.6 mrad.
-    "asi-tiger": {
-        "beam_per_mirror": 2.0,
-        "tolerance_mrad": 0.5,
-        "limit_mrad": 155.0,
-        "park_mrad": (-150.0, -150.0),
-    },
-    "generic": {"tolerance_mrad": 0.5},
-}
 DEFAULT_DISTANCE_MM = 1000.0
-Axis = Annotated[Text, like(r"[A-Za-z]", "must be the letter of an axis")]
 Row = tuple[Finite, Finite, Finite]
 Matrix = tuple[Row, Row, Row]
 
 
-class MirrorSection(Table):
+class MirrorSection(DriverTable):
     """The scanning mirror and the map from the surface to its angles."""
 
-    driver: MirrorDriver = "virtual"
+    shared_keys: ClassVar[Mapping[str, str]] = {
+        "port": 'it, such as "/dev/ttyUSB0", "COM3", "socket://10.0.0.7:4001" or "serial-number:ABC123"',
+        "baud": "",
+        "identity": "",
+    }
+
     port: Text | None = None
     baud: Annotated[Whole, Field(ge=300, le=10_000_000)] | None = None
     identity: Text | None = None
-    full_scale_mrad: Annotated[Positive, Field(lt=1000 * math.pi / 2)] | None = None
-    axes: tuple[Axis, Axis] | None = None
-    beam_per_mirror: Positive | None = None
-    tolerance_mrad: Positive | None = None
-    setup: tuple[Text, ...] | None = None
     distance_mm: Positive = DEFAULT_DISTANCE_MM
     map: Matrix | None = None
     settle_s: NonNegative = 0.005
@@ -81,14 +44,8 @@ class MirrorSection(Table):
             return self.map
         return ((1 / self.distance_mm, 0.0, 0.0), (0.0, 1 / self.distance_mm, 0.0), (0.0, 0.0, 1.0))
 
-    @model_validator(mode="before")
-    @classmethod
-    def _driver_defaults(cls, data: Any) -> Any:
-        return with_driver_defaults(data, "virtual", DEFAULTS)
-
     @model_validator(mode="after")
     def _possible(self) -> MirrorSection:
-        check_driver_keys(self, DRIVERS_OF, NEEDED)
         if self.port is not None:
             check_port("port", self.port)
         if self.map is not None:
@@ -101,6 +58,10 @@ class MirrorSection(Table):
         if max(map(abs, self.park_mrad)) > self.limit_mrad:
             raise mistake("park_mrad", self.park_mrad, f"must be within limit_mrad = {self.limit_mrad:g}")
         return self
+
+
+if not TYPE_CHECKING:
+    MirrorSection = with_drivers(MirrorSection, MIRRORS.all())
 
 
 def check_port(key: str, port: str) -> None:

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, model_validator
 
-from config.fields import Positive, Table, Text, Whole, check_driver_keys, mistake, with_driver_defaults
+from config.drivers import DriverTable, with_drivers
+from config.fields import Positive, Whole, mistake
+from drivers.registry import PLAYERS
 
-PlayerDriver = Literal["virtual", "sounddevice"]
 Channel = Annotated[Whole, Field(ge=0, le=4095)]
 
-SOUNDDEVICE = ("sounddevice",)
-DRIVERS_OF = {"host_api": SOUNDDEVICE, "device": SOUNDDEVICE, "block_frames": SOUNDDEVICE}
-NEEDED = {"device": "the interface's name, or a part of it that no other has"}
-DEFAULTS = {"sounddevice": {"block_frames": 0}}
 
-
-class PlayerSection(Table):
+class PlayerSection(DriverTable):
     """The multichannel audio interface that drives the actuators."""
 
-    driver: PlayerDriver = "virtual"
-    host_api: Text | None = None
-    device: Text | None = None
-    block_frames: Annotated[Whole, Field(ge=0, le=1_000_000)] | None = None
     channels: tuple[Channel, ...]
     loopback_channel: Channel
     interface_rate_hz: Annotated[Whole, Field(ge=8_000, le=768_000)] = 48_000
@@ -64,14 +56,8 @@ class PlayerSection(Table):
             limits.append(("player.limit_power_w", (self.limit_power_w * self.coil_resistance_ohm) ** 0.5))
         return min(limits, key=lambda one: one[1], default=None)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _driver_defaults(cls, data: Any) -> Any:
-        return with_driver_defaults(data, "virtual", DEFAULTS)
-
     @model_validator(mode="after")
     def _wired_once(self) -> PlayerSection:
-        check_driver_keys(self, DRIVERS_OF, NEEDED)
         for actuator, channel in enumerate(self.channels):
             if channel in self.channels[:actuator]:
                 other = self.channels.index(channel)
@@ -88,3 +74,7 @@ class PlayerSection(Table):
             wanted = f"must have one entry per output from 0 to the highest used, {self.outputs} in all"
             raise mistake("channel_full_scale_v", each, f"{wanted}, has {len(each)}")
         return self
+
+
+if not TYPE_CHECKING:
+    PlayerSection = with_drivers(PlayerSection, PLAYERS.all())

@@ -324,14 +324,12 @@ def _rig_essence(rig: RigConfig) -> dict[str, object]:
     """
     recorder = {"driver", "reference_range_v", "response_range_v", "reference_gain", "inter_channel_delay_s",
                 "pre_roll_s", "post_roll_s"}  # fmt: skip
-    of_driver = {"reference_input", "response_input", "terminal"}
     player = {"driver", "channels", "loopback_channel", "full_scale_v"}
-    units = {"full_scale_mrad", "beam_per_mirror", "axes"}
     return {
         "mirror": {"driver": rig.mirror.driver, "matrix": rig.mirror.matrix}
-        | rig.mirror.model_dump(include=units, exclude_none=True),
+        | rig.mirror.model_dump(include=rig.mirror.plan_keys(), exclude_none=True),
         "recorder": rig.recorder.model_dump(include=recorder)
-        | rig.recorder.model_dump(include=of_driver, exclude_none=True),
+        | rig.recorder.model_dump(include=rig.recorder.plan_keys(), exclude_none=True),
         "player": rig.player.model_dump(include=player)
         | rig.player.model_dump(include={"channel_full_scale_v"}, exclude_none=True),
         "vibrometer": rig.vibrometer.model_dump(include={"sensitivity_m_s_per_v"})

@@ -19,9 +19,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
+from types import MappingProxyType
 
 from drivers.errors import InstrumentError
+from drivers.mirror.dialect import Dialect, tolerance_key
 from drivers.protocols import DeviceIdentity
+from drivers.registry import MIRRORS, rig_key
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
 
 # Type of a scanner's axes in the answer to BU X.
@@ -45,26 +49,34 @@ CODES = {
 }
 
 
-class AsiTiger:
-    """The dialect ``asi-tiger``; reads back, says when it is idle.
+@MIRRORS.register
+@dataclass(kw_only=True)
+class AsiTiger(Dialect):
+    """The dialect ``asi-tiger``; reads back, says when it is idle."""
 
-    Parameters
-    ----------
-    axes : tuple of str, optional
-        Letters of the scanner's axes; may be left out where the controller has one scanner alone.
-    beam_per_mirror : float
-        Optical degrees per degree of the controller, > 0.
-    """
+    axes: tuple[str, str] | None = rig_key(
+        "Axes",
+        "Letters of the scanner's two axes; needed where the controller has two scanners",
+        default=None,
+        in_plan=True,
+        pattern=(r"[A-Za-z]", "must be the letter of an axis"),
+    )
+    beam_per_mirror: float = rig_key(
+        "Beam per mirror",
+        "Degrees that the beam turns by per degree of the controller",
+        default=2.0,
+        in_plan=True,
+        gt=0,
+    )
+    tolerance_mrad: float = tolerance_key()
 
-    baud = 115200
+    name = "asi-tiger"
+    # Micro-mirrors of its scanner cards turn by 4.6 degrees to either side, the beam by 160.6 mrad.
+    table_defaults = MappingProxyType({"limit_mrad": 155.0, "park_mrad": (-150.0, -150.0)})
     command_end = "\r"
     encoding = "latin-1"  # addresses of cards are bytes up to 0xF5
-    patience_s = 2.0
-    says_when_idle = True
 
-    def __init__(self, axes: tuple[str, str] | None = None, beam_per_mirror: float = 2.0) -> None:
-        self._wanted_axes = axes
-        self._beam_per_mirror = beam_per_mirror
+    def __post_init__(self) -> None:
         self._build = ""
         self._axes = ("", "")
         self._units_per_mrad = (1.0, 1.0)
@@ -74,9 +86,6 @@ class AsiTiger:
     def reach_mrad(self) -> float:
         """The nearest of the controller's limits ``SL`` and ``SU``; infinite until they are read."""
         return self._reach_mrad
-
-    def reaches(self, x_mrad: float, y_mrad: float) -> bool:
-        return max(abs(x_mrad), abs(y_mrad)) <= self._reach_mrad
 
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
         self._build = dialogue.introduce(Query("BU X", _build), patience_s)
@@ -95,7 +104,7 @@ class AsiTiger:
 
     def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
         # What the axes are comes first: nothing is set or moved on a controller that has no scanner.
-        self._axes = _scanner_axes(self._build, self._wanted_axes, dialogue.instrument)
+        self._axes = _scanner_axes(self._build, self.axes, dialogue.instrument)
         dialogue.ask(Query("VB F=0", _accepted), "choosing the syntax of its answers")
         for axis in self._axes:
             self._require_serial_input(dialogue, axis)
@@ -103,7 +112,7 @@ class AsiTiger:
             dialogue.ask(Query(f"UM {axis}?", _setting(axis)), f"reading the units of axis {axis}")
             for axis in self._axes
         ]
-        per_mrad = math.degrees(1e-3) / self._beam_per_mirror
+        per_mrad = math.degrees(1e-3) / self.beam_per_mirror
         self._units_per_mrad = (scales[0] * per_mrad, scales[1] * per_mrad)
         self._reach_mrad = min(self._read_reach_degrees(dialogue, axis) for axis in self._axes) / per_mrad
 
@@ -111,9 +120,6 @@ class AsiTiger:
         (x_axis, y_axis), (x_scale, y_scale) = self._axes, self._units_per_mrad
         command = f"M {x_axis}={x_mrad * x_scale:.3f} {y_axis}={y_mrad * y_scale:.3f}"
         dialogue.ask(Query(command, _done), doing)
-
-    def park(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
-        self.move(dialogue, *park_mrad, "parking")
 
     def moving(self, dialogue: Dialogue, doing: str) -> bool:
         return dialogue.ask(Query("/", _busy), doing)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import reduce
 from typing import TypeVar
 
+from drivers.mirror.dialect import Dialect, tolerance_key
 from drivers.protocols import DeviceIdentity
+from drivers.registry import MIRRORS
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
 
 Answer = TypeVar("Answer")
@@ -29,18 +32,17 @@ def checksum(text: str) -> str:
     return f"{reduce(lambda sum_, byte: sum_ ^ byte, text.encode('ascii'), 0):02X}"
 
 
-class GenericMirror:
+@MIRRORS.register
+@dataclass(kw_only=True)
+class GenericMirror(Dialect):
     """The dialect ``generic``; reads back, says when it is idle, and every line carries a checksum."""
 
-    baud = 115200
+    tolerance_mrad: float = tolerance_key()
+
+    name = "generic"
     command_end = "\r\n"
-    encoding = "ascii"
     patience_s = 4.0  # opening the port resets many a board, which then takes seconds to start
     reach_mrad = 1000 * math.pi / 2
-    says_when_idle = True
-
-    def reaches(self, x_mrad: float, y_mrad: float) -> bool:
-        return max(abs(x_mrad), abs(y_mrad)) <= self.reach_mrad
 
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
         return dialogue.introduce(_query("*IDN?", _identity), patience_s)

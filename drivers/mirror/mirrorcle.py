@@ -16,41 +16,40 @@ taken from the controller's memory, or sent as `setup` before the mirror is enab
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import dataclass
 
+from drivers.mirror.dialect import Dialect
 from drivers.protocols import DeviceIdentity
+from drivers.registry import MIRRORS, rig_key
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
 
 WITHIN_COMMAND_MODE = "MTI-ERR InvalidCommand"
 
 
-class MirrorcleMti:
-    """The dialect ``mirrorcle-mti``.
+@MIRRORS.register
+@dataclass(kw_only=True)
+class MirrorcleMti(Dialect):
+    """The dialect ``mirrorcle-mti``."""
 
-    Parameters
-    ----------
-    full_scale_mrad : float
-        Optical angle at x = 1 or y = 1, > 0.
-    setup : tuple of str
-        Commands to send before the mirror is enabled, each answered by ``MTI-OK``.
-    """
+    full_scale_mrad: float = rig_key(
+        "Full scale",
+        "the optical angle at full scale in mrad: its commands have no unit",
+        in_plan=True,
+        gt=0,
+        lt=1000 * math.pi / 2,
+    )
+    setup: tuple[str, ...] = rig_key(
+        "Setup", "Commands of the mirror's data sheet, sent before it is enabled, each answered by MTI-OK", default=()
+    )
 
-    baud = 115200
-    command_end = "\n"
-    encoding = "ascii"
-    patience_s = 2.0
+    name = "mirrorcle-mti"
     says_when_idle = False
-
-    def __init__(self, full_scale_mrad: float, setup: tuple[str, ...] = ()) -> None:
-        self._full_scale_mrad = full_scale_mrad
-        self._setup = setup
 
     @property
     def reach_mrad(self) -> float:
-        return self._full_scale_mrad
-
-    def reaches(self, x_mrad: float, y_mrad: float) -> bool:
-        return max(abs(x_mrad), abs(y_mrad)) <= self.reach_mrad
+        return self.full_scale_mrad
 
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
         # Only on entering command mode does the controller say who it is: leave it first.
@@ -70,26 +69,20 @@ class MirrorcleMti:
         return Marker("$MTI$", identity, lambda line: line.endswith(WITHIN_COMMAND_MODE), stranger)
 
     def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
-        if self._setup:
+        if self.setup:
             # It may still be enabled from before, and refuses settings then.
             dialogue.ask(Query("MTI+DI", _done), "disabling the mirror")
-        for command in self._setup:
+        for command in self.setup:
             dialogue.ask(Query(command, _done), f"setting up ({command})")
         dialogue.ask(Query("MTI+EN", _done), "enabling the mirror")
 
     def move(self, dialogue: Dialogue, x_mrad: float, y_mrad: float, doing: str) -> None:
-        x, y = x_mrad / self._full_scale_mrad, y_mrad / self._full_scale_mrad
+        x, y = x_mrad / self.full_scale_mrad, y_mrad / self.full_scale_mrad
         dialogue.ask(Query(f"MTI+GT {x:.4f} {y:.4f} 0", _done), doing)
 
     def park(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
         # Disabling the mirror would send the beam to the middle of the plate; it is held aside instead.
-        self.move(dialogue, *park_mrad, "parking")
-
-    def moving(self, dialogue: Dialogue, doing: str) -> bool:
-        return False
-
-    def where_mrad(self, dialogue: Dialogue, doing: str) -> None:
-        return None
+        super().park(dialogue, park_mrad)
 
 
 def _greeting(answer: str) -> str:

@@ -17,8 +17,11 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 
+from drivers.mirror.dialect import Dialect
 from drivers.protocols import DeviceIdentity
+from drivers.registry import MIRRORS
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
 
 IDENTITY = "Optotune MR-E-2"
@@ -33,15 +36,15 @@ REFUSALS = {
 }
 
 
-class OptotuneMre2:
+@MIRRORS.register
+@dataclass(kw_only=True)
+class OptotuneMre2(Dialect):
     """The dialect ``optotune-mre2``."""
 
+    name = "optotune-mre2"
     baud = 256000
     command_end = "\r\n"
-    encoding = "ascii"
-    patience_s = 2.0
     reach_mrad = 1000 * math.radians(50.0)
-    says_when_idle = True
 
     def reaches(self, x_mrad: float, y_mrad: float) -> bool:
         return math.hypot(*_deflections(x_mrad, y_mrad)) <= 1.0
@@ -63,14 +66,8 @@ class OptotuneMre2:
         x, y = _deflections(x_mrad, y_mrad)
         dialogue.ask(Query(f"xy={x:.4f};{y:.4f}", _done), doing)
 
-    def park(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
-        self.move(dialogue, *park_mrad, "parking")
-
     def moving(self, dialogue: Dialogue, doing: str) -> bool:
         return bool(dialogue.ask(Query("status", _register), doing) & NOT_STABLE)
-
-    def where_mrad(self, dialogue: Dialogue, doing: str) -> None:
-        return None
 
 
 def _deflections(x_mrad: float, y_mrad: float) -> tuple[float, float]:

@@ -5,16 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.mirror.asi_tiger import AsiTiger
 from drivers.mirror.dialect import Dialect
-from drivers.mirror.generic import GenericMirror
-from drivers.mirror.mirrorcle import MirrorcleMti
-from drivers.mirror.optotune import OptotuneMre2
 from drivers.protocols import Clock, DeviceIdentity
 from drivers.serial_line.dialogue import Dialogue
 from drivers.serial_line.line import LineSettings, SerialLine
-
-DIALECTS = ("asi-tiger", "mirrorcle-mti", "generic", "optotune-mre2")
 
 # Pause between two questions whether the mirror still moves.
 POLL_S = 0.001
@@ -27,8 +21,8 @@ class SerialMirror:
 
     Parameters
     ----------
-    dialect : str
-        One of `DIALECTS`.
+    dialect : Dialect
+        Speaks to the device.
     port : str
         A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
     baud : int, optional
@@ -43,35 +37,24 @@ class SerialMirror:
         Largest optical angle in x and in y, in mrad, > 0.
     park_mrad : tuple of float
         The safe direction, within the limit.
-    full_scale_mrad : float, optional
-        Optical angle in mrad at the device's full scale; needed by ``mirrorcle-mti`` alone.
     clock : Clock
         Passes the time while the mirror settles.
-    axes : tuple of str, optional
-        The device's axes, where it has more than one mirror; ``asi-tiger`` alone.
-    beam_per_mirror : float
-        Degrees that the beam turns by per degree of the device; ``asi-tiger`` alone.
-    setup : tuple of str
-        Commands from the mirror's data sheet, sent before it is enabled; ``mirrorcle-mti`` alone.
-    tolerance_mrad : float
-        How far from its target a mirror that reads back may stand, in mrad, > 0.
     answer_s : float
         Longest wait for one answer, in s, > 0.
     patience_s : float, optional
-        How long a device whose port was just opened may take until it answers, in s; by default the dialect's 2, or
-        4 for a board that starts then.
+        How long a device whose port was just opened may take until it answers, in s; by default the dialect's.
 
     Raises
     ------
     InstrumentError
-        The arguments do not fit the dialect, or another device answers.
+        The limits do not fit the device, or another device answers.
     InstrumentLostError
         The device is not there, or does not answer.
     """
 
     def __init__(
         self,
-        dialect: str,
+        dialect: Dialect,
         port: str,
         *,
         baud: int | None = None,
@@ -79,23 +62,17 @@ class SerialMirror:
         settle_s: float,
         limit_mrad: float,
         park_mrad: tuple[float, float],
-        full_scale_mrad: float | None = None,
         clock: Clock,
-        axes: tuple[str, str] | None = None,
-        beam_per_mirror: float = 2.0,
-        setup: tuple[str, ...] = (),
-        tolerance_mrad: float = 0.5,
         answer_s: float = 1.0,
         patience_s: float | None = None,
     ) -> None:
-        self._name = f"mirror ({dialect} at {port})"
-        self._dialect = self._make(dialect, full_scale_mrad, axes, beam_per_mirror, setup)
+        self._name = f"mirror ({dialect.name} at {port})"
+        self._dialect = dialect
         self._wanted_identity = identity
         self._identity: str | None = None
         self._settle_s = settle_s
         self._limit_mrad = limit_mrad
         self._park_mrad = park_mrad
-        self._tolerance_mrad = tolerance_mrad
         self._patience_s = self._dialect.patience_s if patience_s is None else patience_s
         self._clock = clock
         self._closed = False
@@ -193,30 +170,6 @@ class SerialMirror:
 
     # -- inside --------------------------------------------------------------------------------------
 
-    def _make(
-        self,
-        dialect: str,
-        full_scale_mrad: float | None,
-        axes: tuple[str, str] | None,
-        beam_per_mirror: float,
-        setup: tuple[str, ...],
-    ) -> Dialect:
-        if dialect == "asi-tiger":
-            return AsiTiger(axes, beam_per_mirror)
-        if dialect == "generic":
-            return GenericMirror()
-        if dialect == "optotune-mre2":
-            return OptotuneMre2()
-        if dialect != "mirrorcle-mti":
-            raise InstrumentError(
-                self._name, "preparing", f"there is no dialect {dialect!r}", f"choose from {', '.join(DIALECTS)}"
-            )
-        if full_scale_mrad is None:
-            raise InstrumentError(
-                self._name, "preparing", "full_scale_mrad is missing", "measure it, or take it from the data sheet"
-            )
-        return MirrorcleMti(full_scale_mrad, setup)
-
     def _open(self) -> None:
         self._forget_move()
         # A call that hangs keeps the old dialogue; nobody waits for it.
@@ -294,7 +247,7 @@ class SerialMirror:
         return f"standing at {stands} and not at {sent}"
 
     def _is_near(self, one_mrad: tuple[float, float], other_mrad: tuple[float, float]) -> bool:
-        return max(abs(one_mrad[0] - other_mrad[0]), abs(one_mrad[1] - other_mrad[1])) <= self._tolerance_mrad
+        return max(abs(one_mrad[0] - other_mrad[0]), abs(one_mrad[1] - other_mrad[1])) <= self._dialect.tolerance_mrad
 
     def _check_settings(self) -> None:
         """Hold the rig file against what the device can reach, as far as that is known yet."""

@@ -16,6 +16,7 @@ import re
 from dataclasses import dataclass
 
 from drivers.errors import InstrumentError
+from drivers.registry import VIBROMETERS, VibrometerReading, rig_key
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
 from drivers.serial_line.line import LineSettings, SerialLine
 
@@ -26,96 +27,82 @@ METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 
 
-@dataclass(frozen=True, slots=True)
-class VibrometerReading:
-    """What a vibrometer's controller says of itself.
+@VIBROMETERS.register
+@dataclass(frozen=True, kw_only=True)
+class Polytec:
+    """Polytec OFV-5000 controllers."""
 
-    Parameters
-    ----------
-    sensitivity_m_s_per_v : float
-        Velocity per volt at its output, > 0.
-    range_text : str
-        The measurement range in the controller's own words.
-    latency_s : float or None
-        How much later its output follows the surface, typically, for this decoder and range; None where it does
-        not say.
-    signal_level : float or None
-        Strength of the reflected light, 0 to 1 (of `FULL_SIGNAL_LEVEL`); None where it does not say.
-    identity : str
-        Controller and velocity decoder.
-    """
+    decoder: int = rig_key("Decoder", "Number of the velocity decoder in use", default=1, ge=0, le=9)
+    least_signal_level: float = rig_key(
+        "Least signal level", "Smallest signal level that will do", default=0.0, ge=0, le=1
+    )
 
-    sensitivity_m_s_per_v: float
-    range_text: str
-    latency_s: float | None
-    signal_level: float | None
-    identity: str
+    name = "polytec-ofv5000"
 
+    def read(
+        self,
+        port: str,
+        *,
+        baud: int | None = None,
+        identity: str | None = None,
+        any_level: bool = False,
+        answer_s: float = 1.0,
+    ) -> VibrometerReading:
+        """Ask for the sensitivity that it is set to, and leave the controller alone again.
 
-def read_sensitivity(
-    port: str,
-    *,
-    baud: int | None = None,
-    identity: str | None = None,
-    decoder: int = 1,
-    least_signal_level: float = 0.0,
-    answer_s: float = 1.0,
-) -> VibrometerReading:
-    """Ask a Polytec OFV-5000 for the sensitivity that it is set to, and leave it alone again.
+        Parameters
+        ----------
+        port : str
+            A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
+        baud : int, optional
+            Bits per second; by default 115200.
+        identity : str, optional
+            Text that the names of controller and decoder must contain.
+        any_level : bool
+            Whether a signal below `least_signal_level` will do.
+        answer_s : float
+            Longest wait for one answer, in s, > 0.
 
-    Parameters
-    ----------
-    port : str
-        A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
-    baud : int, optional
-        Bits per second; by default 115200.
-    identity : str, optional
-        Text that the names of controller and decoder must contain.
-    decoder : int
-        Number of the velocity decoder in use, from 0.
-    least_signal_level : float
-        Smallest signal level that will do, 0 to 1.
-    answer_s : float
-        Longest wait for one answer, in s, > 0.
-
-    Raises
-    ------
-    InstrumentError
-        Another device answers, the decoder is not there, or the signal is too weak.
-    TransientInstrumentError
-        An answer did not come.
-    InstrumentLostError
-        The controller is not there, or does not answer at all.
-    """
-    name = f"vibrometer (polytec-ofv5000 at {port})"
-    dialogue = Dialogue(name, SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s)))
-    dialogue.open()
-    try:
-        # With echo on, the controller repeats every command before its answer.
-        who = dialogue.introduce(Query("Get,Controller,0,Name", _name), 2.0, before="Set,Interface,0,Echo,Off")
-        dialogue.recognise(Marker("Get,Controller,0,Name", who, lambda line: line.endswith(who), _stranger))
-        decoder_name = dialogue.ask(Query(f"Get,VeloDec,{decoder},Name", _name), "reading the decoder's name")
-        known_as = f"{who}, {decoder_name}"
-        if identity is not None and identity not in known_as:
+        Raises
+        ------
+        InstrumentError
+            Another device answers, the decoder is not there, or the signal is too weak.
+        TransientInstrumentError
+            An answer did not come.
+        InstrumentLostError
+            The controller is not there, or does not answer at all.
+        """
+        name = f"vibrometer (polytec-ofv5000 at {port})"
+        dialogue = Dialogue(name, SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s)))
+        dialogue.open()
+        try:
+            # With echo on, the controller repeats every command before its answer.
+            who = dialogue.introduce(Query("Get,Controller,0,Name", _name), 2.0, before="Set,Interface,0,Echo,Off")
+            dialogue.recognise(Marker("Get,Controller,0,Name", who, lambda line: line.endswith(who), _stranger))
+            decoder_name = dialogue.ask(Query(f"Get,VeloDec,{self.decoder},Name", _name), "reading the decoder's name")
+            known_as = f"{who}, {decoder_name}"
+            if identity is not None and identity not in known_as:
+                raise InstrumentError(
+                    name,
+                    "asking who it is",
+                    f"another device answers: {known_as!r} does not contain {identity!r}",
+                    "plug in the right device, or correct the rig file, identity",
+                )
+            range_text = dialogue.ask(
+                Query(f"Get,VeloDec,{self.decoder},Range", _range), "reading the measurement range"
+            )
+            latency_s = _unless_refused(dialogue, Query(f"Get,VeloDec,{self.decoder},SignalDelay", _delay_s))
+            level = _unless_refused(dialogue, Query("Get,SignalLevel,0,Value", _level))
+        finally:
+            dialogue.close()
+        if level is not None and level < self.least_signal_level and not any_level:
             raise InstrumentError(
                 name,
-                "asking who it is",
-                f"another device answers: {known_as!r} does not contain {identity!r}",
-                "plug in the right device, or correct the rig file, identity",
+                "checking the signal level",
+                f"it is {level:.0%} of full, at least {self.least_signal_level:.0%} is wanted",
+                "focus the laser; put reflective film on the surface",
             )
-        range_text = dialogue.ask(Query(f"Get,VeloDec,{decoder},Range", _range), "reading the measurement range")
-        latency_s = _unless_refused(dialogue, Query(f"Get,VeloDec,{decoder},SignalDelay", _delay_s))
-        level = _unless_refused(dialogue, Query("Get,SignalLevel,0,Value", _level))
-    finally:
-        dialogue.close()
-    if level is not None and level < least_signal_level:
-        raise InstrumentError(
-            name,
-            "checking the signal level",
-            f"it is {level:.0%} of full, at least {least_signal_level:.0%} is wanted",
-            "focus the laser; put reflective film on the surface",
-        )
-    return VibrometerReading(_metres_per_second_per_volt(range_text), range_text, latency_s, level, known_as)
+        return VibrometerReading(_metres_per_second_per_volt(range_text), range_text, latency_s, level, known_as)
 
 
 def _unless_refused(dialogue: Dialogue, query: Query[float]) -> float | None:

@@ -11,7 +11,7 @@ from mocks.virtual.settings import VirtualSettings
 from mocks.wire.audio.jack_server import JackServer
 from mocks.wire.bench import WireBench
 from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.mirrors.mirror_devices import mirror_device
+from mocks.wire.mirrors import mirror_device
 from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.ni.ni_server import NiServer
 from mocks.wire.serial_far_side import SerialFarSide

@@ -18,11 +18,12 @@ from config.rig import RigConfig, default_rig
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Clock, Mirror, Player, Recorder
 from mocks.wire.emulated_rig import EmulatedRig
-from mocks.wire.mirrors.mirror_devices import mirror_device
+from mocks.wire.mirrors import mirror_device
 from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import TcpWire
 from tests.wire.emulated import free_port, rig_text
+from tests.wire.serial_bench import DIALECTS
 from wavefocus.commands.emulate import wiring_of
 from wavefocus.configuration import load_rig
 from wavefocus.rig.instruments import Openers, openers
@@ -30,7 +31,6 @@ from wavefocus.rig.virtual_bench import virtual_settings
 
 Taken = TypeVar("Taken")
 
-DIALECTS = ("mirrorcle-mti", "generic", "optotune-mre2")
 # Short enough that what is played starts soon after it was asked for, and long enough to go on on a busy machine.
 PERIOD_FRAMES = 4096
 
@@ -154,7 +154,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("bench", ["hardware"], indirect=True)
         return
     of_mirrors = metafunc.module.__name__.endswith("test_mirror_contract")
-    metafunc.parametrize("bench", ["virtual", "wire", *(DIALECTS if of_mirrors else ())], indirect=True)
+    metafunc.parametrize("bench", ["virtual", *(DIALECTS if of_mirrors else ["wire"])], indirect=True)
 
 
 @pytest.fixture

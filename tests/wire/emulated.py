@@ -11,6 +11,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from tests.wire.serial_bench import DIALECTS
+
 ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0], [20.0, -60.0]]
 
 RIG = """
@@ -24,7 +26,7 @@ position_mm = {actuators}
 driver = "{dialect}"
 port = "{mirror}"
 settle_s = 0.02
-{full_scale}
+{keys}
 
 [recorder]
 driver = "nidaqmx"
@@ -54,7 +56,7 @@ def rig_text(
         actuators=ACTUATORS,
         dialect=dialect,
         mirror=mirror or folder / "mirror",
-        full_scale="full_scale_mrad = 260" if dialect == "mirrorcle-mti" else "",
+        keys=DIALECTS[dialect].rig,
         recorder=recorder,
         period_frames=period_frames,
     )

@@ -6,22 +6,44 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from drivers.mirror.serial_mirror import SerialMirror
 from drivers.protocols import WallClock
+from drivers.registry import MIRRORS
 from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.mirrors.mirror_devices import mirror_device
+from mocks.wire.mirrors import mirror_device
 from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.serial_far_side import SerialDevice, SerialFarSide, garble
 from mocks.wire.serial_wires import PtyWire, TcpWire, Wire
 
-ALL = ("asi-tiger", "mirrorcle-mti", "generic", "optotune-mre2")
+
+@dataclass(frozen=True)
+class Facts:
+    """How to recognise a dialect's move on the line and its refusal in a message; keys that a rig file needs."""
+
+    move: str
+    refusal: str
+    rig: str = ""
+    names_itself: bool = True
+
+
+DIALECTS = {
+    "asi-tiger": Facts("M A=", ":N-5: the operation failed"),
+    "generic": Facts("XY=", "ERR 5 not ready"),
+    "mirrorcle-mti": Facts("MTI+GT", "MTI-ERR DeviceBusy", rig="full_scale_mrad = 260"),
+    "optotune-mre2": Facts("xy=", "answers NO", names_itself=False),
+}
+"""Every dialect; a new one is a line here."""
+
 # Pseudo-terminals are a matter of POSIX; elsewhere the same tests run over TCP alone.
 LOCAL = "pty" if os.name == "posix" else "tcp"
 WIRES = tuple(dict.fromkeys((LOCAL, "tcp")))
+# All faults meet the first; the others, on either wire, some of them.
+EACH = tuple(f"{dialect}/{WIRES[number % len(WIRES)]}" for number, dialect in enumerate(DIALECTS))
+FIRST, SECOND = EACH[:2]
 LIMIT_MRAD = 250.0
 PARK_MRAD = (-200.0, -200.0)
 # Rounding in the coarsest dialect: 1e-4 of the tangent of 50 degrees.
@@ -43,13 +65,16 @@ class MirrorBench:
             "settle_s": 0.02,
             "limit_mrad": LIMIT_MRAD,
             "park_mrad": PARK_MRAD,
-            "full_scale_mrad": LIMIT_MRAD,
             "clock": WallClock(),
             "answer_s": 0.5,
             "patience_s": 0.5,
         }
+        driver = MIRRORS.all()[self.dialect]
+        given = {"full_scale_mrad": LIMIT_MRAD, **changes}
+        keys = {key.name: given[key.name] for key in fields(driver) if key.name in given}
         port = changes.pop("port", self.far.address)
-        self.opened.append(SerialMirror(self.dialect, port, **{**settings, **changes}))
+        changes = {name: value for name, value in changes.items() if name not in keys}
+        self.opened.append(SerialMirror(driver(**keys), port, **{**settings, **changes}))
         return self.opened[-1]
 
     def stands_at(self, x_mrad: float, y_mrad: float) -> bool:

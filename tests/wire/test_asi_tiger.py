@@ -10,8 +10,8 @@ import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
+from mocks.wire.mirrors import mirror_device
 from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
-from mocks.wire.mirrors.mirror_devices import mirror_device
 from tests.wire.serial_bench import LOCAL, mirror_bench
 
 MEMS = {"limit_mrad": 155.0, "park_mrad": (-150.0, -150.0)}

@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.audio.playback import FADE_S, MUTED, PLAYED, UNDERFLOW, Ended, PieceByPiece, Play, Playback, Taken, Voice
+from drivers.audio.stream.playback import (
+    FADE_S,
+    MUTED,
+    PLAYED,
+    UNDERFLOW,
+    Ended,
+    PieceByPiece,
+    Play,
+    Playback,
+    Taken,
+    Voice,
+)
 
 RATE_HZ = 48_000
 PERIOD = 512

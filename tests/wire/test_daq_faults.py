@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calibration.clock.timing import ReferenceMissingError, fit_clock
-from drivers.daq.ni_session import TlsFiles
+from drivers.daq.ni.ni_session import TlsFiles
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
 from mocks.wire.ni.ni_server import NiServer

@@ -15,7 +15,7 @@ import pytest
 from nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType, TerminalConfiguration
 from nidaqmx.errors import DaqError, DaqReadError
 
-from drivers.daq.ni_recorder import NiRecorder
+from drivers.daq.ni.ni_recorder import NiRecorder
 from drivers.errors import InstrumentLostError
 from mocks.wire.ni.ni_server import NiServer
 from tests.wire.daq_bench import Tone, ask, check_tone, daq_bench, take_one

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.mirror.asi_tiger import AsiTiger
 from drivers.mirror.serial_mirror import SerialMirror
 from drivers.protocols import WallClock
 from tests.wire.emulated import far_sides, free_port, rig_text
@@ -61,7 +62,7 @@ def test_given_a_keyboard_then_the_spot_the_patch_bay_and_mistakes_are_answered(
     with far_sides(rig_file) as sides:
         assert sides.say("spot") == "spot: not on the plate"
         mirror = SerialMirror(
-            "asi-tiger",
+            AsiTiger(),
             str(tmp_path / "mirror"),
             baud=None,
             identity=None,

@@ -12,9 +12,9 @@ from urllib.parse import urlsplit
 import pytest
 
 from mocks.wire.faults import WireFault, WireFaultPlan
+from mocks.wire.mirrors import mirror_device
 from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
 from mocks.wire.mirrors.generic import GenericMirrorDevice
-from mocks.wire.mirrors.mirror_devices import mirror_device
 from mocks.wire.mirrors.mirrorcle import MirrorcleDevice
 from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.mirrors.optotune import LEAVE_PRO_MODE, OptotuneDevice

@@ -163,8 +163,8 @@ def test_given_no_pyserial_then_the_drivers_import_and_opening_says_what_to_inst
     program = (
         "from drivers.protocols import WallClock\n"
         "from drivers.mirror.serial_mirror import SerialMirror\n"
-        "from drivers.vibrometer.polytec import read_sensitivity\n"
-        "SerialMirror('generic', '/dev/ttyUSB0', settle_s=0, limit_mrad=1, park_mrad=(0, 0), clock=WallClock())\n"
+        "from drivers.mirror.generic import GenericMirror\n"
+        "SerialMirror(GenericMirror(), '/dev/ttyUSB0', settle_s=0, limit_mrad=1, park_mrad=(0, 0), clock=WallClock())\n"
     )
     run = subprocess.run(
         [sys.executable, "-S", "-c", program],

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.vibrometer.polytec import read_sensitivity
+from drivers.vibrometer.polytec import Polytec
 from mocks.wire.faults import WireFault, WireFaultPlan
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.vibrometer import PolytecDevice
@@ -25,8 +25,8 @@ def controller(kind, folder, *faults, **settings_):
         yield far
 
 
-def read(far, **settings_):
-    return read_sensitivity(far.address, **{"answer_s": ANSWER_S, **settings_})
+def read(far, *, identity=None, answer_s=ANSWER_S, **keys):
+    return Polytec(**keys).read(far.address, identity=identity, answer_s=answer_s)
 
 
 def fault(kind, operation="range", count=1, **more):

@@ -6,22 +6,21 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from acquisition.quality.watch import Sensor
 from config.rig import RigConfig
-from config.rig_recorder import RecorderSection
+from config.rig_recorder import VibrometerSection
 from config.run import Virtual
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock
+from drivers.registry import Outputs, PlayerDriver, RecorderDriver, VibrometerDriver, VibrometerReading
 from drivers.timeouts import REMEDY, BoundedPlayer, HungError, Lane
 from storage.errors import InputError
 from wavefocus.console import say
 
 if TYPE_CHECKING:
-    from drivers.daq.ni_session import TlsFiles
     from mocks.virtual.surroundings import PatchBay
 
 
@@ -130,9 +129,9 @@ def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
     clock = WallClock()
     return Openers(
         clock,
-        lambda: _serial_mirror(rig, clock),
-        lambda: _ni_recorder(rig),
-        lambda: _stream_player(rig),
+        lambda: _mirror(rig, clock),
+        lambda: _recorder(rig),
+        lambda: _player(rig),
         lambda: _vibrometer(rig),
     )
 
@@ -201,70 +200,36 @@ def open_rig(ways: Openers) -> OpenedRig:
     )
 
 
-def _serial_mirror(rig: RigConfig, clock: Clock) -> Mirror:
+def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
     from drivers.mirror.serial_mirror import SerialMirror
 
     mirror = rig.mirror
     return SerialMirror(
-        mirror.driver,
+        mirror.make_driver(),
         mirror.port or "",
         baud=mirror.baud,
         identity=mirror.identity,
         settle_s=mirror.settle_s,
         limit_mrad=mirror.limit_mrad,
         park_mrad=mirror.park_mrad,
-        full_scale_mrad=mirror.full_scale_mrad,
         clock=clock,
-        axes=mirror.axes,
-        setup=mirror.setup or (),
-        **{
-            key: value
-            for key, value in (("beam_per_mirror", mirror.beam_per_mirror), ("tolerance_mrad", mirror.tolerance_mrad))
-            if value is not None
-        },
     )
 
 
-def _ni_recorder(rig: RigConfig) -> Recorder:
-    recorder = rig.recorder
-    if recorder.address:
-        from drivers.daq.ni_recorder import NiRecorder
-
-        opener: Callable[..., Recorder] = partial(NiRecorder, address=recorder.address, tls=_tls_files(recorder))
-    else:
-        from drivers.daq.recorder_process import ProcessRecorder
-
-        opener = ProcessRecorder
-    return opener(
-        recorder.device or "",
-        reference_input=recorder.reference_input or "",
-        response_input=recorder.response_input or "",
-        terminal=recorder.terminal or "",
-        trigger=recorder.trigger,
-    )
+def _recorder(rig: RigConfig) -> Recorder:
+    driver: RecorderDriver = rig.recorder.make_driver()
+    return driver.open()
 
 
-def _tls_files(recorder: RecorderSection) -> TlsFiles | None:
-    from drivers.daq.ni_session import TlsFiles
-
-    if recorder.tls_root is None:
-        return None
-    own = (recorder.tls_certificate, recorder.tls_key)
-    return TlsFiles(Path(recorder.tls_root), *(None if name is None else Path(name) for name in own))
+def _player(rig: RigConfig) -> Player:
+    driver: PlayerDriver = rig.player.make_driver()
+    return driver.open(Outputs(rig.player.output_full_scale_v, rig.player.interface_rate_hz))
 
 
-def _stream_player(rig: RigConfig) -> Player:
-    from drivers.audio.stream_player import StreamPlayer
-
-    player = rig.player
-    return StreamPlayer(
-        player.host_api,
-        player.device or "",
-        channels=player.outputs,
-        channel_full_scale_v=player.output_full_scale_v,
-        interface_rate_hz=player.interface_rate_hz,
-        block_frames=player.block_frames or 0,
-    )
+def read_vibrometer(section: VibrometerSection, *, any_level: bool = False) -> VibrometerReading:
+    """Ask a vibrometer's controller for its settings; a signal too weak is an error unless any level will do."""
+    driver: VibrometerDriver = section.make_driver()
+    return driver.read(section.port or "", baud=section.baud, identity=section.identity, any_level=any_level)
 
 
 def _vibrometer(rig: RigConfig) -> Vibrometer:
@@ -273,15 +238,7 @@ def _vibrometer(rig: RigConfig) -> Vibrometer:
     configured = vibrometer.sensitivity_m_s_per_v
     if vibrometer.port is None:
         return Vibrometer(configured or 0.0, "vibrometer, its sensitivity typed in", vibrometer.latency_s or 0.0, None)
-    from drivers.vibrometer.polytec import read_sensitivity
-
-    reading = read_sensitivity(
-        vibrometer.port,
-        baud=vibrometer.baud,
-        identity=vibrometer.identity,
-        decoder=vibrometer.decoder or 0,
-        least_signal_level=vibrometer.least_signal_level or 0.0,
-    )
+    reading = read_vibrometer(vibrometer)
     read = reading.sensitivity_m_s_per_v
     if configured is not None and abs(read / configured - 1) > SAME_SENSITIVITY:
         raise InstrumentError(

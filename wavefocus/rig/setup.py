@@ -19,7 +19,7 @@ from drivers.protocols import OffersRanges
 from drivers.timeouts import RECONNECTING, HungError, Lane, bounded
 from wavefocus.console import say
 from wavefocus.rig.calibration_validity import calibration_warnings, identities_of
-from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers
+from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers, read_vibrometer
 
 
 @contextmanager
@@ -138,12 +138,7 @@ class LightSensor:
 
     def read(self) -> float:
         """Share of full signal level."""
-        from drivers.vibrometer.polytec import read_sensitivity
-
-        section = self._section
-        reading = read_sensitivity(
-            section.port or "", baud=section.baud, identity=section.identity, decoder=section.decoder or 0
-        )
+        reading = read_vibrometer(self._section, any_level=True)
         if reading.signal_level is None:
             raise InstrumentError(
                 reading.identity, "asking the signal level", "it does not tell", "leave watch.light out of the rig file"

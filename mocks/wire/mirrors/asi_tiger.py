@@ -26,6 +26,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice
 from mocks.wire.mirrors.motion import MirrorMotion, number
 
 Board = Literal["mems", "dac_4ch", "signal_dac", "stage"]
@@ -57,7 +58,8 @@ class Card:
     modules: tuple[str, ...]
 
 
-class AsiTigerDevice:
+@MIRROR_DEVICES.register
+class AsiTigerDevice(MirrorDevice):
     """A TG-1000 with an XY stage and, as a rule, one scanner card.
 
     Parameters
@@ -82,12 +84,11 @@ class AsiTigerDevice:
         Whether answers are in the Tiger's own syntax (``VB F=1``) when the line is opened.
     address : str
         Raw address of the scanner card: ``"2"``, or a character from 0x81 to 0xF5.
-    name : str
+    build_name : str
         First line of the build information.
     """
 
-    role = "mirror"
-    baud = 115200
+    name = "asi-tiger"
     command_end = "\r"
 
     def __init__(
@@ -102,9 +103,9 @@ class AsiTigerDevice:
         external_input: bool = False,
         tiger_syntax: bool = False,
         address: str = "2",
-        name: str = "TIGER_COMM",
+        build_name: str = "TIGER_COMM",
     ) -> None:
-        self._motion = motion
+        super().__init__(motion)
         self._axes = axes if board != "stage" else ()
         self._units_per_degree = units_per_degree
         self._units_per_mrad = units_per_degree * math.degrees(1e-3) / beam_per_mirror
@@ -114,7 +115,7 @@ class AsiTigerDevice:
         self._modes = dict.fromkeys(self._axes, int(external_input) if board == "mems" else 1)
         self._board = board
         self._tiger_syntax = tiger_syntax
-        self._name = name
+        self._build_name = build_name
         self._cards = [Card("STD_XY", STAGE_CARD, STAGE_AXES, "x", ())]
         if board != "stage":
             self._cards.append(Card(board.upper(), address, axes, "u", MODULES[board]))
@@ -125,6 +126,13 @@ class AsiTigerDevice:
     def modes(self) -> dict[str, int]:
         """What ``PM`` is set to, axis by axis of the scanner."""
         return dict(self._modes)
+
+    @classmethod
+    def turning(cls, motion: MirrorMotion, full_scale_mrad: float | None) -> AsiTigerDevice:
+        if full_scale_mrad is None:
+            return cls(motion)
+        # Beyond what micro-mirrors turn by, it is a galvo.
+        return cls(motion, board="dac_4ch", limit_degrees=math.degrees(full_scale_mrad / 2000))
 
     def operation(self, command: str) -> str:
         verb = command.split(" ", maxsplit=1)[0].upper()
@@ -172,12 +180,12 @@ class AsiTigerDevice:
             f" v3.30 {card.name} Mar 01 2019:15:42:05"
             for card in self._cards
         ]
-        return "\r".join([f"At 30: Comm v3.30 {self._name} Mar 01 2019:15:42:05", *cards]) + "\r\n"
+        return "\r".join([f"At 30: Comm v3.30 {self._build_name} Mar 01 2019:15:42:05", *cards]) + "\r\n"
 
     def _build(self, card: Card | None, in_full: bool) -> str:
         if not in_full:
-            return f"{card.name if card else self._name}\r\n"
-        return self._overview(self._name) if card is None else self._rows(card.name, [card], card.modules)
+            return f"{card.name if card else self._build_name}\r\n"
+        return self._overview(self._build_name) if card is None else self._rows(card.name, [card], card.modules)
 
     def _overview(self, name: str) -> str:
         return self._rows(name, self._cards, ())

@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from functools import reduce
 
+from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice
 from mocks.wire.mirrors.motion import MirrorMotion, number
 
 
-class GenericMirrorDevice:
+@MIRROR_DEVICES.register
+class GenericMirrorDevice(MirrorDevice):
     """A mirror controller as docs/reference/generic-mirror.md defines it.
 
     Parameters
@@ -19,12 +21,10 @@ class GenericMirrorDevice:
         Maker, model, serial number and version, with three commas.
     """
 
-    role = "mirror"
-    baud = 115200
-    command_end = "\n"
+    name = "generic"
 
     def __init__(self, motion: MirrorMotion, identity: str = "wavefocus,generic mirror,0001,1.0") -> None:
-        self._motion = motion
+        super().__init__(motion)
         self._identity = identity
         self._park_mrad = motion.park_mrad
 

@@ -12,13 +12,15 @@ the mirror is on.
 
 from __future__ import annotations
 
+from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice
 from mocks.wire.mirrors.motion import MirrorMotion, number
 
 # Bias, largest difference and filter, as public drivers limit them.
 RANGES = {"VB": (0, 100), "VD": (0, 200), "BW": (50, 15000)}
 
 
-class MirrorcleDevice:
+@MIRROR_DEVICES.register
+class MirrorcleDevice(MirrorDevice):
     """An MTI controller with its mirror; what it was told before its command mode is left, it keeps.
 
     Parameters
@@ -27,21 +29,23 @@ class MirrorcleDevice:
         The mirror.
     full_scale_mrad : float
         Optical angle at full deflection.
-    name : str
-        What it calls itself.
+    identity : str
+        Its name in the greeting.
     """
 
-    role = "mirror"
-    baud = 115200
-    command_end = "\n"
+    name = "mirrorcle-mti"
 
-    def __init__(self, motion: MirrorMotion, full_scale_mrad: float, *, name: str = "MTI-MZ-2.3.113:USB") -> None:
-        self._motion = motion
+    def __init__(self, motion: MirrorMotion, full_scale_mrad: float, *, identity: str = "MTI-MZ-2.3.113:USB") -> None:
+        super().__init__(motion)
         self._full_scale_mrad = full_scale_mrad
-        self._name = name
+        self._identity = identity
         self._commanded = False
         self._enabled = False
         self._target_mrad = (0.0, 0.0)
+
+    @classmethod
+    def turning(cls, motion: MirrorMotion, full_scale_mrad: float | None) -> MirrorcleDevice:
+        return cls(motion, full_scale_mrad or motion.limit_mrad)
 
     def operation(self, command: str) -> str:
         verb = command.split(" ", maxsplit=1)[0]
@@ -50,7 +54,7 @@ class MirrorcleDevice:
     def answer(self, command: str) -> str:
         if command == "$MTI$" and not self._commanded:
             self._commanded = True
-            return self._greeting(self._name)
+            return self._greeting(self._identity)
         if not self._commanded:
             return ""
         verb, *arguments = command.split()

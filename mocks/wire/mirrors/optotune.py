@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 import re
 
+from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice
 from mocks.wire.mirrors.motion import MirrorMotion, number
 
 LEAVE_PRO_MODE = "\x7e\x00\x06\x02\x00\x00\x00\x00\x7e"
@@ -29,7 +30,8 @@ NOT_STABLE = 1 << 4
 FULL_SCALE = math.tan(math.radians(50.0))
 
 
-class OptotuneDevice:
+@MIRROR_DEVICES.register
+class OptotuneDevice(MirrorDevice):
     """An MR-E-2.
 
     Parameters
@@ -40,12 +42,11 @@ class OptotuneDevice:
         Whether another program has left it in its pro mode.
     """
 
-    role = "mirror"
+    name = "optotune-mre2"
     baud = 256000
-    command_end = "\n"
 
     def __init__(self, motion: MirrorMotion, *, pro_mode: bool = False) -> None:
-        self._motion = motion
+        super().__init__(motion)
         self._pro_mode = pro_mode
 
     def operation(self, command: str) -> str:
@@ -76,8 +77,8 @@ class OptotuneDevice:
         return "Ready\r\n"
 
     def restart(self) -> None:
+        super().restart()
         self._pro_mode = False
-        self._motion.start(0.0, 0.0)
 
     def _point(self, x: float, y: float) -> str:
         beyond = max(1.0, math.hypot(x, y))

@@ -9,8 +9,14 @@ import threading
 import traceback
 from dataclasses import dataclass
 
-from drivers.audio.playback import FADE_S, Float32Array, PieceByPiece, Play, Voice
-from drivers.audio.portaudio import DeviceChoiceError, OutputDevice, StreamRequest, WatchedStream, load_sounddevice
+from drivers.audio.stream.playback import FADE_S, Float32Array, PieceByPiece, Play, Voice
+from drivers.audio.stream.portaudio import (
+    DeviceChoiceError,
+    OutputDevice,
+    StreamRequest,
+    WatchedStream,
+    load_sounddevice,
+)
 from drivers.process import Alive, Ask, Close, Lost, MessagePipe, pipe_to_parent
 
 CLOSING_S = 3.0

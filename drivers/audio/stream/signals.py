@@ -11,8 +11,8 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.audio.player_process import Forget, Store
 from drivers.audio.resampling import converted, lead_samples, rate_ratio
+from drivers.audio.stream.player_process import Forget, Store
 from drivers.errors import InstrumentError
 
 Float64Array = NDArray[np.float64]

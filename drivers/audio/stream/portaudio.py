@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.audio.playback import Playback
+from drivers.audio.stream.playback import Playback
 from drivers.protocols import DeviceIdentity
 
 
@@ -134,7 +134,7 @@ AHEAD_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class StreamRequest:
-    """What to open; `host_api` and `device` as of `drivers.audio.portaudio.choose`, `block_frames` 0 for the host's."""
+    """What to open; `host_api` and `device` as of `choose`, `block_frames` 0 for the host's."""
 
     host_api: str | None
     device: str

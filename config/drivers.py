@@ -1,0 +1,137 @@
+"""Tables of a rig file whose keys depend on the driver; the drivers state their own, see `drivers.registry`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields
+from types import UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+from pydantic import Field, create_model, model_validator
+
+from config.fields import Finite, Table, Text, Whole, like, mistake
+from config.loading import shown
+from drivers.registry import KeyMistakeError
+
+Section = TypeVar("Section", bound="DriverTable")
+
+
+class DriverTable(Table):
+    """A table with a key ``driver``, keys of every driver, and keys of single ones, which are None elsewhere.
+
+    Attributes
+    ----------
+    drivers : mapping from name to data class
+        The drivers that have keys.
+    shared_keys : mapping from key to str
+        Keys that each of these has; what is missing, if it is needed, else empty.
+    """
+
+    drivers: ClassVar[Mapping[str, type[Any]]] = {}
+    shared_keys: ClassVar[Mapping[str, str]] = {}
+
+    driver: str = "virtual"
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, key: str) -> Any: ...
+
+    def make_driver(self) -> Any:
+        """The driver, with its keys. Raises KeyMistakeError where they do not go together."""
+        driver = self.drivers[self.driver]
+        values = {key.name: getattr(self, key.name) for key in fields(driver)}
+        return driver(**{key: value for key, value in values.items() if value is not None})
+
+    def plan_keys(self) -> set[str]:
+        """Keys of the drivers that must not change in a campaign."""
+        return {key.name for driver in self.drivers.values() for key in fields(driver) if key.metadata["in_plan"]}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _driver_defaults(cls, data: Any) -> Any:
+        """Fill in the driver's own defaults, so that the validated table says everything outright."""
+        name = data.get("driver", cls.model_fields["driver"].default) if isinstance(data, dict) else None
+        if not isinstance(name, str) or name not in cls.drivers:
+            return data
+        driver = cls.drivers[name]
+        own = {key.name: key.default for key in fields(driver) if key.default not in (MISSING, None)}
+        own |= getattr(driver, "table_defaults", {})
+        given = {key: value for key, value in data.items() if value is not None or key not in own}
+        return {**own, **given}
+
+    @model_validator(mode="after")
+    def _driver_keys(self: Section) -> Section:
+        """Refuse keys that belong to another driver, and miss those that this one cannot do without."""
+        owners = {key: list(self.drivers) for key in self.shared_keys}
+        needed = {(name, key): text for name in self.drivers for key, text in self.shared_keys.items() if text}
+        for name, driver in self.drivers.items():
+            for field in fields(driver):
+                owners.setdefault(field.name, []).append(name)
+                if field.default is MISSING:
+                    needed[name, field.name] = field.metadata["description"]
+        for key, names in owners.items():
+            value = getattr(self, key)
+            if value is not None and self.driver not in names:
+                belongs = _either([shown(name) for name in names])
+                raise mistake(key, value, f"belongs to driver {belongs}; the driver here is {shown(self.driver)}")
+            if value is None and (self.driver, key) in needed:
+                wanted = needed[self.driver, key]
+                raise mistake(key, None, f"is missing; driver {shown(self.driver)} needs {wanted}")
+        if self.driver in self.drivers:
+            try:
+                self.make_driver()
+            except KeyMistakeError as wrong:
+                raise mistake(wrong.key, wrong.value, wrong.allowed) from None
+        return self
+
+
+def with_drivers(section: type[Section], drivers: Mapping[str, type[Any]]) -> type[Section]:
+    """The table with the keys of all its drivers; two drivers with a key of one name mean the same by it.
+
+    Parameters
+    ----------
+    section : type of DriverTable
+        The keys of every driver; the default of ``driver`` has no others.
+    drivers : mapping from name to data class
+        As registered.
+    """
+    default = section.model_fields["driver"].default
+    keys: dict[str, Any] = {"driver": (Literal[(default, *drivers)], default)}
+    for driver in drivers.values():
+        hints = get_type_hints(driver)
+        for key in fields(driver):
+            about = key.metadata
+            described = Field(default=None, title=about["title"], description=about["description"])
+            keys[key.name] = (Union[_checked(hints[key.name], about), None], described)  # noqa: UP007
+    module = section.__module__
+    made = create_model(section.__name__, __base__=section, __doc__=section.__doc__, __module__=module, **keys)
+    made.drivers = drivers
+    return made
+
+
+def _checked(hint: Any, about: Mapping[str, Any]) -> Any:
+    """A type as strict as those of every table, within the bounds of a key."""
+    parts = tuple(one if one is Ellipsis else _checked(one, about) for one in get_args(hint))
+    if get_origin(hint) in (Union, UnionType):
+        return Union[parts]  # noqa: UP007  # made here
+    if get_origin(hint) is tuple:
+        return tuple[parts]  # type: ignore[valid-type]  # made here
+    if hint is str and about["pattern"] is not None:
+        return Annotated[Text, like(*about["pattern"])]
+    strict = {float: Finite, int: Whole, str: Text}.get(hint, hint)
+    return Annotated[strict, Field(**about["bounds"])] if about["bounds"] else strict
+
+
+def _either(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"

@@ -1,0 +1,35 @@
+"""The player driver ``sounddevice``: its keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.protocols import Player
+from drivers.registry import PLAYERS, Outputs, rig_key
+
+
+@PLAYERS.register
+@dataclass(frozen=True, kw_only=True)
+class SoundDevice:
+    """Any audio interface that PortAudio has a host API for."""
+
+    host_api: str | None = rig_key("Host API", "PortAudio's name of the driver model; any, if left out", default=None)
+    device: str = rig_key("Device", "the interface's name, or a part of it that no other has")
+    block_frames: int = rig_key(
+        "Block", "Frames per callback; 0 for what suits the host", default=0, ge=0, le=1_000_000
+    )
+
+    name = "sounddevice"
+
+    def open(self, outputs: Outputs) -> Player:
+        """Open the device."""
+        from drivers.audio.stream.player import StreamPlayer
+
+        return StreamPlayer(
+            self.host_api,
+            self.device,
+            channels=len(outputs.full_scale_v),
+            channel_full_scale_v=outputs.full_scale_v,
+            interface_rate_hz=outputs.rate_hz,
+            block_frames=self.block_frames,
+        )

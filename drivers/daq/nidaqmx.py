@@ -1,0 +1,73 @@
+"""The recorder driver ``nidaqmx``: its keys, and which of two ways leads to the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from drivers.protocols import Recorder
+from drivers.registry import RECORDERS, KeyMistakeError, rig_key
+
+ANALOG_INPUT = (r"ai\d{1,3}", 'must be "ai0", "ai1" and so on')
+
+
+@RECORDERS.register
+@dataclass(frozen=True, kw_only=True)
+class NiDaqmx:
+    """NI-DAQmx on this computer, or behind NI's gRPC Device Server on another."""
+
+    device: str = rig_key("Device", 'the name that NI MAX shows, such as "Dev1"')
+    address: str | None = rig_key(
+        "Address", "HOST:PORT of NI's gRPC Device Server, if the box is behind one", default=None
+    )
+    tls_root: str | None = rig_key("TLS root", "PEM file that has signed the server's certificate", default=None)
+    tls_certificate: str | None = rig_key("TLS certificate", "PEM file of this client, for mutual TLS", default=None)
+    tls_key: str | None = rig_key("TLS key", "PEM file of this client's key, for mutual TLS", default=None)
+    reference_input: str = rig_key(
+        "Reference input", "Input of the loopback", default="ai0", in_plan=True, pattern=ANALOG_INPUT
+    )
+    response_input: str = rig_key(
+        "Response input", "Input of the vibrometer", default="ai1", in_plan=True, pattern=ANALOG_INPUT
+    )
+    terminal: Literal["differential", "rse", "nrse", "pseudodifferential"] = rig_key(
+        "Terminal", "How the inputs are wired", default="differential", in_plan=True
+    )
+    trigger: str | None = rig_key("Trigger", "Digital input whose rising edge starts a record", default=None)
+
+    name = "nidaqmx"
+
+    def __post_init__(self) -> None:
+        if self.reference_input == self.response_input:
+            raise KeyMistakeError("response_input", self.response_input, "is already the reference_input")
+        if self.address is not None:
+            host, _, port = self.address.rpartition(":")
+            if not (host and port.isdecimal() and int(port) < 65536):
+                raise KeyMistakeError("address", self.address, "must be HOST:PORT of a gRPC Device Server")
+        if self.tls_root is not None and self.address is None:
+            raise KeyMistakeError("tls_root", self.tls_root, "must be left out, or an address given")
+        for one, other in (("tls_certificate", "tls_key"), ("tls_key", "tls_certificate")):
+            value = getattr(self, one)
+            if value is not None and (self.tls_root is None or getattr(self, other) is None):
+                raise KeyMistakeError(one, value, f"needs tls_root and {other}")
+
+    def open(self) -> Recorder:
+        """Open the device: in a process of its own, unless a server has it."""
+        wiring: dict[str, Any] = {
+            "reference_input": self.reference_input,
+            "response_input": self.response_input,
+            "terminal": self.terminal,
+            "trigger": self.trigger or None,
+        }
+        if self.address is None:
+            from drivers.daq.ni.recorder_process import ProcessRecorder
+
+            return ProcessRecorder(self.device, **wiring)
+        from drivers.daq.ni.ni_recorder import NiRecorder
+        from drivers.daq.ni.ni_session import TlsFiles
+
+        tls = None
+        if self.tls_root is not None:
+            own = (None if name is None else Path(name) for name in (self.tls_certificate, self.tls_key))
+            tls = TlsFiles(Path(self.tls_root), *own)
+        return NiRecorder(self.device, address=self.address, tls=tls, **wiring)
