@@ -16,11 +16,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
 
 MARK_COMMIT_MS = 10.0
 ACTUATORS, TAPS = 20, 2000

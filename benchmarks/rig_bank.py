@@ -21,10 +21,9 @@ from calibration.rig.mirror_map import MirrorMap
 from mocks.virtual.rig import VirtualRig
 from rendering.field.metrics import band_weights
 from rendering.greens.source import GreenArray
-from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
 
 Float64Array = NDArray[np.float64]
 

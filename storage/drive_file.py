@@ -7,25 +7,24 @@ from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_digest, hdf5_safety
+from storage import hdf5_digest, hdf5_reading
 from storage.errors import InputError
-from storage.hdf5_output import created
-from storage.labelled_hdf5 import label, require_sample_times, sample_times
+from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale
 from storage.output_files import replacement
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 FORMAT = "wavefocus-drive"
-VERSION = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """What each actuator plays, and which instants it was made for.
+    """What each actuator plays, and which instants it was made for; out of range, InputError.
 
     Parameters
     ----------
@@ -48,12 +47,7 @@ class Drive:
     verified : bool
         Whether the file that it was read from carries checksums of all its values.
     known_finite : bool
-        Whether the volts need not be looked at: whoever made them knows that they are finite.
-
-    Raises
-    ------
-    InputError
-        When a value is outside what is stated here.
+        Whether the check that the volts are finite is skipped, because the caller made it.
     """
 
     drive_v: Float64Array
@@ -91,25 +85,9 @@ class Drive:
             raise InputError(f"/focus datasets have shapes {sorted(shapes)}; one common length is needed")
 
 
-def write_drive(path: str | Path, drive: Drive) -> None:
-    """Write a drive file, replacing an older one only when the new one is whole.
-
-    Raises
-    ------
-    InputError
-        When the folder is missing or cannot be written.
-    """
-    about = DriveAbout(
-        drive.sample_rate_hz, drive.start_s, drive.method, drive.scale, drive.omitted_bound,
-        drive.focus_sample, drive.focus_position, drive.focus_source, drive.drive_unit,
-    )  # fmt: skip
-    with drive_in_blocks(path, about, drive.drive_v.shape) as append:
-        append(drive.drive_v)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveAbout:
-    """All that a drive file says beside the volts; as of `Drive`."""
+    """All that a drive file says besides the volts; as of `Drive`."""
 
     sample_rate_hz: float
     start_s: float
@@ -122,9 +100,15 @@ class DriveAbout:
     drive_unit: str = "V"
 
 
+def write_drive(path: str | Path, drive: Drive) -> None:
+    """Write a drive file, replacing an older one only when the new one is whole; InputError where it cannot."""
+    with drive_in_blocks(path, drive, drive.drive_v.shape) as append:
+        append(drive.drive_v)
+
+
 @contextmanager
 def drive_in_blocks(
-    path: str | Path, about: DriveAbout, shape: tuple[int, ...]
+    path: str | Path, about: DriveAbout | Drive, shape: tuple[int, ...]
 ) -> Iterator[Callable[[Float64Array], None]]:
     """Write a drive file block by block, replacing an older one only when the new one is whole.
 
@@ -132,7 +116,7 @@ def drive_in_blocks(
     ----------
     path : str or Path
         The file.
-    about : DriveAbout
+    about : DriveAbout or Drive
         What it says of the drive.
     shape : tuple of int
         Actuators and samples of the whole drive.
@@ -151,18 +135,16 @@ def drive_in_blocks(
     data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 3 * len(about.focus_sample))
     with replacement(path) as temporary, created(temporary, data_bytes) as file:
         file.attrs["format"] = FORMAT
-        file.attrs["format_version"] = VERSION
-        file.attrs["sample_rate_hz"] = float(about.sample_rate_hz)
-        file.attrs["start_s"] = float(about.start_s)
+        file.attrs["format_version"] = 1
+        for name in ("sample_rate_hz", "start_s", "scale", "omitted_bound"):
+            file.attrs[name] = float(getattr(about, name))
         file.attrs["method"] = about.method
-        file.attrs["scale"] = float(about.scale)
-        file.attrs["omitted_bound"] = float(about.omitted_bound)
         file.attrs["drive_unit"] = about.drive_unit
-        volts = file.create_dataset("drive", shape=shape, dtype="<f8")
-        volts.attrs["units"] = about.drive_unit
+        volts = reserved(file, "/drive", shape, "<f8", about.drive_unit)
         for name in ("sample", "position", "source"):
-            file.create_dataset(f"focus/{name}", data=getattr(about, f"focus_{name}"), dtype="<i8")
-        label(volts, actuator=np.arange(shape[0]), time_s=sample_times(shape[1], about.sample_rate_hz, about.start_s))
+            filled(file, f"/focus/{name}", np.asarray(getattr(about, f"focus_{name}"), np.int64))
+        times_s = sample_times(shape[1], about.sample_rate_hz, about.start_s)
+        attach(volts, scale(file, "actuator", np.arange(shape[0])), scale(file, "time_s", times_s, "s"))
         done = 0
 
         def append(block: Float64Array) -> None:
@@ -187,43 +169,33 @@ def read_drive(path: str | Path) -> Drive:
         When the file is missing, damaged, no drive file, of a future version, or holds values out of range.
     """
     path = Path(path)
-    with hdf5_safety.opened(path) as file:
-        hdf5_safety.require_format(file, path, FORMAT, VERSION)
-        hdf5_safety.require_sound_texts(file, path)
-        dataset = hdf5_safety.plain_dataset(file, "/drive", path)
-        values = hdf5_safety.read_whole(dataset, path)
-        focus = {}
-        for name in ("sample", "position", "source"):
-            focus[name] = np.zeros(0, np.int64)
-            if hdf5_safety.has(file, f"/focus/{name}"):
-                focus[name] = hdf5_safety.read_integers(file, f"/focus/{name}", path)
-        rate, start_s = (hdf5_safety.number(file, name, path) for name in ("sample_rate_hz", "start_s"))
-        method = hdf5_safety.text(file, "method", path) or "unknown"
-        scale = hdf5_safety.number(file, "scale", path, default=1.0)
-        omitted_bound = hdf5_safety.number(file, "omitted_bound", path, default=0.0)
-        drive_unit = hdf5_safety.text(file, "drive_unit", path) or "V"
+    with hdf5_reading.opened_as(path, FORMAT) as file:
+        dataset = hdf5_reading.plain_dataset(file, "/drive", path)
+        values = hdf5_reading.read_whole(dataset, path)
+        sample, position, source = (_focus(file, path, name) for name in ("sample", "position", "source"))
+        rate, start_s = (hdf5_reading.number(file, name, path) for name in ("sample_rate_hz", "start_s"))
+        method = hdf5_reading.text(file, "method", path) or "unknown"
+        factor = hdf5_reading.number(file, "scale", path, default=1.0)
+        omitted_bound = hdf5_reading.number(file, "omitted_bound", path, default=0.0)
+        drive_unit = hdf5_reading.text(file, "drive_unit", path) or "V"
         try:
             drive = Drive(
-                drive_v=np.asarray(values, np.float64),
-                sample_rate_hz=rate,
-                start_s=start_s,
-                method=method,
-                scale=scale,
-                omitted_bound=omitted_bound,
-                focus_sample=focus["sample"],
-                focus_position=focus["position"],
-                focus_source=focus["source"],
-                drive_unit=drive_unit,
-            )
+                np.asarray(values, np.float64), rate, start_s, method, factor, omitted_bound, sample, position, source,
+                drive_unit,
+            )  # fmt: skip
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-        require_sample_times(file, path, values.shape[1], rate, start_s)
+        hdf5_reading.require_sample_times(file, path, values.shape[1], rate, start_s)
         # Last, so that a value that is wrong in itself is named.
-        hdf5_digest.require_contents(file, path)
-        verified = hdf5_digest.require_datasets(file, path, {"/drive"})
+        verified = hdf5_digest.require_all(file, path, apart="/drive")
         if (expected := hdf5_digest.expected_sha256(dataset, path)) is not None:
             hdf5_digest.require_values(hdf5_digest.values_sha256(values), expected, "/drive", path)
     return drive if verified else replace(drive, verified=False, known_finite=True)
+
+
+def _focus(file: h5py.File, path: Path, name: str) -> Int64Array:
+    there = hdf5_reading.has(file, f"/focus/{name}")
+    return hdf5_reading.read_integers(file, f"/focus/{name}", path) if there else np.zeros(0, np.int64)
 
 
 def _finite(values: Float64Array) -> bool:

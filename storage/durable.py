@@ -1,19 +1,19 @@
-"""Writing that survives a crash: the one module that knows which calls a platform has.
+"""Files read and written at stated offsets, names that survive a power cut: the calls that a platform has.
 
-Two implementations stand behind :class:`PositionedFile`: :class:`PosixFile` with the calls that Linux and
-macOS offer, and :class:`PortableFile` with what Python has everywhere.
+:class:`PositionedFile` uses what Python has everywhere, :class:`PosixFile` the calls of Linux and macOS.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
-import io
 import os
 import sys
 import threading
 import weakref
 from pathlib import Path
-from typing import Protocol
+from types import TracebackType
+from typing import Protocol, Self
 
 if sys.platform == "win32":
     import msvcrt
@@ -24,44 +24,32 @@ PAGE = 4096
 # A byte that no file reaches: Windows locks are mandatory, and readers must not meet them.
 _FAR_BYTE = 1 << 62
 _COPY_BYTES = 1 << 20
+_NETWORK_TYPES = frozenset({
+    "9p", "afs", "beegfs", "ceph", "cifs", "davfs", "fuse.ceph", "fuse.davfs", "fuse.glusterfs", "fuse.rclone",
+    "fuse.sshfs", "glusterfs", "lustre", "ncpfs", "nfs", "nfs4", "smb3", "smbfs", "virtiofs",
+})  # fmt: skip
 
 
-class PositionedFile(Protocol):
-    """An open file that is read and written at stated offsets, unbuffered; failures are ``OSError``."""
+class Closing:
+    """A context manager that calls its own `close`."""
 
-    def read_into(self, offset: int, buffer: memoryview) -> None:
-        """Fill all of ``buffer`` from byte ``offset`` on."""
-
-    def write(self, offset: int, data: bytes | memoryview) -> None:
-        """Write all of ``data`` from byte ``offset`` on."""
-
-    def sync(self) -> None:
-        """Return when all that was written is on the disk."""
-
-    def reserve(self, size: int) -> None:
-        """Claim disk space for ``size`` bytes; what the file holds stays."""
-
-    def size(self) -> int:
-        """Bytes in the file."""
-
-    def is_named(self, path: Path) -> bool:
-        """Tell whether a path leads to this very file."""
-
-    def name_again(self, path: Path) -> bool:
-        """Give a file that was renamed a free name as well; False where that is not possible."""
-
-    def try_lock(self) -> bool:
-        """Become the one owner until closed; False when another process is."""
-
-    def locked_elsewhere(self) -> bool:
-        """Tell whether some other open file owns it."""
+    __slots__ = ()
 
     def close(self) -> None:
-        """Close, and release the lock."""
+        """Release what is open."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
 
-class PosixFile:
-    """A file through ``pread``, ``pwrite``, ``fdatasync``, ``posix_fallocate`` and ``flock``.
+class PositionedFile:
+    """An open file that is read and written at stated offsets, unbuffered; failures are ``OSError``.
 
     Parameters
     ----------
@@ -72,19 +60,109 @@ class PosixFile:
     """
 
     def __init__(self, path: Path, *, write: bool = False) -> None:
-        self._fd = os.open(path, os.O_RDWR if write else os.O_RDONLY)
+        self._fd = os.open(path, (os.O_RDWR if write else os.O_RDONLY) | getattr(os, "O_BINARY", 0))
+        self._cursor = threading.Lock()  # seek and read are two steps
+
+    def read_into(self, offset: int, buffer: memoryview) -> None:
+        """Fill all of ``buffer`` from byte ``offset`` on."""
+        view = buffer.cast("B")
+        with self._cursor:
+            os.lseek(self._fd, offset, os.SEEK_SET)
+            while view:
+                part = os.read(self._fd, len(view))
+                if not part:
+                    raise _short_file(offset)
+                view[: len(part)] = part
+                view = view[len(part) :]
+
+    def write(self, offset: int, data: bytes | memoryview) -> None:
+        """Write all of ``data`` from byte ``offset`` on."""
+        view = memoryview(data).cast("B")
+        with self._cursor:
+            os.lseek(self._fd, offset, os.SEEK_SET)
+            while view:
+                view = view[os.write(self._fd, view) :]
+
+    def sync(self) -> None:
+        """Return when all that was written is on the disk."""
+        os.fsync(self._fd)
+
+    def reserve(self, size: int) -> None:
+        """Claim disk space for ``size`` bytes: holes are filled with zeros, what the file holds stays."""
+        held = self.size()
+        for offset in range(0, size, _COPY_BYTES):
+            block = bytearray(min(_COPY_BYTES, size - offset))
+            readable = max(0, min(len(block), held - offset))
+            if readable:
+                self.read_into(offset, memoryview(block)[:readable])
+            self.write(offset, memoryview(block))
+
+    def size(self) -> int:
+        """Bytes in the file."""
+        return os.fstat(self._fd).st_size
+
+    def is_named(self, path: Path) -> bool:
+        """Whether a path leads to this very file."""
+        try:
+            return os.path.samestat(path.stat(), os.fstat(self._fd))
+        except OSError:
+            return False
+
+    def name_again(self, path: Path) -> bool:
+        """Give a file that was renamed a free name as well; False where the platform cannot."""
+        return False
+
+    def try_lock(self) -> bool:
+        """Become the one owner until closed; False when another process is."""
+        locked = self._lock(exclusive=True)
+        if locked:
+            _locked_files.add(self)
+        return locked
+
+    def locked_elsewhere(self) -> bool:
+        """Whether some other open file owns it."""
+        if not self._lock(exclusive=False):
+            return True
+        if sys.platform == "win32":
+            os.lseek(self._fd, _FAR_BYTE, os.SEEK_SET)
+            msvcrt.locking(self._fd, msvcrt.LK_UNLCK, 1)
+        else:
+            fcntl.flock(self._fd, fcntl.LOCK_UN)
+        return False
+
+    def close(self) -> None:
+        """Close, and release the lock."""
+        if self._fd >= 0:
+            fd, self._fd = self._fd, -1
+            os.close(fd)
+
+    def _lock(self, *, exclusive: bool) -> bool:
+        """Lock the file; never by ``lockf``, whose lock is lost as soon as HDF5 reads the same file."""
+        try:
+            if sys.platform == "win32":
+                os.lseek(self._fd, _FAR_BYTE, os.SEEK_SET)
+                msvcrt.locking(self._fd, msvcrt.LK_NBLCK, 1)
+            else:
+                fcntl.flock(self._fd, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
+                raise
+            return False
+        return True
+
+
+class PosixFile(PositionedFile):
+    """A file through ``preadv``, ``pwrite``, ``fdatasync`` and ``posix_fallocate``."""
 
     if sys.platform != "win32":
 
         def read_into(self, offset: int, buffer: memoryview) -> None:
+            if not hasattr(os, "preadv"):
+                super().read_into(offset, buffer)
+                return
             view = buffer.cast("B")
             while view:
-                if hasattr(os, "preadv"):
-                    count = os.preadv(self._fd, [view], offset)
-                else:
-                    part = os.pread(self._fd, len(view), offset)
-                    count = len(part)
-                    view[:count] = part
+                count = os.preadv(self._fd, [view], offset)
                 if count == 0:
                     raise _short_file(offset)
                 view, offset = view[count:], offset + count
@@ -95,115 +173,36 @@ class PosixFile:
                 count = os.pwrite(self._fd, view, offset)
                 view, offset = view[count:], offset + count
 
-    def try_lock(self) -> bool:
-        locked = _lock_open_file(self._fd, exclusive=True)
-        if locked:
-            _locked_files.add(self)
-        return locked
+        def sync(self) -> None:
+            if sys.platform == "darwin":
+                # fsync on macOS stops at the drive's own cache (fsync(2), macOS manual page).
+                with contextlib.suppress(OSError):
+                    fcntl.fcntl(self._fd, fcntl.F_FULLFSYNC)
+                    return
+                os.fsync(self._fd)
+            else:
+                os.fdatasync(self._fd)
 
-    def locked_elsewhere(self) -> bool:
-        if not _lock_open_file(self._fd, exclusive=False):
-            return True
-        _unlock_open_file(self._fd)
-        return False
+        def reserve(self, size: int) -> None:
+            if hasattr(os, "posix_fallocate"):  # not on macOS
+                try:
+                    os.posix_fallocate(self._fd, 0, size)
+                except OSError as error:
+                    if error.errno not in (errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL):
+                        raise
+                else:
+                    return
+            super().reserve(size)
 
-    def sync(self) -> None:
-        _sync_data(self._fd)
-
-    def reserve(self, size: int) -> None:
-        if not hasattr(os, "posix_fallocate"):  # macOS
-            _reserve_by_rewriting(self, size)
-            return
-        try:
-            os.posix_fallocate(self._fd, 0, size)
-        except OSError as error:
-            if error.errno not in (errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL):
-                raise
-            _reserve_by_rewriting(self, size)
-
-    def size(self) -> int:
-        return os.fstat(self._fd).st_size
-
-    def is_named(self, path: Path) -> bool:
-        return _same_file(path, self._fd)
-
-    def name_again(self, path: Path) -> bool:
-        try:
-            os.link(Path(f"/proc/self/fd/{self._fd}").readlink(), path)  # where Linux keeps the present name
-        except OSError:
-            return False
-        return self.is_named(path)
-
-    def close(self) -> None:
-        if self._fd >= 0:
-            fd, self._fd = self._fd, -1
-            os.close(fd)
+        def name_again(self, path: Path) -> bool:
+            try:
+                os.link(Path(f"/proc/self/fd/{self._fd}").readlink(), path)  # where Linux keeps the present name
+            except OSError:
+                return False
+            return self.is_named(path)
 
 
-class PortableFile:
-    """A file through seek, read and write alone, for platforms without the calls of :class:`PosixFile`.
-
-    Parameters
-    ----------
-    path : Path
-        An existing file; it is never created and never truncated.
-    write : bool
-        Whether it is opened for writing.
-    """
-
-    def __init__(self, path: Path, *, write: bool = False) -> None:
-        self._file = io.FileIO(path, "r+" if write else "r")
-        self._cursor = threading.Lock()  # seek and read are two steps
-
-    def read_into(self, offset: int, buffer: memoryview) -> None:
-        view = buffer.cast("B")
-        with self._cursor:
-            self._file.seek(offset)
-            while view:
-                count = self._file.readinto(view)
-                if not count:
-                    raise _short_file(offset)
-                view = view[count:]
-
-    def write(self, offset: int, data: bytes | memoryview) -> None:
-        view = memoryview(data).cast("B")
-        with self._cursor:
-            self._file.seek(offset)
-            while view:
-                view = view[self._file.write(view) or 0 :]
-
-    def sync(self) -> None:
-        os.fsync(self._file.fileno())
-
-    def reserve(self, size: int) -> None:
-        _reserve_by_rewriting(self, size)
-
-    def size(self) -> int:
-        return os.fstat(self._file.fileno()).st_size
-
-    def is_named(self, path: Path) -> bool:
-        return _same_file(path, self._file.fileno())
-
-    def name_again(self, path: Path) -> bool:
-        return False  # Windows keeps an open file from being renamed
-
-    def try_lock(self) -> bool:
-        locked = _lock_open_file(self._file.fileno(), exclusive=True)
-        if locked:
-            _locked_files.add(self)
-        return locked
-
-    def locked_elsewhere(self) -> bool:
-        if not _lock_open_file(self._file.fileno(), exclusive=False):
-            return True
-        _unlock_open_file(self._file.fileno())
-        return False
-
-    def close(self) -> None:
-        self._file.close()
-
-
-_locked_files: weakref.WeakSet[PosixFile | PortableFile] = weakref.WeakSet()
+_locked_files: weakref.WeakSet[PositionedFile] = weakref.WeakSet()
 
 
 def _close_in_forked_child() -> None:
@@ -219,7 +218,7 @@ if hasattr(os, "register_at_fork"):
 
 def open_file(path: Path, *, write: bool = False) -> PositionedFile:
     """Open an existing file with the best that this platform has."""
-    return PortableFile(path, write=write) if sys.platform == "win32" else PosixFile(path, write=write)
+    return PositionedFile(path, write=write) if sys.platform == "win32" else PosixFile(path, write=write)
 
 
 class OpenFile(Protocol):
@@ -281,58 +280,23 @@ def sync_folder(folder: Path) -> None:
         os.close(fd)
 
 
-def _same_file(path: Path, fd: int) -> bool:
-    try:
-        return os.path.samestat(path.stat(), os.fstat(fd))
-    except OSError:
-        return False
+def is_network_mount(path: Path) -> bool:
+    """Whether a path lies on a network drive, where locks and syncs are unreliable; False without ``/proc/mounts``."""
+    mounts = Path("/proc/mounts")
+    return mounts.exists() and is_network_mount_in(mounts.read_text(), path.absolute())
 
 
-def _sync_data(fd: int) -> None:
-    if sys.platform == "darwin":
-        # fsync on macOS stops at the drive's own cache (fsync(2), macOS manual page).
-        try:
-            fcntl.fcntl(fd, fcntl.F_FULLFSYNC)
-        except OSError:
-            os.fsync(fd)
-    elif hasattr(os, "fdatasync"):
-        os.fdatasync(fd)
-    else:
-        os.fsync(fd)
-
-
-def _reserve_by_rewriting(file: PosixFile | PortableFile, size: int) -> None:
-    """Write back what each block holds: where the file had holes, zeros now take space."""
-    held = file.size()
-    for offset in range(0, size, _COPY_BYTES):
-        block = bytearray(min(_COPY_BYTES, size - offset))
-        readable = max(0, min(len(block), held - offset))
-        if readable:
-            file.read_into(offset, memoryview(block)[:readable])
-        file.write(offset, memoryview(block))
-
-
-def _lock_open_file(fd: int, *, exclusive: bool) -> bool:
-    """Lock an open file; never by ``lockf``, whose lock is lost as soon as HDF5 reads the same file."""
-    try:
-        if sys.platform == "win32":
-            os.lseek(fd, _FAR_BYTE, os.SEEK_SET)
-            msvcrt.locking(fd, msvcrt.LK_NBLCK, 1)
-        else:
-            fcntl.flock(fd, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
-            raise
-        return False
-    return True
-
-
-def _unlock_open_file(fd: int) -> None:
-    if sys.platform == "win32":
-        os.lseek(fd, _FAR_BYTE, os.SEEK_SET)
-        msvcrt.locking(fd, msvcrt.LK_UNLCK, 1)
-    else:
-        fcntl.flock(fd, fcntl.LOCK_UN)
+def is_network_mount_in(mounts: str, path: Path) -> bool:
+    """As :func:`is_network_mount`, for a table in the form of ``/proc/mounts`` (fstab(5))."""
+    best, kind = -1, ""
+    for line in mounts.splitlines():
+        fields = line.split()
+        if len(fields) < 3:
+            continue
+        folder = Path(fields[1].replace("\\040", " "))
+        if path.is_relative_to(folder) and len(folder.parts) >= best:
+            best, kind = len(folder.parts), fields[2]
+    return kind in _NETWORK_TYPES
 
 
 def _short_file(offset: int) -> OSError:

@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import ExitStack
-from dataclasses import InitVar, dataclass, replace
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import InitVar, dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from storage import hdf5_digest, hdf5_safety
+from storage import hdf5_digest, hdf5_reading
+from storage.durable import Closing
 from storage.errors import InputError
-from storage.hdf5_output import created
-from storage.labelled_hdf5 import label, require_sample_times, sample_times
+from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale
 from storage.output_files import replacement
 
 FieldArray = NDArray[np.float32] | NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 FORMAT = "wavefocus-field"
-VERSION = 1
+AT_ONCE_BYTES = 32 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class LowPass:
-    """What a field lost when it was made at a fraction of the bank's rate.
+    """What a field lost when it was made at a fraction of the bank's rate; out of range, InputError.
 
     Parameters
     ----------
@@ -36,11 +35,6 @@ class LowPass:
         Frequencies up to this are in the field as they are, > 0.
     factor : int
         The bank's rate over the field's, >= 2.
-
-    Raises
-    ------
-    InputError
-        When the factor is below 2, or the frequency not above 0.
     """
 
     passed_hz: float
@@ -55,7 +49,7 @@ class LowPass:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Field:
-    """The response at positions of a bank over time.
+    """The response at positions of a bank over time; out of range, InputError.
 
     Parameters
     ----------
@@ -74,12 +68,7 @@ class Field:
     verified : bool
         Whether the file that it was read from carries checksums of all its values.
     known_finite : bool
-        Whether the responses need not be looked at: whoever made them knows that they are finite.
-
-    Raises
-    ------
-    InputError
-        When a value is outside what is stated here.
+        Whether the check that the responses are finite is skipped, because the caller made it.
     """
 
     field: FieldArray
@@ -114,12 +103,56 @@ def _require_finite(values: NDArray[Any], position_index: Int64Array) -> None:
 
 
 class FieldWriter:
-    """Writes a field file row by row; a context manager whose file appears only when all rows were written.
+    """Writes the rows of a field file; made by :func:`field_in_rows`."""
+
+    def __init__(self, path: Path, data: h5py.Dataset) -> None:
+        self._path, self._data = path, data
+        self._written = np.zeros(len(data), bool)
+        self._digest = hdf5_digest.RunningDigest(data.dtype)
+        self._summed = 0
+
+    def write(self, first: int, rows: FieldArray) -> None:
+        """Write rows ``first``, ``first + 1``, ...; ``rows`` is (k, samples) and finite, or InputError is raised."""
+        last, shape = first + len(rows), self._data.shape
+        if np.shape(rows)[1:] != shape[1:] or first < 0 or last > shape[0]:
+            raise InputError(f"rows {first} to {last} of shape {np.shape(rows)} do not fit a field of {shape}")
+        if not np.isfinite(rows).all():
+            raise InputError(f"{self._path}: the field of rows {first} to {last} holds NaN or infinities")
+        self._data[first:last] = rows
+        self._written[first:last] = True
+        if first == self._summed:
+            self._digest.update(rows)
+            self._summed = last
+        else:
+            self._summed = -1  # out of order: the whole is read again at the end
+
+    def _finish(self) -> None:
+        if not self._written.all():
+            missing = int(np.flatnonzero(~self._written)[0])
+            raise InputError(f"{self._path}: row {missing} of the field was never written; the file is left out")
+        if self._summed == len(self._data):
+            self._data.attrs[hdf5_digest.VALUES] = self._digest.hexdigest()
+        hdf5_digest.seal(self._data.file)
+
+
+@contextmanager
+def field_in_rows(
+    path: str | Path,
+    position_index: Sequence[int] | Int64Array,
+    samples: int,
+    *,
+    sample_rate_hz: float,
+    start_s: float,
+    response_unit: str,
+    low_pass: LowPass | None = None,
+    dtype: DTypeLike = np.float32,
+) -> Iterator[FieldWriter]:
+    """Write a field file row by row, replacing an older one only when all rows were written.
 
     Parameters
     ----------
     path : str or Path
-        The file; an older one is replaced at the end.
+        The file.
     position_index : sequence of int (K,)
         Positions of the rows to come.
     samples : int
@@ -134,107 +167,33 @@ class FieldWriter:
     InputError
         When a value is outside what is stated here, or the file cannot be written.
     """
-
-    def __init__(
-        self,
-        path: str | Path,
-        position_index: Sequence[int] | Int64Array,
-        samples: int,
-        *,
-        sample_rate_hz: float,
-        start_s: float,
-        response_unit: str,
-        low_pass: LowPass | None = None,
-        dtype: DTypeLike = np.float32,
-    ) -> None:
-        self.path = Path(path)
-        self._index = _indices(position_index, len(position_index))
-        if not len(self._index) or samples < 1:
-            raise InputError(f"a field of {len(self._index)} positions and {samples} samples; 1 or more is needed")
-        _require_times(sample_rate_hz, start_s)
-        self._attributes = {"sample_rate_hz": float(sample_rate_hz), "start_s": float(start_s)}
-        self._unit = response_unit
-        self._low_pass = low_pass
-        self._shape = (len(self._index), samples)
-        self._dtype = np.dtype(dtype).newbyteorder("<")
-        self._written = np.zeros(len(self._index), bool)
-        self._digest = hdf5_digest.RunningDigest(self._dtype)
-        self._summed = 0
-        self._stack = ExitStack()
-
-    def write(self, first: int, rows: FieldArray) -> None:
-        """Write rows ``first``, ``first + 1``, ...; ``rows`` is (k, samples) and finite.
-
-        Raises
-        ------
-        InputError
-            When the rows do not fit or are not finite.
-        """
-        last = first + len(rows)
-        if np.shape(rows)[1:] != self._shape[1:] or first < 0 or last > self._shape[0]:
-            raise InputError(f"rows {first} to {last} of shape {np.shape(rows)} do not fit a field of {self._shape}")
-        if not np.isfinite(rows).all():
-            raise InputError(f"{self.path}: the field of rows {first} to {last} holds NaN or infinities")
-        self._data[first:last] = rows
-        self._written[first:last] = True
-        if first == self._summed:
-            self._digest.update(rows)
-            self._summed = last
-        else:
-            self._summed = -1  # out of order: the whole is read again at the end
-
-    def __enter__(self) -> Self:
-        count, samples = self._shape
-        data_bytes = count * samples * self._dtype.itemsize + 8 * (2 * count + samples)
-        with ExitStack() as stack:
-            temporary = stack.enter_context(replacement(self.path))
-            file = stack.enter_context(created(temporary, data_bytes))
-            file.attrs["format"] = FORMAT
-            file.attrs["format_version"] = VERSION
-            file.attrs["response_unit"] = self._unit
-            for name, value in self._attributes.items():
-                file.attrs[name] = value
-            if self._low_pass is not None:
-                file.attrs["band_hz"] = np.array([0.0, self._low_pass.passed_hz])
-                file.attrs["decimated_by"] = self._low_pass.factor
-            file.create_dataset("position_index", data=self._index, dtype="<i8")
-            self._data = file.create_dataset("field", self._shape, self._dtype)
-            self._data.attrs["units"] = self._unit
-            times = sample_times(self._shape[1], self._attributes["sample_rate_hz"], self._attributes["start_s"])
-            label(self._data, position=self._index, time_s=times)
-            file["position_index"].dims[0].attach_scale(file["position"])
-            self._file = file
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None and not self._written.all():
-            missing = int(np.flatnonzero(~self._written)[0])
-            error = InputError(f"{self.path}: row {missing} of the field was never written; the file is left out")
-            self._stack.__exit__(type(error), error, None)
-            raise error
-        try:
-            if kind is None:
-                if self._summed == len(self._index):
-                    self._data.attrs[hdf5_digest.VALUES] = self._digest.hexdigest()
-                hdf5_digest.seal(self._file)
-        except BaseException as failure:
-            self._stack.__exit__(type(failure), failure, failure.__traceback__)
-            raise
-        self._stack.__exit__(kind, error, trace)
+    path, index = Path(path), _indices(position_index, len(position_index))
+    if not len(index) or samples < 1:
+        raise InputError(f"a field of {len(index)} positions and {samples} samples; 1 or more is needed")
+    _require_times(sample_rate_hz, start_s)
+    kind = np.dtype(dtype).newbyteorder("<")
+    data_bytes = len(index) * samples * kind.itemsize + 8 * (2 * len(index) + samples)
+    with replacement(path) as temporary, created(temporary, data_bytes) as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = 1
+        file.attrs["response_unit"] = response_unit
+        file.attrs["sample_rate_hz"] = float(sample_rate_hz)
+        file.attrs["start_s"] = float(start_s)
+        if low_pass is not None:
+            file.attrs["band_hz"] = np.array([0.0, low_pass.passed_hz])
+            file.attrs["decimated_by"] = low_pass.factor
+        positions = scale(file, "position", index)
+        attach(filled(file, "/position_index", index), positions)
+        data = reserved(file, "/field", (len(index), samples), kind.str, response_unit)
+        attach(data, positions, scale(file, "time_s", sample_times(samples, sample_rate_hz, start_s), "s"))
+        writer = FieldWriter(path, data)
+        yield writer
+        writer._finish()
 
 
 def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32) -> None:
-    """Write a field file, as float32 unless told otherwise.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be written.
-    """
-    with FieldWriter(
+    """Write a field file, as float32 by default; InputError where it cannot be written."""
+    with field_in_rows(
         path,
         field.position_index,
         field.field.shape[1],
@@ -247,6 +206,94 @@ def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32
         writer.write(0, field.field)
 
 
+class FieldRowReader(Closing):
+    """A field file open for reading a few rows at a time, for fields that do not fit into memory; a context manager.
+
+    Attributes
+    ----------
+    position_index : int64 array (K,)
+        Bank row of each row of the field.
+    samples, sample_rate_hz, start_s, response_unit, low_pass
+        As of :class:`Field`.
+    verified : bool
+        Whether the file carries checksums of all its values.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, no field file, or of a future version.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = path = Path(path)
+        with ExitStack() as stack:
+            file = stack.enter_context(hdf5_reading.opened_as(path, FORMAT))
+            self._field: h5py.Dataset = hdf5_reading.plain_dataset(file, "/field", path)
+            if self._field.ndim != 2 or not self._field.size:
+                raise InputError(f"{path}: /field has shape {self._field.shape}; (position, sample) is needed")
+            hdf5_reading.require_rows(self._field, path)
+            index = hdf5_reading.read_integers(file, "/position_index", path)
+            self.samples = int(self._field.shape[1])
+            self.sample_rate_hz = hdf5_reading.number(file, "sample_rate_hz", path)
+            self.start_s = hdf5_reading.number(file, "start_s", path)
+            unit = hdf5_reading.text(file, "response_unit", path)
+            if unit is None:
+                raise InputError(f"{path} has no attribute response_unit")
+            self.response_unit = unit
+            try:
+                self.position_index = _indices(index, len(self._field))
+                self.low_pass = _read_low_pass(file, path)
+                _require_times(self.sample_rate_hz, self.start_s)
+            except InputError as error:
+                raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+            hdf5_reading.require_sample_times(file, path, self.samples, self.sample_rate_hz, self.start_s)
+            self.verified = hdf5_digest.require_all(file, path, apart="/field")
+            self._expected = hdf5_digest.expected_sha256(self._field, path)
+            self._open = stack.pop_all()
+
+    def blocks(self) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Give the first row's number and the values (rows, samples) of some rows at a time.
+
+        Raises
+        ------
+        InputError
+            A row cannot be read, or holds NaN or infinities; after the last one, their checksum does not hold.
+        """
+        digest = hdf5_digest.RunningDigest(self._field.dtype)
+        at_once = max(1, AT_ONCE_BYTES // (8 * self.samples))
+        for first in range(0, len(self.position_index), at_once):
+            try:
+                values = np.asarray(self._field[first : first + at_once])
+            except (OSError, RuntimeError) as error:
+                complaint = hdf5_reading.hdf5_complaint(error)
+                raise InputError(f"{self.path}: /field from row {first} {complaint}") from error
+            if not np.isfinite(values).all():
+                raise InputError(f"{self.path}: /field from row {first} holds NaN or infinities")
+            if self._expected is not None:
+                digest.update(values)
+            yield first, values
+        if self._expected is not None:
+            hdf5_digest.require_values(digest.hexdigest(), self._expected, "/field", self.path)
+            self._expected = None  # once is enough
+
+    def close(self) -> None:
+        """Close the file."""
+        self._open.close()
+
+    def whole(self) -> Field:
+        """Read all rows, as float32 where the file holds no more digits; raises InputError as `blocks`."""
+        kind = self._field.dtype
+        hdf5_reading.require_whole(self._field, self.path)
+        single = kind.kind == "f" and kind.itemsize <= 4
+        values: FieldArray = np.empty(self._field.shape, np.float32 if single else np.float64)
+        for first, block in self.blocks():
+            values[first : first + len(block)] = block
+        return Field(
+            values, self.position_index, self.sample_rate_hz, self.start_s, self.response_unit, self.low_pass,
+            verified=self.verified, known_finite=True,
+        )  # fmt: skip
+
+
 def read_field(path: str | Path) -> Field:
     """Read a field file.
 
@@ -255,51 +302,18 @@ def read_field(path: str | Path) -> Field:
     InputError
         When the file is missing, damaged, no field file, of a future version, or holds values out of range.
     """
-    path = Path(path)
-    with hdf5_safety.opened(path) as file:
-        hdf5_safety.require_format(file, path, FORMAT, VERSION)
-        hdf5_safety.require_sound_texts(file, path)
-        dataset = hdf5_safety.plain_dataset(file, "/field", path)
-        single = dataset.dtype.kind == "f" and dataset.dtype.itemsize <= 4
-        stored = hdf5_safety.read_whole(dataset, path)
-        values: FieldArray = stored.astype(np.float32) if single else stored.astype(np.float64)
-        index = hdf5_safety.read_integers(file, "/position_index", path)
-        rate, start_s = (hdf5_safety.number(file, name, path) for name in ("sample_rate_hz", "start_s"))
-        unit = hdf5_safety.text(file, "response_unit", path)
-        low_pass = read_low_pass(file, path)
-        if unit is None:
-            raise InputError(f"{path} has no attribute response_unit")
-        try:
-            field = Field(values, index, rate, start_s, unit, low_pass)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
-        require_sample_times(file, path, stored.shape[1], rate, start_s)
-        # Last, so that a value that is wrong in itself is named.
-        hdf5_digest.require_contents(file, path)
-        verified = hdf5_digest.require_datasets(file, path, {"/field"})
-        if (expected := hdf5_digest.expected_sha256(dataset, path)) is not None:
-            hdf5_digest.require_values(hdf5_digest.values_sha256(stored), expected, "/field", path)
-    return field if verified else replace(field, verified=False, known_finite=True)
+    with FieldRowReader(path) as rows:
+        return rows.whole()
 
 
-def read_low_pass(file: h5py.File, path: Path) -> LowPass | None:
-    """Read what a field lost to a lower rate; None where its file says nothing of one.
-
-    Raises
-    ------
-    InputError
-        When the attributes hold something else.
-    """
+def _read_low_pass(file: h5py.File, path: Path) -> LowPass | None:
     if "decimated_by" not in file.attrs:
         return None
-    factor = hdf5_safety.number(file, "decimated_by", path)
-    _, passed_hz = hdf5_safety.numbers(file, "band_hz", path, 2)
+    factor = hdf5_reading.number(file, "decimated_by", path)
+    _, passed_hz = hdf5_reading.numbers(file, "band_hz", path, 2)
     if factor != round(factor):
-        raise InputError(f"{path}: attribute decimated_by is {factor:g}; a whole number is needed")
-    try:
-        return LowPass(passed_hz, int(factor))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"attribute decimated_by is {factor:g}; a whole number is needed")
+    return LowPass(passed_hz, int(factor))
 
 
 def _indices(position_index: Sequence[int] | Int64Array, count: int) -> Int64Array:

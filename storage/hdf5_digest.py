@@ -18,51 +18,18 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_safety
+from storage import hdf5_reading
 from storage.errors import InputError
 
 VALUES = "sha256"
 CONTENTS = "contents_sha256"
-# Written last of all; where texts lie is checked before any is read.
+# Written last of all; `heap_offsets` says where older versions keep texts.
 _APART = frozenset({CONTENTS, "heap_offsets"})
 _AT_ONCE_BYTES = 32 << 20
 
 
-def values_sha256(values: NDArray[Any]) -> str:
-    """SHA-256 of numbers in C order, little-endian."""
-    digest = RunningDigest(values.dtype)
-    digest.update(values)
-    return digest.hexdigest()
-
-
-def dataset_sha256(dataset: h5py.Dataset) -> str:
-    """SHA-256 of a dataset's numbers, read piece by piece."""
-    digest = RunningDigest(dataset.dtype)
-    if dataset.ndim == 0 or not dataset.size:
-        digest.update(np.asarray(dataset[...]))
-        return digest.hexdigest()
-    hdf5_safety.require_rows(dataset, Path(dataset.file.filename))
-    row_bytes = dataset.size // len(dataset) * dataset.dtype.itemsize
-    if row_bytes <= _AT_ONCE_BYTES or dataset.ndim != 2:
-        at_once = max(1, _AT_ONCE_BYTES // row_bytes)
-        for first in range(0, len(dataset), at_once):
-            digest.update(dataset[first : first + at_once])
-        return digest.hexdigest()
-    at_once = _AT_ONCE_BYTES // dataset.dtype.itemsize
-    for row in range(len(dataset)):
-        for first in range(0, dataset.shape[1], at_once):
-            digest.update(dataset[row, first : first + at_once])
-    return digest.hexdigest()
-
-
 class RunningDigest:
-    """SHA-256 of numbers that come piece by piece, in C order.
-
-    Parameters
-    ----------
-    dtype : dtype
-        As the file holds them.
-    """
+    """SHA-256 of numbers that come piece by piece, in C order, little-endian; `dtype` is as the file holds them."""
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
         self._dtype = dtype.newbyteorder("<")
@@ -77,58 +44,80 @@ class RunningDigest:
         return self._digest.hexdigest()
 
 
+def values_sha256(values: NDArray[Any]) -> str:
+    """SHA-256 of numbers in C order, little-endian."""
+    digest = RunningDigest(values.dtype)
+    digest.update(values)
+    return digest.hexdigest()
+
+
+def _dataset_sha256(dataset: h5py.Dataset) -> str:
+    """SHA-256 of a dataset's numbers, read piece by piece."""
+    if dataset.ndim == 0 or not dataset.size:
+        return values_sha256(np.asarray(dataset[...]))
+    digest = RunningDigest(dataset.dtype)
+    hdf5_reading.require_rows(dataset, Path(dataset.file.filename))
+    row_bytes = dataset.size // len(dataset) * dataset.dtype.itemsize
+    if row_bytes <= _AT_ONCE_BYTES or dataset.ndim != 2:
+        at_once = max(1, _AT_ONCE_BYTES // row_bytes)
+        for first in range(0, len(dataset), at_once):
+            digest.update(dataset[first : first + at_once])
+        return digest.hexdigest()
+    at_once = _AT_ONCE_BYTES // dataset.dtype.itemsize
+    for row in range(len(dataset)):
+        for first in range(0, dataset.shape[1], at_once):
+            digest.update(dataset[row, first : first + at_once])
+    return digest.hexdigest()
+
+
 def seal(file: h5py.File) -> None:
     """Write the checksum of every dataset that lacks one, then that of the whole file."""
     for _, found in _objects(file):
         if isinstance(found, h5py.Dataset) and VALUES not in found.attrs:
-            found.attrs[VALUES] = dataset_sha256(found)
-    file.attrs[CONTENTS] = contents_sha256(file)
+            found.attrs[VALUES] = _dataset_sha256(found)
+    seal_contents(file)
 
 
-def contents_sha256(file: h5py.File, later: Collection[str] = ()) -> str:
-    """SHA-256 of everything in a file.
+def seal_contents(file: h5py.File, later: Collection[str] = ()) -> None:
+    """Write the checksum of everything but the values of some datasets, as ``"/green"``, that are written later."""
+    file.attrs[CONTENTS] = _contents_sha256(file, later)
 
-    Parameters
-    ----------
-    file : h5py.File
-        The file.
-    later : collection of str
-        Datasets, as ``"/green"``, whose values are left out because they are written later.
-    """
+
+def _contents_sha256(file: h5py.File, later: Collection[str]) -> str:
     digest = hashlib.sha256()
     for name, found in _objects(file):
         facts: list[object] = [name, "group" if isinstance(found, h5py.Group) else type(found).__name__]
         if isinstance(found, h5py.Dataset):
             facts += [list(found.shape or ()), found.dtype.newbyteorder("<").str]
             if name not in later and VALUES not in found.attrs and found.id.get_storage_size():
-                facts.append(_plain(hdf5_safety.read_whole(found, Path(file.filename)), file))
+                facts.append(_plain(hdf5_reading.read_whole(found, Path(file.filename)), file))
         if isinstance(found, h5py.Group | h5py.Dataset):
             facts += [[key, _plain(found.attrs[key], file)] for key in sorted(found.attrs) if key not in _APART]
         digest.update(json.dumps(facts).encode() + b"\n")
     return digest.hexdigest()
 
 
-def require_contents(file: h5py.File, path: Path, later: Collection[str] = ()) -> bool:
-    """Refuse a file that is not as it was written; False when it carries no checksum of its contents.
-
-    Raises
-    ------
-    InputError
-        The checksum does not hold.
-    """
+def require_contents(file: h5py.File, path: Path, later: Collection[str] = ()) -> None:
+    """Refuse a file whose contents are not as they were written; older files carry no checksum of them."""
     if CONTENTS not in file.attrs:
-        return False
+        return
     try:
-        found = contents_sha256(file, later)
+        found = _contents_sha256(file, later)
     except InputError:
         raise
     except (TypeError, ValueError, AttributeError) as error:  # h5py, of types and references that are none
-        raise InputError(f"{path} {hdf5_safety.hdf5_complaint(error)}") from error
-    if hdf5_safety.text(file, CONTENTS, path) != found:
+        raise InputError(f"{path} {hdf5_reading.hdf5_complaint(error)}") from error
+    if hdf5_reading.text(file, CONTENTS, path) != found:
         raise InputError(
             f"{path} is damaged: the checksum of its contents does not hold; make it anew or restore a copy"
         )
-    return True
+
+
+def format_of(path: Path) -> tuple[str | None, bool]:
+    """Return the format that a file says it has, and whether it carries a checksum of its contents."""
+    with hdf5_reading.opened(path) as file:
+        hdf5_reading.require_sound_texts(file, path)
+        return hdf5_reading.text(file, "format", path), CONTENTS in file.attrs
 
 
 def expected_sha256(dataset: h5py.Dataset, path: Path) -> str | None:
@@ -147,31 +136,23 @@ def require_values(found: str, expected: str | None, name: str, path: Path) -> N
         raise InputError(f"{path} is damaged: the checksum of {name} does not hold; make it anew or restore a copy")
 
 
-def require_datasets(file: h5py.File, path: Path, apart: Collection[str] = ()) -> bool:
-    """Verify every dataset that carries a checksum; False when one carries none.
-
-    Parameters
-    ----------
-    file : h5py.File
-        The file.
-    path : Path
-        Its name, for messages.
-    apart : collection of str
-        Datasets that the caller verifies as it reads them.
+def require_all(file: h5py.File, path: Path, apart: str) -> bool:
+    """Verify the contents and every dataset but one that the caller verifies; False when one carries no checksum.
 
     Raises
     ------
     InputError
         A checksum does not hold.
     """
+    require_contents(file, path)
     complete = True
     for name, found in _objects(file):
         if not isinstance(found, h5py.Dataset):
             continue
         expected = expected_sha256(found, path)
         complete &= expected is not None
-        if expected is not None and name not in apart:
-            require_values(dataset_sha256(hdf5_safety.plain_dataset(file, name, path)), expected, name, path)
+        if expected is not None and name != apart:
+            require_values(_dataset_sha256(hdf5_reading.plain_dataset(file, name, path)), expected, name, path)
     return complete
 
 

@@ -230,10 +230,10 @@ def _precious(path: Path) -> str:
     for name, words in (("wavefocus-bank", "is a bank"), ("wavefocus-raw", "holds raw recordings")):
         if name.encode() in head:
             return words
-    from storage import hdf5_safety  # with it comes h5py, which the window does not load
+    from storage import hdf5_reading  # with it comes h5py, which the window does not load
 
     try:
-        with hdf5_safety.opened(path) as file:
+        with hdf5_reading.opened(path) as file:
             if "green" in file:
                 return "is a bank"
             if "response" in file and "reference" in file:

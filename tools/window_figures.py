@@ -86,10 +86,9 @@ def main() -> None:
 
 def make_bank(path: Path) -> Path:
     """A bank of 1500 positions, all measured."""
-    from storage.bank.creation import create_bank
     from storage.bank.layout import BankHeader
     from storage.bank.ledger import PointRecord
-    from storage.bank.writer import BankWriter
+    from storage.bank.writer import BankWriter, create_bank
 
     x_mm, y_mm = np.meshgrid(4.0 * np.arange(50), 4.0 * np.arange(POSITIONS // 50))
     angle = 2 * np.pi * np.arange(ACTUATORS) / ACTUATORS

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from calibration.blas import one_blas_thread
 from calibration.neighbours.judge import NeighbourJudge, RowSpectra
-from storage import hdf5_digest, hdf5_safety
-from storage.bank.layout import JOURNAL, LATER, LEDGER, has_ledger
-from storage.bank.ledger import QUALITY_NAMES, VALID, decode_journal, decode_rows
-from storage.bank.owner import bank_owner, owner_path
-from storage.bank.reading import Bank, open_bank
+from storage.bank.ledger import VALID
+from storage.bank.reading import Bank, BankRows, open_bank
 from storage.errors import InputError
+from storage.ledger.owner import bank_owner, owner_path
+from storage.ledger.reader import LedgerReader
 
 # A response this far from the median of all valid positions is no neighbour of them: ten times in amplitude.
 _RMS_OUTLIER = 10.0
@@ -74,60 +73,44 @@ def check_bank(path: str | Path) -> list[Finding]:
     """
     path = Path(path)
     with open_bank(path) as bank, one_blas_thread():
-        findings = list(_bookkeeping(path)) if bank_owner(path) is None else []
+        findings = list(check_ledger(bank.rows, path)) if isinstance(bank.rows, BankRows) else []
         findings += _check_positions(bank)
         findings += _check_moved(bank)
         findings += _check_rows(bank)
     return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
 
 
-def _bookkeeping(path: Path) -> Iterator[Finding]:
-    """Check that what is derived from the ledger agrees with it, and that no crash waits to be repaired."""
-    with hdf5_safety.opened(path) as file:
-        if not has_ledger(file):
-            return
-        hdf5_digest.require_contents(file, path, LATER)
-        # Only a writer that did not come to its end leaves its name; what it cut off is no damage.
-        cut_off: Literal["error", "warning"] = "warning" if owner_path(path).exists() else "error"
-        journal = file[JOURNAL][...].tobytes()
-        if journal.count(0) != len(journal):
-            whole = decode_journal(journal, *file["/green"].shape[1:]) is not None
-            half = "a replacement was cut off; opening the bank to resume finishes it"
-            torn = "the journal is damaged, or a crash cut it off; opening the bank to resume clears it"
-            yield Finding(None, None, half if whole else torn, "warning" if whole else cut_off)
-        actuators, taps = file["/green"].shape[1:]
-        rows = bytearray(file[LEDGER][...].tobytes())
-        replacing = decode_journal(journal, actuators, taps)
-        if replacing:  # the journal says what the ledger will say once it is finished
-            start = replacing[0] * len(replacing[2])
-            rows[start : start + len(replacing[2])] = replacing[2]
-        ledger = decode_rows(rows, actuators, taps)
-        for position in np.flatnonzero(ledger.damaged):
-            message = f"the ledger row of position {position} is damaged; it has to be measured again"
-            yield Finding(int(position), None, message)
-        for position in np.flatnonzero(ledger.empty):
-            if file["/green"][position].any():
-                message = (
-                    f"position {position} holds values and its ledger row is empty; a crash cut it off, or it is "
-                    "damaged; resume measures it again"
-                )
-                yield Finding(int(position), None, message, cut_off)
-        differs = file["/status"][...] != ledger.status
-        for name in QUALITY_NAMES:
-            if not hdf5_safety.has(file, f"/quality/{name}"):
-                continue  # a bank of the first edition
-            # Bit by bit, so that NaN is as good as any other value.
-            noted, held = (
-                np.ascontiguousarray(one, "<f4") for one in (file[f"/quality/{name}"][...], ledger.quality[name])
-            )
-            same = noted.view("<u4") == held.view("<u4")
-            differs |= ~same.reshape(len(same), -1).all(axis=1)
-        for position in np.flatnonzero(differs & ~ledger.damaged):
+def check_ledger(rows: LedgerReader, path: Path) -> Iterator[Finding]:
+    """Check that what follows from the ledger of a bank or raw file agrees with it, and that no crash waits for repair.
+
+    Nothing is found while a process writes the file.
+    """
+    if bank_owner(path) is not None:
+        return
+    # Only a writer that did not come to its end leaves its name; what it cut off is no damage.
+    cut_off: Literal["error", "warning"] = "warning" if owner_path(path).exists() else "error"
+    state = rows.journal_state()
+    if state == "whole":
+        yield Finding(None, None, "a replacement was cut off; opening the file to resume finishes it", "warning")
+    elif state == "torn":
+        message = "the journal is damaged, or a crash cut it off; opening the file to resume clears it"
+        yield Finding(None, None, message, cut_off)
+    for position in np.flatnonzero(rows.ledger.damaged).tolist():
+        message = f"the ledger row of position {position} is damaged; it has to be measured again"
+        yield Finding(position, None, message)
+    for position in rows.torn():
+        message = (
+            f"position {position} holds values and its ledger row is empty; a crash cut it off, or it is damaged;"
+            " resume measures it again"
+        )
+        yield Finding(position, None, message, cut_off)
+    if isinstance(rows, BankRows):
+        for position in np.flatnonzero(rows.differing() & ~rows.ledger.damaged).tolist():
             message = (
                 f"/status or /quality of position {position} differ from the ledger;"
                 " opening the bank to resume rebuilds them"
             )
-            yield Finding(int(position), None, message, cut_off)
+            yield Finding(position, None, message, cut_off)
 
 
 def _check_positions(bank: Bank) -> Iterator[Finding]:

@@ -23,8 +23,8 @@ from storage.errors import WavefocusError
 
 if TYPE_CHECKING:
     from acquisition.quality.limits import DriftPoint
-    from storage.bank.owner import Owner
     from storage.bank.reading import Bank
+    from storage.ledger.owner import Owner
 
 LOOKS_EVERY_S = 0.05
 LIFE_EVERY_S = 1.0
@@ -212,6 +212,6 @@ def _opened(path: Path) -> Bank:
 
 
 def _owner_of(path: Path) -> Owner | None:
-    from storage.bank.owner import bank_owner
+    from storage.ledger.owner import bank_owner
 
     return bank_owner(path)

@@ -21,7 +21,7 @@ from gui.surface.surface import Surface
 
 if TYPE_CHECKING:
     from acquisition.quality.limits import DriftPoint
-    from storage.bank.owner import Owner
+    from storage.ledger.owner import Owner
 
 # A week of a night's events; what is older is in the log.
 KEPT_LINES = 20_000

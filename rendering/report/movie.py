@@ -30,7 +30,7 @@ from rendering.report.figures import scaled_unit
 from rendering.report.movie_frames import Foci, FramePlan, colour_limit, read_frames
 from storage.drive_file import Drive
 from storage.errors import InputError
-from storage.field_rows import FieldRowReader
+from storage.field_file import FieldRowReader
 from storage.output_files import replacement
 
 if TYPE_CHECKING:

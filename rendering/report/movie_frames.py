@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from storage.drive_file import Drive
 from storage.errors import InputError
-from storage.field_rows import FieldRowReader
+from storage.field_file import FieldRowReader
 
 Float32Array = NDArray[np.float32]
 Int64Array = NDArray[np.int64]

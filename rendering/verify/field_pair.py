@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rendering.field.band_limit import BandLimit
 from rendering.field.metrics import level_db
 from storage.errors import InputError
-from storage.field_rows import FieldRowReader
+from storage.field_file import FieldRowReader
 
 Float32Array = NDArray[np.float32]
 

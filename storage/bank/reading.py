@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-import zlib
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -13,44 +11,40 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_safety
+from storage import hdf5_reading
 from storage.bank.foreign import read_foreign
-from storage.bank.layout import BankLayout, has_ledger, read_layout
-from storage.bank.ledger import (
-    decode_journal,
-    decode_rows,
-    green_crc_of_row,
-    journal_bytes,
-    ledger_row_bytes,
-)
-from storage.closing import Closing
-from storage.durable import PositionedFile, open_file
+from storage.bank.layout import read_layout
+from storage.bank.ledger import QUALITY_NAMES, Figures, figures_of
+from storage.durable import Closing
 from storage.errors import InputError
+from storage.hdf5_writing import sample_times
+from storage.ledger.layout import LedgerLayout, has_ledger
+from storage.ledger.reader import LedgerReader
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 GreenArray = NDArray[np.float32] | NDArray[np.float64]
 
 _FOREIGN_CACHE_BYTES = 64 << 20  # a compressed chunk may hold many positions
-# A reader may meet a position that is just being measured again; that takes milliseconds.
-_TRIES = 4
-_PAUSE_S = 0.01
 
 
 class RowSource(Protocol):
     """Where the rows of a bank come from."""
 
     def read(self, position: int) -> GreenArray:
-        """Return the Green's functions (N, L) of a position that exists."""
+        """Green's functions (N, L) of a position that exists."""
 
     def status(self) -> NDArray[np.uint8]:
-        """Return the status bits (P,)."""
+        """Status bits (P,)."""
 
     def damaged(self) -> tuple[int, ...]:
-        """Return the positions whose checksums do not hold."""
+        """Positions whose checksums do not hold."""
 
     def broken(self) -> NDArray[np.bool_]:
-        """Return the positions (P,) that were measured and whose entry in the ledger no longer holds."""
+        """Positions (P,) that were measured and whose entry in the ledger no longer holds."""
+
+    def damage_of(self, position: int, more: str = "") -> str:
+        """Say that a position is damaged, and what to do."""
 
     def close(self) -> None:
         """Close the file."""
@@ -85,7 +79,7 @@ class Bank(Closing):
     response_unit, drive_unit : str
         Units; g is in response units per drive unit. ``"m/s/V"`` and ``"V"`` when the file does not say.
     rig_json, run_json, plan_sha256, software : str or None
-        As :class:`~storage.bank.layout.BankHeader`; None when the file does not say.
+        As :class:`~storage.bank.header.BankHeader`; None when the file does not say.
     rows : RowSource
         Where the rows come from.
     """
@@ -165,19 +159,13 @@ class Bank(Closing):
         return self.rows.broken()
 
     def require_sound(self, positions: Sequence[int] | None = None) -> None:
-        """Refuse to go on where the ledger of the positions that are used, by default of all, is damaged.
-
-        Raises
-        ------
-        InputError
-            One is damaged; the message names it.
-        """
+        """Raise InputError where the ledger of the positions that are used, by default of all, is damaged."""
         broken = np.flatnonzero(self.broken)
         if positions is not None:
             broken = np.intersect1d(broken, positions)
         if len(broken):
             more = f" ({len(broken)} positions are)" if len(broken) > 1 else ""
-            raise InputError(damage_of(self.path, int(broken[0]), more))
+            raise InputError(self.rows.damage_of(int(broken[0]), more))
 
     def verify(self) -> tuple[int, ...]:
         """Check every checksum; return the damaged positions (a foreign bank has none)."""
@@ -186,14 +174,6 @@ class Bank(Closing):
     def close(self) -> None:
         """Close the file."""
         self.rows.close()
-
-
-def damage_of(path: Path, position: int, more: str = "") -> str:
-    """Say that a position's checksum does not hold, and what to do."""
-    return (
-        f"{path}: position {position} is damaged, its checksum does not hold{more}; "
-        f"measure it again with: wavefocus resume {path}, or restore a copy"
-    )
 
 
 def open_bank(path: str | Path) -> Bank:
@@ -212,24 +192,22 @@ def open_bank(path: str | Path) -> Bank:
     """
     path = Path(path)
     with ExitStack() as stack:
-        content = stack.enter_context(hdf5_safety.opened(path, cache_bytes=_FOREIGN_CACHE_BYTES))
+        content = stack.enter_context(hdf5_reading.opened(path, cache_bytes=_FOREIGN_CACHE_BYTES))
         if not has_ledger(content):
-            facts, foreign = read_foreign(content, path)
-            foreign.keep_open(stack.pop_all())
+            facts, foreign = read_foreign(content, path, stack)
             return Bank(path=path, rows=foreign, **facts)
         layout = read_layout(content, path)
-    header = layout.header
-    rows = LedgerRows(path, layout)
+    header, rows = layout.header, BankRows(path, layout)
     return Bank(
         path=path,
         sample_rate_hz=header.sample_rate_hz,
         taps=header.taps,
         position_mm=header.position_mm,
         actuator_mm=header.actuator_mm,
-        time_s=np.arange(header.taps) / header.sample_rate_hz,
+        time_s=sample_times(header.taps, header.sample_rate_hz),
         band_hz=header.band_hz,
-        quality=rows.ledger.quality,
-        rms=rows.ledger.rms,
+        quality=rows.figures.quality,
+        rms=rows.figures.rms,
         response_unit=header.response_unit,
         drive_unit=header.drive_unit,
         rig_json=header.rig_json,
@@ -240,103 +218,32 @@ def open_bank(path: str | Path) -> Bank:
     )
 
 
-class LedgerRows:
-    """Rows of a bank of this program, read straight from their offsets and checked against the ledger."""
+class BankRows(LedgerReader):
+    """Rows of a bank of this program, checked against its ledger."""
 
-    def __init__(self, path: Path, layout: BankLayout) -> None:
-        self._path = path
-        self._layout = layout
-        self._shape = (layout.header.actuators, layout.header.taps)
-        self._row_bytes = ledger_row_bytes(layout.header.actuators)
-        try:
-            self._file: PositionedFile = open_file(path)
-        except OSError as error:
-            raise InputError(f"{path} may not be read: {error.strerror}") from error
-        try:
-            # Before the ledger: a status stands in the file only after its ledger row.
-            noted = bytearray(layout.header.positions)
-            self._file.read_into(layout.status_offset, memoryview(noted))
-            for attempt in range(_TRIES):
-                if attempt:
-                    time.sleep(_PAUSE_S)
-                self._read_ledger()
-                if not self.ledger.damaged.any():  # else a row may just be being written
-                    break
-        except OSError as error:
-            self._file.close()
-            raise InputError(f"{path} may not be read: {error.strerror}") from error
-        self._erased = self.ledger.empty & (np.frombuffer(noted, np.uint8) != 0)
-
-    def broken(self) -> NDArray[np.bool_]:
-        """Return the positions (P,) that were measured and whose ledger row does not hold or is zeros."""
-        return np.asarray(self.ledger.damaged | self._erased)
+    def __init__(self, path: Path, layout: LedgerLayout) -> None:
+        super().__init__(path, layout)
+        self.figures: Figures = figures_of(self.ledger.rows, self.ledger.holds, layout.header.actuators)
 
     def status(self) -> NDArray[np.uint8]:
-        """Return the status bits (P,) that the ledger held on opening."""
-        return self.ledger.status.copy()
+        """Status bits (P,) that the ledger held on opening."""
+        return self.figures.status.copy()
 
     def read(self, position: int) -> Float32Array:
-        """Return a position's Green's functions; zeros where the ledger holds nothing for it."""
-        if self._replacing and self._replacing[0] == position:
-            return self._green_of(self._replacing[1])  # as its status and quality were taken from the journal
-        try:
-            for attempt in range(_TRIES):
-                if attempt:
-                    time.sleep(_PAUSE_S)
-                green = self._read_once(position)
-                if green is not None:
-                    return green
-        except OSError as error:
-            raise InputError(f"{self._path}: position {position} is not readable: {error.strerror}") from error
-        raise InputError(damage_of(self._path, position))
+        """Green's functions of a position; zeros where the ledger holds nothing for it."""
+        shape, chunks = self._shape, self.chunks(position)
+        if chunks is None:
+            return np.zeros(shape.dimensions, np.float32)
+        return np.frombuffer(chunks[0], "<f4", shape.data_bytes // 4).reshape(shape.dimensions).astype(np.float32)
 
-    def damaged(self) -> tuple[int, ...]:
-        """Return the positions whose checksums do not hold."""
-        damaged = []
-        for position in np.flatnonzero(~self.ledger.empty | self._erased):
-            try:
-                self.read(int(position))
-            except InputError:
-                damaged.append(int(position))
-        return tuple(damaged)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _read_ledger(self) -> None:
-        content = bytearray(self._layout.header.positions * self._row_bytes)
-        self._file.read_into(self._layout.ledger_offset, memoryview(content))
-        self._replacing = self._read_journal()
-        if self._replacing:
-            start = self._replacing[0] * self._row_bytes
-            content[start : start + self._row_bytes] = self._replacing[2]
-        self.ledger = decode_rows(content, *self._shape)
-
-    def _read_once(self, position: int) -> Float32Array | None:
-        row = bytearray(self._row_bytes)
-        self._file.read_into(self._layout.ledger_offset + position * self._row_bytes, memoryview(row))
-        crc = green_crc_of_row(row, position, *self._shape)
-        if crc is None and row.count(0) == len(row):
-            if self._erased[position]:
-                return None
-            return np.zeros(self._shape, np.float32)
-        green = np.empty(self._shape, "<f4")
-        self._file.read_into(int(self._layout.chunk_offset[position]), green.data.cast("B"))
-        if crc is not None and zlib.crc32(green.data) == crc:
-            return green.astype(np.float32, copy=False)
-        replacing = self._read_journal()
-        if replacing is None or replacing[0] != position:
-            return None
-        return self._green_of(replacing[1])
-
-    def _green_of(self, chunk: bytes) -> Float32Array:
-        used = chunk[: self._layout.header.chunk_bytes]
-        return np.frombuffer(used, "<f4").reshape(self._shape).astype(np.float32)
-
-    def _read_journal(self) -> tuple[int, bytes, bytes] | None:
-        """Return the row that is just replacing an older one, or that a crash kept from doing so."""
-        content = bytearray(journal_bytes(*self._shape))
-        self._file.read_into(self._layout.journal_offset, memoryview(content))
-        entry = decode_journal(content, *self._shape)
-        return entry if entry and entry[0] < self._layout.header.positions else None
+    def differing(self) -> NDArray[np.bool_]:
+        """Positions (P,) whose ``/status`` or ``/quality`` in the file are not those of the ledger."""
+        noted_status = np.frombuffer(self.figure("/status"), np.uint8)
+        differs = np.asarray(noted_status != self.figures.status, bool)
+        for name in QUALITY_NAMES:
+            if f"/quality/{name}" in self._layout.figures:  # else a bank of the first edition
+                # Bit by bit, so that NaN is as good as any other value.
+                noted = np.frombuffer(self.figure(f"/quality/{name}"), "<u4").reshape(len(differs), -1)
+                held = np.ascontiguousarray(self.figures.quality[name], "<f4").view("<u4").reshape(len(differs), -1)
+                differs |= (noted != held).any(axis=1)
+        return differs

@@ -10,14 +10,27 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.bank.header import METADATA_BLOCK
 from storage.durable import PAGE
 from storage.errors import InputError
+from storage.hdf5_writing import METADATA_BLOCK
+from storage.ledger.layout import require_header
+from storage.ledger.pages import LedgerFormat, RowShape
 from storage.raw.schedule import Schedule
 
 Float64Array = NDArray[np.float64]
 Law = Literal["linear", "exponential"]
 LAWS: tuple[Law, ...] = ("linear", "exponential")
+
+RAW = LedgerFormat(
+    name="wavefocus-raw",
+    kind="raw file",
+    datasets=("/reference", "/response"),
+    dtype="<i2",
+    row_name=b"WFRAWROW",
+    journal_name=b"WFRAWREP",
+    crc_at=32,
+    remedy="record it again",
+)
 
 # One position is held in memory at a time, a few times over.
 MOST_POSITION_BYTES = 1 << 29
@@ -25,7 +38,7 @@ MOST_POSITION_BYTES = 1 << 29
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawHeader:
-    """What a raw file says about itself.
+    """What a raw file says about itself; out of range, InputError.
 
     Parameters
     ----------
@@ -63,11 +76,6 @@ class RawHeader:
         "linear", "exponential" or "other" where the file says how the sweeps run, else empty.
     rig_json, run_json, plan_sha256, software : str
         As of `storage.bank.header.BankHeader`; empty where the file does not say.
-
-    Raises
-    ------
-    InputError
-        When a value is outside what is stated here.
     """
 
     sample_rate_hz: float
@@ -93,14 +101,8 @@ class RawHeader:
     software: str = ""
 
     def __post_init__(self) -> None:
+        require_header(self)
         self._require_numbers()
-        for name in ("position_mm", "actuator_mm"):
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if array.ndim != 2 or array.shape[1] != 2 or not array.shape[0]:
-                raise InputError(f"{name} has shape {array.shape}; one (x, y) row or more is needed")
-            object.__setattr__(self, name, array)
-        if not np.isfinite(self.position_mm).all():
-            raise InputError("position_mm holds values that are not finite; every grid position needs both coordinates")
         if self.actuators != self.schedule.actuators:
             raise InputError(
                 f"actuator_mm has {self.actuators} rows and the schedule plays {self.schedule.actuators} actuators; "
@@ -111,22 +113,12 @@ class RawHeader:
                 f"a position has {self.records} records of {self.samples} samples; "
                 f"at most {MOST_POSITION_BYTES // 4} samples in all are read"
             )
-        for name in ("response_unit", "rig_json", "run_json", "plan_sha256", "software"):
-            if "\0" in getattr(self, name):
-                raise InputError(f"{name} holds a zero character; plain text is needed")
 
     def _require_numbers(self) -> None:
-        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
-            raise InputError(f"sample_rate_hz is {self.sample_rate_hz:g}; a rate above 0 is needed")
         if self.samples < 1:
             raise InputError(f"records have {self.samples} samples; 1 or more are needed")
         if self.taps != int(self.taps) or not 1 <= self.taps <= self.samples:
             raise InputError(f"taps is {self.taps:g}; 1 to the samples of a record, {self.samples}, is needed")
-        low, high = self.band_hz
-        if not 0 <= low < high <= self.sample_rate_hz / 2:
-            raise InputError(
-                f"band_hz is {low:g} to {high:g}; 0 <= low < high <= {self.sample_rate_hz / 2:g} is needed"
-            )
         if not (np.isfinite(self.response_per_volt) and self.response_per_volt):
             raise InputError(f"response_per_volt is {self.response_per_volt:g}; a finite number, not 0, is needed")
         if not (np.isfinite(self.reference_gain) and self.reference_gain > 0):
@@ -165,15 +157,15 @@ class RawHeader:
         return self.schedule.records
 
     @property
-    def chunk_bytes(self) -> int:
-        """Bytes of one channel of one position as int16."""
-        return 2 * self.records * self.samples
+    def rows(self) -> RowShape:
+        """Sizes of a position's recordings and of its ledger row."""
+        return RowShape(RAW, (self.records, self.samples), PAGE)
 
     @property
     def file_bytes(self) -> int:
         """Bytes that a raw file of this size takes on the disk, a little rounded up."""
-        page_rounded = -(-self.chunk_bytes // PAGE) * PAGE
-        return self.positions * (2 * page_rounded + PAGE + 512) + 2 * page_rounded + 2 * PAGE + 4 * METADATA_BLOCK
+        rows = self.rows
+        return self.positions * (2 * rows.chunk_bytes + PAGE + 512) + rows.journal_bytes + 4 * METADATA_BLOCK
 
     def identity(self) -> str:
         """SHA-256 of all that must not change between two estimates into one bank."""

@@ -5,23 +5,23 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_safety
-from storage.bank.owner import owner_path
-from storage.closing import Closing
-from storage.durable import PAGE, PositionedFile, open_file
+from storage import hdf5_reading
+from storage.durable import Closing
 from storage.errors import InputError
-from storage.raw.header import RawHeader
-from storage.raw.layout import CHANNELS, RawLayout, has_raw_ledger, read_raw_header, read_raw_layout
-from storage.raw.ledger import decode_raw_journal, decode_raw_row, raw_journal_bytes
+from storage.ledger.layout import has_ledger
+from storage.ledger.reader import DamagedError, LedgerReader
+from storage.raw.header import RAW, RawHeader
+from storage.raw.layout import read_raw_header, read_raw_layout
+
+__all__ = ["DamagedError", "RawFile", "Recordings", "open_raw"]
 
 Float32Array = NDArray[np.float32]
-AnyArray = NDArray[np.generic]
 
 _FOREIGN_CACHE_BYTES = 32 << 20  # a compressed chunk may hold many positions
 
@@ -44,14 +44,10 @@ class Recordings:
     range_v: tuple[float, float]
 
 
-class DamagedError(InputError):
-    """The recordings of one position are not what was written; others may be."""
-
-
 class Rows(Protocol):
     """Where the recordings come from."""
 
-    def read(self, position: int) -> tuple[AnyArray, AnyArray] | None:
+    def read(self, position: int) -> tuple[NDArray[Any], ...] | None:
         """Reference and response (records, samples) in counts; None where nothing was recorded."""
 
     def close(self) -> None:
@@ -77,17 +73,7 @@ class RawFile(Closing):
     rows: Rows = field(repr=False)
 
     def read(self, position: int) -> Recordings | None:
-        """Read all records of a position.
-
-        Parameters
-        ----------
-        position : int
-            Row of the file, 0 to P - 1.
-
-        Returns
-        -------
-        Recordings or None
-            None where nothing was recorded.
+        """Read all records of a position; None where nothing was recorded.
 
         Raises
         ------
@@ -102,10 +88,8 @@ class RawFile(Closing):
         if counts is None:
             return None
         volts, ranges = [], []
-        for name, channel, step_v in zip(CHANNELS, counts, self.header.volts_per_count, strict=True):
-            with np.errstate(
-                over="ignore", invalid="ignore"
-            ):  # a number beyond float32 becomes an infinity and is refused as such
+        for name, channel, step_v in zip(RAW.datasets, counts, self.header.volts_per_count, strict=True):
+            with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 it becomes an infinity and is refused
                 channel_v = np.multiply(channel, np.float32(step_v), dtype=np.float32)
             peak_v = max(float(channel_v.max()), -float(channel_v.min()))
             if not np.isfinite(peak_v):
@@ -138,77 +122,39 @@ def open_raw(path: str | Path) -> RawFile:
     """
     path = Path(path)
     with ExitStack() as stack:
-        content = stack.enter_context(hdf5_safety.opened(path, cache_bytes=_FOREIGN_CACHE_BYTES))
-        if not has_raw_ledger(content):
+        content = stack.enter_context(hdf5_reading.opened(path, cache_bytes=_FOREIGN_CACHE_BYTES))
+        if not has_ledger(content):
             header = read_raw_header(content, path)
-            reference, response = (hdf5_safety.plain_dataset(content, name, path) for name in CHANNELS)
-            return RawFile(path, header, ForeignRows(path, reference, response, stack.pop_all()))
+            datasets = tuple(hdf5_reading.plain_dataset(content, name, path) for name in RAW.datasets)
+            return RawFile(path, header, ForeignRows(path, datasets, stack.pop_all()))
         layout = read_raw_layout(content, path)
-    return RawFile(path, layout.header, LedgerRows(path, layout))
+    return RawFile(path, layout.header, RawRows(path, layout))
 
 
-class LedgerRows:
-    """Recordings that this program kept, read straight from their offsets and checked against the ledger."""
+class RawRows(LedgerReader):
+    """Recordings that this program kept, checked against the ledger."""
 
-    def __init__(self, path: Path, layout: RawLayout) -> None:
-        self._path, self._layout = path, layout
-        try:
-            self._file: PositionedFile = open_file(path)
-        except OSError as error:
-            raise InputError(f"{path} may not be read: {error.strerror}") from error
-        try:
-            journal = bytearray(raw_journal_bytes(layout.chunk_bytes))
-            self._file.read_into(layout.journal_offset, memoryview(journal))
-        except OSError as error:
-            self._file.close()
-            raise InputError(f"{path} may not be read: {error.strerror}") from error
-        # A replacement that a crash cut off, or that is just being made.
-        self._replacing = decode_raw_journal(journal, layout.chunk_bytes)
-
-    def read(self, position: int) -> tuple[AnyArray, AnyArray] | None:
-        header = self._layout.header
-        page = bytearray(PAGE)
-        chunks = [bytearray(header.chunk_bytes) for _ in CHANNELS]
-        try:
-            self._file.read_into(self._layout.ledger_offset + position * PAGE, memoryview(page))
-            if self._replacing is not None and self._replacing[0] == position:
-                page = bytearray(self._replacing[3])
-                chunks = [bytearray(one[: header.chunk_bytes]) for one in self._replacing[1:3]]
-            else:
-                for offsets, chunk in zip(self._layout.channel_offset, chunks, strict=True):
-                    self._file.read_into(int(offsets[position]), memoryview(chunk))
-                # Recordings come before their ledger row: a writer may be between the two, or have ended there.
-                if page.count(0) == PAGE and (not any(map(any, chunks)) or owner_path(self._path).exists()):
-                    return None
-        except OSError as error:
-            raise InputError(f"{self._path}: position {position} is not readable: {error.strerror}") from error
-        row = decode_raw_row(page, position, header.records, header.samples)
-        if row is None or not row.holds(chunks[0], chunks[1]):
-            raise DamagedError(
-                f"{self._path}: position {position} is damaged, its checksum does not hold; record it again"
-            )
-        shape = (header.records, header.samples)
-        reference, response = (np.frombuffer(chunk, "<i2").reshape(shape) for chunk in chunks)
-        return reference, response
-
-    def close(self) -> None:
-        self._file.close()
+    def read(self, position: int) -> tuple[NDArray[Any], ...] | None:
+        shape, chunks = self._shape, self.chunks(position)
+        if chunks is None:
+            return None
+        return tuple(np.frombuffer(chunk, "<i2", shape.data_bytes // 2).reshape(shape.dimensions) for chunk in chunks)
 
 
 class ForeignRows:
     """Recordings in any layout that HDF5 reads."""
 
-    def __init__(self, path: Path, reference: h5py.Dataset, response: h5py.Dataset, stack: ExitStack) -> None:
-        self._path, self._datasets, self._open = path, (reference, response), stack
+    def __init__(self, path: Path, datasets: tuple[h5py.Dataset, ...], stack: ExitStack) -> None:
+        self._path, self._datasets, self._open = path, datasets, stack
 
-    def read(self, position: int) -> tuple[AnyArray, AnyArray] | None:
+    def read(self, position: int) -> tuple[NDArray[Any], ...] | None:
         try:
-            reference, response = (np.asarray(dataset[position]) for dataset in self._datasets)
+            channels = tuple(np.asarray(dataset[position]) for dataset in self._datasets)
         except (OSError, RuntimeError, ValueError) as error:
-            complaint = hdf5_safety.hdf5_complaint(error)
+            complaint = hdf5_reading.hdf5_complaint(error)
             raise InputError(f"{self._path}: the recordings of position {position} {complaint}") from error
         # Of a file whose rows are written one by one, those to come are zeros.
-        return (reference, response) if reference.any() or response.any() else None
+        return channels if any(channel.any() for channel in channels) else None
 
     def close(self) -> None:
         self._open.close()

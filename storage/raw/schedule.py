@@ -19,6 +19,9 @@ EMPTY = -1
 class Schedule:
     """Which actuators each record drives, with the base signal how much delayed and how strong.
 
+    Out of range, InputError; also where a record plays nothing or an actuator twice, or where no record plays an
+    actuator below the highest.
+
     Parameters
     ----------
     actuator : int32 array, shape (records, slots)
@@ -30,12 +33,6 @@ class Schedule:
     period_s : float
         Period of the base signal on the playback clock, which is then already running when a record starts;
         0 where each record begins and ends in silence.
-
-    Raises
-    ------
-    InputError
-        A value outside what is stated here, a record that plays nothing or an actuator twice, or an actuator
-        below the highest that no record plays.
     """
 
     actuator: Int32Array

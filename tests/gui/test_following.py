@@ -17,7 +17,7 @@ from gui.campaign.standing import Extra, Order, Standing, possible
 from gui.process.log_tail import LogTail
 from gui.shell.front_door import Pulse
 from gui.surface.surface import raster_of
-from storage.bank.owner import Owner
+from storage.ledger.owner import Owner
 
 
 def test_given_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path: Path) -> None:

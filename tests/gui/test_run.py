@@ -17,7 +17,7 @@ from pytestqt.qtbot import QtBot
 
 from gui.campaign.tab import CampaignTab
 from gui.shell.window import Window
-from storage.bank.owner import bank_owner
+from storage.ledger.owner import bank_owner
 from tests.gui.conftest import campaign_of, wait, write_lab
 from wavefocus.__main__ import run
 from wavefocus.campaign.supervision import read_heartbeat

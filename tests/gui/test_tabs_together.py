@@ -20,8 +20,8 @@ from gui.scene.tab import SceneTab
 from gui.shell.theme import DARK, LIGHT, Theme, TickStyle, palette_of
 from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
-from storage.bank.creation import create_bank
 from storage.bank.layout import BankHeader
+from storage.bank.writer import create_bank
 from tests.gui.conftest import campaign_of, wait, write_lab
 from tests.gui.scenes import line_scene
 from tests.gui.test_run import HOLDER, answer, press

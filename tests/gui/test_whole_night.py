@@ -18,8 +18,8 @@ from gui.shell.settings import Settings
 from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
 from rendering.verify.record import RECORD_NAME
-from storage.bank.owner import bank_owner
 from storage.bank.reading import open_bank
+from storage.ledger.owner import bank_owner
 from storage.point_status import not_valid
 from tests.gui.conftest import campaign_of, wait
 from tests.gui.test_details import click, pixel

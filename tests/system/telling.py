@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from storage.bank.creation import create_bank
+from storage.bank.writer import create_bank
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_files
 

@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 
 from calibration.check.bank import check_bank
-from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
-from storage.bank.owner import owner_path
 from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
+from storage.ledger.owner import owner_path
 
 ROOT = Path(__file__).parents[2]
 POSITIONS, ACTUATORS, TAPS = 3, 2, 16
@@ -130,7 +129,7 @@ def assert_nothing_lost(path: Path, acknowledged: dict[int, int]) -> None:
 # HDF5 on a disk that fails loses what it could not write, or takes the process along: it must not be on the disk.
 MAKE = """
 import resource, sys
-from storage.bank.creation import create_bank
+from storage.bank.writer import create_bank
 from storage.errors import InputError
 from tests.system.test_bank_crash import header
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))

@@ -199,8 +199,7 @@ def _interrupted(lab: Path, bank: Path, position: int, attempt: int) -> None:
     from acquisition.engine.campaign import Campaign
     from acquisition.engine.events import Event, PositionStarted
     from acquisition.engine.stop_signals import StopRequest
-    from storage.bank.creation import create_bank
-    from storage.bank.writer import BankWriter
+    from storage.bank.writer import BankWriter, create_bank
     from wavefocus.campaign.blueprint import blueprint_from_files
     from wavefocus.rig.setup import open_setup
 

@@ -9,9 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from storage.bank.creation import create_bank
 from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
 from storage.durable import OpenFile
 from storage.errors import InputError
 from storage.raw.header import RawHeader

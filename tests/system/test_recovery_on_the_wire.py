@@ -16,8 +16,7 @@ from calibration.rig.mirror_map import MirrorMap
 from config.run import Virtual
 from drivers.errors import InstrumentLostError
 from drivers.protocols import DeviceIdentity, Instruments, Mirror, WallClock
-from storage.bank.creation import create_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
 from tests.wire.serial_bench import MirrorBench, mirror_bench
 from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.rig.virtual_bench import virtual_rig

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
-from storage.bank.ledger import PointRecord, encode_journal, encode_row, round_to_page
+from storage.bank.ledger import PointRecord, bank_rows, encode_row
 from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
 from storage.errors import InputError
-from storage.hdf5_safety import heap_is_sound
+from storage.hdf5_reading import heap_is_sound
+from storage.ledger.pages import Replacement
 
 
 def measured(path: Path, positions: int = 3) -> Path:
@@ -99,8 +99,10 @@ def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_pa
     with h5py.File(path, "r") as file:
         journal = file["durability/journal"].id.get_offset()
         chunk = file["green"].id.get_chunk_info(1).byte_offset
-    content = green_of(1, 2).tobytes().ljust(round_to_page(128), b"\0")
-    overwrite(path, journal, encode_journal(1, content, encode_row(1, record_of(2), green_of(1, 2))))
+    rows = bank_rows(2, 16)
+    content = green_of(1, 2).tobytes().ljust(rows.chunk_bytes, b"\0")
+    half_way = Replacement(1, (content,), encode_row(1, record_of(2), green_of(1, 2)))
+    overwrite(path, journal, rows.encode_journal(half_way))
     overwrite(path, chunk, content[:70])  # half of the replacement
     with open_bank(path) as bank:
         assert np.array_equal(bank.green(1), green_of(1, 2))
@@ -115,7 +117,7 @@ def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_pat
     path = measured(tmp_path / "bank.h5")
     heap = path.read_bytes().index(b"GCOL")
     overwrite(path, heap + 16, bytes(16))  # an object without index and size: HDF5 2.0 never returns from it
-    with pytest.raises(InputError, match="the texts in its header are not readable"):
+    with pytest.raises(InputError, match="its texts are not readable"):
         open_bank(path)
 
 

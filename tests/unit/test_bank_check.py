@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from calibration.check.bank import Finding, check_bank
-from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
 from storage.errors import InputError
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
 from tests.unit.plate_banks import TAPS as TAPS_OF_PLATE

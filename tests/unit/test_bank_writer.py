@@ -24,14 +24,13 @@ from hypothesis import strategies as st
 
 from calibration.check.bank import check_bank
 from rendering.greens.regularisation import rms_map
-from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
-from storage.bank.owner import bank_owner, owner_path
 from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter
-from storage.durable import PortableFile, PosixFile, open_file
+from storage.bank.writer import BankWriter, create_bank
+from storage.durable import PositionedFile, PosixFile, open_file
 from storage.errors import BankBusyError, InputError, WavefocusError
+from storage.ledger.owner import bank_owner, owner_path
 
 
 def header(positions: int = 4, actuators: int = 2, taps: int = 16) -> BankHeader:
@@ -497,7 +496,7 @@ import sys
 from pathlib import Path
 from storage import durable
 from storage.bank.writer import BankWriter
-kind = durable.PortableFile if sys.argv[2] == "portable" else durable.open_file
+kind = durable.PositionedFile if sys.argv[2] == "portable" else durable.open_file
 with BankWriter.open(Path(sys.argv[1]), open_file=kind):
     print("open", flush=True)
     sys.stdin.readline()
@@ -507,7 +506,7 @@ with BankWriter.open(Path(sys.argv[1]), open_file=kind):
 @pytest.mark.parametrize("kind", ["best", "portable"])
 def test_a_second_process_then_is_told_who_owns_the_bank(tmp_path: Path, kind: str) -> None:
     path = measured(tmp_path / "bank.h5")
-    opener = PortableFile if kind == "portable" else open_file
+    opener = PositionedFile if kind == "portable" else open_file
     command = [sys.executable, "-c", HOLD, str(path), kind]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None

@@ -14,8 +14,7 @@ from calibration.check.file import check_file
 from storage.bank.reading import open_bank
 from storage.drive_file import read_drive
 from storage.errors import InputError
-from storage.field_file import read_field
-from storage.field_rows import FieldRowReader
+from storage.field_file import FieldRowReader, read_field
 from storage.raw.reading import open_raw
 
 LARGE = 10**12

@@ -12,9 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from storage.durable import (
-    PortableFile,
     PositionedFile,
     PosixFile,
+    is_network_mount,
+    is_network_mount_in,
     open_file,
     publish_by_claim,
     publish_by_link,
@@ -22,10 +23,9 @@ from storage.durable import (
     sync_folder,
     sync_path,
 )
-from storage.network_mount import is_network_mount, is_network_mount_in
 from storage.output_files import replacement
 
-KINDS = [PortableFile] if os.name == "nt" else [PosixFile, PortableFile]
+KINDS = [PositionedFile] if os.name == "nt" else [PosixFile, PositionedFile]
 
 
 @pytest.mark.parametrize("kind", KINDS)

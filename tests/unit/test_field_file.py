@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import h5py
@@ -13,8 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from storage.errors import InputError
-from storage.field_file import Field, FieldWriter, LowPass, read_field, write_field
-from storage.field_rows import FieldRowReader
+from storage.field_file import Field, FieldRowReader, FieldWriter, LowPass, field_in_rows, read_field, write_field
 
 
 def field(positions: int = 3, samples: int = 5, seed: int = 0) -> Field:
@@ -91,8 +91,8 @@ def test_a_field_at_a_lower_rate_with_a_wrong_attribute_then_is_refused(
         assert str(path) in str(refusal.value)
 
 
-def rows_of(path: Path) -> FieldWriter:
-    return FieldWriter(path, [4, 7, 9], 2, sample_rate_hz=1e4, start_s=-0.1, response_unit="m/s")
+def rows_of(path: Path) -> AbstractContextManager[FieldWriter]:
+    return field_in_rows(path, [4, 7, 9], 2, sample_rate_hz=1e4, start_s=-0.1, response_unit="m/s")
 
 
 def test_rows_written_one_by_one_then_make_the_whole_field(tmp_path: Path) -> None:

@@ -14,8 +14,7 @@ from acquisition.engine.events import DriftError, Event, Fault, ReconnectTried, 
 from acquisition.engine.states import FOLLOWS
 from acquisition.engine.stop_signals import StopRequest
 from drivers.errors import InstrumentError
-from storage.bank.creation import create_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
 from wavefocus.rig.setup import open_setup
 

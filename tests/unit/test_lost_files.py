@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
 from storage.errors import FileLostError
 from storage.raw.header import RawHeader
 from storage.raw.reading import open_raw

@@ -14,8 +14,7 @@ from rendering.report.movie import snapshots, surface_of, write_movie
 from rendering.report.movie_frames import Foci, colour_limit, plan_frames, read_frames
 from storage.drive_file import Drive
 from storage.errors import InputError
-from storage.field_file import Field, write_field
-from storage.field_rows import FieldRowReader
+from storage.field_file import Field, FieldRowReader, write_field
 
 RATE_HZ, START_S, SAMPLES = 1000.0, -0.05, 400
 PLACES_MM = np.array([[x, y] for y in (0.0, 4.0, 8.0) for x in (0.0, 4.0, 8.0, 12.0)])

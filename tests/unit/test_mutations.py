@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from calibration.check.file import check_file
-from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
 from storage.drive_file import Drive, write_drive
 from storage.errors import InputError
 from storage.field_file import Field, write_field

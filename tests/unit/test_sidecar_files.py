@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.engine.events import Drift
 from config.calibration import name_calibration
-from storage.bank.owner import owner_path, remove_owner, write_owner
+from storage.ledger.owner import owner_path, remove_owner, write_owner
 from storage.sidecar_files import Log
 from wavefocus.campaign.sidecar_files import DriftHistory, EventLog, log_path, write_whole
 from wavefocus.commands.verify import VerifyLog

@@ -15,11 +15,10 @@ from acquisition.measuring.raw_keeping import raw_header, require_same, without_
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.row_ranges import row_ranges
 from drivers.errors import InstrumentError
-from storage.bank.creation import create_bank
 from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
+from storage.durable import is_network_mount
 from storage.errors import ExistsError, InputError
-from storage.network_mount import is_network_mount
 from storage.point_status import STATUS_WORDS, Status, not_valid
 from storage.raw.writer import RawWriter, create_raw
 from wavefocus.campaign.blueprint import (

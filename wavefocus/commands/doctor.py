@@ -18,8 +18,8 @@ from acquisition.doctor.findings import Act, Finding, Findings
 from calibration.rig.mirror_map import MirrorMap
 from config.rig import RigConfig
 from drivers.protocols import DeviceIdentity
+from storage.durable import is_network_mount
 from storage.errors import InputError
-from storage.network_mount import is_network_mount
 from wavefocus.configuration import load_rig
 from wavefocus.console import answer, people, say
 from wavefocus.ending import ending_at_once

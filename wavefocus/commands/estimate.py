@@ -17,12 +17,11 @@ from acquisition.quality.limits import QualityLimits
 from calibration.blas import one_blas_thread
 from calibration.estimator.estimation_memory import affordable_workers
 from calibration.estimator.raw_estimation import PositionResult, estimate_positions
-from storage.bank.creation import create_bank
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
-from storage.bank.writer import BankWriter
+from storage.bank.writer import BankWriter, create_bank
+from storage.durable import is_network_mount
 from storage.errors import InputError
-from storage.network_mount import is_network_mount
 from storage.point_status import Status, status_counts
 from storage.raw.header import RawHeader
 from storage.raw.reading import open_raw

@@ -16,7 +16,7 @@ from rendering.report.movie_frames import FramePlan, plan_frames
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, read_drive
 from storage.errors import InputError
-from storage.field_rows import FieldRowReader
+from storage.field_file import FieldRowReader
 from storage.output_files import require_outputs, write_whole
 from storage.units import quantity
 from wavefocus.campaign.blueprint import bank_configuration

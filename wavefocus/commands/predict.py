@@ -17,7 +17,7 @@ from rendering.field.response_spectra import predict_spectra
 from storage.bank.reading import open_bank
 from storage.drive_file import read_drive
 from storage.errors import InputError
-from storage.field_file import FieldWriter
+from storage.field_file import field_in_rows
 from storage.output_files import replacement, require_outputs
 from storage.units import quantity
 from wavefocus.cluster import cluster_client, field_on_cluster
@@ -61,7 +61,7 @@ def predict(
         )  # fmt: skip
         unit, peak = field_unit(view), 0.0
         with (
-            FieldWriter(
+            field_in_rows(
                 out,
                 index,
                 prediction.samples,

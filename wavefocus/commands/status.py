@@ -14,9 +14,9 @@ import numpy as np
 from acquisition.durations import a_while, hours
 from acquisition.engine.events import Progress, State
 from acquisition.schedule.row_ranges import row_ranges
-from storage.bank.owner import Owner, bank_owner
 from storage.bank.reading import open_bank
 from storage.errors import InputError
+from storage.ledger.owner import Owner, bank_owner
 from storage.output_files import require_outputs, write_whole
 from storage.point_status import median_snr_db, status_counts
 from wavefocus.campaign.campaign_view import remaining

@@ -15,31 +15,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.errors import InputError
+from storage.ledger.owner import require_regular
 
 _MOST_METADATA_BYTES = 64 << 20
 # A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
 _HOLLOW = 100
 # What filters may add to a chunk that does not get smaller.
 _FILTER_BYTES = 4096
-MOST_VARIABLE = "WAVEFOCUS_MOST_GIB"
+_MOST_VARIABLE = "WAVEFOCUS_MOST_GIB"
 _DEFAULT_MOST_GIB = 8.0
+# What rounding may put between two ways of counting samples.
+_ROUNDING_SAMPLES = 1e-2
 
 
 def most_bytes() -> int:
-    """Largest number of bytes that is read at once, or declared without being held: 8 GiB unless raised.
-
-    Raises
-    ------
-    InputError
-        The environment variable that raises it holds no number above 0.
-    """
-    words = os.environ.get(MOST_VARIABLE, "")
+    """Largest number of bytes that is read at once, or declared without being held: 8 GiB unless raised."""
+    words = os.environ.get(_MOST_VARIABLE, "")
     try:
         gib = float(words) if words else _DEFAULT_MOST_GIB
         if not 0 < gib < 1e9:
             raise ValueError
     except ValueError:
-        raise InputError(f"{MOST_VARIABLE} is {words!r}; a number of GiB above 0 is needed") from None
+        raise InputError(f"{_MOST_VARIABLE} is {words!r}; a number of GiB above 0 is needed") from None
     return int(gib * (1 << 30))
 
 
@@ -77,12 +74,13 @@ def opened(path: Path, *, cache_bytes: int = 1 << 20) -> Iterator[h5py.File]:
         raise InputError(f"{path} {hdf5_complaint(error)}") from error
 
 
-def require_regular(path: Path) -> None:
-    """Refuse a path that is missing or not a regular file."""
-    if not path.exists():
-        raise InputError(f"{path} does not exist")
-    if not path.is_file():
-        raise InputError(f"{path} is not a regular file")
+@contextlib.contextmanager
+def opened_as(path: Path, name: str) -> Iterator[h5py.File]:
+    """Open a file of one format for reading, as :func:`opened`, once its texts are known to be sound."""
+    with opened(path) as file:
+        require_sound_texts(file, path)
+        require_format(file, path, name)
+        yield file
 
 
 def hdf5_complaint(error: Exception) -> str:
@@ -117,12 +115,10 @@ def plain_dataset(
 
     Parameters
     ----------
-    file : h5py.File
-        The open file.
+    file, path : h5py.File, Path
+        The open file, and its name for messages.
     name : str
         The dataset's name, as ``"/green"``.
-    path : Path
-        The file, for messages.
     shape : tuple of int, optional
         The shape it must have.
     packed : bool
@@ -165,18 +161,22 @@ def plain_dataset(
 def _require_true_chunks(dataset: h5py.Dataset, path: Path) -> None:
     """Refuse compressed chunks that are larger than what they unfold to: they unfold to more than they declare."""
     declared = _bytes_of(dataset, dataset.chunks)
-    largest = 0
-
-    def note(chunk: h5py.h5d.StoreInfo) -> None:
-        nonlocal largest
-        largest = max(largest, int(chunk.size))
-
-    dataset.id.chunk_iter(note)
+    largest = max((size for _, size in stored_pieces(dataset)), default=0)
     if largest > declared + declared // 100 + _FILTER_BYTES:
         raise InputError(
             f"{path}: {dataset.name} has a compressed chunk of {_size(largest)} where {_size(declared)} are declared;"
             " it is not read"
         )
+
+
+def stored_pieces(dataset: h5py.Dataset) -> list[tuple[int, int]]:
+    """(offset, size) of each piece of a dataset's values in the file."""
+    pieces: list[tuple[int, int]] = []
+    if dataset.chunks is not None:
+        dataset.id.chunk_iter(lambda chunk: pieces.append((int(chunk.byte_offset), int(chunk.size))))
+    elif (offset := dataset.id.get_offset()) is not None:
+        pieces.append((int(offset), dataset.id.get_storage_size()))
+    return pieces
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,22 +202,13 @@ class Packing:
 
 
 def packing_of(dataset: h5py.Dataset, path: Path) -> Packing:
-    """Read how a dataset is packed.
-
-    Raises
-    ------
-    InputError
-        An attribute is no finite number.
-    """
+    """Read how a dataset is packed; raises InputError where an attribute is no finite number."""
     found: dict[str, float] = {}
     for key in ("scale_factor", "add_offset", "_FillValue"):
         if key in dataset.attrs:
             value = np.asarray(dataset.attrs[key])
-            if (
-                value.dtype.kind not in "fiu"
-                or value.size != 1
-                or not (np.isfinite(value).all() or key == "_FillValue")
-            ):
+            is_number = value.dtype.kind in "fiu" and value.size == 1
+            if not is_number or not (np.isfinite(value).all() or key == "_FillValue"):
                 raise InputError(f"{path}: {dataset.name} has the {key} {value.tolist()!r}; a finite number is needed")
             found[key] = float(value.reshape(-1)[0])
     return Packing(found.get("scale_factor", 1.0), found.get("add_offset", 0.0), found.get("_FillValue"))
@@ -234,16 +225,21 @@ def require_rows(dataset: h5py.Dataset, path: Path) -> None:
         raise _refuse_size(path, f"each row of {dataset.name} of shape {dataset.shape} takes", row)
 
 
-def read_whole(dataset: h5py.Dataset, path: Path) -> NDArray[Any]:
-    """Read all of a dataset, unless that is more than may be read at once."""
+def require_whole(dataset: h5py.Dataset, path: Path) -> None:
+    """Refuse a dataset that is more than may be read at once."""
     count = _bytes_of(dataset, dataset.shape)
     if count > most_bytes():
         raise _refuse_size(path, f"{dataset.name} of shape {dataset.shape} takes", count)
+
+
+def read_whole(dataset: h5py.Dataset, path: Path) -> NDArray[Any]:
+    """Read all of a dataset, unless that is more than may be read at once."""
+    require_whole(dataset, path)
     return np.asarray(dataset[...])
 
 
 def has(file: h5py.File, name: str) -> bool:
-    """Tell whether a name exists, without following it."""
+    """Whether a name exists, without following it."""
     group: object = file
     parts = name.strip("/").split("/")
     for depth, part in enumerate(parts, 1):
@@ -272,18 +268,16 @@ def read_integers(file: h5py.File, name: str, path: Path, shape: tuple[int, ...]
 
 def number(file: h5py.File, name: str, path: Path, default: float | None = None) -> float:
     """Read a finite number from a root attribute."""
-    return float(numbers(file, name, path, 1, None if default is None else (default,))[0])
+    if default is not None and name not in file.attrs:
+        return default
+    return numbers(file, name, path, 1)[0]
 
 
-def numbers(
-    file: h5py.File, name: str, path: Path, count: int, default: tuple[float, ...] | None = None
-) -> tuple[float, ...]:
+def numbers(file: h5py.File, name: str, path: Path, count: int) -> tuple[float, ...]:
     """Read ``count`` finite numbers from a root attribute."""
     if name not in file.attrs:
-        if default is None:
-            raise InputError(f"{path} has no attribute {name}")
-        return default
-    value = plain_attribute(file, name, path)
+        raise InputError(f"{path} has no attribute {name}")
+    value = _plain_attribute(file, name, path)
     if value.dtype.kind not in "fiu" or value.size != count or not np.isfinite(value).all():
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
         raise InputError(f"{path}: attribute {name} is {value.tolist()!r}; {wanted} is needed")
@@ -294,7 +288,7 @@ def text(file: h5py.File, name: str, path: Path) -> str | None:
     """Read a text from a root attribute; None when it is absent."""
     if name not in file.attrs:
         return None
-    value = plain_attribute(file, name, path)
+    value = _plain_attribute(file, name, path)
     item = value.reshape(-1)[0] if value.size == 1 else None
     try:
         if isinstance(item, str):
@@ -306,23 +300,72 @@ def text(file: h5py.File, name: str, path: Path) -> str | None:
     raise InputError(f"{path}: attribute {name} holds no text; a string is needed")
 
 
-def require_format(file: h5py.File, path: Path, name: str, version: int, *, may_lack: bool = False) -> bool:
-    """Refuse another format or version; False when the file names none and may lack it."""
+def _plain_attribute(file: h5py.File, name: str, path: Path) -> NDArray[np.generic]:
+    try:
+        dtype = file.attrs.get_id(name).dtype
+    except TypeError:
+        dtype = np.dtype("V1")
+    if dtype.kind not in "fiubSU" and h5py.check_string_dtype(dtype) is None:
+        raise InputError(f"{path}: attribute {name} holds neither plain numbers nor text")
+    return np.asarray(file.attrs[name])
+
+
+def require_format(file: h5py.File, path: Path, name: str, version: int = 1, *, may_lack: bool = False) -> None:
+    """Refuse another format or version; a file that names none is refused unless it may lack it."""
     found = text(file, "format", path)
-    if found is None and may_lack:
-        return False
     if found is None:
-        raise InputError(f"{path} says no format; {name!r} is needed")
+        if not may_lack:
+            raise InputError(f"{path} says no format; {name!r} is needed")
+        return
     if found != name:
         raise InputError(f"{path} has the format {found!r}; {name!r} is needed")
     found_version = number(file, "format_version", path)
     if found_version != version:
         raise InputError(f"{path} has {name} version {found_version:g}; this program reads version {version}")
-    return True
+
+
+def require_sample_times(file: h5py.File, path: Path, samples: int, sample_rate_hz: float, start_s: float) -> None:
+    """Refuse a file whose `/time_s` contradicts its rate and start; one without `/time_s` is fine."""
+    if not has(file, "/time_s"):
+        return
+    time_s = read_floats(file, "/time_s", path, (samples,))
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(time_s - (start_s + np.arange(samples) / sample_rate_hz)) * sample_rate_hz
+    if not (off <= _ROUNDING_SAMPLES).all():
+        sample = int(np.argmax(~(off <= _ROUNDING_SAMPLES)))
+        raise InputError(
+            f"{path}: /time_s has {time_s[sample]:g} s at sample {sample}, and by sample_rate_hz it is at"
+            f" {start_s + sample / sample_rate_hz:g} s; they must agree"
+        )
+
+
+def require_sound_texts(file: h5py.File, path: Path) -> None:
+    """Refuse damage to a file's texts before HDF5 meets it; searches all but the datasets' values."""
+    values: list[tuple[int, int]] = []
+
+    def note(_: str, found: object) -> None:
+        if isinstance(found, h5py.Dataset):
+            values.extend(stored_pieces(found))
+
+    file.visititems(note)
+    end = 0
+    size = path.stat().st_size
+    with path.open("rb") as raw:
+        for start, count in [*sorted(values), (size, 0)]:
+            if 0 < start - end <= _MOST_METADATA_BYTES:
+                raw.seek(end)
+                content = raw.read(start - end)
+                at = content.find(b"GCOL")
+                while at >= 0:
+                    heap_bytes = int.from_bytes(content[at + 8 : at + 16], "little")
+                    if (end + at) % 8 == 0 and not heap_is_sound(content[at : at + heap_bytes]):
+                        raise InputError(f"{path} is damaged: its texts are not readable; restore a copy")
+                    at = content.find(b"GCOL", at + 1)
+            end = max(end, start + count)
 
 
 def heap_is_sound(content: bytes) -> bool:
-    """Tell whether the objects of a global heap collection fit into it.
+    """Whether the objects of a global heap collection fit into it.
 
     HDF5 keeps texts there without a checksum, and 2.0 never returns from one whose sizes are wrong (HDF5 file
     format specification 3.0, section III.E).
@@ -341,47 +384,3 @@ def heap_is_sound(content: bytes) -> bool:
             return False
         seen.add(index)
     return True
-
-
-def require_sound_texts(file: h5py.File, path: Path) -> None:
-    """Refuse damage to the texts of a small file before HDF5 meets it; searches all but the datasets' values.
-
-    Raises
-    ------
-    InputError
-        A heap of texts is damaged.
-    """
-    values: list[tuple[int, int]] = []
-
-    def note(_: str, found: object) -> None:
-        if isinstance(found, h5py.Dataset) and found.chunks is None and (offset := found.id.get_offset()) is not None:
-            values.append((offset, found.id.get_storage_size()))
-
-    file.visititems(note)
-    end = 0
-    size = path.stat().st_size
-    with path.open("rb") as raw:
-        for start, count in [*sorted(values), (size, 0)]:
-            if 0 < start - end <= _MOST_METADATA_BYTES:
-                raw.seek(end)
-                content = raw.read(start - end)
-                at = content.find(b"GCOL")
-                while at >= 0:
-                    heap_bytes = int.from_bytes(content[at + 8 : at + 16], "little")
-                    if (end + at) % 8 == 0 and not heap_is_sound(content[at : at + heap_bytes]):
-                        raise InputError(f"{path} is damaged: its texts are not readable; make it anew")
-                    at = content.find(b"GCOL", at + 1)
-            end = max(end, start + count)
-
-
-def plain_attribute(file: h5py.File, name: str, path: Path, *, number: bool = False) -> NDArray[np.generic]:
-    """Read a root attribute of plain numbers or text, or of numbers alone."""
-    try:
-        dtype = file.attrs.get_id(name).dtype
-    except TypeError:
-        dtype = np.dtype("V1")
-    if number and dtype.kind not in "fiu":
-        raise InputError(f"{path}: attribute {name} holds no numbers; numbers are needed")
-    if dtype.kind not in "fiubSU" and h5py.check_string_dtype(dtype) is None:
-        raise InputError(f"{path}: attribute {name} holds neither plain numbers nor text")
-    return np.asarray(file.attrs[name])

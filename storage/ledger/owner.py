@@ -1,4 +1,4 @@
-"""One writer per bank: who owns it, and where its name is written."""
+"""One writer per file: who owns it, and where its name is written."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from storage import hdf5_safety
 from storage.durable import PositionedFile, open_file
 from storage.errors import BankBusyError, InputError
 from storage.sidecar_files import create, is_replaceable
@@ -23,7 +22,7 @@ _PAUSE_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Owner:
-    """The process that writes a bank.
+    """The process that writes a file.
 
     Parameters
     ----------
@@ -32,7 +31,7 @@ class Owner:
     pid : int
         Its process id, 0 when it could not be read.
     started : str
-        When it opened the bank, ISO 8601 with time zone, empty when it could not be read.
+        When it opened the file, ISO 8601 with time zone, empty when it could not be read.
     """
 
     host: str
@@ -46,15 +45,15 @@ def owner_path(path: Path) -> Path:
 
 
 def bank_owner(path: str | Path) -> Owner | None:
-    """Return the process that owns a bank now, or None; a name that a dead process left counts for nothing.
+    """Return the process that owns a file now, or None; a name that a dead process left counts for nothing.
 
     Raises
     ------
     InputError
-        When the bank is missing or may not be read.
+        When the file is missing or may not be read.
     """
     path = Path(path)
-    hdf5_safety.require_regular(path)
+    require_regular(path)
     if not owner_path(path).exists():
         return None  # without touching the lock
     try:
@@ -67,14 +66,16 @@ def bank_owner(path: str | Path) -> Owner | None:
         file.close()
 
 
-def take_ownership(path: Path, file: PositionedFile, kind: str = "bank") -> None:
-    """Lock an open bank, or a file of another kind, until it is closed.
+def require_regular(path: Path) -> None:
+    """Refuse a path that is missing or not a regular file."""
+    if not path.exists():
+        raise InputError(f"{path} does not exist")
+    if not path.is_file():
+        raise InputError(f"{path} is not a regular file")
 
-    Raises
-    ------
-    BankBusyError
-        When another process owns it.
-    """
+
+def take_ownership(path: Path, file: PositionedFile, kind: str) -> None:
+    """Lock an open file, a `kind` in messages, until it is closed; BankBusyError where another process owns it."""
     for attempt in range(_TRIES):
         if attempt:
             time.sleep(_PAUSE_S)
@@ -89,9 +90,9 @@ def take_ownership(path: Path, file: PositionedFile, kind: str = "bank") -> None
 
 
 def write_owner(path: Path) -> None:
-    """Name this process beside the bank it has locked."""
+    """Name this process beside the file it has locked."""
     owner = Owner(socket.gethostname(), os.getpid(), datetime.now(UTC).astimezone().isoformat(timespec="seconds"))
-    # The bank's own space is reserved: a disk that is full but for that must not keep anyone from measuring.
+    # The file's own space is reserved: a disk that is full but for that must not keep anyone from measuring.
     with contextlib.suppress(OSError):
         name = owner_path(path)
         if is_replaceable(name):  # of a process that was killed

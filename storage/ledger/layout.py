@@ -1,0 +1,298 @@
+"""Where in a ledger file everything lies: made once through HDF5, written and read by offsets from then on."""
+
+from __future__ import annotations
+
+import shutil
+import zlib
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from storage import durable, hdf5_digest, hdf5_reading
+from storage.durable import PAGE
+from storage.errors import ExistsError, InputError
+from storage.hdf5_writing import attach, created, reserved
+from storage.ledger.pages import LedgerFormat, RowShape
+from storage.staging_dir import clear_leftovers, workplace
+
+LEDGER = "/durability/ledger"
+JOURNAL = "/durability/journal"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LedgerLayout:
+    """The table of offsets, in bytes from the start of the file.
+
+    Parameters
+    ----------
+    header : BankHeader or RawHeader
+        What the file says about itself.
+    shape : RowShape
+        Sizes of a position's data and of its ledger row.
+    chunk_offset : array (datasets, P)
+        Each position's data in each dataset.
+    ledger_offset, journal_offset : int
+        The first byte of each.
+    figures : dict
+        (offset, bytes per position) of datasets that follow from the ledger and can be rebuilt from it.
+    """
+
+    header: Any
+    shape: RowShape
+    chunk_offset: NDArray[np.int64]
+    ledger_offset: int
+    journal_offset: int
+    figures: dict[str, tuple[int, int]]
+
+    @property
+    def positions(self) -> int:
+        """Number of positions."""
+        return int(self.chunk_offset.shape[1])
+
+    def extents(self) -> list[tuple[int, int]]:
+        """(offset, size) of everything that is written after creation."""
+        count, shape = self.positions, self.shape
+        extents = [(offset, shape.chunk_bytes) for offset in self.chunk_offset.ravel().tolist()]
+        extents += [(self.ledger_offset, count * shape.row_bytes), (self.journal_offset, shape.journal_bytes)]
+        return extents + [(offset, count * size) for offset, size in self.figures.values()]
+
+    def checksum(self, figures: Collection[str], before: int = 0) -> int:
+        """CRC-32 of the offsets of chunks, ledger, journal and some figures, as kept in the file."""
+        first = [offset for offset, _ in self.extents()[: self.chunk_offset.size + 2]]
+        return offsets_crc(first + [self.figures[name][0] for name in self.figures if name in figures], before)
+
+    def row_offset(self, position: int) -> int:
+        """First byte of a position's ledger row."""
+        return self.ledger_offset + position * self.shape.row_bytes
+
+    @property
+    def file_bytes(self) -> int:
+        """Smallest size of the file that holds every page written later."""
+        return max(offset + size for offset, size in self.extents())
+
+    def require_sound(self, path: Path) -> None:
+        """Refuse extents that overlap or are off the page grid, and a file that is too short for them."""
+        end = 0
+        for offset, size in sorted(self.extents()):
+            if offset % PAGE or offset < max(end, PAGE):
+                raise InputError(f"{path} is damaged: its datasets overlap or do not start on a page; restore a copy")
+            end = offset + size
+        if path.stat().st_size < self.file_bytes:
+            raise InputError(f"{path} is truncated: {path.stat().st_size} of {self.file_bytes} bytes; restore a copy")
+
+
+def offsets_crc(offsets: Sequence[int], before: int = 0) -> int:
+    """CRC-32 of offsets."""
+    return zlib.crc32(np.array(offsets, "<i8").tobytes(), before)
+
+
+def require_checksum(file: h5py.File, path: Path, name: str, found: int, what: str) -> None:
+    """Refuse a file whose attribute `name` is another checksum of `what`."""
+    if found != hdf5_reading.number(file, name, path):
+        raise InputError(f"{path} is damaged: {what} checksum does not hold; restore it from a copy")
+
+
+def lay_out_data(file: h5py.File, shape: RowShape, count: int, units: Sequence[str]) -> tuple[h5py.Dataset, ...]:
+    """Reserve the datasets of the positions' data; return them."""
+    chunk = (1, *shape.dimensions)
+    return tuple(
+        reserved(file, name, (count, *shape.dimensions), shape.format.dtype, unit, chunk)
+        for name, unit in zip(shape.format.datasets, units, strict=True)
+    )
+
+
+def lay_out_ledger(file: h5py.File, shape: RowShape, count: int, *scales: h5py.Dataset) -> None:
+    """Reserve ledger and journal; `scales` are those of position, ledger byte and journal byte."""
+    ledger = reserved(file, LEDGER, (count, shape.row_bytes), "u1")
+    journal = reserved(file, JOURNAL, (shape.journal_bytes,), "u1")
+    if scales:
+        attach(ledger, *scales[:2])
+        attach(journal, scales[2])
+
+
+def has_ledger(file: h5py.File) -> bool:
+    """Whether this program made a file."""
+    return "format" in file.attrs and hdf5_reading.has(file, LEDGER)
+
+
+def require_ledger(file: h5py.File, path: Path, form: LedgerFormat) -> None:
+    """Refuse a file that is of another format or was not made by this program."""
+    hdf5_reading.require_sound_texts(file, path)  # before any text is read
+    hdf5_reading.require_format(file, path, form.name)
+    if not has_ledger(file):
+        raise InputError(f"{path} was made by another program; it can be read, but not written into")
+
+
+def find_layout(
+    file: h5py.File,
+    path: Path,
+    header: Any,
+    shape: RowShape,
+    count: int,
+    figures: dict[str, tuple[tuple[int, ...], str]],
+) -> LedgerLayout:
+    """Find where everything lies.
+
+    Parameters
+    ----------
+    file, path : h5py.File, Path
+        The open file, and its name for messages.
+    header : BankHeader or RawHeader
+        Its header.
+    shape : RowShape
+        Sizes of a position's data and of its ledger row.
+    count : int
+        Number of positions.
+    figures : dict
+        Shape and type of the datasets that follow from the ledger.
+
+    Raises
+    ------
+    InputError
+        Something is missing or laid out otherwise.
+    """
+
+    def offset(name: str, expected: tuple[int, ...], dtype: str) -> int:
+        dataset = hdf5_reading.plain_dataset(file, name, path, shape=expected)
+        found = dataset.id.get_offset()
+        if dataset.dtype != np.dtype(dtype) or dataset.chunks or found is None:
+            raise InputError(f"{path}: {name} is not laid out as this program lays it out; restore it from a copy")
+        return int(found)
+
+    return LedgerLayout(
+        header,
+        shape,
+        np.array([_row_offsets(file, path, name, shape, count) for name in shape.format.datasets]),
+        offset(LEDGER, (count, shape.row_bytes), "u1"),
+        offset(JOURNAL, (shape.journal_bytes,), "u1"),
+        {
+            name: (offset(name, form, dtype), int(np.prod(form[1:])) * np.dtype(dtype).itemsize)
+            for name, (form, dtype) in figures.items()
+        },
+    )
+
+
+def _row_offsets(file: h5py.File, path: Path, name: str, shape: RowShape, count: int) -> NDArray[np.int64]:
+    """Where each position of a dataset lies that has a chunk for each."""
+    dataset = hdf5_reading.plain_dataset(file, name, path, shape=(count, *shape.dimensions))
+    if dataset.dtype != np.dtype(shape.format.dtype) or dataset.chunks != (1, *shape.dimensions):
+        raise InputError(f"{path}: {name} is not laid out as this program lays it out; it cannot be written into")
+    chunks = np.full(count, -1, np.int64)
+
+    def note(chunk: h5py.h5d.StoreInfo) -> None:
+        if chunk.size == shape.data_bytes and chunk.filter_mask == 0 and chunk.chunk_offset[0] < count:
+            chunks[chunk.chunk_offset[0]] = chunk.byte_offset
+
+    dataset.id.chunk_iter(note)
+    if dataset.id.get_create_plist().get_nfilters() or (chunks < 0).any():
+        raise InputError(f"{path} is damaged: {name} lacks rows or is compressed; restore it from a copy")
+    return chunks
+
+
+def later_datasets(layout: LedgerLayout) -> frozenset[str]:
+    """Datasets whose values are written after creation and are checked by the ledger."""
+    return frozenset({*layout.shape.format.datasets, *layout.figures, LEDGER, JOURNAL})
+
+
+def create_file(
+    path: Path,
+    about_bytes: int,
+    lay_out: Callable[[h5py.File], LedgerLayout],
+    open_file: durable.OpenFile = durable.open_file,
+) -> None:
+    """Make a ledger file with all its space reserved; an existing file is never touched.
+
+    Parameters
+    ----------
+    path : Path
+        A file that does not exist, in a folder that does.
+    about_bytes : int
+        How large it will be, a little rounded up.
+    lay_out : callable
+        Writes attributes and datasets and returns where they lie.
+    open_file : durable.OpenFile
+        How the file is opened when its space is reserved.
+
+    Raises
+    ------
+    ExistsError
+        When the path exists.
+    InputError
+        When the folder is missing, or the disk is too small; nothing is left behind.
+    """
+    clear_leftovers(path)
+    taken = ExistsError(f"{path} exists already; choose another name, or resume it")
+    if path.exists():
+        raise taken
+    if path.is_symlink():
+        raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the file itself")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist")
+    _require_space(path, about_bytes)
+    try:
+        with workplace(path) as place:
+            with created(place.temporary, laid_out_once=True) as file:
+                layout = lay_out(file)
+                hdf5_digest.seal_contents(file, later_datasets(layout))
+            _reserve(place.temporary, layout.file_bytes, open_file)
+            place.complete()
+            durable.publish_new(place.temporary, path)
+    except FileExistsError as error:
+        raise taken from error
+    except InputError:
+        raise
+    except (OSError, RuntimeError, ValueError) as error:
+        _require_space(path, about_bytes, error)
+        raise InputError(f"{path} cannot be made: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _reserve(path: Path, size: int, open_file: durable.OpenFile) -> None:
+    file = open_file(path, write=True)
+    try:
+        file.reserve(max(-(-file.size() // PAGE) * PAGE, size))
+        file.sync()
+    finally:
+        file.close()
+
+
+def _require_space(path: Path, needed: int, error: Exception | None = None) -> None:
+    free = shutil.disk_usage(path.parent).free
+    if free < needed:
+        raise InputError(
+            f"{path} needs {needed} bytes and its disk has {free} free; make room or use another"
+        ) from error
+
+
+def require_header(header: Any) -> None:
+    """Bring the positions of a new header into order, and refuse values that banks and raw files both exclude."""
+    if not (np.isfinite(header.sample_rate_hz) and header.sample_rate_hz > 0):
+        raise InputError(f"sample_rate_hz is {header.sample_rate_hz}; a rate above 0 is needed")
+    low, high = header.band_hz
+    if not 0 <= low < high <= header.sample_rate_hz / 2:
+        raise InputError(f"band_hz is {low:g} to {high:g}; 0 <= low < high <= {header.sample_rate_hz / 2:g} is needed")
+    for name in ("position_mm", "actuator_mm"):
+        array = np.ascontiguousarray(getattr(header, name), dtype=np.float64)
+        if array.ndim != 2 or array.shape[1] != 2 or not array.shape[0]:
+            raise InputError(f"{name} has shape {array.shape}; one (x, y) row or more is needed")
+        object.__setattr__(header, name, array)
+    if not np.isfinite(header.position_mm).all():
+        raise InputError("position_mm holds values that are not finite; every grid position needs both coordinates")
+    for one in fields(header):
+        value = getattr(header, one.name)
+        if isinstance(value, str) and "\0" in value:
+            raise InputError(f"{one.name} holds a zero character; plain text is needed")
+
+
+@contextmanager
+def named(path: Path) -> Iterator[None]:
+    """Name the file in errors about its values."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error

@@ -1,0 +1,150 @@
+"""Reading the rows of a ledger file straight from their offsets, without locks, also while it is written."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.durable import open_file
+from storage.errors import InputError
+from storage.ledger.layout import LedgerLayout
+from storage.ledger.owner import owner_path
+from storage.ledger.pages import Replacement, is_empty
+
+# A reader may meet a position that is just being measured again; that takes milliseconds.
+_TRIES = 4
+_PAUSE_S = 0.01
+
+
+class DamagedError(InputError):
+    """A position is not what was written; others may be."""
+
+
+class LedgerReader:
+    """Positions of a file of this program, checked against its ledger."""
+
+    def __init__(self, path: Path, layout: LedgerLayout) -> None:
+        self._path, self._layout, self._shape = path, layout, layout.shape
+        try:
+            self._file = open_file(path)
+        except OSError as error:
+            raise InputError(f"{path} may not be read: {error.strerror}") from error
+        try:
+            # Before the ledger: a status stands in the file only after its ledger row.
+            has_status = "/status" in layout.figures
+            noted = self.figure("/status") if has_status else bytes(layout.positions)
+            for attempt in range(_TRIES):
+                if attempt:
+                    time.sleep(_PAUSE_S)
+                self._read_ledger()
+                if not self.ledger.damaged.any():  # else a row may just be being written
+                    break
+        except OSError as error:
+            self._file.close()
+            raise InputError(f"{path} may not be read: {error.strerror}") from error
+        self._erased = self.ledger.empty & (np.frombuffer(noted, np.uint8) != 0)
+        self._has_status = has_status
+
+    def broken(self) -> NDArray[np.bool_]:
+        """Positions (P,) that were measured and whose ledger row does not hold or is zeros."""
+        return np.asarray(self.ledger.damaged | self._erased)
+
+    def chunks(self, position: int) -> tuple[bytes | bytearray, ...] | None:
+        """Data of a position in each dataset; None where the ledger holds nothing for it.
+
+        Raises
+        ------
+        DamagedError
+            A checksum does not hold.
+        InputError
+            The file cannot be read.
+        """
+        if self._replacing and self._replacing.position == position:
+            return self._replacing.chunks  # as its ledger row was taken from the journal
+        try:
+            for attempt in range(_TRIES):
+                if attempt:
+                    time.sleep(_PAUSE_S)
+                found = self._chunks_once(position)
+                if found is not None:
+                    return found or None
+        except OSError as error:
+            raise InputError(f"{self._path}: position {position} is not readable: {error.strerror}") from error
+        raise DamagedError(self.damage_of(position))
+
+    def damage_of(self, position: int, more: str = "") -> str:
+        """Say that a position's checksum does not hold, and what to do."""
+        remedy = self._shape.format.remedy.format(path=self._path)
+        return f"{self._path}: position {position} is damaged, its checksum does not hold{more}; {remedy}"
+
+    def damaged(self) -> tuple[int, ...]:
+        """Positions whose checksums do not hold."""
+        damaged = []
+        for position in np.flatnonzero(~self.ledger.empty | self._erased).tolist():
+            try:
+                self.chunks(position)
+            except InputError:
+                damaged.append(position)
+        return tuple(damaged)
+
+    def torn(self) -> list[int]:
+        """Positions that hold data and whose ledger row is zeros: a writer was between the two, or ended there."""
+        return [position for position in np.flatnonzero(self.ledger.empty).tolist() if self._holds_data(position)]
+
+    def journal_state(self) -> str:
+        """Return "empty", "whole" (a replacement is under way or was cut off), or "torn"."""
+        content = self._read(self._layout.journal_offset, self._shape.journal_bytes)
+        return "empty" if is_empty(content) else "whole" if self._shape.decode_journal(content) else "torn"
+
+    def figure(self, name: str) -> bytearray:
+        """Bytes of a dataset that follows from the ledger, as they lie in the file."""
+        offset, size = self._layout.figures[name]
+        return self._read(offset, size * self._layout.positions)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _read(self, offset: int, size: int) -> bytearray:
+        content = bytearray(size)
+        self._file.read_into(offset, memoryview(content))
+        return content
+
+    def _data(self, position: int) -> tuple[bytearray, ...]:
+        offsets = self._layout.chunk_offset[:, position].tolist()
+        return tuple(self._read(offset, self._shape.data_bytes) for offset in offsets)
+
+    def _read_ledger(self) -> None:
+        size = self._shape.row_bytes
+        rows = self._read(self._layout.ledger_offset, self._layout.positions * size)
+        self._replacing = self._read_journal()
+        if self._replacing:
+            rows[self._replacing.position * size : (self._replacing.position + 1) * size] = self._replacing.row
+        self.ledger = self._shape.decode(rows)
+
+    def _chunks_once(self, position: int) -> tuple[bytes | bytearray, ...] | None:
+        """Data of a position, nothing (an empty tuple) where none was committed, None where they do not hold."""
+        row = self._read(self._layout.row_offset(position), self._shape.row_bytes)
+        crcs = self._shape.crcs(row, position)
+        if crcs is None and is_empty(row):
+            return None if self._erased[position] or self._is_lost(position) else ()
+        chunks = self._data(position)
+        if crcs is not None and self._shape.holds(crcs, chunks):
+            return chunks
+        replacing = self._read_journal()
+        return replacing.chunks if replacing is not None and replacing.position == position else None
+
+    def _is_lost(self, position: int) -> bool:
+        # Without a status that says that a position was measured, its data do, unless a writer just wrote them.
+        return not self._has_status and not owner_path(self._path).exists() and self._holds_data(position)
+
+    def _holds_data(self, position: int) -> bool:
+        return not all(map(is_empty, self._data(position)))
+
+    def _read_journal(self) -> Replacement | None:
+        """The row that is just replacing an older one, or that a crash kept from doing so."""
+        entry = self._shape.decode_journal(self._read(self._layout.journal_offset, self._shape.journal_bytes))
+        return entry if entry and entry.position < self._layout.positions else None
