@@ -48,11 +48,3 @@ def test_given_a_zeroed_ledger_page_then_every_command_names_the_position(
     assert (told["damaged_positions"], told["counts"]["damaged"], told["counts"]["not-measured"]) == ([2], 1, 0)
     assert _run("resume", bank) == 0
     assert bank.read_bytes() == Path(sound).read_bytes()
-
-
-def test_given_heap_offsets_that_are_no_places_then_one_sentence(bank: Path) -> None:
-    for value in ("x", -1.5, [[1 << 62]]):
-        with h5py.File(bank, "r+") as file:
-            del file.attrs["heap_offsets"]
-            file.attrs["heap_offsets"] = value
-        assert _run("status", bank) == 2
