@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage, spatial
-from scipy.interpolate import RBFInterpolator
+from scipy import fft
 
+from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
 
 RealArray = NDArray[np.floating[Any]]
@@ -117,7 +117,7 @@ def gain_range_db(
     known = actuator_mm[np.isfinite(actuator_mm).all(axis=1)]
     if not len(known):
         return range_db(gain)
-    distance, _ = spatial.cKDTree(known).query(position_mm)
+    distance = np.hypot(*(position_mm[:, None] - known).transpose(2, 0, 1)).min(axis=1)
     return range_db(gain[distance > clear_mm])
 
 
@@ -131,8 +131,7 @@ def grid_spacing_mm(position_mm: NDArray[np.float64]) -> float:
     """
     if len(position_mm) < 2:
         raise InputError(f"a grid spacing needs two positions, there are {len(position_mm)}")
-    distance, _ = spatial.cKDTree(position_mm).query(position_mm, k=[2])
-    return float(np.median(distance))
+    return PositionGrid(position_mm).spacing_mm
 
 
 def focus_peak(
@@ -208,6 +207,9 @@ def focal_width_mm(
     float or None
         Millimetres; None when the spot reaches beyond the positions that are there.
     """
+    from scipy import ndimage, spatial
+    from scipy.interpolate import RBFInterpolator  # a render measures no spot, and does not wait for these
+
     value = float(field[peak_row])
     reach = SPOT_REACH_SPACINGS * spacing_mm
     offset = position_mm - position_mm[peak_row]
