@@ -1,1 +1,89 @@
-"""Plates: how a wave leaves a small source and what arrives at a distance."""
+"""Plates: responses from actuators to positions, by the plate's name; a new one is a module here."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.registry import Registry
+
+Float64Array = NDArray[np.float64]
+Complex64Array = NDArray[np.complex64]
+Complex128Array = NDArray[np.complex128]
+
+
+class Plate(ABC):
+    """A plate with actuators on it, each pushing with unit force.
+
+    Parameters
+    ----------
+    actuator_mm : float64 array, shape (actuators, 2)
+        Where they are.
+    surface_mm : tuple of float
+        Length and width of the plate in mm.
+    chain : callable
+        Transfer function of the signal chain over the frequency in Hz; every response includes it.
+
+    Attributes
+    ----------
+    name : str
+        What it is registered as.
+    """
+
+    name: str
+
+    def __init__(
+        self,
+        actuator_mm: Float64Array,
+        surface_mm: tuple[float, float],
+        chain: Callable[[Float64Array], Complex128Array],
+    ) -> None:
+        self._actuator_mm = actuator_mm
+        self._surface_mm = surface_mm
+        self._chain = chain
+
+    @abstractmethod
+    def response(
+        self, place_mm: tuple[float, float], step_hz: float, bins: int, *, single: bool
+    ) -> Complex64Array | Complex128Array:
+        """Velocity at a place for each actuator at the frequencies step_hz * (0, 1, ... bins - 1), (actuators, bins).
+
+        Parameters
+        ----------
+        place_mm : tuple of float
+            Point on the surface.
+        step_hz : float
+            Spacing of the frequencies, > 0.
+        bins : int
+            How many, > 0.
+        single : bool
+            Give complex64, to a relative error of 1e-6, in place of complex128.
+        """
+
+    @abstractmethod
+    def fir_spectra(
+        self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
+    ) -> Complex128Array:
+        """Transforms of the FIRs that end after some taps, (positions, actuators, bins), within 1e-6.
+
+        Parameters
+        ----------
+        position_mm : float64 array, shape (positions, 2)
+            Points on the surface, not on an actuator.
+        taps, sample_rate_hz
+            Length and rate of the FIRs.
+        length : int
+            Length of the transform.
+        bins : slice
+            Which bins, start and stop given.
+        """
+
+    @abstractmethod
+    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
+        """How strongly it responds to each frequency > 0, at no place in particular; the chain left out."""
+
+
+PLATES: Registry[type[Plate]] = Registry("mocks.plates")

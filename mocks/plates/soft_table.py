@@ -1,13 +1,22 @@
-"""A plate tabulated over distance, so that any distance costs one small matrix product."""
+"""The soft plate tabulated over distance: whole responses, and those of FIRs that end after some taps."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.special import jv
 
-from mocks.plates.soft import MAGNET_RADIUS_MM, DampedWave
+from mocks.plates import PLATES, Complex64Array, Plate
+from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, DampedWave
 
 Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
+Colour = Callable[[Float64Array], Complex128Array]
+"""A transfer function of the frequency in Hz."""
 ComplexType = type[np.complex64] | type[np.complex128]
 
 NODES = 24  # Chebyshev nodes in log radius; the error they leave is measured in tests/unit/test_plates.py
@@ -156,3 +165,119 @@ def phase_ramp(
     ramp: NDArray[np.complex128] | NDArray[np.complex64] = coarse[:, :, None] * fine[:, None, :]
     ramp = ramp.reshape(len(step), -1)
     return ramp[:, :bins]
+
+
+# What is cut off is weak, and smooth enough for a cubic spline over distance: waves are 9 mm long at 500 Hz.
+TAIL_STEP_MM = 2.0
+# Room for a whole further second, so that the slow diffusion of far pairs does not wrap.
+ROOM_S = 1.0
+
+
+def impulse_length(taps: int, sample_rate_hz: float) -> int:
+    """Samples of a transform in which impulse responses do not wrap."""
+    return int(next_fast_len(taps + round(ROOM_S * sample_rate_hz), real=True))
+
+
+class TruncatedPlate:
+    """Transfer functions of FIRs that end after some taps, of plate and signal chain, at unit gain.
+
+    The transfer function of the whole response less that of its end, both interpolated over distance.
+
+    Parameters
+    ----------
+    taps : int
+        Length of the FIRs, > 0.
+    sample_rate_hz : float
+        Their rate in Hz.
+    length : int
+        Length of the transform; bin m lies at m / length cycles per sample.
+    bins : slice
+        Which bins are wanted, start and stop given.
+    furthest_mm : float
+        Largest distance in mm; the smallest is the magnet's radius.
+    colour : callable
+        The signal chain.
+    """
+
+    def __init__(
+        self, taps: int, sample_rate_hz: float, length: int, bins: slice, furthest_mm: float, colour: Colour
+    ) -> None:
+        # The only one who needs it; starting a rig shall not wait for it.
+        from scipy.interpolate import CubicSpline
+
+        self._bins = bins
+        self._span_mm = (MAGNET_RADIUS_MM, furthest_mm)
+        step_hz = sample_rate_hz / length
+        chain = colour(step_hz * np.arange(bins.stop, dtype=np.float64))
+        self._whole = PlateTable(SOFT_PLATE, step_hz, bins.stop, chain, furthest_mm=furthest_mm)
+        full = impulse_length(taps, sample_rate_hz)
+        frequency_hz = sample_rate_hz / full * np.arange(full // 2 + 1, dtype=np.float64)
+        # The end is slow. Without the taper, what little there is at half the sample rate would ring through it,
+        # at 1e-7 of the response but with a phase that no spline over distance follows.
+        tapered = np.cos(0.5 * np.pi * frequency_hz / frequency_hz[-1]) ** 2 * colour(frequency_hz)
+        table = PlateTable(SOFT_PLATE, frequency_hz[1], frequency_hz.size, tapered, furthest_mm=furthest_mm)
+        radius_mm = np.linspace(*self._span_mm, int(furthest_mm / TAIL_STEP_MM) + 2)
+        response = irfft(table.evaluate(radius_mm), full)
+        response[:, :taps] = 0
+        # Folded, a transform of any length has the values at its frequencies.
+        folded = np.zeros((radius_mm.size, -(-full // length) * length))
+        folded[:, :full] = response
+        ends = rfft(folded.reshape(radius_mm.size, -1, length).sum(axis=1))[:, bins]
+        self._end = CubicSpline(radius_mm, ends)
+
+    def spectra(self, radius_mm: Float64Array) -> Complex128Array:
+        """Transfer functions at some distances, within 1e-6 of that of the FIR.
+
+        Parameters
+        ----------
+        radius_mm : float64 array, shape (distances,)
+            Distances in mm; nearer than the magnet's radius or beyond the span, the cut is left out.
+
+        Returns
+        -------
+        complex128 array, shape (distances, bins)
+        """
+        spectra = self._whole.evaluate(radius_mm)[:, self._bins]
+        low, high = self._span_mm
+        within = (radius_mm >= low) & (radius_mm <= high)
+        spectra[within] -= self._end(radius_mm[within])
+        return np.asarray(spectra, dtype=np.complex128)
+
+
+@PLATES.register
+class SoftPlate(Plate):
+    """The infinite soft plate: waves leave each actuator and never come back from the rim."""
+
+    name = "soft"
+
+    def __init__(self, actuator_mm: Float64Array, surface_mm: tuple[float, float], chain: Colour) -> None:
+        super().__init__(actuator_mm, surface_mm, chain)
+        self._furthest_mm = float(np.hypot(*surface_mm)) + 10
+        self._table = lru_cache(6)(self._make_table)
+        self._truncated = lru_cache(1)(self._make_truncated)
+
+    def response(
+        self, place_mm: tuple[float, float], step_hz: float, bins: int, *, single: bool
+    ) -> Complex64Array | Complex128Array:
+        distance_mm = np.hypot(*(self._actuator_mm - place_mm).T)
+        return self._table(step_hz, bins, single).evaluate(distance_mm)
+
+    def fir_spectra(
+        self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
+    ) -> Complex128Array:
+        plate = self._truncated(taps, sample_rate_hz, length, bins.start, bins.stop)
+        gap = self._actuator_mm - np.asarray(position_mm, dtype=np.float64).reshape(-1, 1, 2)
+        radius_mm = np.hypot(gap[..., 0], gap[..., 1])
+        return plate.spectra(radius_mm.ravel()).reshape(*radius_mm.shape, -1)
+
+    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
+        wavenumber = SOFT_PLATE.wavenumber(frequency_hz)
+        argument = wavenumber * MAGNET_RADIUS_MM / 1e3
+        return np.asarray(np.abs(2 * jv(1, argument) / argument) * frequency_hz / np.sqrt(np.abs(wavenumber)))
+
+    def _make_table(self, step_hz: float, bins: int, single: bool) -> PlateTable:
+        chain = self._chain(step_hz * np.arange(bins, dtype=np.float64))
+        return PlateTable(SOFT_PLATE, step_hz, bins, chain, furthest_mm=self._furthest_mm, single=single)
+
+    def _make_truncated(self, taps: int, sample_rate_hz: float, length: int, start: int, stop: int) -> TruncatedPlate:
+        return TruncatedPlate(taps, sample_rate_hz, length, slice(start, stop), self._furthest_mm, self._chain)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,6 @@ from mocks.virtual.mirror import VirtualMirror
 from mocks.virtual.player import VirtualPlayer
 from mocks.virtual.seeded_rng import DROPOUT, GROWING, NOISE, normal, take_generator
 from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.signals import BoundedCache
 from mocks.virtual.surroundings import NANOSECONDS, PatchBay, VirtualClock
 from mocks.virtual.synthesis import Spot, Synthesis
 
@@ -68,7 +68,7 @@ class VirtualRecorder:
         self._synthesis = synthesis
         self._patch_bay = patch_bay
         self._faults = FaultPlan("recorder", NAME, settings.fault_plan)
-        self._speckles: BoundedCache[_Speckle] = BoundedCache(4)
+        self._speckle = lru_cache(4)(self._draw_speckle)
         self._under_way: tuple[RecordRequest, int] | None = None
         self._closed = False
         self._lock = threading.Lock()
@@ -210,7 +210,7 @@ class VirtualRecorder:
     def _dropout(self, request: RecordRequest, *, always: bool) -> list[tuple[int, int]]:
         """The samples, if any, that speckle hides in this record."""
         take = request.take
-        speckle = self._speckles.get((take.position, take.attempt, take.purpose), lambda: self._draw_speckle(take))
+        speckle = self._speckle(replace(take, record=0))
         duration_s, place = speckle.duration_s, speckle.place
         if always:
             # One on order is the longest there is, and never in the silence before or after the signal.

@@ -53,6 +53,8 @@ class VirtualSettings:
         Volts at each output per volt asked for, negative where its wires are crossed; 1 if absent.
     actuator_strength : tuple of float, optional
         Factor on each actuator's own strength: 0 where it is dead, negative where it is reversed; 1 if absent.
+    plate : str
+        Name of the plate, as registered in `mocks.plates`.
     surface_mm : tuple of float
         Length and width of the stadium in mm.
     mirror : MirrorGeometry
@@ -108,6 +110,7 @@ class VirtualSettings:
     output_latency_s: tuple[float, ...] | None = None
     output_gain: tuple[float, ...] | None = None
     actuator_strength: tuple[float, ...] | None = None
+    plate: str = "soft"
     surface_mm: tuple[float, float] = SURFACE_MM
     mirror: MirrorGeometry = field(default_factory=MirrorGeometry)
     settle_s: float = 0.005

@@ -4,42 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from typing import Generic, TypeVar
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, ifft, irfft, next_fast_len
-
-Value = TypeVar("Value")
-
-
-class BoundedCache(Generic[Value]):
-    """Keeps the last few results; safe to share between threads.
-
-    Parameters
-    ----------
-    size : int
-        How many results to keep, > 0.
-    """
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._held: OrderedDict[Hashable, Value] = OrderedDict()
-        self._lock = threading.RLock()
-
-    def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
-        """The result under `key`, made now if it is not held."""
-        with self._lock:
-            if key in self._held:
-                self._held.move_to_end(key)
-                return self._held[key]
-            value = make()
-            self._held[key] = value
-            if len(self._held) > self._size:
-                self._held.popitem(last=False)
-            return value
-
 
 Float64Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -65,17 +34,14 @@ class PlayedSignal:
     ----------
     peak_v : float
         Its largest magnitude; NaN if it is not all finite.
-    kept_bins : BoundedCache of int
-        How many bins of each spectrum matter to a response; the synthesis fills it.
     """
 
     def __init__(self, volts: Float64Array, full_scale_v: float) -> None:
         self.volts = volts
         self.peak_v = float(np.abs(volts).max()) if volts.size else 0.0
         self._step_v = full_scale_v / 32768
-        self.kept_bins: BoundedCache[int] = BoundedCache(3)
-        self._spectra: BoundedCache[Complex64Array] = BoundedCache(3)
-        self._waves: BoundedCache[Float32Array] = BoundedCache(2 * DELAYS)
+        self._spectra = lru_cache(3)(self._transform)
+        self._waves = lru_cache(2 * DELAYS)(self._taylor)
 
     def spectrum(self, length: int, scale: float, samples: int) -> Complex64Array:
         """Spectrum of the first samples, on the clock of the recorder.
@@ -97,7 +63,7 @@ class PlayedSignal:
         complex64 array, shape (bins,)
             Up to half the player's or half the recorder's rate, whichever is lower.
         """
-        return self._spectra.get((length, scale, samples), lambda: self._transform(length, scale, samples))
+        return self._spectra(length, scale, samples)
 
     def delayed(self, length: int, scale: float, samples: int, delay: float) -> Float32Array:
         """The waveform on the clock of the recorder, some recorder samples late, band-limited.
@@ -115,9 +81,7 @@ class PlayedSignal:
         """
         steps = round(delay * DELAYS)
         step = steps % DELAYS
-        pieces = self._waves.get(
-            (length, scale, samples, step), lambda: self._taylor(length, scale, samples, step / DELAYS)
-        )
+        pieces = self._waves(length, scale, samples, step / DELAYS)
         rest = np.float32(delay - steps / DELAYS)
         wave = pieces[ORDER] * rest
         for piece in pieces[ORDER - 1 : 0 : -1]:

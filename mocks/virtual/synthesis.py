@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len
-from scipy.special import jv
 
-from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
-from mocks.plates.soft_table import PlateTable, phase_ramp
-from mocks.plates.truncated import TruncatedPlate, impulse_length
+from mocks.plates import PLATES
+from mocks.plates.soft_table import impulse_length, phase_ramp
 from mocks.virtual.chain import actuator_gains, chain_response
 from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.signals import BoundedCache, PlayedSignal
+from mocks.virtual.signals import PlayedSignal
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -52,14 +51,6 @@ class Spot:
     place_mm: tuple[float, float] | None
 
 
-@dataclass(frozen=True, slots=True)
-class _Grid:
-    """Frequencies of a transform: spacing in true Hz and the number of kept bins."""
-
-    step_hz: float
-    bins: int
-
-
 class Synthesis:
     """Plate and signal chain of one virtual rig.
 
@@ -71,7 +62,7 @@ class Synthesis:
 
     def __init__(self, settings: VirtualSettings) -> None:
         self._settings = settings
-        self._actuator_mm = np.asarray(settings.actuator_mm, dtype=np.float64).reshape(-1, 2)
+        actuator_mm = np.asarray(settings.actuator_mm, dtype=np.float64).reshape(-1, 2)
         gains = actuator_gains(settings.actuators, settings.gain_spread_db, settings.seed)
         if settings.actuator_strength is not None:
             gains = gains * np.asarray(settings.actuator_strength, dtype=np.float64)
@@ -79,12 +70,10 @@ class Synthesis:
         self._output_gain = settings.output_gain or (1.0,) * settings.player_channels
         self._output_late_s = settings.output_latency_s or (0.0,) * settings.player_channels
         self._uneven = settings.output_gain is not None or settings.output_latency_s is not None
-        self._furthest_mm = float(np.hypot(*settings.surface_mm)) + 10
-        self._truncated: BoundedCache[TruncatedPlate] = BoundedCache(1)
-        self._tables: BoundedCache[PlateTable] = BoundedCache(6)
-        self._transfers: BoundedCache[Complex64Array] = BoundedCache(4)
-        self._shifts: BoundedCache[Complex64Array] = BoundedCache(4)
-        self._shapes: BoundedCache[Float64Array] = BoundedCache(8)
+        self._plate = PLATES.all()[settings.plate](actuator_mm, settings.surface_mm, chain_response)
+        self._transfer = lru_cache(4)(self._make_transfer)
+        self._shift = lru_cache(4)(_quarter_shifts)
+        self._bins = lru_cache(64)(self._count_bins)
 
     def voltages(
         self,
@@ -148,11 +137,11 @@ class Synthesis:
             }
             if not driven or not responses:
                 continue
-            bins = max(self._bins(signal, length, scale, rate_hz, play) for signal in driven.values())
+            bins = max(self._bins(signal, length, scale, rate_hz, play.samples) for signal in driven.values())
             highest = max(highest, bins)
             delay = _delay(offset, bins, length)
             for place_mm, response in responses.items():
-                transfer = self._transfer(place_mm, _Grid(rate_hz / length, bins))
+                transfer = self._transfer(place_mm, rate_hz / length, bins)
                 total = np.zeros(bins, dtype=np.complex64)
                 for actuator, signal in driven.items():
                     spectrum = signal.spectrum(length, scale, play.samples)[:bins]
@@ -184,21 +173,15 @@ class Synthesis:
             In (m/s)/V.
         """
         length = impulse_length(taps, sample_rate_hz)
-        table = self._table(_Grid(sample_rate_hz / length, length // 2 + 1), single=False)
-        spectrum = table.evaluate(self._distances_mm(place_mm)) * self._velocity_per_volt[:, None]
+        response = self._plate.response(place_mm, sample_rate_hz / length, length // 2 + 1, single=False)
+        spectrum = response * self._velocity_per_volt[:, None]
         return np.asarray(irfft(spectrum, length, axis=1)[:, :taps], dtype=np.float64)
 
     def green_spectra(
         self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
     ) -> Complex128Array:
         """Some bins of the transforms of `green` at many positions: complex128 (positions, actuators, bins)."""
-        plate = self._truncated.get(
-            (taps, sample_rate_hz, length, bins.start, bins.stop),
-            lambda: TruncatedPlate(taps, sample_rate_hz, length, bins, self._furthest_mm),
-        )
-        gap = self._actuator_mm - np.asarray(position_mm, dtype=np.float64).reshape(-1, 1, 2)
-        radius_mm = np.hypot(gap[..., 0], gap[..., 1])
-        spectra = plate.spectra(radius_mm.ravel()).reshape(*radius_mm.shape, -1)
+        spectra = self._plate.fir_spectra(position_mm, taps, sample_rate_hz, length, bins)
         return np.asarray(spectra * self._velocity_per_volt[:, None])
 
     def _output(
@@ -214,19 +197,15 @@ class Synthesis:
         channel = self._settings.channel_of_actuator[actuator]
         return _delay(self._output_late_s[channel] * step_hz, bins, 1) * np.float32(self._output_gain[channel])
 
-    def _transfer(self, place_mm: tuple[float, float], grid: _Grid) -> Complex64Array:
+    def _make_transfer(self, place_mm: tuple[float, float], step_hz: float, bins: int) -> Complex64Array:
         """Response volts per drive volt of every actuator, as the recorder samples them."""
-
-        def make() -> Complex64Array:
-            gains = self._velocity_per_volt / self._settings.sensitivity_m_s_per_v
-            response = self._table(grid, single=True).evaluate(self._distances_mm(place_mm))
-            response *= gains.astype(np.float32)[:, None]
-            # The response is sampled later, so the same wave appears earlier in it; the vibrometer makes it late.
-            earlier = (self._settings.vibrometer_latency_s - self._settings.inter_channel_delay_s) * grid.step_hz
-            response *= _delay(earlier, grid.bins, 1)
-            return response.astype(np.complex64, copy=False)
-
-        return self._transfers.get((place_mm, grid), make)
+        gains = self._velocity_per_volt / self._settings.sensitivity_m_s_per_v
+        response = self._plate.response(place_mm, step_hz, bins, single=True)
+        response *= gains.astype(np.float32)[:, None]
+        # The response is sampled later, so the same wave appears earlier in it; the vibrometer makes it late.
+        earlier = (self._settings.vibrometer_latency_s - self._settings.inter_channel_delay_s) * step_hz
+        response *= _delay(earlier, bins, 1)
+        return response.astype(np.complex64, copy=False)
 
     def _wave(self, spectrum: Complex64Array, length: int) -> Float32Array:
         """The inverse transform of a spectrum that is 0 above its bins.
@@ -236,47 +215,18 @@ class Synthesis:
         quarter, bins = length // 4, spectrum.size
         if length % 8 or bins > quarter // 2:
             return np.asarray(irfft(spectrum, length), dtype=np.float32)
-        shift = self._shifts.get(
-            (length, bins), lambda: np.stack([_delay(-place, bins, length) for place in range(4)]) / np.float32(4)
-        )
-        return np.asarray(irfft(spectrum * shift, quarter).T, order="C").reshape(-1)
+        return np.asarray(irfft(spectrum * self._shift(length, bins), quarter).T, order="C").reshape(-1)
 
-    def _table(self, grid: _Grid, *, single: bool) -> PlateTable:
-        def make() -> PlateTable:
-            chain = chain_response(grid.step_hz * np.arange(grid.bins, dtype=np.float64))
-            return PlateTable(SOFT_PLATE, grid.step_hz, grid.bins, chain, furthest_mm=self._furthest_mm, single=single)
-
-        return self._tables.get((grid, single), make)
-
-    def _distances_mm(self, place_mm: tuple[float, float]) -> Float64Array:
-        gap = self._actuator_mm - place_mm
-        return np.asarray(np.hypot(gap[:, 0], gap[:, 1]))
-
-    def _bins(self, signal: PlayedSignal, length: int, scale: float, rate_hz: float, play: Play) -> int:
+    def _count_bins(self, signal: PlayedSignal, length: int, scale: float, rate_hz: float, samples: int) -> int:
         """Bins outside which the response has no energy to speak of."""
-        spectrum = signal.spectrum(length, scale, play.samples)
-
-        def make() -> int:
-            step_hz = rate_hz / length
-            energy = np.abs(spectrum * self._shape(step_hz, spectrum.size)) ** 2
-            above = np.cumsum(energy[::-1])[::-1]
-            needed = int(np.count_nonzero(above > LEFT_OUT * above[0]))
-            return min(spectrum.size, ceil(ceil(needed * step_hz / CUT_STEP_HZ) * CUT_STEP_HZ / step_hz))
-
-        return signal.kept_bins.get((length, scale, rate_hz, play.samples), make)
-
-    def _shape(self, step_hz: float, bins: int) -> Float64Array:
-        """How strongly each frequency responds: chain, magnet and spreading, at no distance in particular."""
-
-        def make() -> Float64Array:
-            frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
-            wavenumber = SOFT_PLATE.wavenumber(np.maximum(frequency_hz, step_hz))
-            argument = wavenumber * MAGNET_RADIUS_MM / 1e3
-            magnet = 2 * jv(1, argument) / argument
-            spread = frequency_hz / np.sqrt(np.abs(wavenumber))
-            return np.asarray(np.abs(chain_response(frequency_hz) * magnet) * spread)
-
-        return self._shapes.get((step_hz, bins), make)
+        spectrum = signal.spectrum(length, scale, samples)
+        step_hz = rate_hz / length
+        frequency_hz = step_hz * np.arange(spectrum.size, dtype=np.float64)
+        loudness = np.abs(chain_response(frequency_hz)) * self._plate.loudness(np.maximum(frequency_hz, step_hz))
+        energy = np.abs(spectrum * loudness) ** 2
+        above = np.cumsum(energy[::-1])[::-1]
+        needed = int(np.count_nonzero(above > LEFT_OUT * above[0]))
+        return min(spectrum.size, ceil(ceil(needed * step_hz / CUT_STEP_HZ) * CUT_STEP_HZ / step_hz))
 
     def _length(self, samples: int, rate_hz: float, start_ns: int, plays: Sequence[Play]) -> int:
         """A transform long enough that neither end of anything wraps; the same for every latency."""
@@ -294,3 +244,8 @@ def _delay(samples: float, bins: int, length: int) -> Complex64Array:
     """The factor that delays a spectrum of a transform of some length."""
     step = np.array([-2 * np.pi * samples / length])
     return np.asarray(phase_ramp(step, bins, np.complex64)[0], dtype=np.complex64)
+
+
+def _quarter_shifts(length: int, bins: int) -> Complex64Array:
+    """Factors on a spectrum for the four transforms of a quarter of its length."""
+    return np.stack([_delay(-place, bins, length) for place in range(4)]) / np.float32(4)
