@@ -149,7 +149,7 @@ def take(out: Path, run_file: Path, what: str) -> None:
         window.choose_theme(theme)
         tab.map_panel.colour_by.setCurrentIndex(colour)
         tab.position_panel.setCurrentIndex(page)
-        tab.position_panel.show_green_as(view)
+        tab.position_panel.view.setCurrentIndex(view)
         keep(name)
     # Theme, and the end of the name.
     looks = {"over": (("light", "light"), ("dark", "dark")), "scaled": (("light", "scaled-200"),)}.get(what, ())

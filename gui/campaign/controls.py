@@ -1,44 +1,37 @@
-"""The buttons of a campaign, each with its key; what makes no sense now is greyed and says so."""
+"""Buttons of a campaign, and its state, progress, rate and finish time."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from PyQt5.QtWidgets import QAction, QHBoxLayout, QToolButton, QWidget
+from PyQt5.QtWidgets import QAction, QGridLayout, QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QToolButton, QWidget
 
-from gui.campaign.standing import Order
-from gui.shell.widgets import make_action, make_button
+from acquisition.engine.events import State
+from gui.campaign.model import Pace
+from gui.campaign.state import GOING, TROUBLED, CampaignState, Order
+from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import Badge, finish_text, make_action, make_button, put
 
-
-@dataclass(frozen=True, slots=True)
-class _Button:
-    name: str
-    words: str
-    keys: str
-    tip: str
-
-
+# Name, text, key and tooltip.
 _BUTTONS = (
-    _Button("plan", "Dry run", "Ctrl+D", "Walk the run file's plan without playing: positions, hours, bytes"),
-    _Button("start", "Start", "Ctrl+Return", "Start the campaign of the run file in the bank, or go on with it"),
-    _Button("resume", "Resume", "Ctrl+R", "Go on with the bank's campaign; the bank alone is enough"),
-    _Button("pause", "Pause", "Ctrl+P", "Finish the position under way, then stand still, muted and parked"),
-    _Button("stop", "Stop after this position", "Ctrl+T", "Finish the position under way and end; Resume goes on"),
-    _Button(
-        "selected", "Remeasure selected", "Ctrl+M", "Measure the selected positions again (Ctrl-click, Shift-drag)"
-    ),
-    _Button("poor", "Remeasure poor", "Ctrl+Shift+M", "Measure again all that is poor, over-range or failed"),
+    ("plan", "Dry run", "Ctrl+D", "Walk the run file's plan without playing: positions, hours, bytes"),
+    ("start", "Start", "Ctrl+Return", "Start the campaign of the run file in the bank, or continue it"),
+    ("resume", "Resume", "Ctrl+R", "Continue the bank's campaign; the bank alone is enough"),
+    ("pause", "Pause", "Ctrl+P", "Finish the current position, then wait, muted and parked"),
+    ("stop", "Stop after this position", "Ctrl+T", "Finish the current position and end; Resume continues"),
+    ("selected", "Remeasure selected", "Ctrl+M", "Measure the selected positions again (Ctrl-click, Shift-drag)"),
+    ("poor", "Remeasure poor", "Ctrl+Shift+M", "Measure again all that is poor, over-range or failed"),
 )
 
 
 class Controls(QWidget):
-    """The row of buttons; their actions stand in the menu too.
+    """Row of buttons; `actions_by_name` are in the menu, too.
 
     Parameters
     ----------
     acts : dict of callable
-        What each button does.
+        Action of each button.
     """
 
     def __init__(self, acts: dict[str, Callable[[], object]]) -> None:
@@ -47,36 +40,89 @@ class Controls(QWidget):
         self.buttons: dict[str, QToolButton] = {}
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
-        for button in _BUTTONS:
-            action = make_action(self, button.words, acts[button.name], button.keys, tip=button.tip)
+        for name, text, key, tip in _BUTTONS:
+            action = self.actions_by_name[name] = make_action(self, text, acts[name], key, tip=tip)
             action.setEnabled(False)
-            shown = make_button(action)
-            row.addWidget(shown)
-            if button.name in ("plan", "stop"):
+            button = self.buttons[name] = make_button(action)
+            row.addWidget(button)
+            if name in ("plan", "stop"):
                 row.addSpacing(10)
-            self.actions_by_name[button.name] = action
-            self.buttons[button.name] = shown
         row.addStretch(1)
 
     def show_possible(self, orders: frozenset[Order], *, has_run: bool, selected: int, poor: int) -> None:
-        """Enable what makes sense, and say how many positions are meant."""
-        goes_on = Order.GO_ON in orders
-        pause = self.actions_by_name["pause"]
-        words = "Go on" if goes_on else "Pause"
-        if pause.text() != words:
-            pause.setText(words)
-            self.buttons["pause"].setAccessibleName(words)
+        """Enable what makes sense, and show how many positions would be measured again."""
+        paused = Order.CONTINUE in orders
         for name, enabled in (
             ("plan", has_run),
             ("start", Order.START in orders),
             ("resume", Order.RESUME in orders),
-            ("pause", goes_on or Order.PAUSE in orders),
+            ("pause", paused or Order.PAUSE in orders),
             ("stop", Order.STOP in orders),
             ("selected", Order.REMEASURE in orders and selected > 0),
             ("poor", Order.REMEASURE in orders and poor > 0),
         ):
             self.actions_by_name[name].setEnabled(enabled)
-        for name, words, count in (("selected", "Remeasure selected", selected), ("poor", "Remeasure poor", poor)):
-            text = f"{words} ({count})" if count else words
+        for name, text in (
+            ("pause", "Continue" if paused else "Pause"),
+            ("selected", f"Remeasure selected ({selected})" if selected else "Remeasure selected"),
+            ("poor", f"Remeasure poor ({poor})" if poor else "Remeasure poor"),
+        ):
             if self.actions_by_name[name].text() != text:
                 self.actions_by_name[name].setText(text)
+                self.buttons[name].setAccessibleName(text)
+
+
+class ProgressRow(QWidget):
+    """State, reason, progress bar and figures above the map."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._theme = LIGHT
+        self.state = Badge("State of the campaign")
+        self.reason = QLabel()
+        self.reason.setAccessibleName("Reason of the state")
+        self.reason.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.bar = QProgressBar()
+        self.bar.setAccessibleName("Progress of the campaign")
+        self.bar.setFormat("%v of %m positions (%p %)")
+        self.figures = QLabel()
+        self.figures.setAccessibleName("Rate, remaining time and finish time")
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setHorizontalSpacing(10)
+        for column, widget in enumerate((self.state, self.reason, self.bar, self.figures)):
+            grid.addWidget(widget, 0, column)
+        grid.setColumnStretch(1, 3)
+        grid.setColumnStretch(2, 3)
+
+    def show_state(self, state: CampaignState, report: str, owner: str) -> None:
+        """Show a state and its reason; `report` of the capture replaces the reason while it has none."""
+        theme, word = self._theme, state.word
+        colour = (
+            theme.fault if word in TROUBLED
+            else theme.warning if word in GOING and word is not State.RUNNING
+            else theme.good if state.measuring or word is State.FINISHED
+            else theme.faint
+        )  # fmt: skip
+        self.state.show_word(str(word), colour)
+        put(self.reason, report or state.reason)
+        self.reason.setToolTip(f"{report or state.reason}\n{owner}".strip())
+
+    def show_progress(self, measured: int, total: int, pace: Pace | None, *, measuring: bool) -> None:
+        """Show the progress of the session while it runs, else of the bank."""
+        done, of = (pace.done, pace.total) if measuring and pace is not None else (measured, total)
+        if (self.bar.value(), self.bar.maximum()) != (done, max(of, 1)):
+            self.bar.setMaximum(max(of, 1))
+            self.bar.setValue(done)
+        put(self.figures, _pace_text(pace) if measuring and pace is not None else "")
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Use the theme's colours."""
+        self._theme = theme
+        self.state.apply_theme(theme)
+
+
+def _pace_text(pace: Pace) -> str:
+    text = f"{pace.per_hour:.0f} positions an hour" if not math.isnan(pace.per_hour) else ""
+    finish_s = pace.told_s + pace.wall_remaining_s
+    return text if math.isnan(finish_s) else f"{text}  ·  {finish_text(finish_s)}"

@@ -1,4 +1,4 @@
-"""Watches a bank and what lies beside it from a thread of its own, whoever writes it, and notes what changed."""
+"""Follows a bank, its log and its heartbeat in a thread, whichever process writes them."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gui.campaign.figures import Float32Array, per_position
+from gui.campaign.statuses import DAMAGED
 from gui.process.log_tail import LogTail
 from gui.shell.front_door import FrontDoor, Pulse
 from gui.surface.surface import Surface, surface_of
@@ -26,25 +27,25 @@ if TYPE_CHECKING:
     from storage.bank.reading import Bank
     from storage.ledger.owner import Owner
 
-LOOKS_EVERY_S = 0.05
-LIFE_EVERY_S = 1.0
-# Reading all statuses and figures of a large bank takes a while; it may take this fraction of the time at most.
+_READ_EVERY_S = 0.05
+_LIFE_EVERY_S = 1.0
+# Reading the ledger of a large bank takes a while; at most this fraction of the time.
 _LEDGER_SHARE = 0.005
 _LEDGER_EVERY_S = 1.0
-# Longer than the thread sleeps; one that a disk holds up ends when it can, and the window does not wait for it.
+# Longer than the thread sleeps.
 _ENDS_WITHIN_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """The bank is there (or there again, after another took its place)."""
+    """The bank was opened, for the first time or after it was replaced."""
 
     surface: Surface
 
 
 @dataclass(frozen=True, slots=True)
 class Records:
-    """New events; `anew` when the log is another than before."""
+    """New events; `anew` when the log was replaced."""
 
     records: list[dict[str, object]]
     anew: bool
@@ -52,7 +53,7 @@ class Records:
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """Status bits and quality figures of all positions, as the bank has them now."""
+    """Status bits and quality figures of all positions."""
 
     status: NDArray[np.uint8]
     figures: Mapping[str, Float32Array]
@@ -60,7 +61,7 @@ class Ledger:
 
 @dataclass(frozen=True, slots=True)
 class Life:
-    """Who owns the bank, and its last sign of life; asked at `asked_s` of the monotonic clock."""
+    """Owner of the bank and its heartbeat; asked for at `asked_s` of the monotonic clock."""
 
     owner: Owner | None
     pulse: Pulse | None
@@ -76,7 +77,7 @@ class DriftSeen:
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """A sentence about what cannot be read, empty when it can be read again; the traceback of a defect."""
+    """A message about an unreadable file, empty when it can be read again; `details` is the traceback of a defect."""
 
     sentence: str
     details: str = ""
@@ -86,15 +87,7 @@ Seen = Opened | Records | Ledger | Life | DriftSeen | Trouble
 
 
 class Follower:
-    """Follows one bank until it is ended.
-
-    Parameters
-    ----------
-    bank : Path
-        The bank; it may not exist yet.
-    front : FrontDoor
-        Names what lies beside it.
-    """
+    """Follows one bank, which may not exist yet, until it is ended."""
 
     def __init__(self, bank: Path, front: FrontDoor) -> None:
         self.bank = bank
@@ -108,18 +101,15 @@ class Follower:
         self._stale = False
         self._ledger_due_s = self._life_due_s = 0.0
         self._thread = threading.Thread(target=self._follow, name=f"follower of {bank.name}", daemon=True)
-
-    def start(self) -> None:
-        """Begin."""
         self._thread.start()
 
     def end(self) -> None:
-        """Stop following; a disk that hangs holds nobody up."""
+        """Stop following, without waiting for a disk that hangs."""
         self._over.set()
         self._thread.join(_ENDS_WITHIN_S)
 
     def take(self, most: int) -> list[Seen]:
-        """What was seen since the last call, at most so many findings."""
+        """Findings since the last call, at most so many."""
         found: list[Seen] = []
         while len(found) < most:
             try:
@@ -132,23 +122,22 @@ class Follower:
         while not self._over.is_set():
             try:
                 self._look()
-            except (WavefocusError, OSError) as failure:
-                self._tell(str(failure))
+            except Exception as failure:  # the thread must not end unnoticed
+                if isinstance(failure, WavefocusError | OSError):
+                    self._report(str(failure))
+                else:
+                    sentence = f"{self.bank.name} is not followed ({type(failure).__name__}: {failure})"
+                    details = "".join(traceback.format_exception(failure))
+                    self._report(f"{sentence}; the display may be out of date", details)
                 self._identity = None
-                self._over.wait(LIFE_EVERY_S)
-            except Exception as failure:  # the thread must not end without a word
-                kind = type(failure).__name__
-                sentence = f"{self.bank.name} is not followed ({kind}: {failure}); what is shown may be out of date"
-                self._tell(sentence, "".join(traceback.format_exception(failure)))
-                self._identity = None
-                self._over.wait(LIFE_EVERY_S)
-            self._over.wait(LOOKS_EVERY_S)
+                self._over.wait(_LIFE_EVERY_S)
+            self._over.wait(_READ_EVERY_S)
 
     def _look(self) -> None:
         now_s = time.monotonic()
-        # A bank that has just been made is opened before its events are told, which speak of its positions.
+        # A new bank is opened before its events are reported, which name its positions.
         if now_s >= self._life_due_s or (self._identity is None and self.bank.exists()):
-            self._life_due_s = now_s + LIFE_EVERY_S
+            self._life_due_s = now_s + _LIFE_EVERY_S
             self._look_at_bank()
         records, anew = self._tail.read()
         if records or anew:
@@ -166,7 +155,7 @@ class Follower:
             found = self.bank.stat()
         except FileNotFoundError:
             if self._identity is not None:
-                self._tell(f"{self.bank} has been deleted or moved; put it back, or open another bank")
+                self._report(f"{self.bank} has been deleted or moved; put it back, or open another bank")
             self._identity = None
             self._put_life(None)
             return
@@ -180,7 +169,7 @@ class Follower:
         owner = _owner_of(self.bank)
         self._stale |= owner != self._owner
         self._put_life(owner)
-        self._tell("")
+        self._report("")
 
     def _put_life(self, owner: Owner | None) -> None:
         self._owner = owner
@@ -189,12 +178,14 @@ class Follower:
     def _put_ledger(self, bank: Bank) -> None:
         began_s = time.monotonic()
         status = bank.status
-        self._seen.put(Ledger(status, per_position(bank.quality, status > 0)))
+        figures = per_position(bank.quality, status > 0)
+        status[bank.broken] = DAMAGED
+        self._seen.put(Ledger(status, figures))
         took_s = time.monotonic() - began_s
         self._ledger_due_s = time.monotonic() + max(_LEDGER_EVERY_S, took_s / _LEDGER_SHARE)
         self._stale = False
 
-    def _tell(self, sentence: str, details: str = "") -> None:
+    def _report(self, sentence: str, details: str = "") -> None:
         if sentence != self._trouble:
             self._trouble = sentence
             self._seen.put(Trouble(sentence, details))
@@ -206,7 +197,7 @@ def same_file(one: Path, other: Path) -> bool:
 
 
 def _opened(path: Path) -> Bank:
-    from storage.bank.reading import open_bank  # h5py is loaded by the thread that follows, not by the window's start
+    from storage.bank.reading import open_bank  # h5py is slow to import
 
     return open_bank(path)
 

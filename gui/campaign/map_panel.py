@@ -1,16 +1,36 @@
-"""The map with what belongs to it: what it is coloured by, how positions are selected, and the legend."""
+"""The map with its colouring, selection tools and legend."""
 
 from __future__ import annotations
 
-from PyQt5.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout, QWidget
+import numpy as np
+import pyqtgraph
+from numpy.typing import NDArray
+from PyQt5.QtGui import QColor, QPainter, QPixmap
+from PyQt5.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QSizePolicy,
+    QStackedLayout,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from gui.campaign.figures import FIGURES
-from gui.campaign.legend import Legend
 from gui.campaign.model import Campaign
+from gui.campaign.statuses import LOOKS, Look, look_index
 from gui.campaign.surface_map import SurfaceMap
 from gui.shell.theme import Theme
+from gui.shell.widgets import named
+from gui.surface.colours import ColourBar
 
-_WAYS = (("pan", "Pan"), ("rectangle", "Rectangle"), ("lasso", "Lasso"))
+_DRAG_MODES = (
+    ("pan", "A drag pans the map, the wheel zooms, a double click shows everything"),
+    ("rectangle", "A drag selects positions in a rectangle; with Ctrl adds them"),
+    ("lasso", "A drag selects positions inside a freely drawn line; with Ctrl adds them"),
+)
+_SWATCH = 14
 
 
 class MapPanel(QWidget):
@@ -19,32 +39,25 @@ class MapPanel(QWidget):
     def __init__(self, campaign: Campaign) -> None:
         super().__init__()
         self._campaign = campaign
-        self._seen = {"surface": -1, "map": -1}
+        self._drawn = {"surface": -1, "map": -1}
         self.map = SurfaceMap()
         self.legend = Legend(self.map.colour_map)
-        self.colour_by = QComboBox()
-        self.colour_by.addItem("status")
-        self.colour_by.addItems([figure.label for figure in FIGURES])
-        self.colour_by.setAccessibleName("What the map is coloured by")
-        self.colour_by.setToolTip("What the map is coloured by; residual and coherence are the worst actuator's")
+        tip = "Colour of the map; residual and coherence are the worst actuator's"
+        self.colour_by = named(QComboBox(), tip, "Colour of the map")
+        self.colour_by.addItems(["status", *(figure.label for figure in FIGURES)])
+        self.colour_by.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.ways: dict[str, QToolButton] = {}
         row = QHBoxLayout()
         row.addWidget(QLabel("Colour by"))
         row.addWidget(self.colour_by, stretch=1)
-        for way, words in _WAYS:
-            button = QToolButton()
-            button.setText(words)
+        for mode, tip in _DRAG_MODES:
+            button = self.ways[mode] = named(QToolButton(), tip, f"Drag: {mode}")
+            button.setText(mode.capitalize())
             button.setCheckable(True)
             button.setAutoExclusive(True)
-            button.setChecked(way == "pan")
-            button.setAccessibleName(f"Drag: {words}")
-            button.clicked.connect(lambda _checked=False, way=way: self._drag(way))
-            self.ways[way] = button
+            button.setChecked(mode == "pan")
+            button.clicked.connect(lambda _checked=False, mode=mode: setattr(self.map, "drag_mode", mode))
             row.addWidget(button)
-        self.ways["pan"].setToolTip("A drag moves the map, the wheel zooms, a double click shows everything")
-        self.ways["rectangle"].setToolTip("A drag selects positions in a rectangle; with Ctrl adds them")
-        self.ways["lasso"].setToolTip("A drag selects positions inside a line drawn freely; with Ctrl adds them")
-        self.colour_by.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.addLayout(row)
@@ -54,19 +67,18 @@ class MapPanel(QWidget):
 
     def draw(self) -> None:
         """Draw what changed."""
-        campaign, seen = self._campaign, self._campaign.revision
+        campaign, revision = self._campaign, self._campaign.revision
         if campaign.surface is None:
             return
-        if self._seen["surface"] != seen["surface"]:
-            self._seen["surface"] = seen["surface"]
+        if self._drawn["surface"] != revision["surface"]:
+            self._drawn = {"surface": revision["surface"], "map": -1}
             self.map.show_surface(campaign.surface)
-            self._seen["map"] = -1
-        if self._seen["map"] != seen["map"]:
-            self._seen["map"] = seen["map"]
+        if self._drawn["map"] != revision["map"]:
+            self._drawn["map"] = revision["map"]
             self._redraw()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
+        """Use the theme's colours."""
         self.map.apply_theme(theme)
         self.legend.apply_theme(theme)
         self._redraw()
@@ -76,14 +88,71 @@ class MapPanel(QWidget):
         if campaign.surface is None:
             return
         values = campaign.figures.get(FIGURES[index].key) if index >= 0 else None
-        if index < 0 or values is None or len(values) != len(campaign.status):
+        if values is None or len(values) != len(campaign.status):
             self.map.show_status(campaign.status)
             self.legend.show_status(campaign.status)
         else:
-            self.map.show_figure(FIGURES[index], values, campaign.status)
-            low, high = self.map.levels or (0.0, 1.0)
-            self.legend.show_range(FIGURES[index].title, FIGURES[index].unit, low, high, self.map.beyond)
+            figure = FIGURES[index]
+            self.map.show_figure(figure, values, campaign.status)
+            self.legend.show_range(figure.title, figure.unit, self.map.levels or (0.0, 1.0), self.map.beyond)
         self.map.show_current(campaign.current)
 
-    def _drag(self, way: str) -> None:
-        self.map.drag_mode = way
+
+class Legend(QWidget):
+    """Statuses with their counts, or a colour bar."""
+
+    def __init__(self, colour_map: pyqtgraph.ColorMap) -> None:
+        super().__init__()
+        self._bar = ColourBar(colour_map)
+        self._statuses = QWidget()
+        row = QHBoxLayout(self._statuses)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(4)
+        self._swatches: list[tuple[Look, QLabel, QLabel]] = [(look, QLabel(), QLabel()) for look in LOOKS]
+        for _, swatch, text in reversed(self._swatches):
+            row.addWidget(swatch)
+            row.addWidget(text)
+            row.addSpacing(8)
+        row.addStretch(1)
+        self._stack = QStackedLayout(self)
+        self._stack.addWidget(self._statuses)
+        self._stack.addWidget(self._bar)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Maximum)
+
+    def show_status(self, status: NDArray[np.uint8]) -> None:
+        """Show the looks of the statuses, and how many positions have each."""
+        counts = np.bincount(look_index(status), minlength=len(LOOKS))
+        for (look, swatch, text), count in zip(self._swatches, counts.tolist(), strict=True):
+            visible = count > 0 or look.word in ("valid", "not measured")
+            swatch.setVisible(visible)
+            text.setVisible(visible)
+            text.setText(f"{look.word} {count}")
+        self._stack.setCurrentWidget(self._statuses)
+
+    def show_range(self, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool]) -> None:
+        """Show the colours of a figure."""
+        self._bar.show_range(title, unit, levels, beyond)
+        self._stack.setCurrentWidget(self._bar)
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Use the theme's colours."""
+        self._bar.apply_theme(theme)
+        for look, swatch, _ in self._swatches:
+            swatch.setPixmap(_swatch(look, theme))
+
+
+def _swatch(look: Look, theme: Theme) -> QPixmap:
+    sharp = 3
+    picture = QPixmap(_SWATCH * sharp, _SWATCH * sharp)
+    picture.fill(QColor(look.colour(theme)))
+    if look.symbol:
+        painter = QPainter(picture)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.translate(_SWATCH * sharp / 2, _SWATCH * sharp / 2)
+        painter.scale(24, 24)
+        painter.setPen(pyqtgraph.mkPen(theme.text, width=0.1, cosmetic=False))
+        painter.setBrush(QColor(theme.base))
+        painter.drawPath(pyqtgraph.graphicsItems.ScatterPlotItem.Symbols[look.symbol])
+        painter.end()
+    picture.setDevicePixelRatio(sharp)
+    return picture

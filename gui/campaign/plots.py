@@ -26,15 +26,7 @@ _FLOOR_DB = -60.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Greens:
-    """One position's Green's functions.
-
-    Parameters
-    ----------
-    position : int
-        Bank row.
-    green : array (actuators, taps)
-        As the bank has them.
-    """
+    """Green's functions (actuators, taps) of a bank row."""
 
     position: int
     green: Real
@@ -51,7 +43,7 @@ class GreenPlot(Plot):
     def show_green(
         self, surface: Surface, greens: Greens, actuator: int, *, waterfall: bool, own_scale: bool = False
     ) -> None:
-        """Draw; `actuator` is emphasised, -1 for none. With its own scale, each trace fills its step."""
+        """Draw; `actuator` is emphasised, -1 for none; with `own_scale`, each trace fills its step."""
         plot = self.getPlotItem()
         plot.clear()
         green = greens.green

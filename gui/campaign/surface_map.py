@@ -12,8 +12,7 @@ from PyQt5.QtGui import QKeyEvent, QPolygonF
 from PyQt5.QtWidgets import QGraphicsPolygonItem
 
 from gui.campaign.figures import Figure, Float32Array
-from gui.campaign.status_look import LOOKS, look_index
-from gui.campaign.statuses import status_text
+from gui.campaign.statuses import LOOKS, look_index, status_text
 from gui.shell.theme import Theme
 from gui.surface.surface import Surface
 from gui.surface.view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
@@ -78,7 +77,7 @@ class SurfaceMap(SurfaceView):
         """Colour by status."""
         self._status = status
         self._levels = None
-        colours = np.array([rgba(look.colour(self.theme) or self.theme.cell) for look in LOOKS], np.uint8)
+        colours = np.array([rgba(look.colour(self.theme)) for look in LOOKS], np.uint8)
         self.paint(colours[look_index(status)])
         self._draw_marks()
 

@@ -1,4 +1,4 @@
-"""The Campaign tab: composes map, details, lists and buttons, and turns buttons into commands."""
+"""The Campaign tab: map, details, lists, and buttons that start commands."""
 
 from __future__ import annotations
 
@@ -9,17 +9,15 @@ from pathlib import Path
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAction, QHBoxLayout, QVBoxLayout
 
-from gui.campaign.controls import Controls
-from gui.campaign.event_list import EventList
+from gui.campaign.controls import Controls, ProgressRow
 from gui.campaign.follower import Follower, same_file
-from gui.campaign.instrument_list import InstrumentList
+from gui.campaign.lists import EventList, InstrumentList
 from gui.campaign.map_panel import MapPanel
 from gui.campaign.model import Campaign
 from gui.campaign.position_panel import PositionPanel
-from gui.campaign.progress_row import ProgressRow
 from gui.campaign.run import CampaignRun
-from gui.campaign.standing import possible
-from gui.campaign.statuses import FAILED, OVER_RANGE, POOR_SIGNAL
+from gui.campaign.state import Extra, Order, possible_orders
+from gui.campaign.statuses import NOT_GOOD
 from gui.shell.file_choice import PathField
 from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
@@ -27,16 +25,15 @@ from gui.shell.toml_files import TomlKind, runs_on_virtual_rig, toml_kind
 from gui.shell.widgets import copy_text, make_action, side_by_side, stacked
 from rendering.verify.record import FIELD_NAMES, RECORD_NAME
 
-_BAD = POOR_SIGNAL | OVER_RANGE | FAILED
-# What is taken up in one go; the rest of a long log comes with the next ticks, so that the window answers meanwhile.
+# Findings per tick; the rest of a long log follows with the next ticks, so that the window stays responsive.
 _FINDINGS_PER_TICK = 3
 _DEFAULT_BANK = "plate.h5"
-# Where nothing came in, clocks and buttons are looked after this often.
+# Without news, clocks and buttons are drawn this often.
 _CLOCKS_EVERY_S = 0.25
 
 
 class CampaignTab(Tab):
-    """Start, watch, interrupt and mend a campaign, whoever started it."""
+    """Starts, follows, interrupts and repairs a campaign, whichever process measures."""
 
     title = "Campaign"
     opens = (".h5", ".toml")
@@ -46,7 +43,8 @@ class CampaignTab(Tab):
         self.campaign = Campaign()
         self.follower: Follower | None = None
         self.run = CampaignRun(context, self)
-        self._told_trouble = ""
+        self._trouble = ""
+        self._paused = False
         self._run_file: Path | None = None
         self._drawn: tuple[int, ...] = ()
         self._draw_due_s = 0.0
@@ -57,7 +55,7 @@ class CampaignTab(Tab):
                 "plan": self._plan,
                 "start": self._start_run,
                 "resume": lambda: self._start("Resume", "resume"),
-                "pause": self._pause_or_go_on,
+                "pause": self._pause_or_continue,
                 "stop": lambda: self.run.order("stop", self.bank_field.path),
                 "selected": self._remeasure_selected,
                 "poor": lambda: self._start("Remeasure", "remeasure"),
@@ -76,17 +74,17 @@ class CampaignTab(Tab):
         self.map_panel.map.selection_changed.connect(self._share_selection)
 
     def menu_actions(self) -> list[QAction | None]:
-        """What the buttons do, and what a resume may accept."""
+        """Actions of the buttons, and what a resume may accept."""
         seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
         find = make_action(self, "&Find in events", seek, "Ctrl+F")
         return [*self.controls.actions_by_name.values(), None, self.run.accept_drift, self.run.accept_calibration,
                 None, find]  # fmt: skip
 
     def accepts(self, path: Path) -> bool:
-        """Banks, and TOML files that are neither rigs nor scenes; what a verification left is its tab's to open."""
+        """Banks, and TOML files that are neither rigs nor scenes; not the files of a verification."""
         name = path.name.lower()
         if name.endswith(".toml"):
-            return toml_kind(path) in (TomlKind.RUN, TomlKind.UNREADABLE)  # the capture tells what is wrong with it
+            return toml_kind(path) in (TomlKind.RUN, TomlKind.UNREADABLE)  # the capture reports what is wrong with it
         of_verification = path.name in FIELD_NAMES and path.with_name(RECORD_NAME).exists()
         return name.endswith(".h5") and not name.endswith(".raw.h5") and not of_verification
 
@@ -99,67 +97,57 @@ class CampaignTab(Tab):
             self.follow(path)
 
     def follow(self, bank: Path) -> None:
-        """Follow a bank, whoever writes it; read-only."""
+        """Follow a bank, read-only."""
         self.bank_field.show_path(bank)
         if self.follower is not None:
             if same_file(self.follower.bank, bank):
                 return
             self.follower.end()
-        self.context.messages.withdraw(self._told_trouble)
-        self._told_trouble = ""
+        self._show_trouble("")
         self.campaign.forget()
         self.map_panel.map.show_surface(None)
         self.follower = Follower(bank, self.context.front)
-        self.follower.start()
 
     def poll(self) -> None:
-        """Take up what the follower saw, and how the own run is."""
+        """Apply the follower's findings."""
         if self.follower is not None:
             for seen in self.follower.take(_FINDINGS_PER_TICK):
                 self.campaign.take(seen)
-        if self.campaign.trouble != self._told_trouble:
-            self.context.messages.withdraw(self._told_trouble)
-            self._told_trouble = self.campaign.trouble
-            if details := self.campaign.trouble_details:
-                self.context.messages.fault(self._told_trouble, ("Copy details", lambda: copy_text(details)))
-            elif self._told_trouble:
-                self.context.messages.fault(self._told_trouble)
+        trouble = self.campaign.trouble
+        if trouble.sentence != self._trouble:
+            self._show_trouble(trouble.sentence, trouble.details)
 
     def draw(self) -> None:
         """Draw what changed."""
-        campaign, bank = self.campaign, self.bank_field.path
-        news = (*campaign.revision.values(), len(self.map_panel.map.selected))
+        campaign, bank, selected = self.campaign, self.bank_field.path, len(self.map_panel.map.selected)
+        news = (*campaign.revision.values(), selected)
         if news == self._drawn and time.monotonic() < self._draw_due_s:
             return
         self._drawn, self._draw_due_s = news, time.monotonic() + _CLOCKS_EVERY_S
-        standing = campaign.standing(starting=self.run.runs(bank))
-        owner = campaign.owner
-        who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
-        self.progress.show_standing(
-            standing, self.run.last_line(bank) if owner is None or not campaign.pace else "", who
+        state, owner, has_run = (
+            campaign.state(starting=self.run.runs(bank)),
+            campaign.owner,
+            self.run_field.path is not None,
         )
+        report = self.run.last_line(bank) if state.word in (Extra.STARTING, Extra.PREPARING) else ""
+        who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
+        self.progress.show_state(state, report, who)
         total = campaign.surface.positions if campaign.surface else 0
-        self.progress.show_progress(campaign.measured, total, campaign.pace, measuring=standing.measuring)
-        has_run = self.run_field.path is not None
-        orders = possible(
-            standing,
+        self.progress.show_progress(campaign.measured, total, campaign.pace, measuring=state.measuring)
+        orders = possible_orders(
+            state,
             has_run=has_run and bank is not None,
             has_bank=campaign.surface is not None,
             left=total - campaign.measured,
         )
-        self.controls.show_possible(
-            orders,
-            has_run=has_run,
-            selected=len(self.map_panel.map.selected),
-            poor=int(((campaign.status & _BAD) > 0).sum()),
-        )
-        self.map_panel.draw()
-        self.position_panel.draw()
-        self.events.draw()
-        self.instruments.draw()
+        self._paused = Order.CONTINUE in orders
+        poor = int(((campaign.status & NOT_GOOD) > 0).sum())
+        self.controls.show_possible(orders, has_run=has_run, selected=selected, poor=poor)
+        for part in (self.map_panel, self.position_panel, self.events, self.instruments):
+            part.draw()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take a theme's colours."""
+        """Use a theme's colours."""
         for part in (self.progress, self.map_panel, self.position_panel, self.events, self.instruments):
             part.apply_theme(theme)
 
@@ -168,24 +156,24 @@ class CampaignTab(Tab):
         return self.run_field.path
 
     def instruments_held(self) -> str:
-        """Whoever owns the bank measures with its rig, and so does the own run, of whichever bank."""
+        """Owner of the bank, or the own run of any bank."""
         owner, surface = self.campaign.owner, self.campaign.surface
         if owner is not None and not (surface is not None and surface.is_virtual):
             return f"process {owner.pid} on {owner.host} measures {self.bank_field.path}"
         return self.run.instruments_held()
 
     def closing_question(self) -> Question | None:
-        """Ask what is to become of a run that this window started."""
+        """Ask about a run of this window."""
         return self.run.closing_question()
 
     def save_settings(self) -> None:
-        """Remember run and bank, and how the room is divided."""
+        """Save run, bank and splitters."""
         super().save_settings()
         for name, field in (("run", self.run_field), ("bank", self.bank_field)):
             self.context.settings.keep(f"campaign/{name}", str(field.path or ""))
 
     def restore_settings(self) -> None:
-        """Open run and bank of last time, where they are still there."""
+        """Open run and bank of the last session, if they still exist."""
         run, bank = (self.context.settings.text(f"campaign/{name}") for name in ("run", "bank"))
         if run and Path(run).is_file():
             self.run_field.show_path(Path(run))
@@ -215,7 +203,7 @@ class CampaignTab(Tab):
         column.addWidget(both, stretch=1)
 
     def _run_chosen(self, path: Path) -> None:
-        """Take a run; a bank that was chosen stays, unless it was another run's."""
+        """Use a run; a chosen bank stays, unless it belongs to another run."""
         self.context.settings.opened(path)
         former, self._run_file = self._run_file, path
         another = former is not None and not same_file(former, path)
@@ -244,15 +232,21 @@ class CampaignTab(Tab):
 
     def _claim(self, word: str, arguments: list[str], bank: Path, *, virtual: bool) -> None:
         def start() -> None:
-            self.context.settings.opened(bank)  # at hand in the other tabs, too
+            self.context.settings.opened(bank)  # other tabs find it there
             self.follow(bank)
             self.run.start(arguments, bank, virtual=virtual)
 
         self.context.claim_instruments(self, word, start, virtual=virtual)
 
-    def _pause_or_go_on(self) -> None:
-        word = "go-on" if self.controls.actions_by_name["pause"].text() == "Go on" else "pause"
-        self.run.order(word, self.bank_field.path)
+    def _pause_or_continue(self) -> None:
+        self.run.order("go-on" if self._paused else "pause", self.bank_field.path)
+
+    def _show_trouble(self, sentence: str, details: str = "") -> None:
+        self.context.messages.withdraw(self._trouble)
+        self._trouble = sentence
+        if sentence:
+            answers = [("Copy details", lambda: copy_text(details))] if details else []
+            self.context.messages.fault(sentence, *answers)
 
     def _share_selection(self) -> None:
         self.context.selection.bank = self.bank_field.path

@@ -83,7 +83,7 @@ class CalibrationPage(QWidget):
     def show_surface(self, length_mm: float, width_mm: float, actuator_mm: list[Pair]) -> None:
         """Show another rig's surface."""
         self.options.size_mm = (length_mm, width_mm)
-        self.picture.show_surface(length_mm, width_mm, actuator_mm)
+        self.picture.show_rig(length_mm, width_mm, actuator_mm)
         if not self._calibration.running:
             self._marks_mm = list(default_marks_mm(length_mm, width_mm))
             self.picture.show_marks(self._marks_mm, -1, 0)

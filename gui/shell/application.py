@@ -1,4 +1,4 @@
-"""Makes the application, shows the window and runs it until it is closed."""
+"""Makes the application and runs the window."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from PyQt5.QtWidgets import QApplication
 
 from gui.shell.front_door import FrontDoor
 from gui.shell.settings import Settings
-from gui.shell.theme import TickStyle
+from gui.shell.theme import BoxStyle
 from gui.shell.window import Window
 from storage.errors import InputError
 
-# Fontconfig's own names, which Qt lists even where no font stands behind them.
+# Fontconfig's own names, which Qt lists even without fonts.
 _NAMES_WITHOUT_FONTS = {"Monospace", "Sans Serif", "Serif"}
 
 
@@ -34,7 +34,7 @@ def make_application(arguments: Sequence[str] = ("wavefocus",)) -> QApplication:
     application = QApplication(list(arguments))
     application.setApplicationName("wavefocus")
     application.setApplicationDisplayName("wavefocus")
-    application.setStyle(TickStyle())
+    application.setStyle(BoxStyle())
     require_fonts()
     return application
 
@@ -68,4 +68,4 @@ def show(front: FrontDoor, files: Sequence[Path]) -> int:
         return int(application.exec_())
     finally:
         signal.signal(signal.SIGTERM, former)
-        window.let_go()
+        window.shut_down()

@@ -1,4 +1,4 @@
-"""Uncaught errors as messages in the window."""
+"""Uncaught errors as messages in the window; Qt would abort the process."""
 
 from __future__ import annotations
 
@@ -12,64 +12,59 @@ from PyQt5.QtCore import QObject, pyqtSignal
 
 from storage.errors import WavefocusError
 
-Tell = Callable[[str, str], object]
-
 
 def error_text(failure: BaseException) -> str:
-    """The one line that is told about an error."""
+    """Text of an error in one line."""
     if isinstance(failure, OSError) and failure.filename is not None:
         return f"{failure.filename}: {failure.strerror}"
     return " ".join(str(failure).split()) or type(failure).__name__
 
 
 class ErrorHook(QObject):
-    """Takes the place of `sys.excepthook` and `threading.excepthook` while a window is open.
+    """Replaces `sys.excepthook` and `threading.excepthook` while a window is open.
 
     Parameters
     ----------
-    tell : callable
-        Receives the sentence, and the traceback for whoever mends the program (empty for an error that people can act
-        on).
+    report : callable
+        Receives the message, and the traceback of a defect (empty for an error that a person can act on).
     quit_window : callable
-        Called for Ctrl-C at the terminal that the window was started from.
+        Called for Ctrl-C in the terminal.
     """
 
-    _told = pyqtSignal(str, str)
-    _quit = pyqtSignal()
+    _reported = pyqtSignal(str, str)
+    _interrupted = pyqtSignal()
 
-    def __init__(self, tell: Tell, quit_window: Callable[[], object]) -> None:
+    def __init__(self, report: Callable[[str, str], object], quit_window: Callable[[], object]) -> None:
         super().__init__()
-        # Widgets belong to this thread: what is emitted in another one is queued for it.
-        self._tell, self._quit_window = tell, quit_window
-        self._told.connect(self._tell_here)
-        self._quit.connect(self._quit_here)
-        self._hooks = (sys.excepthook, threading.excepthook)
+        self._report, self._quit = report, quit_window
+        self._reported.connect(self._report_here)  # queued when it is emitted in another thread
+        self._interrupted.connect(self._quit_here)
+        self._former = (sys.excepthook, threading.excepthook)
 
     def install(self) -> None:
-        """Take the place."""
+        """Replace the hooks."""
         sys.excepthook = self._caught
         threading.excepthook = self._caught_in_thread
 
     def remove(self) -> None:
-        """Give it back."""
-        sys.excepthook, threading.excepthook = self._hooks
+        """Restore the hooks."""
+        sys.excepthook, threading.excepthook = self._former
 
-    def _tell_here(self, sentence: str, details: str) -> None:
-        self._tell(sentence, details)
+    def _report_here(self, sentence: str, details: str) -> None:
+        self._report(sentence, details)
 
     def _quit_here(self) -> None:
-        self._quit_window()
+        self._quit()
 
     def _caught(self, kind: type[BaseException], failure: BaseException, trace: TracebackType | None) -> None:
         if issubclass(kind, KeyboardInterrupt):
-            self._quit.emit()
+            self._interrupted.emit()
         elif isinstance(failure, WavefocusError | OSError):
-            self._told.emit(error_text(failure), "")
+            self._reported.emit(error_text(failure), "")
         else:
-            told = f"{kind.__name__}: {error_text(failure)}"
-            self._told.emit(
-                f"Something in the window went wrong ({told}). A run is not touched by it, and the window goes on; "
-                "please send the details to whoever looks after wavefocus.",
+            self._reported.emit(
+                f"Internal error of the window ({kind.__name__}: {error_text(failure)}). A run is not affected, and "
+                "the window continues; please send the details to the maintainers.",
                 "".join(traceback.format_exception(kind, failure, trace)),
             )
 

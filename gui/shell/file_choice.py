@@ -15,21 +15,7 @@ Chosen = Callable[[Path], None]
 
 
 def make_dialog(owner: QWidget, title: str, folder: Path, kind: str, endings: Sequence[str]) -> QFileDialog:
-    """Make a dialog that is still to be told what it is for, and to be shown.
-
-    Parameters
-    ----------
-    owner : QWidget
-        It lies above this one, and lives no longer.
-    title : str
-        Of the dialog.
-    folder : Path
-        Where it begins.
-    kind : str
-        What the files are called.
-    endings : sequence of str
-        Of such files, ``".h5"``.
-    """
+    """Make a dialog for files with some endings, called `kind`; the caller sets its mode and shows it."""
     dialog = QFileDialog(owner, title, str(folder), f"{kind} ({' '.join(f'*{ending}' for ending in endings)})")
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
     dialog.setModal(False)
@@ -37,14 +23,14 @@ def make_dialog(owner: QWidget, title: str, folder: Path, kind: str, endings: Se
 
 
 def choose_file(owner: QWidget, title: str, folder: Path, kind: str, endings: Sequence[str], chosen: Chosen) -> None:
-    """Let somebody choose a file that is there; `chosen` gets it."""
+    """Call `chosen` with an existing file that the user picks."""
     dialog = make_dialog(owner, title, folder, kind, endings)
     dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
     _show(dialog, chosen)
 
 
 def choose_place(owner: QWidget, title: str, suggested: Path, kind: str, ending: str, chosen: Chosen) -> None:
-    """Let somebody choose a file to save to; `chosen` gets it."""
+    """Call `chosen` with a file to save to."""
     dialog = make_dialog(owner, title, suggested.parent, kind, [ending])
     dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
     dialog.setDefaultSuffix(ending.lstrip("."))
@@ -53,7 +39,7 @@ def choose_place(owner: QWidget, title: str, suggested: Path, kind: str, ending:
 
 
 def dropped_files(event: QDropEvent) -> list[Path]:
-    """Files of this machine in a drop."""
+    """Local files of a drop."""
     content = event.mimeData()
     urls: list[QUrl] = [] if content is None else content.urls()
     return [Path(url.toLocalFile()) for url in urls if url.isLocalFile()]
@@ -65,20 +51,20 @@ def _show(dialog: QFileDialog, chosen: Chosen) -> None:
 
 
 class PathField(QWidget):
-    """A line for a path, with a button that opens a dialog; the dialog holds up nothing.
+    """A line for a path, with a button that opens a dialog.
 
     Parameters
     ----------
     word : str
-        What stands before it, with an ampersand before the key that goes to it.
+        Label, with an ampersand before its key.
     ending, kind : str
-        Of the files, ``".h5"``, and what they are called; an empty ending for folders.
+        Ending of the files, ``".h5"``, and their name; an empty ending for folders.
+    settings : Settings
+        Knows the folder of the last choice.
     saves : bool
         Whether the file may not exist yet.
-    settings : Settings
-        Knows the folder of last time.
     words : collection of str
-        What may stand in place of a path.
+        Words allowed in place of a path.
     """
 
     chosen = pyqtSignal(object)
@@ -115,7 +101,7 @@ class PathField(QWidget):
         return Path(text).expanduser().absolute() if text and text not in self._words else None
 
     def show_path(self, path: Path) -> None:
-        """Show a path without telling that it was chosen."""
+        """Show a path without emitting `chosen`."""
         self._last = path
         self.line.setText(_short(path))
         self.line.setToolTip(str(path))

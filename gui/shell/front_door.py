@@ -1,4 +1,4 @@
-"""What the window is given by the front door: how to start commands, and which files lie beside a bank."""
+"""Services that the command line gives the window."""
 
 from __future__ import annotations
 
@@ -16,21 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """What a running capture last said of itself in its heartbeat.
-
-    Parameters
-    ----------
-    at : datetime
-        When, with a time zone.
-    pid : int
-        Its process.
-    state, reason : str
-        Where it stands, and why.
-    position : int or None
-        What it measures.
-    silent : bool
-        Whether that is so long ago that it is worth a word.
-    """
+    """Latest heartbeat of a capture; `silent` when it is overdue."""
 
     at: datetime
     pid: int
@@ -42,17 +28,7 @@ class Pulse:
 
 @dataclass(frozen=True, slots=True)
 class RigLimits:
-    """What a rig's actuators may get.
-
-    Parameters
-    ----------
-    drive : DriveLimits
-        Volts, with the keys of the rig file.
-    actuators : int
-        How many it has.
-    coil_resistance_ohm : float or None
-        Of each actuator, where the rig file says.
-    """
+    """Limits of a rig's actuators; the coils' resistance where the rig file has it."""
 
     drive: DriveLimits
     actuators: int
@@ -61,25 +37,23 @@ class RigLimits:
 
 @dataclass(frozen=True, slots=True)
 class FrontDoor:
-    """The command line, and the names of what lies beside a bank.
+    """Services of the command line.
 
     Parameters
     ----------
     command : sequence of str
-        Starts the command line in a process of its own; arguments follow.
+        Starts the command line in a separate process; arguments follow.
     log_path, raw_path, said_path : callable
-        From a bank to its event log, its raw recordings, and what its capture told people when a window started it.
+        From a bank to its event log, its raw recordings, and the standard error of a capture that a window started.
     read_drift : callable
         From a bank to its drift history, oldest first.
     read_pulse : callable
-        From a bank to the latest heartbeat; None where there is none.
-    read_scene : callable
-        From a scene file's text, the file that it is or will be, and whether it may be large, to the scene that
-        commands make of it.
-    read_scene_tables : callable
-        From the same to its tables, valid and with all defaults, whether or not the files that it names are there.
+        From a bank to its latest heartbeat; None where there is none.
+    read_scene, read_scene_tables : callable
+        From a scene file's text and path to the scene, or to its tables with all defaults; the tables do not need the
+        files that the scene names.
     read_rig_limits : callable
-        From a rig file, or ``virtual``, to what its actuators may get.
+        From a rig file, or ``virtual``, to its limits.
     """
 
     command: Sequence[str]

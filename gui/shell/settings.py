@@ -6,17 +6,11 @@ from pathlib import Path
 
 from PyQt5.QtCore import QByteArray, QSettings
 
-MOST_RECENT = 10
+_MOST_RECENT = 10
 
 
 class Settings:
-    """Window places, folders, recent files and choices, in the place that the system has for such things.
-
-    Parameters
-    ----------
-    settings : QSettings, optional
-        Another store, for tests.
-    """
+    """Geometry, folders, recent files and choices, in the system's store; tests pass another one."""
 
     def __init__(self, settings: QSettings | None = None) -> None:
         self._settings = settings or QSettings("wavefocus", "wavefocus")
@@ -55,7 +49,7 @@ class Settings:
         """Remember that a file was opened, and where."""
         path = path.absolute()
         others = [one for one in self.recent() if one != path]
-        self.keep("recent", "\n".join(str(one) for one in [path, *others][:MOST_RECENT]))
+        self.keep("recent", "\n".join(str(one) for one in [path, *others][:_MOST_RECENT]))
         self.keep(f"folder/{path.suffix}", str(path.parent))
 
     def forget_recent(self) -> None:

@@ -19,26 +19,36 @@ from gui.shell.settings import Settings
 from gui.shell.theme import Theme
 from storage.errors import WavefocusError
 
+# Module and class of each tab, from left to right.
+TABS = (
+    ("gui.campaign.tab", "CampaignTab"),
+    ("gui.rig.tab", "RigTab"),
+    ("gui.scene.tab", "SceneTab"),
+    ("gui.verification.tab", "VerificationTab"),
+)
+# Does what an answer says, then calls its argument, which continues closing.
+Act = Callable[[Callable[[], object]], object]
+
 
 @dataclass(slots=True)
 class Selection:
-    """Shared by the tabs of one window; the Campaign tab writes it.
-
-    Parameters
-    ----------
-    bank : Path or None
-        The bank that is shown.
-    rows : frozenset of int
-        Its selected positions.
-    """
+    """Bank and selected positions of the campaign's map; the Campaign tab writes it."""
 
     bank: Path | None = None
     rows: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
+class Question:
+    """A question before the window closes; answers are texts of buttons with their actions."""
+
+    sentence: str
+    answers: Sequence[tuple[str, Act]]
+
+
+@dataclass(frozen=True, slots=True)
 class TabContext:
-    """Shared by the tabs of one window."""
+    """Services shared by the tabs of one window; `owner` is the parent of processes."""
 
     front: FrontDoor
     messages: MessageBar
@@ -58,7 +68,7 @@ class TabContext:
         name: str = "",
         advice: str = "",
     ) -> CommandProcess:
-        """Start a command; `done` receives its process when it has ended, `received` each JSON line before that."""
+        """Start a command; `received` is called with each JSON line, `done` with the process when it has ended."""
         process = CommandProcess(self.front, arguments, self.owner, log_file=log_file, name=name, advice=advice)
         if received is not None:
             process.received.connect(received)
@@ -70,22 +80,22 @@ class TabContext:
         return process
 
     def run_file(self) -> Path | None:
-        """The run file that is open in a tab."""
+        """Run file that is open in a tab."""
         return next((run for tab in self.tabs if (run := tab.run_file()) is not None), None)
 
     def claim_instruments(self, asks: QWidget, word: str, act: Callable[[], object], *, virtual: bool) -> None:
-        """Do what takes a rig's instruments, or tell which other tab knows of somebody who has them.
+        """Call `act`, which uses the rig's instruments, unless another tab has them; then offer "`word` anyway".
 
         Parameters
         ----------
         asks : QWidget
-            The tab, or a part of it, that wants them; what it does with them itself it knows.
+            The tab that wants the instruments, or a part of it.
         word : str
-            What it does, for the button that does it all the same.
+            Name of the action.
         act : callable
-            Does it.
+            The action.
         virtual : bool
-            Whether the rig is in software, so that several can have it at once.
+            Whether the rig is virtual: several programs can use it at once.
         """
         others = [tab for tab in self.tabs if tab is not asks and not tab.isAncestorOf(asks)]
         held = "" if virtual else next((held for tab in others if (held := tab.instruments_held())), "")
@@ -96,50 +106,14 @@ class TabContext:
             act()
 
     def report_failure(self, failure: Exception) -> None:
-        """Tell an error that people can act on; any other is raised again, for a defect must not be hidden."""
-        if isinstance(failure, WavefocusError | OSError):
-            self.messages.fault(error_text(failure))
-            return
-        raise failure
-
-
-# Module and class of each tab, from left to right.
-TABS = (
-    ("gui.campaign.tab", "CampaignTab"),
-    ("gui.rig.tab", "RigTab"),
-    ("gui.scene.tab", "SceneTab"),
-    ("gui.verification.tab", "VerificationTab"),
-)
-
-
-# Does what an answer says, and then calls what it is given: that goes on with closing.
-Act = Callable[[Callable[[], object]], object]
-
-
-@dataclass(frozen=True, slots=True)
-class Question:
-    """What a tab asks before the window may close.
-
-    Parameters
-    ----------
-    sentence : str
-        The question.
-    answers : sequence of (word, act)
-        Words of the buttons, and what they do.
-    """
-
-    sentence: str
-    answers: Sequence[tuple[str, Act]]
+        """Show an error that a person can act on; raise any other again, for it is a defect."""
+        if not isinstance(failure, WavefocusError | OSError):
+            raise failure
+        self.messages.fault(error_text(failure))
 
 
 class Tab(QWidget):
-    """One tab.
-
-    Parameters
-    ----------
-    context : TabContext
-        What the tabs share.
-    """
+    """One tab."""
 
     title = ""
     #: Endings of files that it opens, in lower case.
@@ -152,11 +126,11 @@ class Tab(QWidget):
         self.setAccessibleName(self.title)
 
     def menu_actions(self) -> list[QAction | None]:
-        """Actions of the tab's own menu, None for a line between them; the menu is named after the tab."""
+        """Actions of the tab's menu, None for a separator."""
         return []
 
     def accepts(self, path: Path) -> bool:
-        """Whether a file is this tab's to open."""
+        """Whether it opens a file."""
         return path.name.lower().endswith(self.opens) if self.opens else False
 
     def open_file(self, path: Path) -> None:
@@ -164,42 +138,42 @@ class Tab(QWidget):
         raise NotImplementedError
 
     def poll(self) -> None:
-        """Take up what came in; called twenty times a second, whether the tab is seen or not."""
+        """Receive news; called twenty times a second, even while the tab is hidden."""
 
     def draw(self) -> None:
-        """Draw what changed; called after `collect` while the tab is seen."""
+        """Draw what changed; called after `poll` while the tab is visible."""
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take a theme's colours."""
+        """Use a theme's colours."""
 
     def closing_question(self) -> Question | None:
-        """What to ask before the window closes."""
+        """Question before the window closes."""
         return None
 
     def run_file(self) -> Path | None:
-        """The run file that is open in it, where there is one."""
+        """Run file that is open in it."""
         return None
 
     def instruments_held(self) -> str:
-        """Who has real instruments, as far as the tab knows: the beginning of a sentence; empty for nobody."""
+        """Holder of real instruments, as the beginning of a sentence; empty for none."""
         return ""
 
     def shut_down(self) -> None:
-        """Let go of threads and processes; the window closes."""
+        """End threads, leave processes; the window closes."""
 
     def divide(self, **splitters: QSplitter) -> None:
-        """Divide its room as it was last time."""
+        """Restore the positions of splitters, and save them with the settings."""
         self._splitters = splitters
         for name, splitter in splitters.items():
             splitter.restoreState(self.context.settings.bytes(f"{self.title.lower()}/{name}"))
 
     def save_settings(self) -> None:
-        """Remember what should be as it is next time: here, how the room is divided."""
+        """Save what the next session restores."""
         for name, splitter in self._splitters.items():
             self.context.settings.keep(f"{self.title.lower()}/{name}", splitter.saveState())
 
     def restore_settings(self) -> None:
-        """Open what was open last time, where nothing is named."""
+        """Open the files of the last session."""
 
 
 def make_tabs(context: TabContext) -> list[Tab]:

@@ -6,36 +6,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pyqtgraph
-from PyQt5.QtCore import QPointF, QRectF, Qt
-from PyQt5.QtGui import QColor, QPainter, QPalette, QPen, QPolygonF
+from PyQt5.QtGui import QColor, QPainter, QPalette
 from PyQt5.QtWidgets import QApplication, QProxyStyle, QStyle, QStyleOption, QWidget
 
 if TYPE_CHECKING:
     from pyqtgraph import PlotItem
 
-DARK_BELOW = 128
+_DARK_BELOW = 128
 _SMALLEST_PT, _LARGEST_PT = 7, 24
+_FUSION_DARKENS = 140
 
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """Colours.
-
-    Parameters
-    ----------
-    name : str
-        ``"light"`` or ``"dark"``.
-    window, base, alternate, button, text, faint, accent : str
-        Of widgets.
-    grid, cell : str
-        Lines that must not compete with data; positions that are not measured.
-    ink : str
-        Of words on a coloured ground.
-    good, warning, fault : str
-        After Okabe and Ito: told apart with any kind of colour vision.
-    traces : tuple of str
-        For lines in plots.
-    """
+    """Colours; `cell` is a position that is not measured, `ink` text on a coloured ground, `traces` lines in plots."""
 
     name: str
     window: str
@@ -68,7 +52,7 @@ CHOICES = ("system", "light", "dark")
 def theme_named(choice: str, system: QPalette) -> Theme:
     """The theme of a choice; ``"system"`` follows the desktop's palette."""
     if choice == "system":
-        return DARK if system.color(QPalette.ColorRole.Window).lightness() < DARK_BELOW else LIGHT
+        return DARK if system.color(QPalette.ColorRole.Window).lightness() < _DARK_BELOW else LIGHT
     return DARK if choice == "dark" else LIGHT
 
 
@@ -95,7 +79,7 @@ def palette_of(theme: Theme) -> QPalette:
 
 
 def set_theme(application: QApplication, theme: Theme) -> None:
-    """Dress the application; plots that exist are dressed by their owners."""
+    """Apply a theme to the application; existing plots are coloured by their owners."""
     application.setPalette(palette_of(theme))
     pyqtgraph.setConfigOptions(background=theme.base, foreground=theme.text)
     sheet = (
@@ -126,16 +110,8 @@ def resized_text(application: QApplication, step: int) -> int:
     return size_pt
 
 
-_BOXES = (QStyle.PrimitiveElement.PE_IndicatorCheckBox, QStyle.PrimitiveElement.PE_IndicatorItemViewItemCheck)
-_ROUNDING = 0.15
-_STROKE = 0.13
-# Corners of the tick, as parts of the box's side.
-_TICK = ((0.24, 0.52), (0.43, 0.71), (0.77, 0.31))
-_BAR = ((0.25, 0.5), (0.75, 0.5))
-
-
-class TickStyle(QProxyStyle):
-    """Fusion, with boxes drawn from the palette: accent and a tick when on, a bar when only a part is on."""
+class BoxStyle(QProxyStyle):
+    """Fusion, with outlines of check boxes that are visible in the dark theme too."""
 
     def __init__(self) -> None:
         super().__init__("Fusion")
@@ -147,41 +123,8 @@ class TickStyle(QProxyStyle):
         painter: QPainter | None,
         widget: QWidget | None = None,
     ) -> None:
-        """Draw a box here, and all else as Fusion does."""
-        if element in _BOXES and option is not None and painter is not None:
-            _draw_box(option, painter)
-        else:
-            super().drawPrimitive(element, option, painter, widget)
-
-
-def _draw_box(option: QStyleOption, painter: QPainter) -> None:
-    state, palette, flags = option.state, option.palette, QStyle.StateFlag
-    enabled = bool(state & flags.State_Enabled)
-    on, part = bool(state & flags.State_On), bool(state & flags.State_NoChange)
-    faint, accent = palette.color(QPalette.ColorRole.PlaceholderText), palette.color(QPalette.ColorRole.Highlight)
-    ground = palette.color(QPalette.ColorRole.Base if enabled else QPalette.ColorRole.Window)
-    outline, sign = faint, faint
-    if enabled and (on or part):
-        ground, outline, sign = accent, accent, palette.color(QPalette.ColorRole.HighlightedText)
-    elif enabled and state & flags.State_MouseOver:
-        outline = accent
-    elif not enabled:
-        outline = _between(faint, ground)
-    side = min(option.rect.width(), option.rect.height()) - 1.0
-    box = QRectF(0.0, 0.0, side, side)
-    box.moveCenter(QRectF(option.rect).center())
-    painter.save()
-    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-    painter.setPen(QPen(outline, 1.0))
-    painter.setBrush(ground)
-    painter.drawRoundedRect(box, _ROUNDING * side, _ROUNDING * side)
-    if on or part:
-        pen = QPen(sign, _STROKE * side, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap, Qt.PenJoinStyle.RoundJoin)
-        painter.setPen(pen)
-        corners = [QPointF(box.left() + x * side, box.top() + y * side) for x, y in (_TICK if on else _BAR)]
-        painter.drawPolyline(QPolygonF(corners))
-    painter.restore()
-
-
-def _between(one: QColor, other: QColor) -> QColor:
-    return QColor((one.red() + other.red()) // 2, (one.green() + other.green()) // 2, (one.blue() + other.blue()) // 2)
+        """Draw with an outline in the colour of placeholders; Fusion derives it from the window's colour."""
+        if element == QStyle.PrimitiveElement.PE_IndicatorCheckBox and option is not None:
+            outline = option.palette.color(QPalette.ColorRole.PlaceholderText)
+            option.palette.setColor(QPalette.ColorRole.Window, outline.lighter(_FUSION_DARKENS))
+        super().drawPrimitive(element, option, painter, widget)

@@ -1,4 +1,4 @@
-"""The window: tabs, menus, messages, files that are dropped on it, and what happens when it is closed."""
+"""The window: tabs, menus, messages, dropped files, closing."""
 
 from __future__ import annotations
 
@@ -32,21 +32,13 @@ from gui.shell.tab import Act, Question, Tab, TabContext, make_tabs
 from gui.shell.theme import CHOICES, resized_text, set_theme, theme_named
 from gui.shell.widgets import copy_text, make_action
 
-DRAWS_EVERY_MS = 50
+_REFRESH_EVERY_MS = 50
 _SIZE, _LEAST, _FRAME = QSize(1240, 720), QSize(800, 560), QSize(16, 48)
-_MISHAPS_KEPT = 20
+_ERRORS_KEPT = 20
 
 
 class Window(QMainWindow):
-    """The whole window.
-
-    Parameters
-    ----------
-    front : FrontDoor
-        Starts commands, names files.
-    settings : Settings
-        What is remembered.
-    """
+    """The whole window."""
 
     def __init__(self, front: FrontDoor, settings: Settings) -> None:
         super().__init__()
@@ -56,15 +48,14 @@ class Window(QMainWindow):
         self.messages = MessageBar()
         self.background = Background(self)
         self.context = TabContext(front, self.messages, self.background, settings, self)
-        self._unexpected = ErrorHook(self.tell_unexpected, self.close)
-        self._unexpected.install()
+        self._error_hook = ErrorHook(self.report_error, self.close)
+        self._error_hook.install()
         application = QApplication.instance()
         assert isinstance(application, QApplication)
-        self._application = application
-        self._system_palette = application.palette()
-        self._may_close = False
+        self._application, self._system_palette = application, application.palette()
+        self._may_close = self._shut_down = False
         self.mishaps: list[str] = []
-        self._let_go = False
+        """Tracebacks of the last errors that nobody caught."""
         set_theme(application, theme_named(settings.text("theme", "system"), self._system_palette))
         self.tabs = self.context.tabs
         self.tabs += make_tabs(self.context)
@@ -73,37 +64,31 @@ class Window(QMainWindow):
         self._pages.setAccessibleName("Tabs")
         for tab in self.tabs:
             self._pages.addTab(tab, tab.title)
-        centre = QWidget()
-        column = QVBoxLayout(centre)
-        column.setContentsMargins(6, 6, 6, 6)
-        column.addWidget(self.messages)
-        # Where text is large or the screen small, what the tabs need is scrolled: the window never outgrows its screen.
-        scrolled = QScrollArea()
+        scrolled = QScrollArea()  # with large text or a small screen: the window never outgrows its screen
         scrolled.setFrameShape(QFrame.Shape.NoFrame)
         scrolled.setWidgetResizable(True)
         scrolled.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         scrolled.setWidget(self._pages)
+        centre = QWidget()
+        column = QVBoxLayout(centre)
+        column.setContentsMargins(6, 6, 6, 6)
+        column.addWidget(self.messages)
         column.addWidget(scrolled, stretch=1)
         self.setCentralWidget(centre)
         self._recent = QMenu("Open &recent", self)
         self._make_menus()
-        self._text_size = settings.whole("text_pt", application.font().pointSize())
-        self._resize_text(self._text_size - application.font().pointSize())
+        self._resize_text(settings.whole("text_pt", application.font().pointSize()) - application.font().pointSize())
         self.choose_theme(settings.text("theme", "system"))
         if not self.restoreGeometry(settings.bytes("geometry")):
-            self._fit_screen()
+            screen = QGuiApplication.primaryScreen()
+            room = _SIZE if screen is None else screen.availableSize() - _FRAME
+            self.resize(_SIZE.boundedTo(room.expandedTo(_LEAST)))
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.refresh)
-        self._timer.start(DRAWS_EVERY_MS)
-
-    def _fit_screen(self) -> None:
-        """Take a size that a screen of 1280 x 800 has room for, frame and panel included; less on a smaller one."""
-        screen = QGuiApplication.primaryScreen()
-        room = _SIZE if screen is None else screen.availableSize() - _FRAME
-        self.resize(_SIZE.boundedTo(room.expandedTo(_LEAST)))
+        self._timer.start(_REFRESH_EVERY_MS)
 
     def refresh(self) -> None:
-        """Let tabs take up what came in, and draw what is seen."""
+        """Poll all tabs, and draw the visible one."""
         for tab in self.tabs:
             tab.poll()
         shown = self._pages.currentWidget()
@@ -111,7 +96,7 @@ class Window(QMainWindow):
             shown.draw()
 
     def open_file(self, path: Path) -> None:
-        """Open a file in the tab that it belongs to."""
+        """Open a file in the tab that accepts it."""
         path = path.absolute()
         self.messages.dismiss_old()
         for tab in self.tabs:
@@ -123,73 +108,71 @@ class Window(QMainWindow):
         self.messages.warn(f"{path}: no tab opens such a file; they open {', '.join(self._endings())}")
 
     def restore_settings(self) -> None:
-        """Open what was open last time."""
+        """Open the files of the last session."""
         for tab in self.tabs:
             tab.restore_settings()
 
-    def tell_unexpected(self, sentence: str, details: str) -> None:
-        """Tell an error that nobody caught."""
+    def report_error(self, sentence: str, details: str) -> None:
+        """Report an error that nobody caught; `details` holds the traceback of a defect."""
         if not details:
             self.messages.fault(sentence)
             return
-        self.mishaps = [*self.mishaps[-_MISHAPS_KEPT:], details]
+        self.mishaps = [*self.mishaps[-_ERRORS_KEPT:], details]
         self.messages.fault(sentence, ("Copy details", lambda: copy_text(details)))
 
     def choose_theme(self, choice: str) -> None:
-        """Dress everything."""
+        """Apply a theme to everything."""
         theme = theme_named(choice, self._system_palette)
         set_theme(self._application, theme)
-        self.messages.apply_theme(theme)
-        for tab in self.tabs:
-            tab.apply_theme(theme)
+        for part in (self.messages, *self.tabs):
+            part.apply_theme(theme)
         self.settings.keep("theme", choice)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802
-        """Ask first what tabs have to ask, one after the other, inside the window."""
+        """Ask the questions of the tabs first, one after the other."""
         assert event is not None
-        questions = (
-            [] if self._may_close else [asked for tab in self.tabs if (asked := tab.closing_question()) is not None]
-        )
-        if not questions:
-            self.settings.keep("geometry", self.saveGeometry())
-            for tab in self.tabs:
-                tab.save_settings()
-            self.let_go()
-            event.accept()
+        asked = [] if self._may_close else [tab.closing_question() for tab in self.tabs]
+        questions = [question for question in asked if question is not None]
+        if questions:
+            event.ignore()
+            self._ask(questions, [])
             return
-        event.ignore()
-        self._ask(questions, [])
+        self.settings.keep("geometry", self.saveGeometry())
+        for tab in self.tabs:
+            tab.save_settings()
+        self.shut_down()
+        event.accept()
 
     def close_at_once(self) -> None:
-        """Close without a question; a run of this window's own goes on."""
+        """Close without a question; a capture of this window continues."""
         self._may_close = True
         self.close()
 
-    def let_go(self) -> None:
+    def shut_down(self) -> None:
         """End threads and timers; may be called twice."""
-        if self._let_go:
+        if self._shut_down:
             return
-        self._let_go = True
+        self._shut_down = True
         self._timer.stop()
         for tab in self.tabs:
             tab.shut_down()
         self.background.end()
-        self._unexpected.remove()
+        self._error_hook.remove()
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
-        """Take files that a tab opens."""
+        """Accept files that a tab opens."""
         if event is not None and any(tab.accepts(path) for path in dropped_files(event) for tab in self.tabs):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
-        """Open what was dropped."""
+        """Open dropped files."""
         if event is not None:
             event.acceptProposedAction()
             for path in dropped_files(event):
                 self.open_file(path)
 
     def _ask(self, questions: Sequence[Question], chosen: Sequence[Act]) -> None:
-        """Ask what is left, and only then do what was chosen: whoever does not close after all has lost nothing."""
+        """Ask all questions before any answer is carried out, so that "Do not close" loses nothing."""
         if not questions:
             self._carry_out(chosen)
             return
@@ -210,21 +193,21 @@ class Window(QMainWindow):
     def _make_menus(self) -> None:
         bar = self.menuBar()
         assert bar is not None
-        files = _menu(bar.addMenu("&File"))
+        files = QMenu("&File", self)
         _add(files, "&Open…", self._choose_file, QKeySequence.StandardKey.Open)
         files.addMenu(self._recent)
         self._recent.aboutToShow.connect(self._list_recent)
         files.addSeparator()
         _add(files, "&Quit", self.close, "Ctrl+Q")
+        bar.addMenu(files)
         for tab in self.tabs:
-            own = _menu(bar.addMenu(f"&{tab.title}"))
+            menu = QMenu(f"&{tab.title}", self)
             for action in tab.menu_actions():
-                own.addSeparator() if action is None else own.addAction(action)
-        view = _menu(bar.addMenu("&View"))
-        group = QActionGroup(self)
-        for choice in CHOICES:
-            words = {"system": "Colours as the &desktop", "light": "&Light", "dark": "&Dark"}[choice]
-            action = _add(view, words, partial(self.choose_theme, choice))
+                menu.addSeparator() if action is None else menu.addAction(action)
+            bar.addMenu(menu)
+        view, group = QMenu("&View", self), QActionGroup(self)
+        for choice, text in zip(CHOICES, ("Colours of the &desktop", "&Light", "&Dark"), strict=True):
+            action = _add(view, text, partial(self.choose_theme, choice))
             action.setCheckable(True)
             action.setChecked(self.settings.text("theme", "system") == choice)
             group.addAction(action)
@@ -234,9 +217,10 @@ class Window(QMainWindow):
         view.addSeparator()
         for index, tab in enumerate(self.tabs):
             _add(view, tab.title, partial(self._pages.setCurrentIndex, index), f"Alt+{index + 1}")
+        bar.addMenu(view)
 
     def _choose_file(self) -> None:
-        dialog = make_dialog(self, "Open", self.settings.folder(".h5"), "What the window opens", self._endings())
+        dialog = make_dialog(self, "Open", self.settings.folder(".h5"), "Files of wavefocus", self._endings())
         dialog.setNameFilters([*dialog.nameFilters(), "All files (*)"])
         dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
         dialog.filesSelected.connect(self._open_named)
@@ -254,18 +238,13 @@ class Window(QMainWindow):
         for path in self.settings.recent():
             _add(self._recent, str(path), partial(self.open_file, path))
         self._recent.addSeparator()
-        _add(self._recent, "&Forget these", self.settings.forget_recent)
+        _add(self._recent, "&Clear this list", self.settings.forget_recent)
 
     def _resize_text(self, step: int) -> None:
         self.settings.keep("text_pt", resized_text(self._application, step))
 
 
-def _menu(menu: QMenu | None) -> QMenu:
-    assert menu is not None
-    return menu
-
-
-def _add(menu: QMenu, words: str, act: Callable[[], object], *keys: QKeySequence.StandardKey | str) -> QAction:
-    action = make_action(menu, words, act, *keys)
+def _add(menu: QMenu, text: str, act: Callable[[], object], *keys: QKeySequence.StandardKey | str) -> QAction:
+    action = make_action(menu, text, act, *keys)
     menu.addAction(action)
     return action

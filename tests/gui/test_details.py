@@ -20,7 +20,7 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from gui.campaign import statuses
+from gui.campaign.statuses import DAMAGED, LOOKS
 from gui.campaign.surface_map import SurfaceMap
 from gui.campaign.tab import CampaignTab
 from gui.shell.settings import Settings
@@ -100,8 +100,8 @@ def test_given_a_click_on_the_map_then_green_s_functions_quality_and_recordings_
     wait(qtbot, lambda: panel.recordings is not None)
     assert panel.recordings is not None
     assert panel.recordings.response_v.shape[0] == 3
-    panel._view.setCurrentIndex(1)
-    panel._actuator.setCurrentIndex(2)
+    panel.view.setCurrentIndex(1)
+    panel.actuator.setCurrentIndex(2)
     assert "position 6: actuator 1" in panel.spectrum_plot.getPlotItem().titleLabel.text
 
 
@@ -158,9 +158,8 @@ def test_given_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_ba
     assert "(dB)" in tab.map_panel.legend._bar.accessibleName()
     tab.map_panel.colour_by.setCurrentIndex(0)
     assert tab.map_panel.map.levels is None
-    assert {look: bit for bit, look in statuses.WORDS.items()} == {
-        word: int(bit) for word, bit in STATUS_WORDS.items() if bit
-    }
+    words = {look.word: look.bit for look in LOOKS if look.bit not in (0, DAMAGED)}
+    assert words == {word: int(bit) for word, bit in STATUS_WORDS.items() if bit}
 
 
 def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_listed(
@@ -171,7 +170,7 @@ def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_lis
     notes = events.lines.rowCount()
     events.weight.setCurrentIndex(0)
     assert events.lines.rowCount() == len(tab.campaign.lines) > notes > 0
-    qtbot.keyClicks(events.text, "position 7 is in")
+    qtbot.keyClicks(events.text, "position 7 is measured")
     assert events.lines.rowCount() == 1
     events.view.doubleClicked.emit(events.lines.index(0, 2))
     assert tab.map_panel.map.shown == 7

@@ -86,7 +86,7 @@ def test_given_a_bank_deleted_under_the_window_then_a_sentence_and_it_is_followe
     tab.map_panel.map.show_position(3)
     wait(qtbot, lambda: "plate.h5 does not exist" in window.messages.sentence)
     away.rename(finished)
-    wait(qtbot, lambda: tab.campaign.trouble == "")
+    wait(qtbot, lambda: tab.campaign.trouble.sentence == "")
     tab.map_panel.map.show_position(4)
     wait(qtbot, lambda: tab.position_panel.greens is not None)
 
@@ -113,7 +113,7 @@ def test_given_an_exception_in_a_slot_then_a_sentence_with_details_and_the_windo
 
     QTimer.singleShot(0, slip)
     wait(qtbot, lambda: "a slip" in window.messages.sentence)
-    assert "A run is not touched" in window.messages.sentence
+    assert "A run is not affected" in window.messages.sentence
     assert "in slip" in window.mishaps.pop()
     QTimer.singleShot(0, mistake)
     wait(qtbot, lambda: window.messages.sentence == "plate.h5: this and that is wrong")

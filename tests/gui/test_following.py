@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from acquisition.engine.events import State
-from gui.campaign.event_words import Weight
+from gui.campaign.events import Weight
 from gui.campaign.figures import per_position
 from gui.campaign.follower import Life, Records
 from gui.campaign.model import KEPT_LINES, Campaign
-from gui.campaign.standing import Extra, Order, Standing, possible
+from gui.campaign.state import CampaignState, Extra, Order, possible_orders
 from gui.process.log_tail import LogTail
 from gui.shell.front_door import Pulse
 from gui.surface.surface import raster_of
@@ -62,25 +62,25 @@ def _asked(campaign: Campaign, *, owned: bool, silent: bool = False) -> None:
 
 def test_given_events_and_an_owner_then_the_standing_tells_who_is_at_it_and_who_is_gone() -> None:
     campaign = Campaign()
-    assert campaign.standing().word is Extra.NO_BANK
-    assert campaign.standing(starting=True).word is Extra.STARTING
+    assert campaign.state().word is Extra.NO_BANK
+    assert campaign.state(starting=True).word is Extra.STARTING
     _asked(campaign, owned=True)
-    assert campaign.standing().word is Extra.PREPARING
+    assert campaign.state().word is Extra.PREPARING
     _said(campaign, event="state_changed", state="running", reason="6 positions to do")
-    assert campaign.standing() == Standing(State.RUNNING, "6 positions to do")
+    assert campaign.state() == CampaignState(State.RUNNING, "6 positions to do")
     _asked(campaign, owned=True, silent=True)
-    assert campaign.standing().word is Extra.SILENT
+    assert campaign.state().word is Extra.SILENT
     _asked(campaign, owned=False)
-    assert campaign.standing().word is Extra.GONE
+    assert campaign.state().word is Extra.GONE
     _said(campaign, event="state_changed", state="finished", reason="every position is committed")
-    assert campaign.standing().word is not State.RUNNING
+    assert campaign.state().word is not State.RUNNING
 
 
 @pytest.mark.parametrize(
     ("word", "orders"),
     [
         (State.RUNNING, {Order.PAUSE, Order.STOP}),
-        (State.PAUSED, {Order.GO_ON, Order.STOP}),
+        (State.PAUSED, {Order.CONTINUE, Order.STOP}),
         (State.STOPPING, set()),
         (State.STOPPED, {Order.START, Order.RESUME, Order.REMEASURE}),
         (Extra.GONE, {Order.START, Order.RESUME, Order.REMEASURE}),
@@ -88,11 +88,11 @@ def test_given_events_and_an_owner_then_the_standing_tells_who_is_at_it_and_who_
     ],
 )
 def test_given_a_standing_then_only_what_makes_sense_can_be_asked_for(word: State | Extra, orders: set[Order]) -> None:
-    assert possible(Standing(word), has_run=True, has_bank=True, left=3) == orders
+    assert possible_orders(CampaignState(word), has_run=True, has_bank=True, left=3) == orders
 
 
 def test_given_a_finished_bank_then_there_is_nothing_to_resume() -> None:
-    found = possible(Standing(State.FINISHED), has_run=False, has_bank=True, left=0)
+    found = possible_orders(CampaignState(State.FINISHED), has_run=False, has_bank=True, left=0)
     assert found == {Order.REMEASURE}
 
 
@@ -130,7 +130,7 @@ def test_given_records_of_a_later_version_then_they_are_shown_and_harm_nothing()
     _said(campaign, event="state_changed", state="dancing", reason=3)
     _said(campaign, event="position_committed", position=None, status="x")
     _said(campaign)
-    assert campaign.standing().word is Extra.NO_BANK
+    assert campaign.state().word is Extra.NO_BANK
     assert len(campaign.lines) == 4
 
 

@@ -63,7 +63,7 @@ def test_given_a_run_then_it_is_started_paused_killed_resumed_stopped_and_remeas
     wait(qtbot, lambda: "paused by the user" in window.messages.sentence)
     done = tab.campaign.measured
     assert 0 < done < 2000
-    assert tab.controls.actions_by_name["pause"].text() == "Go on"
+    assert tab.controls.actions_by_name["pause"].text() == "Continue"
 
     # Closing asks, inside the window, and can be thought better of.
     assert not window.close()

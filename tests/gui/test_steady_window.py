@@ -66,7 +66,7 @@ def test_given_a_defect_while_a_bank_is_followed_then_the_window_says_so_and_goe
     assert [button.text() for button in window.messages.buttons()] == ["Copy details"]
     log.unlink()
     log.write_bytes(kept)
-    wait(qtbot, lambda: tab.campaign.trouble == "")
+    wait(qtbot, lambda: tab.campaign.trouble.sentence == "")
     assert window.messages.sentence == ""
     assert tab.follower is not None
     assert tab.follower._thread.is_alive()
@@ -111,8 +111,8 @@ def test_given_a_message_then_no_control_is_moved_by_it(qtbot: QtBot, open_windo
         qtbot.wait(20)
         assert button.mapTo(window, button.rect().center()) == before
         assert window.messages.sentence == sentence
-    assert window.messages._label.text().endswith("…")
-    assert window.messages._label.toolTip() == window.messages.sentence
+    assert window.messages.label.text().endswith("…")
+    assert window.messages.label.toolTip() == window.messages.sentence
     window.messages.dismiss()
     qtbot.wait(20)
     assert button.mapTo(window, button.rect().center()) == before

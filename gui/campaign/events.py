@@ -1,4 +1,4 @@
-"""One event of a log as a line for people: when, how weighty, and a sentence."""
+"""Events of a log as lines for the event list."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from datetime import datetime
 from enum import IntEnum
 
 from acquisition.durations import hours
-from gui.campaign.statuses import VALID, status_text
+from gui.campaign.statuses import status_text
+from storage.bank.ledger import VALID
+
+Record = Mapping[str, object]
 
 
 class Weight(IntEnum):
-    """How much an event matters to whoever looks at the night."""
+    """Importance of an event."""
 
     DETAIL = 0
     NOTE = 1
@@ -21,29 +24,9 @@ class Weight(IntEnum):
     FAULT = 3
 
 
-WEIGHT_WORDS = {
-    Weight.DETAIL: "detail",
-    Weight.NOTE: "note",
-    Weight.WARNING: "warning",
-    Weight.FAULT: "fault",
-}
-
-
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of the event list.
-
-    Parameters
-    ----------
-    at_s : float
-        Seconds since 1970, NaN when the log does not say.
-    weight : Weight
-        How much it matters.
-    text : str
-        A sentence.
-    position : int
-        The bank row that it is about, -1 for none.
-    """
+    """One line of the event list: seconds since 1970 or NaN, and the bank row concerned or -1."""
 
     at_s: float
     weight: Weight
@@ -51,57 +34,52 @@ class Line:
     position: int = -1
 
 
-Record = Mapping[str, object]
-
-
 def number(record: Record, key: str) -> float:
-    """A figure of an event, NaN where it is missing."""
+    """A number of an event, NaN where it is missing."""
     value = record.get(key)
     return float(value) if isinstance(value, int | float) else float("nan")
 
 
 def whole(record: Record, key: str) -> int:
-    """A whole number of an event, -1 where it is missing."""
+    """An integer of an event, -1 where it is missing."""
     value = record.get(key)
     return value if isinstance(value, int) and not isinstance(value, bool) else -1
 
 
 def instant_s(record: Record) -> float:
-    """When an event was logged, in seconds since 1970; NaN when the log does not say."""
+    """Time of an event, in seconds since 1970; NaN when the log has none."""
     try:
         return datetime.fromisoformat(str(record.get("at"))).timestamp()
     except ValueError:
         return float("nan")
 
 
+def clock(at_s: float) -> str:
+    """Weekday and time; empty where it is NaN."""
+    return "" if math.isnan(at_s) else datetime.fromtimestamp(at_s).astimezone().strftime("%a %H:%M:%S")
+
+
 def line_of(record: Record) -> Line | None:
-    """The line of an event; None for what is shown in other ways alone (progress)."""
-    kind = record.get("event")
-    words = _WORDS.get(str(kind))
-    if words is None:
-        return None if kind in ("progress", "record_taken") else Line(instant_s(record), Weight.DETAIL, f"{kind}")
-    weight, text = words(record)
+    """Line of an event; None for progress, which is shown otherwise."""
+    kind = str(record.get("event"))
+    if kind in ("progress", "record_taken"):
+        return None
+    text_of = _TEXTS.get(kind)
+    weight, text = (Weight.DETAIL, kind) if text_of is None else text_of(record)
     return Line(instant_s(record), weight, text, whole(record, "position"))
 
 
 def _session_started(record: Record) -> tuple[Weight, str]:
     done, to_do = whole(record, "done"), whole(record, "to_do")
     return Weight.NOTE, (
-        f"session begins: {done} of {whole(record, 'positions')} positions are in, {to_do} to do with "
+        f"session begins: {done} of {whole(record, 'positions')} positions measured, {to_do} to do with "
         f"{whole(record, 'actuators')} actuators; planned: {hours(number(record, 'planned_s'))}"
     )
 
 
-def _schedule_settled(record: Record) -> tuple[Weight, str]:
-    return Weight.NOTE, f"schedule: {record.get('chosen')}: {record.get('reason')}"
-
-
 def _state_changed(record: Record) -> tuple[Weight, str]:
-    state = record.get("state")
-    weight = {"failed": Weight.FAULT, "recovering": Weight.WARNING, "suspended": Weight.WARNING}.get(
-        str(state), Weight.NOTE
-    )
-    return weight, f"{state}: {record.get('reason')}"
+    weights = {"failed": Weight.FAULT, "recovering": Weight.WARNING, "suspended": Weight.WARNING}
+    return weights.get(str(record.get("state")), Weight.NOTE), f"{record.get('state')}: {record.get('reason')}"
 
 
 def _position_started(record: Record) -> tuple[Weight, str]:
@@ -112,19 +90,10 @@ def _position_started(record: Record) -> tuple[Weight, str]:
 
 def _position_committed(record: Record) -> tuple[Weight, str]:
     status = whole(record, "status")
-    weight = Weight.DETAIL if status == VALID else Weight.WARNING
-    return weight, (
-        f"position {whole(record, 'position')} is in: {status_text(status)}, signal-to-noise ratio "
+    return Weight.DETAIL if status == VALID else Weight.WARNING, (
+        f"position {whole(record, 'position')} is measured: {status_text(status)}, signal-to-noise ratio "
         f"{number(record, 'snr_db'):.1f} dB, residual {number(record, 'residual_db'):.1f} dB"
     )
-
-
-def _position_repeated(record: Record) -> tuple[Weight, str]:
-    return Weight.WARNING, f"position {whole(record, 'position')} is measured again: {record.get('reason')}"
-
-
-def _position_kept(record: Record) -> tuple[Weight, str]:
-    return Weight.NOTE, f"position {whole(record, 'position')} stays as the bank has it: {record.get('reason')}"
 
 
 def _fault(record: Record) -> tuple[Weight, str]:
@@ -135,26 +104,22 @@ def _fault(record: Record) -> tuple[Weight, str]:
 
 
 def _reconnect_tried(record: Record) -> tuple[Weight, str]:
+    attempt = f"{record.get('instrument')}: attempt {whole(record, 'number')} to reconnect"
     if record.get("connected"):
-        return Weight.NOTE, f"{record.get('instrument')}: connected again (try {whole(record, 'number')})"
-    line = f"{record.get('instrument')}: try {whole(record, 'number')} to connect again failed: {record.get('outcome')}"
+        return Weight.NOTE, f"{attempt} succeeded"
     next_s = number(record, "next_try_s")
-    return Weight.WARNING, line if math.isnan(next_s) else f"{line}; next try in {hours(next_s)}"
+    then = "" if math.isnan(next_s) else f"; next attempt in {hours(next_s)}"
+    return Weight.WARNING, f"{attempt} failed: {record.get('outcome')}{then}"
 
 
 def _drift(record: Record) -> tuple[Weight, str]:
     verdict = str(record.get("verdict"))
-    weight = {"steady": Weight.NOTE, "warn": Weight.WARNING}.get(verdict, Weight.FAULT)
     cause = f" ({record['cause']})" if record.get("cause") else ""
-    return weight, (
+    return {"steady": Weight.NOTE, "warn": Weight.WARNING}.get(verdict, Weight.FAULT), (
         f"sentinel position {whole(record, 'position')}: level {number(record, 'level_db'):+.2f} dB, delay "
         f"{number(record, 'delay_samples'):+.3f} samples, correlation {number(record, 'correlation'):.5f}: "
         f"{verdict}{cause}"
     )
-
-
-def _conditions_seen(record: Record) -> tuple[Weight, str]:
-    return Weight.NOTE, f"{'conditions are back' if record.get('back') else 'still suspended'}: {record.get('reason')}"
 
 
 def _session_ended(record: Record) -> tuple[Weight, str]:
@@ -166,17 +131,26 @@ def _session_ended(record: Record) -> tuple[Weight, str]:
     )
 
 
-_WORDS: dict[str, Callable[[Record], tuple[Weight, str]]] = {
+_TEXTS: dict[str, Callable[[Record], tuple[Weight, str]]] = {
     "session_started": _session_started,
-    "schedule_settled": _schedule_settled,
+    "schedule_settled": lambda event: (Weight.NOTE, f"schedule: {event.get('chosen')}: {event.get('reason')}"),
     "state_changed": _state_changed,
     "position_started": _position_started,
     "position_committed": _position_committed,
-    "position_repeated": _position_repeated,
-    "position_kept": _position_kept,
+    "position_repeated": lambda event: (
+        Weight.WARNING,
+        f"position {whole(event, 'position')} is measured again: {event.get('reason')}",
+    ),
+    "position_kept": lambda event: (
+        Weight.NOTE,
+        f"position {whole(event, 'position')} keeps its earlier measurement: {event.get('reason')}",
+    ),
     "fault": _fault,
     "reconnect_tried": _reconnect_tried,
     "drift": _drift,
-    "conditions_seen": _conditions_seen,
+    "conditions_seen": lambda event: (
+        Weight.NOTE,
+        f"{'conditions are back' if event.get('back') else 'still suspended'}: {event.get('reason')}",
+    ),
     "session_ended": _session_ended,
 }

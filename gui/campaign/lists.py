@@ -1,4 +1,4 @@
-"""The event list with its filter."""
+"""Lists below the map: events with a filter, and instruments."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from PyQt5.QtWidgets import (
     QLabel,
     QLineEdit,
     QTableView,
+    QTableWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
-from gui.campaign.event_words import WEIGHT_WORDS, Line, Weight
+from gui.campaign.events import Line, Weight, clock
 from gui.campaign.model import Campaign
-from gui.campaign.position_panel import clock
 from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import make_table, named
 
-_TITLES = ("when", "weight", "event")
+_TITLES = ("time", "weight", "event")
 _NOWHERE = QModelIndex()
-_COUNTS_EVERY_S = 0.5
+_COUNT_EVERY_S = 0.5
+_STATE_MARKS = {"in use": "●", "at rest": "○", "faulty": "▲", "away": "✕"}
 
 
 class EventLines(QAbstractTableModel):
-    """The lines that pass the filter."""
+    """Lines that pass the filter."""
 
     def __init__(self, campaign: Campaign) -> None:
         super().__init__()
@@ -41,37 +43,30 @@ class EventLines(QAbstractTableModel):
         self.theme = LIGHT
 
     def rowCount(self, parent: QModelIndex = _NOWHERE) -> int:  # noqa: N802
-        """Lines that pass."""
         return 0 if parent.isValid() else len(self._shown)
 
     def columnCount(self, parent: QModelIndex = _NOWHERE) -> int:  # noqa: N802
-        """When, weight, event."""
         return 0 if parent.isValid() else len(_TITLES)
 
     def line(self, row: int) -> Line:
-        """The line in a row."""
+        """Line of a row."""
         return self._shown[row]
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        """What a cell shows."""
         if not index.isValid():
             return None
         line = self._shown[index.row()]
         if role in (Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.ToolTipRole):
-            return (clock(line.at_s), WEIGHT_WORDS[line.weight], line.text)[index.column()]
+            return (clock(line.at_s), line.weight.name.lower(), line.text)[index.column()]
         if role == Qt.ItemDataRole.ForegroundRole and line.weight >= Weight.WARNING:
             return QColor(self.theme.fault if line.weight is Weight.FAULT else self.theme.warning)
-        if role == Qt.ItemDataRole.ForegroundRole and line.weight is Weight.DETAIL:
-            return QColor(self.theme.faint)
         return None
 
     def headerData(  # noqa: N802
         self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
     ) -> object:
-        """Titles of the columns."""
-        if orientation == Qt.Orientation.Horizontal and role == Qt.ItemDataRole.DisplayRole:
-            return _TITLES[section]
-        return None
+        wanted = orientation == Qt.Orientation.Horizontal and role == Qt.ItemDataRole.DisplayRole
+        return _TITLES[section] if wanted else None
 
     def restrict(self, least: Weight, text: str) -> None:
         """Show only lines of at least some weight that contain a text."""
@@ -79,7 +74,7 @@ class EventLines(QAbstractTableModel):
         self._rebuild()
 
     def take_new(self) -> bool:
-        """Take up the lines that came in; tells whether any of them is shown."""
+        """Add new lines; whether any of them is shown."""
         lines = self._campaign.lines
         if self._trimmed != self._campaign.trimmed:
             self._rebuild()
@@ -103,44 +98,39 @@ class EventLines(QAbstractTableModel):
 
 
 class EventList(QWidget):
-    """The list; a double click on an event shows its position."""
+    """Events; a double click shows the position concerned."""
 
     position_wanted = pyqtSignal(int)
 
     def __init__(self, campaign: Campaign) -> None:
         super().__init__()
         self._campaign = campaign
-        self._seen = -1
+        self._drawn = -1
         self._count_due_s = 0.0
         self.lines = EventLines(campaign)
-        self.weight = QComboBox()
+        self.weight = named(QComboBox(), "Events shown here (all are in the log beside the bank)", "Least weight")
         self.weight.addItems(["everything", "notes and above", "warnings and faults", "faults"])
         self.weight.setCurrentIndex(Weight.NOTE)
-        self.weight.setAccessibleName("Weight of the events that are shown")
-        self.weight.setToolTip("Which events are shown (all are in the log beside the bank)")
-        self.text = QLineEdit()
-        self.text.setPlaceholderText("filter by words…")
+        self.text = named(QLineEdit(), "Show only events that contain this text (Ctrl+F)", "Filter text")
+        self.text.setPlaceholderText("filter…")
         self.text.setClearButtonEnabled(True)
-        self.text.setAccessibleName("Words that the events shown contain")
-        self.text.setToolTip("Only events that contain these words (Ctrl+F)")
         self.view = QTableView()
         self.view.setModel(self.lines)
         self.view.setAccessibleName("Events")
         self.view.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.view.setShowGrid(False)
         self.view.setWordWrap(False)
-        side, top = self.view.verticalHeader(), self.view.horizontalHeader()
-        assert side is not None
-        assert top is not None
-        side.hide()
-        side.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
-        top.setStretchLastSection(True)
+        rows, columns = self.view.verticalHeader(), self.view.horizontalHeader()
+        assert rows is not None
+        assert columns is not None
+        rows.hide()
+        rows.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+        columns.setStretchLastSection(True)
+        self._rows = rows
         self._count = QLabel()
         self._count.setProperty("role", "faint")
-        title = QLabel("Events")
-        title.setProperty("role", "strong")
         row = QHBoxLayout()
-        row.addWidget(title)
+        row.addWidget(_title("Events"))
         row.addWidget(self.weight)
         row.addWidget(self.text, stretch=1)
         row.addWidget(self._count)
@@ -150,43 +140,84 @@ class EventList(QWidget):
         column.addWidget(self.view, stretch=1)
         self.weight.currentIndexChanged.connect(self._restrict)
         self.text.textChanged.connect(self._restrict)
-        self.view.doubleClicked.connect(self._wanted)
+        self.view.doubleClicked.connect(self._show_position)
 
     def draw(self) -> None:
-        """Draw what came in, and follow it where the newest line was in sight."""
-        if self._seen != self._campaign.revision["lines"]:
-            self._seen = self._campaign.revision["lines"]
+        """Draw new lines, and scroll to the newest if it was visible."""
+        if self._drawn != self._campaign.revision["lines"]:
+            self._drawn = self._campaign.revision["lines"]
             bar = self.view.verticalScrollBar()
             at_end = bar is None or bar.value() >= bar.maximum() - 1
             if self.lines.take_new() and at_end:
                 self.view.scrollToBottom()
         if time.monotonic() >= self._count_due_s:
-            self._tell_count()
+            self._show_count()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours and the text's size."""
+        """Use the theme's colours and the size of the text."""
         self.lines.theme = theme
-        line = self.fontMetrics().height()
-        side = self.view.verticalHeader()
-        assert side is not None
-        side.setDefaultSectionSize(line + 5)
-        self.view.setColumnWidth(0, self.fontMetrics().horizontalAdvance("Wed 00:00:00") + 18)
-        self.view.setColumnWidth(1, self.fontMetrics().horizontalAdvance("warning") + 22)
-        self._count.setMinimumWidth(self.fontMetrics().horizontalAdvance("0000 of 00000"))
+        metrics = self.fontMetrics()
+        self._rows.setDefaultSectionSize(metrics.height() + 5)
+        self.view.setColumnWidth(0, metrics.horizontalAdvance("Wed 00:00:00") + 18)
+        self.view.setColumnWidth(1, metrics.horizontalAdvance("warning") + 22)
+        self._count.setMinimumWidth(metrics.horizontalAdvance("0000 of 00000"))
 
     def _restrict(self) -> None:
         self.lines.restrict(Weight(self.weight.currentIndex()), self.text.text())
-        self._tell_count()
+        self._show_count()
         self.view.scrollToBottom()
 
-    def _tell_count(self) -> None:
-        """A label that changes lays out its row anew: not at every event."""
-        self._count_due_s = time.monotonic() + _COUNTS_EVERY_S
-        text = f"{self.lines.rowCount()} of {len(self._campaign.lines)}"
-        if text != self._count.text():
-            self._count.setText(text)
+    def _show_count(self) -> None:
+        """Show the number of lines; not at every event, because a label that changes lays out its row again."""
+        self._count_due_s = time.monotonic() + _COUNT_EVERY_S
+        self._count.setText(f"{self.lines.rowCount()} of {len(self._campaign.lines)}")
 
-    def _wanted(self, index: QModelIndex) -> None:
+    def _show_position(self, index: QModelIndex) -> None:
         position = self.lines.line(index.row()).position
         if position >= 0:
             self.position_wanted.emit(position)
+
+
+class InstrumentList(QWidget):
+    """State and last message of each instrument."""
+
+    def __init__(self, campaign: Campaign) -> None:
+        super().__init__()
+        self._campaign = campaign
+        self._drawn = -1
+        self._theme = LIGHT
+        self.table = make_table(("instrument", "state", "last message"), "Instruments", stretched=(2,))
+        self.table.setWordWrap(False)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(_title("Instruments"))
+        column.addWidget(self.table, stretch=1)
+
+    def draw(self) -> None:
+        """Draw what changed."""
+        if self._drawn == self._campaign.revision["instruments"]:
+            return
+        self._drawn = self._campaign.revision["instruments"]
+        instruments, theme = self._campaign.instruments.all, self._theme
+        self.table.setRowCount(len(instruments))
+        colours = {"in use": theme.good, "at rest": theme.faint, "faulty": theme.warning, "away": theme.fault}
+        for row, instrument in enumerate(instruments):
+            message = f"{clock(instrument.at_s)}  {instrument.message}".strip()
+            state = f"{_STATE_MARKS[instrument.state]} {instrument.state}"
+            for column, text in enumerate((instrument.name.partition(",")[0], state, message or "-")):
+                item = QTableWidgetItem(text)
+                item.setToolTip(instrument.name if column == 0 else text)
+                if column == 1:
+                    item.setForeground(QColor(colours[instrument.state]))
+                self.table.setItem(row, column, item)
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Use the theme's colours."""
+        self._theme = theme
+        self._drawn = -1
+
+
+def _title(text: str) -> QLabel:
+    title = QLabel(text)
+    title.setProperty("role", "strong")
+    return title

@@ -1,4 +1,4 @@
-"""How the followed campaign stands, and which orders make sense then."""
+"""State of the followed campaign, and the orders that make sense in it."""
 
 from __future__ import annotations
 
@@ -14,53 +14,47 @@ OVER = frozenset({State.IDLE, State.STOPPED, State.FINISHED, State.FAILED})
 
 
 class Extra(StrEnum):
-    """What a window sees and a capture does not say of itself."""
+    """States that only the window sees."""
 
     NO_BANK = "no bank"
-    WAITING = "waiting for the bank"
     STARTING = "starting"
     PREPARING = "preparing"
     SILENT = "silent"
     GONE = "gone"
 
 
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """How a campaign stands.
+TROUBLED = frozenset({State.FAILED, Extra.GONE, Extra.SILENT})
 
-    Parameters
-    ----------
-    word : State or Extra
-        In a word.
-    reason : str
-        Why.
-    """
+
+@dataclass(frozen=True, slots=True)
+class CampaignState:
+    """A state and its reason."""
 
     word: State | Extra
     reason: str = ""
 
     @property
     def measuring(self) -> bool:
-        """Whether a process is at it, in whatever state."""
-        return self.word in GOING or self.word in (Extra.STARTING, Extra.PREPARING, Extra.SILENT)
+        """Whether a process owns the bank, in whatever state."""
+        return self.word in _ORDERS
 
 
 class Order(StrEnum):
-    """What can be asked for, as the buttons have it."""
+    """Orders of the buttons."""
 
     START = "start"
     PAUSE = "pause"
-    GO_ON = "go-on"
+    CONTINUE = "go-on"
     STOP = "stop"
     RESUME = "resume"
     REMEASURE = "remeasure"
 
 
-_WHILE: dict[State | Extra, frozenset[Order]] = {
+_ORDERS: dict[State | Extra, frozenset[Order]] = {
     State.RUNNING: frozenset({Order.PAUSE, Order.STOP}),
     State.RECOVERING: frozenset({Order.PAUSE, Order.STOP}),
-    State.PAUSING: frozenset({Order.GO_ON, Order.STOP}),
-    State.PAUSED: frozenset({Order.GO_ON, Order.STOP}),
+    State.PAUSING: frozenset({Order.CONTINUE, Order.STOP}),
+    State.PAUSED: frozenset({Order.CONTINUE, Order.STOP}),
     State.SUSPENDED: frozenset({Order.PAUSE, Order.STOP}),
     State.STOPPING: frozenset(),
     Extra.STARTING: frozenset(),
@@ -69,22 +63,10 @@ _WHILE: dict[State | Extra, frozenset[Order]] = {
 }
 
 
-def possible(standing: Standing, *, has_run: bool, has_bank: bool, left: int) -> frozenset[Order]:
-    """Orders that make sense.
-
-    Parameters
-    ----------
-    standing : Standing
-        How the campaign stands.
-    has_run : bool
-        Whether a run file and a bank to write are named.
-    has_bank : bool
-        Whether there is a bank with a campaign in it.
-    left : int
-        Positions of the bank that are not measured.
-    """
-    if standing.measuring:
-        return _WHILE[standing.word]
+def possible_orders(state: CampaignState, *, has_run: bool, has_bank: bool, left: int) -> frozenset[Order]:
+    """Orders that make sense: `has_run` with a run file and a bank name, `left` positions not measured."""
+    if state.measuring:
+        return _ORDERS[state.word]
     orders = set()
     if has_run:
         orders.add(Order.START)
