@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.engine.events import EventPublisher, SessionEnded, State, Subscriber
+from acquisition.engine.events import EventPublisher, SessionEnded, State, Subscriber, failure_kind
 from acquisition.engine.measuring import PositionRecords
 from acquisition.engine.recovery import Recovery
 from acquisition.engine.session import Session
@@ -170,7 +170,7 @@ class Campaign:
         except KeyboardInterrupt:
             state, reason = State.STOPPED, "stopped by the user at once"
         except BaseException as failure:
-            self._session.end(State.FAILED, str(failure))
+            self._session.end(State.FAILED, str(failure), failure_kind(failure))
             raise
         return self._session.end(state, reason)
 

@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 
-from storage.errors import WavefocusError
+from drivers.errors import InstrumentError
+from storage.errors import FileLostError, WavefocusError
 
 
 class State(StrEnum):
@@ -223,12 +224,17 @@ class ConditionsSeen(Event):
 
 @dataclass(frozen=True, slots=True)
 class SessionEnded(Event):
-    """The session is over; `counts` are positions per status word."""
+    """The session is over.
+
+    `counts` are positions per status word. `failure` is empty unless the session failed: ``"drift"``,
+    ``"instrument"``, ``"file"`` or ``"other"``.
+    """
 
     state: State
     done: int
     total: int
     counts: dict[str, int]
+    failure: str = ""
 
 
 Subscriber = Callable[[Event], None]
@@ -286,3 +292,15 @@ class DriftError(WavefocusError):
 
 class SuspendedTooLongError(WavefocusError):
     """A watched condition left its band and did not come back."""
+
+
+def failure_kind(failure: BaseException) -> str:
+    """The `failure` of a session that this exception ended."""
+    match failure:
+        case DriftError():
+            return "drift"
+        case InstrumentError():
+            return "instrument"
+        case OSError() | FileLostError():
+            return "file"
+    return "other"

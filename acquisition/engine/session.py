@@ -266,11 +266,11 @@ class Session:
         """Tell what is known of the watched conditions."""
         self._publish(ConditionsSeen(self._life.time_s(), dict(values), back, reason))
 
-    def end(self, state: State, reason: str) -> SessionEnded:
+    def end(self, state: State, reason: str, failure: str = "") -> SessionEnded:
         """Tell that the session is over, and how."""
         self._life.enter(state, reason)
         ended = SessionEnded(
-            self._life.time_s(), state, self._done(), self._plan.positions, status_counts(self._bank.status)
+            self._life.time_s(), state, self._done(), self._plan.positions, status_counts(self._bank.status), failure
         )
         self._publish(ended)
         return ended

@@ -37,6 +37,7 @@ class CampaignRun:
         self._order: CommandProcess | None = None
         self._arguments: Sequence[str] = ()
         self._virtual = False
+        self._started_at = datetime.now().astimezone()
         self._last_line = ""
         self._read_s = 0.0
         self.accept_drift = _option("Accept &drift", "Continue the next session although the sentinel changed", owner)
@@ -58,6 +59,7 @@ class CampaignRun:
                 extra.append(option)
                 action.setChecked(False)
         self._arguments, self._virtual, self.bank = tuple(arguments), virtual, bank
+        self._started_at = datetime.now().astimezone()
         self.own = self._context.run(
             [*arguments, *extra],
             self._ended,
@@ -146,7 +148,7 @@ class CampaignRun:
             messages.note(process.last_line or "the capture is done")
         elif process.exit_code == STOPPED_BY_USER:
             messages.note("stopped; nothing measured is lost, Resume continues")
-        elif "--accept-drift" in failure:
+        elif self._context.front.session_failure(self.bank, self._started_at) == "drift":
             again = [*self._arguments, "--accept-drift"]
             messages.fault(failure, ("Continue anyway", lambda: self.start(again, self.bank, virtual=self._virtual)))
         else:

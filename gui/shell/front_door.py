@@ -47,6 +47,9 @@ class FrontDoor:
         From a bank to its event log, its raw recordings, and the standard error of a capture that a window started.
     read_drift : callable
         From a bank to its drift history, oldest first.
+    session_failure : callable
+        From a bank and an instant to the failure of the session that ended last, as of `SessionEnded`; empty where
+        none has ended since.
     read_pulse : callable
         From a bank to its latest heartbeat; None where there is none.
     read_scene, read_scene_tables : callable
@@ -61,6 +64,7 @@ class FrontDoor:
     raw_path: Callable[[Path], Path]
     said_path: Callable[[Path], Path]
     read_drift: Callable[[Path], list[DriftPoint]]
+    session_failure: Callable[[Path, datetime], str]
     read_pulse: Callable[[Path], Pulse | None]
     read_scene: Callable[..., Scene]
     read_scene_tables: Callable[[str, Path], dict[str, Any]]

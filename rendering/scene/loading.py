@@ -28,12 +28,13 @@ from rendering.scene.svg import SvgPath
 from storage.errors import InputError
 
 
-def load_scene(path: Path, *, allow_large: bool = False) -> Scene:
+def load_scene(path: str | Path, *, allow_large: bool = False) -> Scene:
     """Read a scene file with all that it names.
 
     Raises InputError: anything in the files is wrong.
     """
-    return build_scene(validated(SceneConfig, read_toml(path), str(path)), path, allow_large=allow_large)
+    file = Path(path)
+    return build_scene(validated(SceneConfig, read_toml(file), str(file)), file, allow_large=allow_large)
 
 
 def read_scene(text: str, path: Path, *, allow_large: bool = False) -> Scene:

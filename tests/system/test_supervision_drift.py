@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import h5py
@@ -14,7 +15,7 @@ from drivers.protocols import DeviceIdentity
 from tests.system.conftest import with_faults
 from tests.system.telling import events_of
 from wavefocus.__main__ import run
-from wavefocus.campaign.sidecar_files import read_drift
+from wavefocus.campaign.sidecar_files import read_drift, session_failure
 
 DRIFT = "\n[drift]\nevery_positions = 2\n"
 LOUDER = 'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = -6.0\npurpose = "sentinel"'
@@ -83,6 +84,9 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
     assert f"wavefocus remeasure {bank} --positions 0-1 and resume" in last
     assert "--accept-drift" in last
     assert events_of(told.out, "drift")[-1]["suspect"] == [0, 1]
+    assert events_of(told.out, "session_ended")[-1]["failure"] == "drift"
+    assert session_failure(bank, datetime.now(UTC) - timedelta(minutes=5)) == "drift"
+    assert session_failure(bank, datetime.now(UTC) + timedelta(minutes=5)) == ""
     with h5py.File(bank, "r") as file:
         assert list(file["status"]) == [1, 1, 0, 0, 0, 0]
     assert run(["status", str(bank)]) == 0

@@ -172,6 +172,15 @@ def last_events(bank: Path) -> Iterator[dict[str, object]]:
             yield record
 
 
+def session_failure(bank: Path, since: datetime) -> str:
+    """Failure of the session that ended last, as of `SessionEnded`; empty where none ended after an instant."""
+    for event in last_events(bank):
+        if event.get("event") == "session_ended":
+            ended = datetime.fromisoformat(str(event["at"])) >= since.astimezone(UTC).replace(microsecond=0)
+            return str(event.get("failure", "")) if ended else ""
+    return ""
+
+
 def _lines_backwards(path: Path) -> Iterator[bytes]:
     """The lines of a file from the last to the first, as it was when asked first."""
     if not path.is_file():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gui.shell.front_door import FrontDoor, Pulse, RigLimits
 from gui.shell.start import open_window
-from wavefocus.campaign.sidecar_files import log_path, raw_path
+from wavefocus.campaign.sidecar_files import log_path, raw_path, session_failure
 from wavefocus.campaign.supervision import SILENT_AFTER_S, read_heartbeat
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def front_door() -> FrontDoor:
         command=(sys.executable, "-m", "wavefocus"),
         log_path=log_path,
         raw_path=raw_path,
+        session_failure=session_failure,
         said_path=lambda bank: bank.with_name(f"{bank.name}.said"),
         read_drift=_drift,
         read_pulse=_pulse,

@@ -1,0 +1,49 @@
+"""The package's public names."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import wavefocus
+
+SCENE = """
+[[source]]
+path = { kind = "point", at_mm = [4, 4] }
+signal = { kind = "impulse" }
+"""
+
+
+@pytest.mark.parametrize("name", wavefocus.__all__)
+def test_every_public_name_is_there(name: str) -> None:
+    assert callable(getattr(wavefocus, name))
+
+
+def test_given_another_name_then_it_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="frobnicate"):
+        _ = wavefocus.frobnicate
+
+
+def test_importing_the_package_loads_no_library() -> None:
+    code = "import sys, wavefocus; print(*(one for one in ('numpy', 'h5py', 'pydantic') if one in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == ""
+
+
+def test_given_a_bank_and_a_scene_then_the_field_at_the_focus_has_its_amplitude(tmp_path: Path) -> None:
+    x_mm, y_mm = np.meshgrid(np.arange(3) * 4.0, np.arange(3) * 4.0)
+    with h5py.File(tmp_path / "bank.h5", "w") as file:
+        file["green"] = np.random.default_rng(1).standard_normal((9, 3, 40)) * np.exp(-np.arange(40) / 8)
+        file["position_mm"] = np.column_stack([x_mm.ravel(), y_mm.ravel()])
+        file.attrs["sample_rate_hz"] = 2000.0
+    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
+    with wavefocus.open_bank(tmp_path / "bank.h5") as bank:
+        drive = wavefocus.render(wavefocus.load_scene(str(tmp_path / "scene.toml")), bank)
+        field = wavefocus.predict(drive, bank, [4])
+        wavefocus.write_drive(tmp_path / "drive.h5", drive)
+    assert field.field[0, round(-field.start_s * 2000)] == pytest.approx(1.0)
+    assert wavefocus.read_drive(tmp_path / "drive.h5").drive_v == pytest.approx(drive.drive_v)
