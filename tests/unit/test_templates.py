@@ -10,7 +10,8 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from config.rig import RigConfig, default_rig
-from config.run import Fault, RunConfig, Virtual, default_run
+from config.run import RunConfig, Virtual, default_run
+from config.scene import SceneConfig
 from mocks.virtual.faults import ANYWHERE, CORRUPTING
 from rendering.scene.loading import load_scene
 from storage.errors import InputError
@@ -93,29 +94,36 @@ def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path: Path) -> None:
         write_templates(tmp_path / "file", "virtual")
 
 
-def test_every_key_of_the_rig_file_is_in_its_reference_page() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "reference" / "rig-file.md").read_text(encoding="utf-8")
-    for name, field in RigConfig.model_fields.items():
-        annotations = (field.annotation, *get_args(field.annotation))
-        model = next(one for one in annotations if isinstance(one, type) and issubclass(one, BaseModel))
-        assert f"[{name}]" in page
-        for key in model.model_fields:
-            assert f"`{key}`" in page or (name, key) == ("calibration", "measured"), f"{name}.{key}"
+def models_of(annotation: object) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for inner in get_args(annotation) for model in models_of(inner)]
 
 
-def test_every_key_of_the_run_file_is_in_its_reference_page_with_its_default() -> None:
+@pytest.mark.parametrize(("model", "page"), [(RigConfig, "rig"), (RunConfig, "run"), (SceneConfig, "scene")])
+def test_every_key_of_a_file_is_in_its_reference_page(model: type[BaseModel], page: str) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "reference" / f"{page}-file.md").read_text(encoding="utf-8")
+    for name, field in model.model_fields.items():
+        if name == "settled":  # of a bank alone
+            continue
+        assert f"[{name}]" in text or f"`{name}`" in text
+        left = models_of(field.annotation)
+        while left:
+            table = left.pop()
+            for key, one in table.model_fields.items():
+                assert f"`{key}`" in text or (name, key) in (("calibration", "measured"), ("source", "kind")), key
+                left += [] if key == "measured" else models_of(one.annotation)
+
+
+def test_every_default_of_the_run_file_is_in_its_reference_page() -> None:
     page = (Path(__file__).parents[2] / "docs" / "reference" / "run-file.md").read_text(encoding="utf-8")
     for name, field in RunConfig.model_fields.items():
         if name in {"rig", "settled"}:  # no table of the file
             continue
-        annotations = (field.annotation, *get_args(field.annotation))
-        model = next(one for one in annotations if isinstance(one, type) and issubclass(one, BaseModel))
         section = page.split(f"## [{name}]")[1].split("A fault:")[0].split("\n## ")[0]
         lines = [line for line in section.splitlines() if line.startswith("|")]
         rows = {key: line for line in lines for key in re.findall(r"`(\w+)`", line.split("|")[1])}
-        for key, one in model.model_fields.items():
-            assert key in rows, f"{name}.{key}"
+        for key, one in models_of(field.annotation)[0].model_fields.items():
             if one.default is not PydanticUndefined and one.default not in (None, ()):
                 assert json.dumps(one.default) in rows[key], f"{name}.{key}"
-    assert all(f"`{key}`" in page for key in Fault.model_fields)
     assert all(f'"{kind}"' in page for kind in (*ANYWHERE, *CORRUPTING))
