@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from benchmarks.nights import record_sample
-from benchmarks.processes import run_command
+from benchmarks.timing import run_command
 from storage.drive_file import Drive, write_drive
 from storage.output_files import write_whole
 

@@ -20,7 +20,7 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from benchmarks import audio_rate, nights
+from benchmarks import nights
 from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
 
@@ -119,7 +119,7 @@ def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
         f"median error at most {MARK_ERROR_DB:g} dB": error is not None and error <= MARK_ERROR_DB,
     }
     others: dict[str, Any] = {}
-    for more in (nights.compare_nights, nights.stream_recordings, audio_rate.run):
+    for more in (nights.compare_nights, nights.stream_recordings, nights.estimate_audio):
         found = more(quick=quick)
         marks |= found.pop("marks")
         others |= found

@@ -1,6 +1,6 @@
 """Renderers and predictors side by side: error against run time, in one process.
 
-Run as ``python -m benchmarks.render``. The workload: 20 actuators, Green's functions of 2000 taps at 10 kHz
+The workload: 20 actuators, Green's functions of 2000 taps at 10 kHz
 made of 24 damped modes between 20 and 500 Hz behind a low-pass (Butterworth, order 4, 600 Hz), white noise as
 the source, moving at 10 cm/s over a 4 mm grid, or jumping to another row at every path point. Errors are
 relative L2 errors against convolution in float64.
@@ -8,8 +8,6 @@ relative L2 errors against convolution in float64.
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
@@ -19,21 +17,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.render_fields import compare_fields, field_memory
 from benchmarks.render_precision import draw_precision
-from benchmarks.render_timing import Mark, Result, Timing, best_of, relative_error
 from benchmarks.render_workloads import (
     RATE_HZ,
     Workload,
     circle,
+    compare_fields,
     convolve_and_overlap_add,
     convolve_each,
     convolve_together,
+    field_memory,
     floor,
     modal_bank,
     sum_directly,
     workloads,
 )
+from benchmarks.timing import Mark, Result, Timing, best_of, relative_error
 from rendering.drive.rendering import render_with_report
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
@@ -111,24 +110,11 @@ def compare_drives(workload: Workload, repeats: int) -> list[Result]:
         Result.of(
             name, "fftconvolve per segment and actuator", found["plain"].times(segments / some), peer, remark=scaled
         ),
-        Result.of(
-            name,
-            "ours, all bins",
-            found["exact"],
-            peer,
-            error=relative_error(exact.drive_v, reference),
-            mark=marks.get("exact"),
-        ),
-        Result.of(
-            name,
-            f"ours, to {TOLERANCE_DB:g} dB",
-            found["loose"],
-            peer,
-            error=relative_error(loose.drive_v, reference),
-            remark=remark,
-            mark=marks.get("loose"),
-        ),
-    ]
+        Result.of(name, "ours, all bins", found["exact"], peer, error=relative_error(exact.drive_v, reference),
+                  mark=marks.get("exact")),
+        Result.of(name, f"ours, to {TOLERANCE_DB:g} dB", found["loose"], peer,
+                  error=relative_error(loose.drive_v, reference), remark=remark, mark=marks.get("loose")),
+    ]  # fmt: skip
     for kind, ours, dtype in (("floor64", "exact", "float64"), ("floor32", "loose", "float32")):
         over = found[ours].cpu_s / found[kind].cpu_s
         remark = f"rows read and transformed, drives transformed back; ours / floor {over:.1f} (CPU)"
@@ -247,18 +233,3 @@ def show(results: list[Result]) -> None:
             f"  {result.method:42s} {result.wall_s:9.4f} s {times:>9s}  CPU {result.cpu_s:9.4f} s {cpu_times:>9s}"
             f" {error:>9s}  {result.remark}{'' if result.mark is None else result.mark.told(result)}"
         )
-
-
-def main() -> None:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="smaller workloads, one repeat")
-    parser.add_argument("--out", type=Path, default=Path("bench-out"), help="folder for the figures")
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    figures = run(arguments.out, quick=arguments.quick)
-    (arguments.out / "render.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

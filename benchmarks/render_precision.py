@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import scipy.special
 
-from benchmarks.render_timing import best_of, relative_error
 from benchmarks.render_workloads import (
     ACTUATORS,
     RATE_HZ,
@@ -20,6 +19,7 @@ from benchmarks.render_workloads import (
     noise,
     sum_directly,
 )
+from benchmarks.timing import best_of, relative_error
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Output, Scene, Source

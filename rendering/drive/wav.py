@@ -44,17 +44,7 @@ class Interface:
     def between_samples(self, drive_v: Float64Array, sample_rate_hz: float) -> Reached:
         """What a drive reaches at the interface's rate: between its samples a waveform may be larger than at them.
 
-        Parameters
-        ----------
-        drive_v : float64 array, shape (actuators, samples)
-            Volts.
-        sample_rate_hz : float
-            Their rate.
-
-        Raises
-        ------
-        InputError
-            The rates have no ratio of small whole numbers.
+        Raises InputError: the rates have no ratio of small whole numbers.
         """
         actuators, samples = drive_v.shape
         blocks = (drive_v[:, begin : begin + BLOCK_SAMPLES] for begin in range(0, samples, BLOCK_SAMPLES))
@@ -109,17 +99,7 @@ class InterfaceRate:
     def pieces(
         self, blocks: Iterable[Float64Array], actuators: int, samples: int, piece_samples: int
     ) -> Iterator[Float64Array]:
-        """Give drives at the interface's rate, piece by piece, as blocks of them come.
-
-        Parameters
-        ----------
-        blocks : iterable of float64 array, shape (actuators, any number of samples)
-            The drives, one block after the other.
-        actuators, samples : int
-            Of the whole drive.
-        piece_samples : int
-            About so many samples of drive are converted at a time, > 0.
-        """
+        """Give drives at the interface's rate, piece by piece, as blocks of them come."""
         up, down = self._ratio.numerator, self._ratio.denominator
         left = self.frames(samples)
         for chunk in self._chunks(blocks, actuators, down * max(1, piece_samples // down)):
@@ -171,32 +151,8 @@ def stream_wav(
     The rates are converted by an exact rational ratio with a linear-phase low-pass, so that
     sample 0 of the file is sample 0 of the drive.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write; an older one is replaced when the new one is whole.
-    blocks : iterable of float64 array, shape (actuators, any number of samples)
-        The drives in volts, one block after the other.
-    shape : tuple of int
-        Actuators and samples of the whole drive.
-    sample_rate_hz : float
-        Rate of the drives.
-    interface_rate_hz : int
-        Rate of the audio interface.
-    full_scale_v : float
-        Volts at the interface's output for the value 1.0.
-    chunk_samples : int
-        About so many samples of drive are converted at a time, > 0.
-
-    Returns
-    -------
-    float
-        Largest magnitude at the interface's rate, in volts.
-
-    Raises
-    ------
-    InputError
-        A drive is beyond full scale or cannot be rendered, or the rates have no ratio of small whole numbers.
+    Returns largest magnitude at the interface's rate, in volts. Raises InputError: a drive is beyond full scale or
+    cannot be rendered, or the rates have no ratio of small whole numbers.
     """
     try:
         rate = InterfaceRate(sample_rate_hz, interface_rate_hz)
@@ -235,23 +191,7 @@ def write_wav(
     The rates are converted by an exact rational ratio with a linear-phase low-pass, so that
     sample 0 of the file is sample 0 of the drive.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    drive_v : float64 array, shape (actuators, samples)
-        Drives in volts.
-    sample_rate_hz : float
-        Rate of the drives.
-    interface_rate_hz : int
-        Rate of the audio interface.
-    full_scale_v : float
-        Volts at the interface's output for the value 1.0.
-
-    Raises
-    ------
-    InputError
-        The drive is beyond full scale, or the rates have no ratio of small whole numbers.
+    Raises InputError: the drive is beyond full scale, or the rates have no ratio of small whole numbers.
     """
     pieces = (drive_v[:, begin : begin + CHUNK_SAMPLES] for begin in range(0, drive_v.shape[1], CHUNK_SAMPLES))
     stream_wav(

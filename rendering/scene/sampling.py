@@ -94,25 +94,7 @@ def sample_source(
     n_m = round((start_s + m d / v) rate), each from absolute time and half to even, so that no error adds up.
     A path of no length is a static focus: it emits its whole signal at `start_s`.
 
-    Parameters
-    ----------
-    source : Source
-        The source.
-    index : int
-        Its place in the scene, for messages.
-    interpolation : Interpolation
-        How rows are found for its points.
-    sample_rate_hz : float
-        Rate of the bank.
-    taps : int
-        Length of the Green's functions in samples.
-    method : {"sampled", "exact"}
-        Whether a continuous emission moves from point to point or from sample to sample.
-
-    Raises
-    ------
-    InputError
-        The source does not move although its path does, emits nothing, is too long, or leaves the grid.
+    Raises InputError: the source does not move although its path does, emits nothing, is too long, or leaves the grid.
     """
     signal = source.amplitude * source.signal.samples(sample_rate_hz)
     if not len(signal):
@@ -164,17 +146,7 @@ def sample_source(
 def point_count(source: Source, index: int) -> int:
     """M, the number of path points of a source, 1 where it stands still.
 
-    Parameters
-    ----------
-    source : Source
-        The source.
-    index : int
-        Its place in the scene, for messages.
-
-    Raises
-    ------
-    InputError
-        The source does not move although its path does, or it has too many path points.
+    Raises InputError: the source does not move although its path does, or it has too many path points.
     """
     length = source.path.length_mm
     if isinstance(source.path, Point) or length == 0:
@@ -237,19 +209,7 @@ def _show(point_mm: Float64Array) -> str:
 def sample_scene(scene: Scene, bank: GreenSource, method: Method) -> tuple[Interpolation, list[SampledSource]]:
     """Sample the sources of a scene, once its size is found to be within the limits.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    bank : GreenSource
-        Its rate, length, positions and, for some interpolations, its Green's functions.
-    method : {"sampled", "exact"}
-        As for `rendering.scene.sampling.sample_source`.
-
-    Raises
-    ------
-    InputError
-        The scene is larger than allowed, or does not fit the bank.
+    Raises InputError: the scene is larger than allowed, or does not fit the bank.
     """
     rate_hz, taps = float(bank.sample_rate_hz), bank.taps
     for index, source in enumerate(scene.sources):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from benchmarks import audio_rate
+from benchmarks import nights as audio_rate
 from calibration.estimator.estimation_memory import affordable_workers
 from storage.errors import InputError
 from storage.raw.reading import open_raw

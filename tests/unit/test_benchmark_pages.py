@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.conditions import conditions, load
+from benchmarks.timing import conditions, load
 
 TOOL = Path(__file__).parents[2] / "tools/benchmark_pages.py"
 MADE = {

@@ -15,7 +15,7 @@ from wavefocus.console import people, say
 
 def bench(what: str, out: Path, *, quick: bool, force: bool = False) -> None:
     """Run one benchmark, or all, and write their figures as JSON beside the printed tables."""
-    from benchmarks.conditions import conditions, load
+    from benchmarks.timing import conditions, load
 
     chosen = [name for name, one in BENCHMARKS.items() if not one.on_request] if what == "all" else [what]
     files = [name for one in chosen for name in (f"{one}.json", f"{one}.md", *BENCHMARKS[one].pictures)]

@@ -62,19 +62,7 @@ class NeededGrid:
 def wave_number_rad_mm(frequency_hz: float, speed_m_s: float, attenuation_db_per_cm: float = 0.0) -> complex:
     """Wave number k of a wave exp(-j k r), Im k <= 0, from its phase speed and its loss.
 
-    Parameters
-    ----------
-    frequency_hz : float
-        > 0.
-    speed_m_s : float
-        Phase speed, > 0.
-    attenuation_db_per_cm : float
-        Loss, >= 0, spreading not counted.
-
-    Raises
-    ------
-    InputError
-        A figure is out of range.
+    Raises InputError: a figure is out of range.
     """
     for name, value, low in (("frequency_hz", frequency_hz, 0.0), ("speed_m_s", speed_m_s, 0.0)):
         if not (math.isfinite(value) and value > low):
@@ -107,28 +95,7 @@ def needed_grid(
 ) -> NeededGrid:
     """Find the widest grid whose interpolation keeps to an error.
 
-    Parameters
-    ----------
-    wavenumber_rad_mm : complex
-        Wave number at the band's upper end, Re k > 0, Im k <= 0.
-    area_mm2 : float
-        Area to be covered, > 0.
-    error : float
-        Relative rms error allowed between the positions, 0 to 1.
-    lattice : {"square", "hexagonal"}
-        Kind of grid.
-    kind : {"nearest", "bilinear", "bicubic", "kernel"}
-        Interpolation; bilinear and bicubic go with the square grid alone.
-    noise_db : float
-        Error of the bank itself, relative, in dB.
-    trusted : bool
-        For "kernel": whether the medium is trusted to carry waves of one wave number and no others, as a soft
-        or a thin plate away from its actuators does. If not, only the shortest wave length is taken for known.
-
-    Raises
-    ------
-    InputError
-        A figure is out of range, or no grid keeps to the error.
+    Raises InputError: a figure is out of range, or no grid keeps to the error.
     """
     if not (0.0 < error < 1.0):
         raise InputError(f"the interpolation error allowed is {error}; it must be between 0 and 1")
@@ -175,19 +142,7 @@ def expected_error(
 ) -> float:
     """Expected relative rms error between the positions of a wide grid, averaged over a cell.
 
-    Parameters
-    ----------
-    wavenumber_rad_mm : complex
-        Re k > 0, Im k <= 0.
-    spacing_mm : float
-        Distance of neighbouring positions, > 0.
-    lattice, kind, noise_db, trusted
-        See `needed_grid`.
-
-    Raises
-    ------
-    InputError
-        A figure is out of range, or the kind does not go with the lattice.
+    Raises InputError: a figure is out of range, or the kind does not go with the lattice.
     """
     if not (wavenumber_rad_mm.real > 0 and wavenumber_rad_mm.imag <= 0 and np.isfinite(wavenumber_rad_mm)):
         raise InputError(f"the wave number is {wavenumber_rad_mm} rad/mm; it must be finite, Re k > 0 and Im k <= 0")

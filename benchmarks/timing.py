@@ -1,0 +1,294 @@
+"""Timing side by side: methods take turns, so that what else the machine does meets them all alike."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Best of some runs.
+
+    Parameters
+    ----------
+    wall_s, cpu_s : float
+        Least time on the wall, and least CPU time of all threads together; not necessarily of the same run.
+    result : object
+        What the last run returned.
+    """
+
+    wall_s: float
+    cpu_s: float
+    result: Any
+
+    def times(self, factor: float) -> Timing:
+        """The time of so much more of the same work."""
+        return replace(self, wall_s=self.wall_s * factor, cpu_s=self.cpu_s * factor)
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """What a figure should reach.
+
+    Parameters
+    ----------
+    figure : str
+        "times": times faster than the peer. Otherwise a figure that is given here.
+    value : float
+        The mark.
+    at_most : bool
+        Whether the figure is to stay below it.
+    measured : float, optional
+        The figure, where it is not "times".
+    """
+
+    figure: str
+    value: float
+    at_most: bool = False
+    measured: float | None = None
+
+    def met(self, result: Result) -> bool:
+        """Whether a result reaches the mark; by wall time where both are timed."""
+        figure = result.times if self.measured is None else self.measured
+        return figure is not None and (figure <= self.value if self.at_most else figure >= self.value)
+
+    def told(self, result: Result) -> str:
+        """The mark in words."""
+        wanted = f"at {'most' if self.at_most else 'least'} {self.value:g}"
+        return f"  [mark: {self.figure} {wanted}: {'met' if self.met(result) else 'NOT met'}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One line of the table.
+
+    Parameters
+    ----------
+    work, method : str
+        What was done, and how.
+    wall_s, cpu_s : float
+        Best of the repeats.
+    error : float or None
+        Relative L2 error, None for the reference itself and for the floor.
+    times, cpu_times : float or None
+        How many times faster than the method that the work names as its peer: its wall or CPU time, whichever is
+        less, over our wall time; and by CPU time.
+    remark : str
+        What a reader must know to judge the figure.
+    mark : Mark, optional
+        What it should reach.
+    """
+
+    work: str
+    method: str
+    wall_s: float
+    cpu_s: float
+    error: float | None
+    times: float | None
+    cpu_times: float | None
+    remark: str = ""
+    mark: Mark | None = None
+
+    @classmethod
+    def of(
+        cls,
+        work: str,
+        method: str,
+        timing: Timing,
+        peer: Timing,
+        *,
+        error: float | None = None,
+        remark: str = "",
+        mark: Mark | None = None,
+    ) -> Result:
+        """A line of a timing beside its peer's."""
+        # A peer that others kept from the cores was not slow: it counts no more than its CPU time.
+        times = min(peer.wall_s, peer.cpu_s) / timing.wall_s
+        cpu_times = peer.cpu_s / max(timing.cpu_s, 1e-9)
+        return cls(work, method, timing.wall_s, timing.cpu_s, error, times, cpu_times, remark, mark)
+
+
+def best_of(
+    actions: dict[str, Callable[[], Any]], repeats: int, *, once: tuple[str, ...] = (), slow_s: float = 2.0
+) -> dict[str, Timing]:
+    """Run actions in turns and keep the best time of each."""
+    best: dict[str, Timing] = {}
+    for turn in range(repeats):
+        for name, action in actions.items():
+            known = best.get(name)
+            if known is not None and (name in once or (known.wall_s > slow_s and turn % 3)):
+                continue
+            wall, cpu = time.perf_counter(), time.process_time()
+            result = action()
+            cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+            if known is not None:
+                wall, cpu = min(wall, known.wall_s), min(cpu, known.cpu_s)
+            best[name] = Timing(wall, cpu, result)
+    return best
+
+
+def relative_error(found: NDArray[Any], expected: NDArray[Any]) -> float:
+    """Relative L2 error."""
+    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
+PACKAGES = ("numpy", "scipy", "h5py", "pyfar", "dask")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+def conditions(command: str) -> dict[str, object]:
+    """Machine, versions and load as they are now."""
+    return {
+        "command": command,
+        "date": datetime.now().astimezone().isoformat(timespec="minutes"),
+        "commit": _commit(),
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "memory_gib": _memory_gib(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "packages": {name: found for name in PACKAGES if (found := _version(name)) is not None},
+        "threads": {name: os.environ[name] for name in THREADS if name in os.environ},
+        "load_before": load(),
+    }
+
+
+def load() -> float | None:
+    """Load average over the last minute; None where the system has none."""
+    try:
+        return round(os.getloadavg()[0], 2)
+    except (AttributeError, OSError):
+        return None
+
+
+def _processor() -> str:
+    if sys.platform.startswith("linux"):
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+        for line in text.splitlines():
+            if line.startswith("model name"):
+                return " ".join(line.partition(":")[2].split())
+    return platform.processor() or platform.machine()
+
+
+def _memory_gib() -> float | None:
+    try:
+        return round(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30, 1)
+    except (AttributeError, ValueError, OSError):
+        return None
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """The commit that is checked out beside this module, with a plus where files differ from it."""
+    try:
+        done = subprocess.run(
+            ["git", "describe", "--always", "--dirty=+"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=10,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None
+
+
+@dataclass(frozen=True, slots=True)
+class CommandRun:
+    """Standard output of a command, seconds, and the peak memory of its largest process.
+
+    `starting_s` is the time until a cluster was ready, 0 without one.
+    """
+
+    stdout: str
+    wall_s: float
+    starting_s: float
+    processor_s: float
+    peak_bytes: float
+
+
+def run_command(*arguments: object, limit_bytes: int = 0, preload: Sequence[str] = ()) -> CommandRun:
+    """Run ``wavefocus`` with arguments, in processes that may allocate so many bytes each (0: any number).
+
+    Loading the modules of `preload` does not count as processor time.
+    """
+    child = [sys.executable, "-m", "benchmarks.timing", str(limit_bytes), ",".join(preload), *map(str, arguments)]
+    began = ready = time.monotonic()
+    said: list[str] = []
+    with subprocess.Popen(child, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None  # pipes, as asked for
+        assert process.stderr is not None
+        for line in process.stderr:
+            said.append(line)
+            if line.startswith("cluster "):
+                ready = time.monotonic()
+        *lines, figures = process.stdout.read().splitlines() or [""]
+    wall_s = time.monotonic() - began
+    if process.returncode:
+        raise RuntimeError(f"wavefocus {' '.join(map(str, arguments))}: {''.join(said).strip()}")
+    processor_s, peak = map(float, figures.split())
+    return CommandRun("\n".join(lines), wall_s, ready - began, processor_s, peak)
+
+
+def _peak_bytes() -> int:
+    """Peak of the resident memory; 0 where the system does not report it.
+
+    Linux counts a process's peak (``getrusage``) from before it became another program, so that a child of a large
+    parent seems large; ``VmHWM`` begins anew (proc(5)).
+    """
+    try:
+        for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+            if line.startswith("VmHWM:"):
+                return 1024 * int(line.split()[1])
+    except OSError:
+        pass
+    return _usage()[1]
+
+
+def _usage(*, children: bool = False) -> tuple[float, int]:
+    """Processor seconds and peak memory of this process, or of those that it has waited for."""
+    try:
+        import resource
+    except ImportError:
+        return (0.0 if children else time.process_time()), 0
+    used = resource.getrusage(resource.RUSAGE_CHILDREN if children else resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def _main(limit_bytes: int, preload: str, arguments: list[str]) -> int:
+    if limit_bytes:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, limit_bytes))
+    for module in filter(None, preload.split(",")):
+        import_module(module)
+    from_s = _usage()[0] if preload else 0.0
+    code: int = import_module("wavefocus.__main__").run(arguments)
+    workers_s, workers_bytes = _usage(children=True)
+    print(_usage()[0] - from_s + workers_s, max(_peak_bytes(), workers_bytes))
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(_main(int(sys.argv[1]), sys.argv[2], sys.argv[3:]))
