@@ -16,7 +16,7 @@ from config.loading import printable, read_toml, shown, validated
 from config.rig_mirror import Matrix
 from drivers.protocols import DeviceIdentity
 from storage.errors import InputError
-from storage.output_files import new_file, write_whole
+from storage.output_files import replacement, write_whole
 from storage.text_file import read_text
 
 FORMAT = "wavefocus-calibration"
@@ -300,7 +300,7 @@ def write_calibration(path: Path, record: CalibrationRecord) -> None:
     """
     text = HEAD + "\n".join(_lines(record))
     try:
-        with new_file(path) as temporary:
+        with replacement(path, new=True) as temporary:
             temporary.write_bytes((text + "\n").encode())
     except FileExistsError:
         raise InputError(printable(f"{path}: is there already and is not overwritten; name another file")) from None

@@ -1,4 +1,17 @@
-"""Files: written so that a crash at any instant loses nothing that was acknowledged, read without trust."""
+"""Files: written so that a crash at any instant loses nothing that was acknowledged, read without trust.
+
+============================  ==========================================================================
+`bank.reading`                `Bank`, `open_bank`: banks of this program and of others
+`bank.writer`, `bank.header`  `create_bank`, `BankWriter`, `BankHeader`; `bank.ledger` has `PointRecord`
+`raw.reading`, `raw.writer`   `open_raw`, `RawFile`; `create_raw`, `RawWriter`, `raw.header.RawHeader`
+`drive_file`, `field_file`    `Drive`, `read_drive`, `write_drive`; `Field`, `FieldRowReader`, ...
+`output_files`                `replacement`, `require_outputs`: results appear whole, and replace nothing
+`exchange`                    banks in the formats of other fields
+`ledger`                      what bank and raw files have in common
+============================  ==========================================================================
+
+Modules are imported by name: h5py comes with most of them, and a command that needs none does not load it.
+"""
 
 import os
 

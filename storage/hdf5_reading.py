@@ -18,6 +18,7 @@ from storage.errors import InputError
 from storage.ledger.owner import require_regular
 
 _MOST_METADATA_BYTES = 64 << 20
+_LEAST_HEAP_BYTES = 4096  # of the collections that HDF5 keeps texts in
 # A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
 _HOLLOW = 100
 # What filters may add to a chunk that does not get smaller.
@@ -352,7 +353,7 @@ def require_sound_texts(file: h5py.File, path: Path) -> None:
     size = path.stat().st_size
     with path.open("rb") as raw:
         for start, count in [*sorted(values), (size, 0)]:
-            if 0 < start - end <= _MOST_METADATA_BYTES:
+            if _LEAST_HEAP_BYTES <= start - end <= _MOST_METADATA_BYTES:
                 raw.seek(end)
                 content = raw.read(start - end)
                 at = content.find(b"GCOL")

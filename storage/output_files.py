@@ -15,7 +15,7 @@ from pathlib import Path
 
 from storage import durable
 from storage.errors import InputError
-from storage.staging_dir import clear_all_leftovers, workplace
+from storage.staging_dir import clear_leftovers, workplace
 
 _STAGED = "results"
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -31,8 +31,15 @@ _KINDS = (
 
 
 @contextmanager
-def replacement(path: Path) -> Iterator[Path]:
-    """Write a file whole: yields a path that does not exist yet and takes the place of `path` when the block ends well.
+def replacement(path: Path, *, new: bool = False) -> Iterator[Path]:
+    """Write a file whole: yields a path that does not exist yet and gets the name `path` when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        The file; an older one of that name is replaced at the end.
+    new : bool
+        Whether an older one stays, and FileExistsError is raised.
 
     Raises
     ------
@@ -40,45 +47,24 @@ def replacement(path: Path) -> Iterator[Path]:
         It cannot be written; an older file of that name is there as before.
     """
     with _named_failures(path):
-        clear_all_leftovers(path.parent)
+        clear_leftovers(path.parent)
         with workplace(path) as place:
             yield place.temporary
             durable.sync_path(place.temporary)
+            if new:
+                place.complete()
+                durable.publish_new(place.temporary, path)
+                return
             if path.exists():
                 shutil.copymode(path, place.temporary)
             place.publish()
 
 
 @contextmanager
-def new_file(path: Path) -> Iterator[Path]:
-    """Write a file whole under a name that nothing has yet.
-
-    Raises
-    ------
-    FileExistsError
-        Something of that name exists; it stays.
-    InputError
-        It cannot be written.
-    """
-    with _named_failures(path):
-        clear_all_leftovers(path.parent)
-        with workplace(path) as place:
-            yield place.temporary
-            durable.sync_path(place.temporary)
-            place.complete()
-            durable.publish_new(place.temporary, path)
-
-
-@contextmanager
 def staged_folder(folder: Path, last: str) -> Iterator[Path]:
     """Write files into a folder together: yields a hidden folder whose files are moved when the block ends well.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the files belong, made where missing; older files of the same names are replaced at the end.
-    last : str
-        Name of the file that is moved last: who finds it new finds all others new.
+    The file named `last` is moved last: who finds it new finds all others new. The folder is made where missing.
 
     Raises
     ------
@@ -87,7 +73,7 @@ def staged_folder(folder: Path, last: str) -> Iterator[Path]:
     """
     with _named_failures(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        clear_all_leftovers(folder)
+        clear_leftovers(folder)
         with workplace(folder / _STAGED) as place:
             place.temporary.mkdir()
             try:
@@ -110,19 +96,12 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def require_room(path: Path, size: int) -> None:
-    """Refuse a file that the disk, a quota or a limit of the process has no room for.
-
-    Parameters
-    ----------
-    path : Path
-        A file that does not exist, beside which the room is needed; it does not exist afterwards either.
-    size : int
-        Bytes it will have.
+    """Refuse a file that the disk, a quota or a limit of the process has no room for; `path` stays missing.
 
     Raises
     ------
     OSError
-        There is no room.
+        There is no room for `size` bytes.
     """
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
     try:
@@ -167,18 +146,7 @@ def require_output_folder(
 ) -> None:
     """Refuse a folder of outputs whose files of the given names must stay; as :func:`require_outputs`.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder; it may be missing.
-    names : iterable of str
-        Files that are to be written into it.
-    inputs : sequence of Path
-        Files that are read.
-    force : bool
-        Whether older files may be replaced.
-    may_exist : iterable of str
-        Files, no results, that are replaced without being asked.
+    The folder may be missing; files of the names in `may_exist` are no results and are replaced without being asked.
     """
     if not folder.is_dir():
         if os.path.lexists(folder):

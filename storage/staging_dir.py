@@ -39,13 +39,7 @@ class Workplace:
         self._owner.sync()
 
     def publish(self) -> None:
-        """Give the synced temporary file its name, in place of an older file of that name.
-
-        Raises
-        ------
-        OSError
-            The folder cannot be synced, or the file not renamed; the older file is there as before.
-        """
+        """Give the synced temporary file its name; after an OSError an older file of that name is there as before."""
         durable.sync_folder(self._path.parent)
         with contextlib.suppress(OSError, NotImplementedError):  # no older file, or no hard links
             os.link(self._path, self._previous, follow_symlinks=False)
@@ -60,13 +54,7 @@ class Workplace:
 
 @contextlib.contextmanager
 def workplace(path: Path) -> Iterator[Workplace]:
-    """Have a hidden folder beside `path` to make it in; it is gone afterwards.
-
-    Raises
-    ------
-    OSError
-        When the folder cannot be made.
-    """
+    """Have a hidden folder beside `path` to make it in; it is gone afterwards. OSError where it cannot be made."""
     folder, owner = _new_folder(path)
     try:
         yield Workplace(path, folder, owner)
@@ -74,25 +62,24 @@ def workplace(path: Path) -> Iterator[Workplace]:
         _clear(folder, path.name, owner)
 
 
-def clear_leftovers(path: Path) -> None:
-    """Remove the hidden folders of makers of `path` that were killed, and finish what they all but finished.
+def clear_leftovers(folder: Path, only: str = "*") -> None:
+    """Remove the hidden folders of makers that were killed, and finish what they all but finished.
 
     A folder whose maker lives, or that holds anything else, stays as it is.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files belong.
+    only : str
+        Name of the one file whose makers are meant; by default those of any.
     """
-    _clear_leftovers_of(path.parent, f".{glob.escape(path.name)}.*.partial", path.name)
-
-
-def clear_all_leftovers(folder: Path) -> None:
-    """Remove from a folder what killed makers of any file left in it, as :func:`clear_leftovers` does for one."""
-    _clear_leftovers_of(folder, ".*.*.partial", None)
-
-
-def _clear_leftovers_of(folder: Path, pattern: str, only: str | None) -> None:
-    for leftover in sorted(folder.glob(pattern)):
+    pattern = "*" if only == "*" else glob.escape(only)
+    for leftover in sorted(folder.glob(f".{pattern}.*.partial")):
         name = leftover.name[1:].removesuffix(".partial").rpartition(".")[0]
         # What cannot be removed costs nothing but its space.
         with contextlib.suppress(OSError):
-            if only in (None, name) and not leftover.is_symlink():
+            if only in ("*", name) and not leftover.is_symlink():
                 _clear_leftover(leftover, folder / name)
 
 

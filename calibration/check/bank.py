@@ -72,7 +72,7 @@ def check_bank(path: str | Path) -> list[Finding]:
         When the file cannot be opened as a bank at all.
     """
     path = Path(path)
-    with open_bank(path) as bank, one_blas_thread():
+    with open_bank(path, contents=True) as bank, one_blas_thread():
         findings = list(check_ledger(bank.rows, path)) if isinstance(bank.rows, BankRows) else []
         findings += _check_positions(bank)
         findings += _check_moved(bank)

@@ -16,7 +16,7 @@ from gui.scene.document import SceneDocument
 from gui.shell.file_choice import choose_place
 from gui.shell.tab import Question, TabContext
 from storage.errors import WavefocusError
-from storage.output_files import new_file
+from storage.output_files import replacement
 
 _KEPT_AFTER_MS = 1000
 _TEXT, _PLACE, _OWNER = "scene/unsaved", "scene/unsaved_file", "scene/unsaved_by"
@@ -163,7 +163,7 @@ class SceneFiles(QObject):
             return ""
         names = (path.with_name(f"{path.name}~{count or ''}") for count in itertools.count())
         aside = next(name for name in names if not os.path.lexists(name))
-        with new_file(aside) as temporary:
+        with replacement(aside, new=True) as temporary:
             shutil.copy2(path, temporary)
         return f"; the earlier file with its comments is {aside.name}"
 

@@ -1,1 +1,1 @@
-"""The bank file: header, layout, ledger, owner, writer, readers."""
+"""Banks: `open_bank` (reading), `create_bank` and `BankWriter` (writer), `BankHeader`, `PointRecord` (ledger)."""

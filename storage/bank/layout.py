@@ -65,8 +65,8 @@ def quality_shape(name: str, positions: int, actuators: int) -> tuple[int, ...]:
     return (positions,) if name in ("attempts", *LATER_QUALITY_NAMES) else (positions, actuators)
 
 
-def read_layout(file: h5py.File, path: Path) -> LedgerLayout:
-    """Read and verify header and offsets of a bank that this program made.
+def read_layout(file: h5py.File, path: Path, *, contents: bool = True) -> LedgerLayout:
+    """Read and verify header and offsets of a bank that this program made, and its other contents where wished.
 
     Raises
     ------
@@ -81,7 +81,8 @@ def read_layout(file: h5py.File, path: Path) -> LedgerLayout:
     require_checksum(file, path, "layout_crc32", layout.checksum(_FIRST_FIGURES), "its address table's")
     if "layout_later_crc32" in file.attrs:  # not in banks of the first edition
         require_checksum(file, path, "layout_later_crc32", _later_checksum(layout), "its address table's")
-    hdf5_digest.require_contents(file, path, later_datasets(layout))
+    if contents:
+        hdf5_digest.require_contents(file, path, later_datasets(layout))
     return layout
 
 

@@ -176,13 +176,15 @@ class Bank(Closing):
         self.rows.close()
 
 
-def open_bank(path: str | Path) -> Bank:
+def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
     """Open a bank for reading, without locks, also while a run is on.
 
     Parameters
     ----------
     path : str or Path
         An HDF5 file with at least ``/green``, ``/position_mm`` and the attribute ``sample_rate_hz``.
+    contents : bool
+        Whether to verify `contents_sha256`, which covers all that is not rows, as well as header and ledger.
 
     Raises
     ------
@@ -196,7 +198,7 @@ def open_bank(path: str | Path) -> Bank:
         if not has_ledger(content):
             facts, foreign = read_foreign(content, path, stack)
             return Bank(path=path, rows=foreign, **facts)
-        layout = read_layout(content, path)
+        layout = read_layout(content, path, contents=contents)
     header, rows = layout.header, BankRows(path, layout)
     return Bank(
         path=path,
@@ -234,7 +236,7 @@ class BankRows(LedgerReader):
         shape, chunks = self._shape, self.chunks(position)
         if chunks is None:
             return np.zeros(shape.dimensions, np.float32)
-        return np.frombuffer(chunks[0], "<f4", shape.data_bytes // 4).reshape(shape.dimensions).astype(np.float32)
+        return np.frombuffer(chunks[0], "<f4").reshape(shape.dimensions).astype(np.float32, copy=False)
 
     def differing(self) -> NDArray[np.bool_]:
         """Positions (P,) whose ``/status`` or ``/quality`` in the file are not those of the ledger."""

@@ -55,17 +55,17 @@ class LedgerLayout:
         """Number of positions."""
         return int(self.chunk_offset.shape[1])
 
-    def extents(self) -> list[tuple[int, int]]:
-        """(offset, size) of everything that is written after creation."""
-        count, shape = self.positions, self.shape
-        extents = [(offset, shape.chunk_bytes) for offset in self.chunk_offset.ravel().tolist()]
-        extents += [(self.ledger_offset, count * shape.row_bytes), (self.journal_offset, shape.journal_bytes)]
-        return extents + [(offset, count * size) for offset, size in self.figures.values()]
+    def extents(self) -> NDArray[np.int64]:
+        """Offset and size (n, 2) of everything that is written after creation."""
+        count, shape, chunks = self.positions, self.shape, self.chunk_offset.ravel()
+        others = [(self.ledger_offset, count * shape.row_bytes), (self.journal_offset, shape.journal_bytes)]
+        others += [(offset, count * size) for offset, size in self.figures.values()]
+        return np.concatenate([np.column_stack([chunks, np.full(len(chunks), shape.chunk_bytes)]), others])
 
     def checksum(self, figures: Collection[str], before: int = 0) -> int:
         """CRC-32 of the offsets of chunks, ledger, journal and some figures, as kept in the file."""
-        first = [offset for offset, _ in self.extents()[: self.chunk_offset.size + 2]]
-        return offsets_crc(first + [self.figures[name][0] for name in self.figures if name in figures], before)
+        offsets = [*self.chunk_offset.ravel().tolist(), self.ledger_offset, self.journal_offset]
+        return offsets_crc(offsets + [offset for name, (offset, _) in self.figures.items() if name in figures], before)
 
     def row_offset(self, position: int) -> int:
         """First byte of a position's ledger row."""
@@ -74,15 +74,14 @@ class LedgerLayout:
     @property
     def file_bytes(self) -> int:
         """Smallest size of the file that holds every page written later."""
-        return max(offset + size for offset, size in self.extents())
+        return int(self.extents().sum(axis=1).max())
 
     def require_sound(self, path: Path) -> None:
         """Refuse extents that overlap or are off the page grid, and a file that is too short for them."""
-        end = 0
-        for offset, size in sorted(self.extents()):
-            if offset % PAGE or offset < max(end, PAGE):
-                raise InputError(f"{path} is damaged: its datasets overlap or do not start on a page; restore a copy")
-            end = offset + size
+        extents = self.extents()
+        starts, ends = np.sort(extents[:, 0]), np.sort(extents.sum(axis=1))
+        if (starts % PAGE).any() or starts[0] < PAGE or (starts[1:] < ends[:-1]).any():
+            raise InputError(f"{path} is damaged: its datasets overlap or do not start on a page; restore a copy")
         if path.stat().st_size < self.file_bytes:
             raise InputError(f"{path} is truncated: {path.stat().st_size} of {self.file_bytes} bytes; restore a copy")
 
@@ -226,7 +225,7 @@ def create_file(
     InputError
         When the folder is missing, or the disk is too small; nothing is left behind.
     """
-    clear_leftovers(path)
+    clear_leftovers(path.parent, path.name)
     taken = ExistsError(f"{path} exists already; choose another name, or resume it")
     if path.exists():
         raise taken

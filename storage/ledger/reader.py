@@ -52,7 +52,7 @@ class LedgerReader:
         """Positions (P,) that were measured and whose ledger row does not hold or is zeros."""
         return np.asarray(self.ledger.damaged | self._erased)
 
-    def chunks(self, position: int) -> tuple[bytes | bytearray, ...] | None:
+    def chunks(self, position: int) -> tuple[memoryview, ...] | None:
         """Data of a position in each dataset; None where the ledger holds nothing for it.
 
         Raises
@@ -63,7 +63,7 @@ class LedgerReader:
             The file cannot be read.
         """
         if self._replacing and self._replacing.position == position:
-            return self._replacing.chunks  # as its ledger row was taken from the journal
+            return self._replaced(self._replacing)  # as its ledger row was taken from the journal
         try:
             for attempt in range(_TRIES):
                 if attempt:
@@ -113,9 +113,11 @@ class LedgerReader:
         self._file.read_into(offset, memoryview(content))
         return content
 
-    def _data(self, position: int) -> tuple[bytearray, ...]:
-        offsets = self._layout.chunk_offset[:, position].tolist()
-        return tuple(self._read(offset, self._shape.data_bytes) for offset in offsets)
+    def _data(self, position: int) -> tuple[memoryview, ...]:
+        chunks = tuple(np.empty(self._shape.data_bytes, np.uint8).data for _ in self._layout.chunk_offset)
+        for offsets, chunk in zip(self._layout.chunk_offset, chunks, strict=True):
+            self._file.read_into(int(offsets[position]), chunk)
+        return chunks
 
     def _read_ledger(self) -> None:
         size = self._shape.row_bytes
@@ -125,7 +127,7 @@ class LedgerReader:
             rows[self._replacing.position * size : (self._replacing.position + 1) * size] = self._replacing.row
         self.ledger = self._shape.decode(rows)
 
-    def _chunks_once(self, position: int) -> tuple[bytes | bytearray, ...] | None:
+    def _chunks_once(self, position: int) -> tuple[memoryview, ...] | None:
         """Data of a position, nothing (an empty tuple) where none was committed, None where they do not hold."""
         row = self._read(self._layout.row_offset(position), self._shape.row_bytes)
         crcs = self._shape.crcs(row, position)
@@ -135,7 +137,10 @@ class LedgerReader:
         if crcs is not None and self._shape.holds(crcs, chunks):
             return chunks
         replacing = self._read_journal()
-        return replacing.chunks if replacing is not None and replacing.position == position else None
+        return self._replaced(replacing) if replacing is not None and replacing.position == position else None
+
+    def _replaced(self, replacing: Replacement) -> tuple[memoryview, ...]:
+        return tuple(memoryview(bytearray(chunk))[: self._shape.data_bytes] for chunk in replacing.chunks)
 
     def _is_lost(self, position: int) -> bool:
         # Without a status that says that a position was measured, its data do, unless a writer just wrote them.

@@ -50,7 +50,7 @@ class LedgerWriter(Closing):
         with self._writing("recovering what a crash left"):
             self._finish_replacement()
             self._measured = self._recover()
-        self._head_bytes = min(offset for offset, _ in layout.extents())  # what lies before is never written again
+        self._head_bytes = int(layout.extents()[:, 0].min())  # what lies before is never written again
         self._head_crc = zlib.crc32(self._read(0, self._head_bytes))
         self._least_bytes = file.size()
 
@@ -82,7 +82,7 @@ class LedgerWriter(Closing):
         if path.is_symlink():
             raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the {kind} file itself")
         owner.require_regular(path)
-        clear_leftovers(path)
+        clear_leftovers(path.parent, path.name)
         try:
             file = open_file(path, write=True)
         except OSError as error:

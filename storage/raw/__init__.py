@@ -1,1 +1,1 @@
-"""The file of raw recordings: header, layout, ledger, writer, reader."""
+"""Raw recordings: `open_raw` (reading), `create_raw` and `RawWriter` (writer), `RawHeader` (header), `Schedule`."""

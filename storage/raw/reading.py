@@ -138,7 +138,7 @@ class RawRows(LedgerReader):
         shape, chunks = self._shape, self.chunks(position)
         if chunks is None:
             return None
-        return tuple(np.frombuffer(chunk, "<i2", shape.data_bytes // 2).reshape(shape.dimensions) for chunk in chunks)
+        return tuple(np.frombuffer(chunk, "<i2").reshape(shape.dimensions) for chunk in chunks)
 
 
 class ForeignRows:

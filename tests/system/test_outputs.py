@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from storage.errors import InputError
-from storage.output_files import new_file, replacement, require_outputs, staged_folder, write_whole
+from storage.output_files import replacement, require_outputs, staged_folder, write_whole
 from wavefocus.__main__ import run
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="pipes, devices and limits of POSIX")
@@ -306,7 +306,7 @@ def test_given_a_new_file_then_it_never_replaces_one(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(OLD)
 
     def write() -> None:
-        with new_file(tmp_path / "file") as temporary:
+        with replacement(tmp_path / "file", new=True) as temporary:
             temporary.write_bytes(b"new")
 
     with pytest.raises(FileExistsError):

@@ -44,7 +44,7 @@ def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path: Path) -> 
 @pytest.mark.parametrize("files", [{}, {"owner": b""}, {"owner": b"", "made": b"half"}, {"made": b"half"}])
 def test_given_what_a_killed_maker_left_then_it_is_removed(tmp_path: Path, files: dict[str, bytes]) -> None:
     leftover(tmp_path / "bank.h5", **files)
-    clear_leftovers(tmp_path / "bank.h5")
+    clear_leftovers(tmp_path, "bank.h5")
     assert names(tmp_path) == []
 
 
@@ -52,7 +52,7 @@ def test_given_a_maker_that_lives_then_its_folder_stays(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     with workplace(path) as place:
         place.temporary.write_bytes(b"half")
-        clear_leftovers(path)
+        clear_leftovers(tmp_path, path.name)
         assert place.temporary.read_bytes() == b"half"
 
 
@@ -60,7 +60,7 @@ def test_given_folders_of_others_then_they_stay(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     with_more = leftover(path, "more", owner=b"", made=b"half", notes=b"mine")
     of_another = leftover(tmp_path / "bank.h5.old", owner=b"", made=b"half")
-    clear_leftovers(path)
+    clear_leftovers(tmp_path, path.name)
     assert names(with_more) == ["bank.h5", "notes", "owner"]
     assert names(of_another) == ["bank.h5.old", "owner"]
 
@@ -70,7 +70,7 @@ def test_given_a_link_to_elsewhere_then_it_is_not_followed(tmp_path: Path) -> No
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "bank.h5").write_bytes(b"precious")
     (tmp_path / ".bank.h5.link.partial").symlink_to(tmp_path / "elsewhere")
-    clear_leftovers(tmp_path / "bank.h5")
+    clear_leftovers(tmp_path, "bank.h5")
     assert names(tmp_path / "elsewhere") == ["bank.h5"]
 
 
@@ -78,7 +78,7 @@ def test_given_a_name_that_was_claimed_and_not_filled_then_the_complete_file_tak
     path = tmp_path / "bank.h5"
     path.write_bytes(b"")
     leftover(path, owner=b"complete", made=b"whole")
-    clear_leftovers(path)
+    clear_leftovers(tmp_path, path.name)
     assert path.read_bytes() == b"whole"
     assert names(tmp_path) == ["bank.h5"]
 
@@ -90,7 +90,7 @@ def test_given_a_claimed_name_and_no_word_that_the_file_is_complete_then_it_does
     path = tmp_path / "bank.h5"
     path.write_bytes(b"")
     leftover(path, owner=note, made=b"ha")
-    clear_leftovers(path)
+    clear_leftovers(tmp_path, path.name)
     assert path.read_bytes() == b""
     assert names(tmp_path) == ["bank.h5"]
 
@@ -99,5 +99,5 @@ def test_given_a_file_of_that_name_then_a_complete_leftover_does_not_replace_it(
     path = tmp_path / "bank.h5"
     path.write_bytes(b"precious")
     leftover(path, owner=b"complete", made=b"whole")
-    clear_leftovers(path)
+    clear_leftovers(tmp_path, path.name)
     assert path.read_bytes() == b"precious"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from config.loading import printable
 from storage.errors import InputError
-from storage.output_files import new_file
+from storage.output_files import replacement
 from wavefocus.console import say
 
 
@@ -56,7 +56,7 @@ def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
         for name, template in named.items():
             text = (templates / template).read_text(encoding="utf-8")
             # Real instruments, emulated or not, take no orders from a run's [virtual] table.
-            with new_file(folder / name) as temporary:
+            with replacement(folder / name, new=True) as temporary:
                 temporary.write_bytes((text if rig == "virtual" else text.partition("\n[virtual]")[0]).encode())
     except OSError as error:
         raise InputError(printable(f"{error.filename or folder}: cannot be written: {error.strerror}")) from None
