@@ -91,15 +91,12 @@ class SceneTab(Tab):
     def poll(self) -> None:
         self.results.poll()
 
-    def draw(self) -> None:
-        self.results.draw()
-
     def apply_theme(self, theme: Theme) -> None:
         for part in (self.sources, self.surface, self.results):
             part.apply_theme(theme)
 
     def instruments_held(self) -> str:
-        return self.results.playing.held()
+        return self.results.playing.instruments_held()
 
     def closing_question(self) -> Question | None:
         return self.files.closing_question()

@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from acquisition.quality.limits import DriftPoint
     from rendering.drive.coil_limits import DriveLimits
-    from rendering.scene.model import Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +51,6 @@ class FrontDoor:
         none has ended since.
     read_pulse : callable
         From a bank to its latest heartbeat; None where there is none.
-    read_scene, read_scene_tables : callable
-        From a scene file's text and path to the scene, or to its tables with all defaults; the tables do not need the
-        files that the scene names.
     read_rig_limits : callable
         From a rig file, or ``virtual``, to its limits.
     """
@@ -66,6 +62,4 @@ class FrontDoor:
     read_drift: Callable[[Path], list[DriftPoint]]
     session_failure: Callable[[Path, datetime], str]
     read_pulse: Callable[[Path], Pulse | None]
-    read_scene: Callable[..., Scene]
-    read_scene_tables: Callable[[str, Path], dict[str, Any]]
     read_rig_limits: Callable[[Path], RigLimits]

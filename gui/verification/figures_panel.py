@@ -1,40 +1,31 @@
-"""The verdict, the figures with their tolerances, and what can be done with them."""
+"""The verdict, the table of figures with their tolerances, and buttons for report, folder and clipboard."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from PyQt5.QtCore import QPointF, QSize, Qt
-from PyQt5.QtGui import QColor, QIcon, QPainter, QPen, QPixmap, QPolygonF
-from PyQt5.QtWidgets import (
-    QAbstractItemView,
-    QHBoxLayout,
-    QHeaderView,
-    QLabel,
-    QTableWidget,
-    QTableWidgetItem,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtCore import Qt
+from PyQt5.QtGui import QBrush, QColor
+from PyQt5.QtWidgets import QHBoxLayout, QLabel, QTableWidgetItem, QToolButton, QVBoxLayout, QWidget
 
 from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import Badge
+from gui.shell.widgets import Badge, make_table, named
 from gui.verification.results import Results
 
 if TYPE_CHECKING:
     from rendering.verify.record import Figure, VerificationRecord
 
 _COLUMNS = (
-    ("Figure", "What it is stands in each line's tooltip"),
+    ("Figure", "Definitions are in the tooltips of the lines"),
     ("Predicted", "Of the prediction alone"),
     ("Scanned", "Of the scan alone"),
-    ("Between", "Between both: the difference, or what only both together have"),
-    ("Tolerance", "What the run file allows"),
-    ("Verdict", "Whether it keeps to the tolerance"),
+    ("Between", "Of both: the difference, or what only both together have"),
+    ("Tolerance", "By the run file"),
+    ("Verdict", "Whether the figure is within the tolerance"),
 )
-_WORDS = {True: "pass", False: "fail", None: "not judged"}
+# Signs differ, too, not only colours.
+_VERDICTS = {True: "✓ pass", False: "✗ fail", None: "– not judged"}
 
 
 class FiguresPanel(QWidget):
@@ -43,7 +34,7 @@ class FiguresPanel(QWidget):
     Parameters
     ----------
     acts : mapping of str to callable
-        What the buttons ``"report"``, ``"folder"`` and ``"copy"`` do.
+        Actions of the buttons ``"report"``, ``"folder"`` and ``"copy"``.
     """
 
     def __init__(self, acts: dict[str, Callable[[], object]]) -> None:
@@ -54,38 +45,22 @@ class FiguresPanel(QWidget):
         self.summary = QLabel()
         self.summary.setAccessibleName("Summary")
         self.summary.setWordWrap(True)
-        self.table = QTableWidget(0, len(_COLUMNS))
-        self.table.setAccessibleName("Figures with tolerances")
-        self.table.setHorizontalHeaderLabels([words for words, _ in _COLUMNS])
+        self.table = make_table([title for title, _ in _COLUMNS], "Figures with tolerances", (0,))
+        self.table.setShowGrid(False)
         for place, (_, tip) in enumerate(_COLUMNS):
             if (title := self.table.horizontalHeaderItem(place)) is not None:
                 title.setToolTip(tip)
-        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.table.setAlternatingRowColors(True)
-        self.table.setShowGrid(False)
-        self.table.setWordWrap(False)
-        rows, columns = self.table.verticalHeader(), self.table.horizontalHeader()
-        assert rows is not None
-        assert columns is not None
-        rows.hide()
-        rows.setDefaultSectionSize(self.fontMetrics().height() + 6)
-        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        columns.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         self.buttons: dict[str, QToolButton] = {}
         buttons = QHBoxLayout()
         for name, words, tip in (
             ("report", "Open report", "The HTML report with all pictures, in the browser"),
-            ("folder", "Open folder", "Where drive, prediction, scan, report and verify.json lie"),
-            ("copy", "Copy figures", "All figures as text, columns by tabs, for a table or a mail"),
+            ("folder", "Open folder", "The folder of drive, prediction, scan, report and verify.json"),
+            ("copy", "Copy figures", "All figures as text, columns separated by tabs"),
         ):
-            button = QToolButton()
+            self.buttons[name] = button = named(QToolButton(), tip, words)
             button.setText(words)
-            button.setToolTip(tip)
-            button.setAccessibleName(words)
             button.clicked.connect(lambda _checked=False, act=acts[name]: act())
             buttons.addWidget(button)
-            self.buttons[name] = button
         buttons.addStretch(1)
         head = QHBoxLayout()
         head.addWidget(self.verdict, alignment=Qt.Alignment() | Qt.AlignmentFlag.AlignTop)
@@ -106,7 +81,7 @@ class FiguresPanel(QWidget):
         self._fill()
 
     def as_text(self) -> str:
-        """All figures, columns by tabs."""
+        """All figures, columns separated by tabs."""
         record = self._record
         if record is None:
             return ""
@@ -114,12 +89,12 @@ class FiguresPanel(QWidget):
             f"{record.scene}: {'passed' if record.passed else 'not good enough'}",
             record.summary,
             f"scene {record.scene_file}, bank {record.bank}, rig {record.rig}, {_when(record)}",
-            "\t".join(words for words, _ in _COLUMNS),
+            "\t".join(title for title, _ in _COLUMNS),
         ]
         return "\n".join([*lines, *("\t".join(_cells(one)) for one in record.figures)]) + "\n"
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self._theme = theme
         self.verdict.apply_theme(theme)
         self._fill()
@@ -127,36 +102,32 @@ class FiguresPanel(QWidget):
     def _fill(self) -> None:
         record, theme = self._record, self._theme
         self.verdict.setVisible(record is not None)
+        self.table.setRowCount(0 if record is None else len(record.figures))
         if record is None:
             self.summary.setText("")
             self.summary.setToolTip("")
-            self.table.setRowCount(0)
             return
-        if record.passed:
-            self.verdict.show_word("✓ passed", theme.good)
-        else:
-            self.verdict.show_word("✗ not good enough", theme.fault)
+        self.verdict.show_word(
+            "✓ passed" if record.passed else "✗ not good enough", theme.good if record.passed else theme.fault
+        )
         self.summary.setText(f"{record.scene}, {_when(record)}, in {record.folder.name}")
         self.summary.setToolTip(
             f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{record.folder}"
         )
-        self.table.setRowCount(len(record.figures))
-        side = self.fontMetrics().height()
-        self.table.setIconSize(QSize(side, side))
+        colours = {True: theme.good, False: theme.fault, None: theme.faint}
+        last = len(_COLUMNS) - 1
         for row, figure in enumerate(record.figures):
             for column, text in enumerate(_cells(figure)):
                 item = QTableWidgetItem(text)
                 item.setToolTip(f"{figure.name}: {figure.definition}")
-                if 0 < column < len(_COLUMNS) - 1:
+                if 0 < column < last:
                     item.setTextAlignment(int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter))
+                elif column == last:
+                    item.setForeground(QBrush(QColor(colours[figure.passed])))
                 self.table.setItem(row, column, item)
-            verdict = self.table.item(row, len(_COLUMNS) - 1)
-            if figure.limit is not None and verdict is not None:
-                verdict.setIcon(_verdict_icon(figure.passed, theme))
 
 
 def _cells(figure: Figure) -> list[str]:
-    """The table's texts of a figure; a dash is left out where a figure has no such side."""
     from rendering.report.words import number, precise  # the window starts without scipy
 
     shown = precise if "correlation" in figure.name else lambda value: number(value, figure.unit)
@@ -167,28 +138,8 @@ def _cells(figure: Figure) -> list[str]:
     if figure.limit is None:
         return [figure.name, *sides, "", ""]
     sign = "≤" if figure.relation == "at most" else "≥"
-    return [figure.name, *sides, f"{sign} {number(figure.limit, figure.unit)}", _WORDS[figure.passed]]
+    return [figure.name, *sides, f"{sign} {number(figure.limit, figure.unit)}", _VERDICTS[figure.passed]]
 
 
 def _when(record: VerificationRecord) -> str:
     return "" if record.made is None else record.made.astimezone().strftime("%d %b %Y %H:%M")
-
-
-def _verdict_icon(passed: bool | None, theme: Theme) -> QIcon:
-    """A tick, a cross or a line: told apart without colours, too."""
-    side = 48
-    picture = QPixmap(side, side)
-    picture.fill(Qt.GlobalColor.transparent)
-    painter = QPainter(picture)
-    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-    colour = theme.faint if passed is None else theme.good if passed else theme.fault
-    painter.setPen(QPen(QColor(colour), 6.5, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
-    lines = {
-        True: [[(9, 26), (20, 37), (40, 12)]],
-        False: [[(11, 11), (37, 37)], [(37, 11), (11, 37)]],
-        None: [[(12, 24), (36, 24)]],
-    }[passed]
-    for corners in lines:
-        painter.drawPolyline(QPolygonF([QPointF(x, y) for x, y in corners]))
-    painter.end()
-    return QIcon(picture)

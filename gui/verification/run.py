@@ -1,4 +1,4 @@
-"""A verification under way: started in a process of its own, followed through its log, ended by an order."""
+"""A verification under way: started as a process, followed through its log, stopped by a file; and its progress row."""
 
 from __future__ import annotations
 
@@ -8,35 +8,28 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from PyQt5.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QWidget
+
 from gui.process.command_process import STOPPED_BY_USER, CommandProcess
 from gui.process.log_tail import LogTail
 from gui.shell.error_hook import error_text
 from gui.shell.tab import Question, TabContext
+from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import Badge, finish_text, make_action, make_button, put
 from gui.verification.request import Request
 from rendering.verify.record import LOG_NAME, RECORD_NAME, STOP_NAME
 
 _NOT_GOOD_ENOUGH = 1
 _SAID_NAME = "verify.said"
-# A verification of another process that tells nothing for so long is taken for gone.
+# A verification of another process whose log does not grow for so long has ended.
 _SILENT_AFTER_S = 300.0
-_STOPPED_WORDS = "stopped; the outputs are muted and the mirror is parked, nothing was compared"
+# Steps as the log names them, and as they are shown.
+_STEPS = {"render": "rendering", "predict": "predicting", "scan": "scanning", "compare and report": "comparing"}
 
 
 @dataclass(slots=True)
 class Progress:
-    """How far a verification is.
-
-    Parameters
-    ----------
-    step : str
-        What it does.
-    done, total : int
-        Of that step.
-    finish_s : float or None
-        When the step will be done, by this clock since 1970.
-    message : str
-        The last that it told.
-    """
+    """Progress of a verification; `finish_s` is when the step will end, in seconds since 1970, None where unknown."""
 
     step: str = "starting"
     done: int = 0
@@ -46,33 +39,27 @@ class Progress:
 
 
 class VerificationRun:
-    """At most one verification of the window's own; one of another process in the same folder is followed too.
+    """At most one verification of this window; one of another process in the same folder is followed, too.
 
     Parameters
     ----------
     context : TabContext
-        Starts commands and tells sentences.
+        Starts commands and shows messages.
     done : callable
-        Called with the record's path when a verification has one.
+        Receives the record's path when a verification has one.
     """
 
     def __init__(self, context: TabContext, done: Callable[[Path], object]) -> None:
-        self._context = context
-        self._done = done
+        self._context, self._done = context, done
         self.own: CommandProcess | None = None
         self.out: Path | None = None
         self.progress: Progress | None = None
         self.stopping = self.is_virtual = False
-        self._closes: Callable[[], object] | None = None
-        self._tail: LogTail | None = None
-        self._heard = False
+        self._close: Callable[[], object] | None = None
+        self._log: LogTail | None = None
+        self._started = False
         self._ended: dict[str, object] | None = None
         self._last_s = 0.0
-
-    @property
-    def alive(self) -> bool:
-        """Whether a verification of this window runs."""
-        return self.own is not None and self.own.running
 
     @property
     def running(self) -> bool:
@@ -84,156 +71,208 @@ class VerificationRun:
         if self.running:
             self._context.messages.warn("a verification is still running; cancel it first, or wait for its end")
             return
-        self._start(request)
-
-    def follow(self, out: Path) -> None:
-        """Follow what another process does in a folder; nothing happens where nobody works."""
-        if self.running or not (out / LOG_NAME).is_file():
-            return
-        try:
-            silent_s = time.time() - (out / LOG_NAME).stat().st_mtime
-        except OSError:
-            return
-        if silent_s < _SILENT_AFTER_S:
-            self._listen(out)
-            self.is_virtual = False  # nobody knows
-            self._take()
-            if self._ended is not None or not self._heard:
-                self._forget()
-            else:
-                self.progress = self.progress or Progress()
-
-    def cancel(self) -> None:
-        """Let it end: outputs muted, mirror parked."""
-        if not self.running or self.stopping:
-            return
-        self.stopping = True
-        if self._heard:
-            self._order_stop()
-
-    def look(self) -> None:
-        """Take up what it told, and tell how it ended; called often."""
-        if not self.running:
-            return
-        alive = self.own is not None and self.own.running  # before the log is read: its last line may come meanwhile
-        self._take()
-        if self.own is not None:
-            if not alive:
-                own, self.own = self.own, None
-                self._tell_end(own.exit_code, own)
-        elif self._ended is not None:
-            code = self._ended.get("code")
-            self._tell_end(code if isinstance(code, int) else None, None)
-        elif time.time() - self._last_s > _SILENT_AFTER_S:
-            self._forget()
-            self._context.messages.warn("the verification of another process has told nothing for five minutes")
-
-    def closing_question(self) -> Question | None:
-        """What is to become of the own verification; None when there is none."""
-        if not self.alive or self.out is None:
-            return None
-
-        def stop(close: Callable[[], object]) -> None:
-            self._closes = close
-            self.cancel()
-            if not self.running:
-                close()
-
-        return Question(
-            f"A verification of this window plays and scans into {self.out.name}. What should it do when the window "
-            "closes?",
-            (("Go on in the background", lambda close: close()), ("Stop, muted and parked", stop)),
-        )
-
-    def let_go(self) -> None:
-        """Leave the own verification to itself; its last act is to mute and park."""
-        if self.own is not None:
-            self.own.detach()
-
-    def _start(self, request: Request) -> None:
         out = request.out
         try:
             out.mkdir(parents=True, exist_ok=True)
             for name in (LOG_NAME, STOP_NAME):  # of an earlier one
                 (out / name).unlink(missing_ok=True)
-            self._listen(out)
         except OSError as failure:
-            self._forget()
             self._context.messages.fault(f"the verification cannot be started: {error_text(failure)}")
             return
+        self._follow_log(out)
         self.own = self._context.run(
             request.arguments,
-            lambda _process: self.look(),
+            lambda _process: self.poll(),
             log_file=out / _SAID_NAME,
             name="the verification",
             advice="its outputs ended with it, but the mirror stands where it was: run the verification again",
         )
         self.progress, self.is_virtual = Progress(), request.is_virtual
 
-    def _listen(self, out: Path) -> None:
-        self.out, self._tail = out, LogTail(out / LOG_NAME)
-        self._heard, self._ended, self.stopping, self._last_s = False, None, False, time.time()
-
-    def _forget(self) -> None:
-        self.progress, self._tail, self.stopping = None, None, False
-
-    def _take(self) -> None:
-        if self._tail is None:
+    def follow(self, out: Path) -> None:
+        """Follow a verification of another process in a folder, where there is one."""
+        log = out / LOG_NAME
+        if self.running or not log.is_file():
             return
-        records, _ = self._tail.read()
-        for record in records:
-            self._last_s = time.time()
-            self._take_one(record)
+        with suppress(OSError):
+            if time.time() - log.stat().st_mtime < _SILENT_AFTER_S:
+                self._follow_log(out)
+                self.is_virtual = False  # its rig is unknown
+                self._read_log()
+                if self._ended is not None or not self._started:
+                    self._reset()
+                else:
+                    self.progress = self.progress or Progress()
 
-    def _take_one(self, record: dict[str, object]) -> None:
+    def cancel(self) -> None:
+        """Stop it: outputs muted, mirror parked."""
+        if self.running and not self.stopping:
+            self.stopping = True
+            if self._started:
+                self._request_stop()
+
+    def poll(self) -> None:
+        """Read its log, and report its end; called often."""
+        if not self.running:
+            return
+        over = self.own is not None and not self.own.running  # asked first: the last line may be written meanwhile
+        self._read_log()
+        if self.own is not None:
+            if over:
+                own, self.own = self.own, None
+                self._report_end(own.exit_code, own.failure)
+        elif self._ended is not None:
+            code = self._ended.get("code")
+            self._report_end(code if isinstance(code, int) else None, "")
+        elif time.time() - self._last_s > _SILENT_AFTER_S:
+            self._reset()
+            self._context.messages.warn("the verification of another process has written nothing for five minutes")
+
+    def closing_question(self) -> Question | None:
+        """What to ask before the window closes; None without a verification of its own."""
+        if self.own is None or not self.own.running or self.out is None:
+            return None
+
+        def stop(close: Callable[[], object]) -> None:
+            self._close = close
+            self.cancel()
+            if not self.running:
+                close()
+
+        return Question(
+            f"A verification plays and scans into {self.out.name}. Stop it when the window closes?",
+            (("Continue in the background", lambda close: close()), ("Stop, mute and park", stop)),
+        )
+
+    def detach(self) -> None:
+        """Leave this window's verification running; it mutes and parks by itself."""
+        if self.own is not None:
+            self.own.detach()
+
+    def _follow_log(self, out: Path) -> None:
+        self.out, self._log = out, LogTail(out / LOG_NAME)
+        self._started, self._ended, self.stopping, self._last_s = False, None, False, time.time()
+
+    def _reset(self) -> None:
+        self.progress, self._log, self.stopping = None, None, False
+
+    def _read_log(self) -> None:
+        for record in self._log.read()[0] if self._log is not None else ():
+            self._last_s = time.time()
+            self._receive(record)
+
+    def _receive(self, record: dict[str, object]) -> None:
+        progress = self.progress
         match record:
             case {"event": "started"}:
-                self._heard = True
-                if self.stopping:  # asked for before it could hear
-                    self._order_stop()
+                self._started = True
+                if self.stopping:  # cancelled before it could look for the file
+                    self._request_stop()
             case {"event": "step", "step": str(step), "done": int(done), "total": int(total), "left_s": left_s}:
                 finish_s = time.time() + left_s if isinstance(left_s, int | float) else None
-                message = self.progress.message if self.progress is not None else ""
-                self.progress = Progress(step, done, total, finish_s, message)
-            case {"event": "state_changed", "state": str(state), "reason": str(reason)}:
-                self._say("" if state == "running" else reason)
-            case {"event": "fault", "instrument": str(instrument), "cause": str(cause)}:
-                self._say(f"{instrument}: {cause}")
-            case {"event": "reconnect_tried", "instrument": str(instrument), "outcome": str(outcome)}:
-                self._say(f"{instrument}: {outcome}")
+                self.progress = Progress(step, done, total, finish_s, "" if progress is None else progress.message)
+            case {"event": "state_changed", "state": str(state), "reason": str(reason)} if progress is not None:
+                progress.message = "" if state == "running" else reason
+            case {"event": "fault", "instrument": str(instrument), "cause": str(cause)} if progress is not None:
+                progress.message = f"{instrument}: {cause}"
+            case {"event": "reconnect_tried", "instrument": str(name), "outcome": str(what)} if progress is not None:
+                progress.message = f"{name}: {what}"
             case {"event": "ended"}:
                 self._ended = record
 
-    def _say(self, message: str) -> None:
-        if self.progress is not None:
-            self.progress.message = message
-
-    def _order_stop(self) -> None:
-        if self.out is None:
-            return
+    def _request_stop(self) -> None:
+        assert self.out is not None
         try:
             (self.out / STOP_NAME).touch()
         except OSError as failure:
             self.stopping = False
-            self._context.messages.fault(f"the order to stop cannot be given: {error_text(failure)}")
+            self._context.messages.fault(f"the verification cannot be stopped: {error_text(failure)}")
 
-    def _tell_end(self, code: int | None, own: CommandProcess | None) -> None:
-        out, ended = self.out, self._ended
-        self._forget()
+    def _report_end(self, code: int | None, failure: str) -> None:
+        out, ended, messages = self.out, self._ended, self._context.messages
+        self._reset()
         assert out is not None
         with suppress(OSError):
             (out / STOP_NAME).unlink(missing_ok=True)
-        reason = str(ended.get("reason", "")) if ended is not None else ""
-        messages, record = self._context.messages, out / RECORD_NAME
+        reason = "" if ended is None else str(ended.get("reason", ""))
         if ended is not None and code == 0:
             messages.note(f"Verified. {reason}")
-            self._done(record)
+            self._done(out / RECORD_NAME)
         elif ended is not None and code == _NOT_GOOD_ENOUGH:
             messages.fault(f"Not good enough. {reason}")
-            self._done(record)
+            self._done(out / RECORD_NAME)
         elif code == STOPPED_BY_USER:
-            messages.note(_STOPPED_WORDS)
+            messages.note("stopped; the outputs are muted and the mirror is parked, nothing was compared")
         else:
-            messages.fault(reason or (own.failure if own is not None else "") or "the verification ended")
-        if self._closes is not None:
-            self._closes()
+            messages.fault(reason or failure or "the verification ended")
+        if self._close is not None:
+            self._close()
+
+
+class RunRow(QWidget):
+    """One line: positions to scan (`choice`), buttons, step, progress, remaining time and last message."""
+
+    def __init__(
+        self,
+        choice: QWidget,
+        start: Callable[[], object],
+        cancel: Callable[[], object],
+        open_earlier: Callable[[], object],
+    ) -> None:
+        super().__init__()
+        self._theme = LIGHT
+        tip = "Play the scene on the rig, scan it and compare"
+        self.start = make_action(self, "Verify", start, "Ctrl+Shift+V", tip=tip)
+        tip = "Stop: outputs muted, mirror parked, nothing compared"
+        self.cancel = make_action(self, "Cancel", cancel, "Ctrl+Shift+X", tip=tip)
+        tip = "Show an earlier verification: choose its verify.json"
+        self.open_earlier = make_action(self, "Open earlier…", open_earlier, "Ctrl+Shift+O", tip=tip)
+        self._start_tip = self.start.toolTip()
+        self.state = Badge("State of the verification")
+        self.bar = QProgressBar()
+        self.bar.setAccessibleName("Progress of the verification")
+        self.bar.setMinimumWidth(120)
+        self.figures = QLabel()
+        self.figures.setAccessibleName("Remaining time and last message")
+        self.figures.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.addWidget(choice)
+        row.addSpacing(8)
+        for action in (self.start, self.cancel, self.open_earlier):
+            row.addWidget(make_button(action))
+        row.addSpacing(8)
+        row.addWidget(self.state)
+        row.addWidget(self.bar, stretch=2)
+        row.addWidget(self.figures, stretch=3)
+        self.show_progress(None, stopping=False, missing="")
+
+    def show_progress(self, progress: Progress | None, *, stopping: bool, missing: str, reading: str = "") -> None:
+        """Show the progress, or without one what is `missing` for a verification and what is being read."""
+        running = progress is not None
+        self.start.setEnabled(not running and not missing)
+        self.start.setToolTip(f"First {missing}" if missing else self._start_tip)
+        self.cancel.setEnabled(running and not stopping)
+        self.open_earlier.setEnabled(not running)
+        self.state.setVisible(running)
+        self.bar.setVisible(running)
+        if progress is None:
+            put(self.figures, reading)
+            self.figures.setToolTip("")
+            return
+        word = "stopping" if stopping else _STEPS.get(progress.step, progress.step)
+        self.state.show_word(word, self._theme.warning if stopping else self._theme.good)
+        self.bar.setFormat("%v of %m positions" if progress.step in ("scan", "predict") else "")
+        if (self.bar.value(), self.bar.maximum()) != (progress.done, progress.total):
+            self.bar.setMaximum(progress.total)  # 0: a busy indicator
+            self.bar.setValue(progress.done)
+        scanning = progress.step == "scan" and progress.done < progress.total
+        left = finish_text(progress.finish_s) if scanning and progress.finish_s is not None else ""
+        text = "  ·  ".join(part for part in (left, progress.message) if part)
+        put(self.figures, text)
+        self.figures.setToolTip(text)
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the theme's colours."""
+        self._theme = theme
+        self.state.apply_theme(theme)

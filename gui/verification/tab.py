@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import Qt, QUrl
 from PyQt5.QtGui import QDesktopServices, QDragEnterEvent, QDropEvent
-from PyQt5.QtWidgets import QAction, QApplication, QLabel, QStackedWidget, QVBoxLayout
+from PyQt5.QtWidgets import QAction, QLabel, QStackedWidget, QVBoxLayout
 
 from gui.process.background import Background
 from gui.shell.error_hook import error_text
 from gui.shell.file_choice import choose_file, dropped_files
 from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
-from gui.shell.widgets import side_by_side, stacked
+from gui.shell.widgets import copy_text, side_by_side, stacked
 from gui.verification.figures_panel import FiguresPanel
 from gui.verification.maps_panel import MapsPanel
-from gui.verification.reading import Reading
 from gui.verification.request import RequestForm
-from gui.verification.results import Dropped, Results, dropped_kind, record_of
-from gui.verification.run import VerificationRun
-from gui.verification.run_row import RunRow
+from gui.verification.results import Dropped, Results, dropped_kind, read_results, record_of
+from gui.verification.run import RunRow, VerificationRun
 from gui.verification.waveform_panel import WaveformPanel
 from rendering.verify.record import REPORT_NAME
 from storage.errors import InputError
@@ -42,7 +41,7 @@ class VerificationTab(Tab):
         super().__init__(context)
         self.results: Results | None = None
         self.background = Background(self)  # reading some hundred megabytes must hold up no other tab
-        self.reading = Reading(self.background, self._show, self._tell)
+        self._reading, self._reading_share, self._readings = "", (0, 0), 0
         self.run = VerificationRun(context, self.open_record)
         self.form = RequestForm(context)
         self.row = RunRow(self.form.choice, self._start, self.run.cancel, self._choose_record)
@@ -57,8 +56,7 @@ class VerificationTab(Tab):
         self.form.out.chosen.connect(self._folder_chosen)
 
     def menu_actions(self) -> list[QAction | None]:
-        """What the buttons do."""
-        return [self.row.start, self.row.cancel, None, self.row.look_at]
+        return [self.row.start, self.row.cancel, None, self.row.open_earlier]
 
     def accepts(self, path: Path) -> bool:
         """Records, folders with one, and files that lie beside one."""
@@ -73,7 +71,15 @@ class VerificationTab(Tab):
     def open_record(self, record: Path) -> None:
         """Read a verification and show it when it is there."""
         self.context.settings.opened(record)
-        self.reading.read(record)
+        self._readings += 1
+        number = self._readings
+        self._reading, self._reading_share = record.parent.name, (0, 0)
+
+        def report(done: int, total: int) -> None:  # called in the thread that reads
+            self._reading_share = done, total
+
+        work = partial(read_results, record, report, lambda: number == self._readings)
+        self.background.ask("verification", work, self._show, self._fail)
 
     def show_position(self, index: int) -> None:
         """Show the waveforms of a position, by its place in the record."""
@@ -82,48 +88,39 @@ class VerificationTab(Tab):
         self.waveforms.show_time(self.maps.time.time_s)
 
     def poll(self) -> None:
-        """Take up how far a verification is, and how it ended."""
-        self.run.look()
+        self.run.poll()
 
     def draw(self) -> None:
-        """Draw what changed."""
         self.hint.setText(_WAITING if self.run.running else _HINT)
         self.row.show_progress(
-            self.run.progress, stopping=self.run.stopping, missing=self.form.missing(), reading=self.reading.told()
+            self.run.progress, stopping=self.run.stopping, missing=self.form.missing(), reading=self._reading_text()
         )
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
         for part in (self.row, self.maps, self.waveforms, self.figures):
             part.apply_theme(theme)
 
     def closing_question(self) -> Question | None:
-        """Ask what is to become of a verification that this window started."""
         return self.run.closing_question()
 
     def instruments_held(self) -> str:
-        """A verification plays and records; of another process's nobody knows the rig."""
         busy = self.run.running and not self.run.is_virtual
         return f"a verification into {self.run.out} plays and scans" if busy else ""
 
     def shut_down(self) -> None:
-        """Let go of what is read; leave a verification to itself."""
-        self.reading.give_up()
+        self._readings += 1
         self.background.end()
-        self.run.let_go()
+        self.run.detach()
 
     def save_settings(self) -> None:
-        """Remember what is chosen, and how the room is divided."""
         super().save_settings()
         self.form.save_settings()
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
-        """Take what a verification is made of, and what one left."""
         if event is not None and any(dropped_kind(path) is not Dropped.OTHER for path in dropped_files(event)):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
-        """Put each file where it belongs."""
         if event is None:
             return
         event.acceptProposedAction()
@@ -183,7 +180,13 @@ class VerificationTab(Tab):
         folder = self.form.out.path or self.context.settings.folder(".json")
         choose_file(self, "Open an earlier verification", folder, "Verifications", self.opens, self.open_record)
 
+    def _reading_text(self) -> str:
+        done, total = self._reading_share
+        share = f": {done} of {total} fields" if total else "…"
+        return f"reading {self._reading}{share}" if self._reading else ""
+
     def _show(self, results: Results) -> None:
+        self._reading = ""
         self.results = results
         self.pages.setCurrentIndex(1)
         self.maps.show_results(results)
@@ -191,7 +194,8 @@ class VerificationTab(Tab):
         self.figures.show_results(results)
         self.show_position(self._first_position(results))
 
-    def _tell(self, failure: Exception) -> None:
+    def _fail(self, failure: Exception) -> None:
+        self._reading = ""
         self.context.report_failure(failure)
 
     @staticmethod
@@ -221,10 +225,8 @@ class VerificationTab(Tab):
             self.context.messages.warn(f"this desktop opens nothing with {path.name}; it lies at {path}")
 
     def _copy(self) -> None:
-        clipboard = QApplication.clipboard()
-        if clipboard is not None:
-            clipboard.setText(self.figures.as_text())
-            self.context.messages.note("the figures are on the clipboard")
+        copy_text(self.figures.as_text())
+        self.context.messages.note("the figures are on the clipboard")
 
 
 def _hint() -> QLabel:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from config.loading import named_file, parse_toml, printable, read_toml, validated
 from config.scene import (
@@ -43,14 +42,6 @@ def read_scene(text: str, path: Path, *, allow_large: bool = False) -> Scene:
     Raises InputError: anything in the text or in the files that it names is wrong.
     """
     return build_scene(validated(SceneConfig, parse_toml(text, str(path)), str(path)), path, allow_large=allow_large)
-
-
-def read_scene_tables(text: str, path: Path) -> dict[str, Any]:
-    """Take the tables of a scene file's text, valid and with all their defaults, without the files that it names.
-
-    Raises InputError: anything in the text is wrong.
-    """
-    return validated(SceneConfig, parse_toml(text, str(path)), str(path)).model_dump()
 
 
 def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -> Scene:

@@ -18,11 +18,10 @@ from pytestqt.qtbot import QtBot
 
 from config.scene import SceneConfig
 from gui.scene.document import EMPTY, SceneDocument
-from gui.scene.results.figures import GOOD, HELD
+from gui.scene.results.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
+from gui.scene.results.figures_view import GOOD, HELD
 from gui.scene.results.instants import between
 from gui.scene.results.panel import NO_BANK, ResultsPanel
-from gui.scene.results.rig_play import IDLE, OPENING, PLAYING, RENDERING
-from gui.scene.results.saving import DRIVE, MOVIE, WAV
 from gui.shell.theme import DARK
 from gui.shell.window import Window
 from storage.drive_file import Drive, read_drive, write_drive
@@ -61,7 +60,7 @@ class Bench:
             wait(self.qtbot, lambda: self.panel.complete)
 
     def says(self, words: str) -> None:
-        wait(self.qtbot, lambda: words in self.panel.state.text())
+        wait(self.qtbot, lambda: words in self.panel.problem.text())
 
     def told(self, words: str) -> None:
         wait(self.qtbot, lambda: words in self.window.messages.sentence)
@@ -114,9 +113,10 @@ def test_given_edits_then_drives_field_and_figures_follow_and_nothing_of_an_olde
 def look_at_field(qtbot: QtBot, bench: Bench) -> None:
     panel, view = bench.panel, bench.panel.field
     panel.pages.setCurrentWidget(view)
-    begun, field = view.begun, view.field
+    begun = view.predicted
     assert begun is not None
-    assert field.shape == (begun.samples, 12)
+    field = begun.field
+    assert field.shape[1] == 12
     view.slider.to_mark(1)
     assert view.time_s == pytest.approx(begun.marks_s[1], abs=1.0 / (begun.sample_rate_hz * begun.finer))
     place = view.slider.sample / begun.finer
@@ -131,7 +131,7 @@ def look_at_field(qtbot: QtBot, bench: Bench) -> None:
     click(view.map, 3.0, 1.5)
     assert view.map.marked == 6
     assert "position 6 at (3.0, 1.5) mm" in view.waveform.getPlotItem().titleLabel.text
-    np.testing.assert_allclose(view.waveform._curve.yData, field[:, 6])
+    np.testing.assert_allclose(view.waveform.curve.yData, field[:, 6])
     view.slider.go_to(0)
     qtbot.keyClick(view.slider.slider, Qt.Key.Key_Space)
     wait(qtbot, lambda: view.slider.sample > 0)
@@ -167,7 +167,7 @@ def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_
     bench.edit(line_scene(end_mm=60.0), complete=False)
     bench.says("source 0")
     assert panel.driven is None
-    assert panel.field.begun is None
+    assert panel.field.predicted is None
     assert panel.figures.table.rowCount() == 0
     bench.edit(line_scene())
     bench.document.use_bank(None)
@@ -176,7 +176,7 @@ def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_
     wait(bench.qtbot, lambda: panel.complete)
     away = finished.with_name("away.h5")
     finished.replace(away)
-    bench.says("deleted or moved")
+    bench.says("is missing")
     assert panel.driven is None
     away.replace(finished)
     wait(bench.qtbot, lambda: panel.complete)
@@ -190,7 +190,7 @@ def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_
     process = panel.calculation.process_id
     assert process is not None
     os.kill(process, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
-    bench.says("process was ended")
+    bench.says("process ended")
     assert panel.calculation.process_id is None
     bench.edit(line_scene(amplitude=3.0))
     assert panel.driven is not None
@@ -215,7 +215,7 @@ def test_given_save_then_the_files_are_what_the_command_makes(bench: Bench, tmp_
     assert len(sound) == pytest.approx(driven.drive_v.shape[1] * rate_hz / driven.sample_rate_hz, abs=2)
     panel.save(MOVIE, tmp_path / "out.gif")
     panel.saving.cancel()
-    bench.told("out.gif is not saved: you cancelled it")
+    bench.told("out.gif is not saved: cancelled")
     assert not (tmp_path / "out.gif").exists()
 
 
@@ -260,10 +260,10 @@ def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench: Bench,
     bar.gain.setValue(-3.0)
     bench.qtbot.mouseClick(bar.buttons["play"], LEFT)
     wait(bench.qtbot, lambda: panel.playing.state == OPENING)
-    process = panel.playing._process
+    process = panel.playing.pid
     assert process is not None
     panel.shut_down()
-    _, status = os.waitpid(process.pid, 0)  # the window does not wait for it; it ends by itself, muted
+    _, status = os.waitpid(process, 0)  # the window does not wait for it; it ends by itself, muted
     assert os.waitstatus_to_exitcode(status) != 0
 
 

@@ -18,7 +18,7 @@ from config.scene import SceneConfig, TextTable
 from gui.campaign.plots import GreenPlot, Greens
 from gui.process.command_process import CommandProcess
 from gui.scene.draft import new_source
-from gui.scene.results.scene_job import SceneJob
+from gui.scene.results.exports import SceneCommands
 from gui.scene.tab import SceneTab
 from gui.shell.settings import Settings
 from gui.shell.window import Window
@@ -241,7 +241,7 @@ def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_comma
         document.scene()
     tab.scene_form.large.setChecked(True)
     assert document.scene().allow_large
-    job = SceneJob(window.context, document, "", lambda _words: None)
+    job = SceneCommands(window.context, document, "")
     assert "--allow-large" in job.render()
     job.close()
     wait(qtbot, lambda: bool(tab.live.idle and tab.live.preview.traces and not tab.live.preview.traces[0].problem))

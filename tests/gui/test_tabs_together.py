@@ -15,7 +15,7 @@ from PyQt5.QtWidgets import QCheckBox, QStyle, QStyleOptionButton
 from pytestqt.qtbot import QtBot
 
 from gui.rig.tab import RigTab
-from gui.scene.results.rig_play import IDLE
+from gui.scene.results.exports import IDLE
 from gui.scene.tab import SceneTab
 from gui.shell.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
 from gui.shell.window import Window

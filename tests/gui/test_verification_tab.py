@@ -132,8 +132,7 @@ def test_given_the_figures_then_they_are_those_of_the_file_with_verdict_and_defi
         assert shown[0] == figure["name"]
         assert figure["definition"] in tab.figures.table.item(row, 0).toolTip()
         if figure["limit"] is not None:
-            assert shown[5] == {True: "pass", False: "fail", None: "not judged"}[figure["passed"]]
-            assert not tab.figures.table.item(row, 5).icon().isNull()
+            assert shown[5] == {True: "✓ pass", False: "✗ fail", None: "– not judged"}[figure["passed"]]
     error = next(one for one in record["figures"] if one["name"] == "normalised error")
     assert cells(tab, 0)[3:5] == [f"{error['difference']:.3g} %", "≤ 5 %"]
     qtbot.mouseClick(tab.figures.buttons["copy"], Qt.MouseButton.LeftButton)
@@ -208,7 +207,7 @@ def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_t
     assert window.messages.sentence.startswith("Not good enough. ")
     assert "normalised error" in window.messages.sentence
     assert "not good enough" in tab.figures.verdict.text()
-    assert cells(tab, 0)[5] == "fail"
+    assert cells(tab, 0)[5] == "✗ fail"
     assert list(tab.results.record.position_index) == list(range(0, 12, 2))
     assert tab.results.record.folder == lab / "new"
     assert not (lab / "new" / "verify.stop").exists()
@@ -234,7 +233,7 @@ def test_given_a_long_scan_then_closing_asks_cancel_parks_and_a_killed_process_i
     window.close()
     assert window.isVisible()
     words = [button.text() for button in window.messages.buttons()]
-    assert words == ["Go on in the background", "Stop, muted and parked", "Do not close"]
+    assert words == ["Continue in the background", "Stop, mute and park", "Do not close"]
     window.messages.buttons()[2].click()
     os.kill(tab.run.own.pid, signal.SIGKILL)
     wait(qtbot, lambda: not tab.run.running)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gui.shell.front_door import FrontDoor, Pulse, RigLimits
 from gui.shell.start import open_window
@@ -14,7 +14,6 @@ from wavefocus.campaign.supervision import SILENT_AFTER_S, read_heartbeat
 
 if TYPE_CHECKING:
     from acquisition.quality.limits import DriftPoint
-    from rendering.scene.model import Scene
 
 
 def gui(files: Sequence[Path]) -> int:
@@ -43,8 +42,6 @@ def front_door() -> FrontDoor:
         said_path=lambda bank: bank.with_name(f"{bank.name}.said"),
         read_drift=_drift,
         read_pulse=_pulse,
-        read_scene=_scene,
-        read_scene_tables=_scene_tables,
         read_rig_limits=_rig_limits,
     )
 
@@ -60,18 +57,6 @@ def _pulse(bank: Path) -> Pulse | None:
     if beat is None:
         return None
     return Pulse(beat.at, beat.pid, beat.state, beat.reason, beat.position, beat.age_s() > SILENT_AFTER_S)
-
-
-def _scene(text: str, path: Path, allow_large: bool = False) -> Scene:
-    from rendering.scene.loading import read_scene  # when somebody draws one
-
-    return read_scene(text, path, allow_large=allow_large)
-
-
-def _scene_tables(text: str, path: Path) -> dict[str, Any]:
-    from rendering.scene.loading import read_scene_tables
-
-    return read_scene_tables(text, path)
 
 
 def _rig_limits(path: Path) -> RigLimits:

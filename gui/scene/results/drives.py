@@ -1,10 +1,10 @@
-"""The drives of a scene as it is edited: to a tolerance, their beginning alone where it is long, limits and levels."""
+"""Drives of a scene while it is edited: to -60 dB, only the beginning of long ones, with limits and levels."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,34 +38,33 @@ _LISTED = 12
 _JUMP = 4.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered:
+    """A limited drive, perhaps only the beginning of `lasts_s` seconds; `limiting` says what the limits did."""
+
+    drive: Drive
+    limiting: Limiting
+    warnings: tuple[str, ...]
+    lasts_s: float
+
+
 def render_while_edited(
     scene: Scene, bank: Bank, limits: DriveLimits, on_progress: OnProgress, most_bytes: int = MOST_DRIVE_BYTES
-) -> tuple[Drive, Limiting, tuple[str, ...], float]:
-    """Render a scene to -60 dB and keep it within limits.
+) -> Rendered:
+    """Render a scene to -60 dB and limit it.
 
     Parameters
     ----------
     scene : Scene
-        Its own limits are left to `limits`.
+        Its own limits are ignored.
     bank : Bank
         The bank.
     limits : DriveLimits
-        What no actuator may exceed.
+        Limits of every actuator.
     on_progress : callable
-        Told blocks done and blocks in all; what it raises ends the render.
+        Receives blocks done and blocks in all; what it raises ends the render.
     most_bytes : int
-        Longer drives are rendered for so long as fits into that.
-
-    Returns
-    -------
-    Drive
-        Only its beginning where all of it would not fit into the memory that is meant for it.
-    Limiting
-        What the limits did.
-    tuple of str
-        Warnings.
-    float
-        Seconds that the whole drive lasts, lead-in included.
+        Of longer drives only the beginning is rendered.
 
     Raises
     ------
@@ -76,7 +75,7 @@ def render_while_edited(
     lasts_s = max(emission_s(source, bank.sample_rate_hz) for source in scene.sources)
     if lasts_s > LONGEST_S:
         raise InputError(
-            f"the scene lasts {hours(lasts_s)}; while it is edited scenes of up to {hours(LONGEST_S)} are calculated."
+            f"the scene lasts {hours(lasts_s)}; while it is edited, scenes of up to {hours(LONGEST_S)} are calculated."
             " Shorten it, or save the drive, which may last longer"
         )
     lasts_s += (bank.taps - 1) / bank.sample_rate_hz
@@ -85,31 +84,34 @@ def render_while_edited(
         drive = _beginning(plain, bank, most, on_progress)
         warnings: tuple[str, ...] = (
             f"the drives last {hours(lasts_s)}; only their first {drive.drive_v.shape[1] / bank.sample_rate_hz:.0f} s"
-            " are calculated here, levels and limits are of them alone; saved and played is all",
+            " are shown here, with their levels and limits; saving and playing use all of them",
         )
     else:
         drive, report = render_with_report(plain, bank, tolerance_db=TOLERANCE_DB, on_progress=on_progress)
         lasts_s, warnings = drive.drive_v.shape[1] / bank.sample_rate_hz, report.warnings
     limiting = limit_drive(drive.drive_v, drive.sample_rate_hz, limits)
-    return replace(drive, scale=limiting.scale), limiting, warnings, lasts_s
+    return Rendered(replace(drive, scale=limiting.scale), limiting, warnings, lasts_s)
 
 
 def stricter(output: Output, rig: RigLimits | None) -> DriveLimits:
-    """The limits of a scene and of a rig together, each the one that is stricter."""
+    """Return the stricter of a scene's and a rig's limits."""
     ours = DriveLimits(output.limit_v, output.limit_rms_v)
     if rig is None:
         return ours
-    theirs = rig.drive
-    peak = min((ours.peak_v, ours.peak_key), (theirs.peak_v, theirs.peak_key), key=_known)
-    rms = min((ours.rms_v, ours.rms_key), (theirs.rms_v, theirs.rms_key), key=_known)
+
+    def known(limit: tuple[float | None, str]) -> float:
+        return math.inf if limit[0] is None else limit[0]
+
+    peak = min((ours.peak_v, ours.peak_key), (rig.drive.peak_v, rig.drive.peak_key), key=known)
+    rms = min((ours.rms_v, ours.rms_key), (rig.drive.rms_v, rig.drive.rms_key), key=known)
     return DriveLimits(peak[0], rms[0], peak[1], rms[1])
 
 
-def told_drive(
-    number: int, scene: Scene, bank: Bank, drive: Drive, limits: DriveLimits, rig: RigLimits | None,
-    limiting: Limiting, warnings: tuple[str, ...], lasts_s: float,
-) -> Driven:  # fmt: skip
+def summarise(
+    number: int, scene: Scene, bank: Bank, rendered: Rendered, limits: DriveLimits, resistance_ohm: float | None
+) -> Driven:
     """Gather what the window shows of the drives."""
+    drive = rendered.drive
     foci = Foci.of(drive)
     drive_v, position_mm = drive.drive_v, np.asarray(bank.position_mm, np.float64)
     gain_s, gain = _gains(scene, bank, drive)
@@ -124,11 +126,11 @@ def told_drive(
         drive_v=drive_v.astype(np.float32),
         sample_rate_hz=drive.sample_rate_hz,
         start_s=drive.start_s,
-        lasts_s=lasts_s,
+        lasts_s=rendered.lasts_s,
         method=drive.method,
-        limiting=limiting,
+        limiting=rendered.limiting,
         limits=limits,
-        resistance_ohm=None if rig is None else rig.coil_resistance_ohm,
+        resistance_ohm=resistance_ohm,
         peak_v=np.maximum(drive_v.max(axis=1), -drive_v.min(axis=1)),
         rms_v=largest_rms(drive_v, drive.sample_rate_hz),
         omitted_bound=drive.omitted_bound if math.isfinite(drive.omitted_bound) else math.nan,
@@ -139,13 +141,13 @@ def told_drive(
         focus_mm=position_mm[foci.position],
         paths_mm=[_path(source) for source in scene.sources],
         snap_mm=max(snaps),
-        warnings=warnings,
+        warnings=rendered.warnings,
         unit=drive.drive_unit,
     )
 
 
 def missing_rows(scene: Scene, bank: Bank) -> tuple[int, ...]:
-    """Positions along the paths of a scene that hold no measurement; none where the paths leave the grid."""
+    """Return positions along the paths of a scene without a measurement; none where the paths leave the grid."""
     try:
         needed = scene_rows(scene, np.asarray(bank.position_mm, np.float64)).path
     except InputError:
@@ -154,17 +156,17 @@ def missing_rows(scene: Scene, bank: Bank) -> tuple[int, ...]:
     return tuple(int(row) for row in needed if refusal(int(status[row])))
 
 
-def missing_words(rows: tuple[int, ...], why: str) -> str:
-    """A sentence about positions that a scene cannot do without."""
+def missing_text(rows: tuple[int, ...], why: str) -> str:
+    """Return a message about positions that a scene needs."""
     listed = ", ".join(map(str, rows[:_LISTED])) + (f" and {len(rows) - _LISTED} more" if len(rows) > _LISTED else "")
     return (
-        f"the bank has no measurement at {len(rows)} positions on the scene's paths: {listed}. The picture comes when"
-        f" they are measured; remeasure them, or move the path ({why})"
+        f"the bank has no measurement at {len(rows)} positions on the scene's paths: {listed}. Measure them, or move"
+        f" the path ({why}); results are shown as soon as they are measured"
     )
 
 
 def emission_s(source: Source, sample_rate_hz: float) -> float:
-    """How long a source emits, from scene time zero, without sampling it; s."""
+    """Return how long a source emits, from scene time zero, without sampling it; s."""
     signal_s = getattr(source.signal, "duration_s", None)
     if signal_s is None:
         signal_s = len(source.signal.samples(sample_rate_hz)) / sample_rate_hz
@@ -200,22 +202,21 @@ def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> 
 
 
 def _gains(scene: Scene, bank: Bank, drive: Drive) -> tuple[Float64Array, Float64Array]:
-    """n(x) of eq. (15) at focus instants, evenly chosen, and when they are."""
+    """Focus instants, evenly chosen, and n(x) of eq. (15) at each."""
     order = np.argsort(drive.focus_sample, kind="stable")
     chosen = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), MOST_GAINS)).round().astype(int))]
     threshold = saturation_threshold(scene.regularisation, bank)
     known: dict[int, float] = {}
-    for position in drive.focus_position[chosen].tolist():
-        if position not in known:
-            row = read_row(bank, position)
-            found = None if row.silent else row_weights(row, threshold, normalise=True)
-            known[position] = math.nan if found is None else math.ldexp(found.gain, found.gain_exponent)
+    for position in np.unique(drive.focus_position[chosen]).tolist():
+        row = read_row(bank, position)
+        found = None if row.silent else row_weights(row, threshold, normalise=True)
+        known[position] = math.nan if found is None else math.ldexp(found.gain, found.gain_exponent)
     gain = np.array([known[position] for position in drive.focus_position[chosen].tolist()])
     return drive.focus_sample[chosen] / drive.sample_rate_hz, gain
 
 
 def _path(source: Source) -> Float64Array:
-    """A source's path as a line to be drawn, NaN where it jumps from stroke to stroke; one point where it rests."""
+    """A source's path as a line, NaN where it jumps from stroke to stroke; one point where it rests."""
     length_mm = source.path.length_mm
     if length_mm <= 0:
         return source.path.point_at(np.zeros(1))
@@ -223,7 +224,3 @@ def _path(source: Source) -> Float64Array:
     points = source.path.point_at(along_mm)
     jumps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _JUMP * step_mm) + 1
     return np.insert(points, jumps, np.nan, axis=0)
-
-
-def _known(limit: tuple[float | None, str]) -> float:
-    return math.inf if limit[0] is None else limit[0]

@@ -1,4 +1,4 @@
-"""The drives: traces of all actuators, what each reaches beside its limit, and n(x) along the paths."""
+"""The drives: traces of all actuators, their levels with the limits, and n(x) along the paths."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _AXIS_PX, _NARROW_PX = 58, 44
 
 
 class DrivesView(QWidget):
-    """Shows what every actuator is to play."""
+    """Shows the drives of all actuators."""
 
     def __init__(self) -> None:
         super().__init__()

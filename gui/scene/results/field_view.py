@@ -1,4 +1,4 @@
-"""The predicted field as a movie over the surface, and the response at a position that was clicked."""
+"""The predicted field as a movie over the surface, and the response at the position that was clicked."""
 
 from __future__ import annotations
 
@@ -10,117 +10,49 @@ from numpy.typing import NDArray
 from PyQt5.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from gui.scene.results.instants import between
-from gui.scene.results.messages import Driven, FieldBegun, Plate
+from gui.scene.results.messages import Driven, PredictedField
 from gui.shell.theme import Theme
-from gui.shell.widgets import stacked
+from gui.shell.widgets import named, stacked
 from gui.surface.colours import ColourBar, scaled_unit
 from gui.surface.field_map import FieldMap
 from gui.surface.plot import Plot, thinning_curve
 from gui.surface.time_slider import TimeSlider
 from storage.units import quantity
 
-Float32Array = NDArray[np.float32]
-
 _SIGNED, _MAGNITUDE = "response", "magnitude"
 
 
 class FieldView(QWidget):
-    """Shows one field; `field` is (samples, positions), and stays where the window gathers it."""
+    """Shows one field."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.plate: Plate | None = None
         self.driven: Driven | None = None
-        self.begun: FieldBegun | None = None
-        self.field: Float32Array = np.zeros((0, 0), np.float32)
-        self._bank_seen: Plate | None = None
+        self.predicted: PredictedField | None = None
         self._factor = 1.0
         self.map = FieldMap("response")
         self.slider = TimeSlider()
-        self.colours = QComboBox()
+        self.colours = named(QComboBox(), "Signed responses in two colours, or magnitudes in one", "Colours")
         self.colours.addItems([_SIGNED, _MAGNITUDE])
-        self.colours.setAccessibleName("What the colours show")
-        self.colours.setToolTip("Positive and negative responses in two colours, or their magnitude in one")
-        self.span = QDoubleSpinBox()
+        self.span = named(
+            QDoubleSpinBox(), "End of the colour scale, as a part of the largest response at a focus (%)",
+            "End of the colour scale",
+        )  # fmt: skip
         self.span.setRange(1.0, 1000.0)
         self.span.setValue(100.0)
         self.span.setDecimals(0)
         self.span.setPrefix("to ")
         self.span.setSuffix(" %")
-        self.span.setAccessibleName("End of the colour scale")
-        self.span.setToolTip("Where the colour scale ends, as a part of the largest response at a focus (%)")
         self.bar = ColourBar(self.map.colour_map)
-        self.said = QLabel()
-        self.said.setProperty("role", "faint")
-        self.said.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.waveform = _Waveform()
-        self._lay_out()
-        self.slider.moved.connect(self._show_instant)
-        self.map.picked.connect(self.show_position)
-        self.colours.currentIndexChanged.connect(self._scale)
-        self.span.valueChanged.connect(self._scale)
-
-    @property
-    def time_s(self) -> float:
-        """The instant shown, on the scene's clock."""
-        return self.slider.time_s
-
-    def show_field(self, plate: Plate, driven: Driven, begun: FieldBegun, field: Float32Array) -> None:
-        """Show a field that is complete."""
-        marked_row = self._marked_row()
-        at_s = self.time_s if self.begun is not None else None
-        self.plate, self.driven, self.begun, self.field = plate, driven, begun, field
-        self._show_ground(plate, driven)
-        finer_hz = begun.sample_rate_hz * begun.finer
-        marks = [round((time_s - begun.start_s) * finer_hz) for time_s in begun.marks_s]
-        self.slider.show_samples(begun.start_s, finer_hz, (begun.samples - 1) * begun.finer + 1, marks)
-        if at_s is not None and begun.start_s <= at_s:
-            self.slider.go_to(round((at_s - begun.start_s) * finer_hz))
-        shown_s = begun.samples / begun.sample_rate_hz
-        part = f"first {shown_s:.0f} s of {begun.lasts_s:.0f} s" if begun.lasts_s > shown_s + 1e-9 else ""
-        self.said.setText(part)
-        self.said.setToolTip(f"Predicted at {len(plate.rows)} positions; {part or 'all of it'}")
-        self._scale()
-        place = np.searchsorted(plate.rows, marked_row) if marked_row >= 0 else len(plate.rows)
-        known = place < len(plate.rows) and plate.rows[place] == marked_row
-        self.show_position(int(place) if known else -1)
-
-    def clear(self) -> None:
-        """Show nothing."""
-        self.begun, self.field = None, np.zeros((0, 0), np.float32)
-        self.slider.show_samples(0.0, 1.0, 0)
-        self.map.show_values(np.full(0 if self.plate is None else len(self.plate.rows), np.nan))
-        self.map.show_sources(np.zeros((0, 2)))
-        self.said.setText("")
-        self.waveform.clear_response()
-
-    def show_position(self, place: int) -> None:
-        """Mark a position, by its place in the field, and show its response; -1 for none."""
-        self.map.mark(place)
-        if self.plate is None or self.begun is None or not 0 <= place < self.field.shape[1]:
-            self.waveform.clear_response()
-            return
-        at_mm = self.plate.surface.position_mm[place]
-        words = f"position {self.plate.rows[place]} at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) mm"
-        self.waveform.show_response(words, self.field[:, place], self.begun)
-        self.waveform.show_time(self.time_s)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
-        self.map.apply_theme(theme)
-        self.slider.apply_theme(theme)
-        self.bar.apply_theme(theme)
-        self.waveform.apply_theme(theme)
-        self._scale()
-        self.show_position(self.map.marked)
-
-    def _lay_out(self) -> None:
+        self.note = QLabel()
+        self.note.setProperty("role", "faint")
+        self.note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.waveform = ResponsePlot()
         choices = QHBoxLayout()
         choices.setContentsMargins(4, 4, 4, 0)
-        # The slider's own row is as wide as the panel must be: how fast it plays is chosen here.
-        for part in (self.colours, self.span, self.slider.slower):
+        for part in (self.colours, self.span, self.slider.slower):  # the slider's own row is as wide as the panel
             choices.addWidget(part)
-        choices.addWidget(self.said, stretch=1)
+        choices.addWidget(self.note, stretch=1)
         upper = QWidget()
         column = QVBoxLayout(upper)
         column.setContentsMargins(0, 0, 0, 0)
@@ -132,75 +64,128 @@ class FieldView(QWidget):
         outer = QVBoxLayout(self)
         outer.setContentsMargins(0, 0, 0, 0)
         outer.addWidget(stacked((upper, 420), (self.waveform, 130), growing=[0]))
+        self.slider.moved.connect(self._show_instant)
+        self.map.picked.connect(self.show_position)
+        self.colours.currentIndexChanged.connect(self._rescale)
+        self.span.valueChanged.connect(self._rescale)
 
-    def _show_ground(self, plate: Plate, driven: Driven) -> None:
-        kept = self.map.box.viewRect() if self._bank_seen is plate else None
-        self._bank_seen = plate
-        self.map.show_surface(replace(plate.surface, paths_mm=driven.paths_mm))
-        if kept is not None:
-            self.map.box.setRange(kept, padding=0)
+    @property
+    def time_s(self) -> float:
+        """The instant shown, on the scene's clock."""
+        return self.slider.time_s
 
-    def _scale(self) -> None:
-        begun = self.begun
-        signed = self.colours.currentText() == _SIGNED
-        top = begun.limit if begun is not None and begun.limit > 0 else 0.0
-        if begun is not None and not top:
-            top = float(np.abs(self.field[:: max(1, len(self.field) // 200)]).max(initial=0.0)) or 1.0
+    def show_field(self, driven: Driven, predicted: PredictedField) -> None:
+        """Show another field, at the same instant, position and part of the surface as far as it has them."""
+        former, view, marked = self.predicted, self.map.box.viewRect(), self.map.marked
+        at_s = None if former is None else self.time_s
+        row = former.rows[marked] if former is not None and 0 <= marked < len(former.rows) else -1
+        self.driven, self.predicted = driven, predicted
+        same_bank = self.map.surface is not None and self.map.surface.bank == predicted.surface.bank
+        self.map.show_surface(replace(predicted.surface, paths_mm=driven.paths_mm))
+        if same_bank:
+            self.map.box.setRange(view, padding=0)
+        finer_hz, samples = predicted.sample_rate_hz * predicted.finer, len(predicted.field)
+        marks = [round((time_s - predicted.start_s) * finer_hz) for time_s in predicted.marks_s]
+        self.slider.show_samples(predicted.start_s, finer_hz, (samples - 1) * predicted.finer + 1, marks)
+        if at_s is not None and predicted.start_s <= at_s:
+            self.slider.go_to(round((at_s - predicted.start_s) * finer_hz))
+        shown_s = samples / predicted.sample_rate_hz
+        part = f"first {shown_s:.0f} s of {predicted.lasts_s:.0f} s" if predicted.lasts_s > shown_s + 1e-9 else ""
+        self.note.setText(part)
+        self.note.setToolTip(f"Predicted at {len(predicted.rows)} positions; {part or 'the whole response'}")
+        self._rescale()
+        (place,) = np.flatnonzero(predicted.rows == row)[:1].tolist() or (-1,)
+        self.show_position(place)
+
+    def clear(self) -> None:
+        """Show nothing."""
+        self.predicted = None
+        self.slider.show_samples(0.0, 1.0, 0)
+        self.map.show_values(np.full(0 if self.map.surface is None else self.map.surface.positions, np.nan))
+        self.map.show_sources(np.zeros((0, 2)))
+        self.note.setText("")
+        self.waveform.clear_response()
+
+    def show_position(self, place: int) -> None:
+        """Mark a position, by its place in the field, and show its response; -1 for none."""
+        self.map.mark(place)
+        predicted = self.predicted
+        if predicted is None or not 0 <= place < len(predicted.rows):
+            self.waveform.clear_response()
+            return
+        x_mm, y_mm = predicted.surface.position_mm[place]
+        title = f"position {predicted.rows[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
+        self.waveform.show_response(title, predicted.field[:, place], predicted)
+        self.waveform.show_time(self.time_s)
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the theme's colours."""
+        for part in (self.map, self.bar, self.slider, self.waveform):
+            part.apply_theme(theme)
+        self._rescale()
+        self.show_position(self.map.marked)
+
+    def sources_mm(self, time_s: float) -> NDArray[np.float64]:
+        """Positions of the foci at an instant, (foci, 2)."""
+        driven = self.driven
+        if driven is None:
+            return np.zeros((0, 2))
+        return driven.focus_mm[(driven.focus_s <= time_s) & (time_s < driven.focus_stop_s)]
+
+    def _rescale(self) -> None:
+        predicted, signed = self.predicted, self.colours.currentText() == _SIGNED
+        top = 0.0 if predicted is None else predicted.limit
+        if predicted is not None and not top > 0.0:
+            top = float(np.abs(predicted.field[:: max(1, len(predicted.field) // 200)]).max(initial=0.0))
         top = (top or 1.0) * self.span.value() / 100.0
-        self._factor, unit = scaled_unit("" if begun is None else begun.unit, top)
-        high = top * self._factor
-        levels = (-high if signed else 0.0, high)
+        self._factor, unit = scaled_unit("" if predicted is None else predicted.unit, top)
+        levels = (-top * self._factor if signed else 0.0, top * self._factor)
         self.map.show_scale(levels, unit, signed=signed)
         self.bar.set_map(self.map.colour_map)
         self.bar.show_range(self.colours.currentText(), unit, levels, (signed, True))
         self._show_instant(self.slider.sample)
 
     def _show_instant(self, sample: int) -> None:
-        begun = self.begun
-        if begun is None or self.driven is None or not self.field.size:
+        predicted = self.predicted
+        if predicted is None:
             return
-        values = between(self.field, sample / begun.finer) * np.float32(self._factor)
-        self.map.show_values(values if self.colours.currentText() == _SIGNED else np.abs(values))
+        values = between(predicted.field, sample / predicted.finer) * np.float32(self._factor)
+        self.map.show_values(values if self.map.signed else np.abs(values))
         self.map.show_sources(self.sources_mm(self.time_s))
         self.waveform.show_time(self.time_s)
 
-    def sources_mm(self, time_s: float) -> NDArray[np.float64]:
-        """Where foci are at an instant, (foci, 2)."""
-        if self.driven is None:
-            return np.zeros((0, 2))
-        return self.driven.focus_mm[(self.driven.focus_s <= time_s) & (time_s < self.driven.focus_stop_s)]
 
-    def _marked_row(self) -> int:
-        marked = self.map.marked
-        return int(self.plate.rows[marked]) if self.plate is not None and 0 <= marked < len(self.plate.rows) else -1
+class ResponsePlot(Plot):
+    """The response of one position."""
 
-
-class _Waveform(Plot):
     def __init__(self) -> None:
         super().__init__("Response of the position that was clicked", "time (s)", "")
         plot = self.getPlotItem()
         plot.getAxis("left").setWidth(60)
-        self._curve, self._now = thinning_curve(), pyqtgraph.InfiniteLine(0.0)
-        plot.addItem(self._curve)
+        self.curve, self._now = thinning_curve(), pyqtgraph.InfiniteLine(0.0)
+        plot.addItem(self.curve)
         plot.addItem(self._now)
         self.clear_response()
 
     def clear_response(self) -> None:
-        self._curve.setData([], [])
+        """Show no response."""
+        self.curve.setData([], [])
         self._now.hide()
         self.getPlotItem().setTitle("click a position on the map for its response", color=self.theme.faint, size="9pt")
 
-    def show_response(self, words: str, response: Float32Array, begun: FieldBegun) -> None:
+    def show_response(self, title: str, response: NDArray[np.float32], predicted: PredictedField) -> None:
+        """Show a position's response."""
         plot, theme = self.getPlotItem(), self.theme
-        time_s = begun.start_s + np.arange(len(response)) / begun.sample_rate_hz
-        self._curve.setData(time_s, np.ascontiguousarray(response), pen=pyqtgraph.mkPen(theme.traces[0]))
+        time_s = predicted.start_s + np.arange(len(response)) / predicted.sample_rate_hz
+        self.curve.setData(time_s, np.ascontiguousarray(response), pen=pyqtgraph.mkPen(theme.traces[0]))
         self._now.setPen(pyqtgraph.mkPen(theme.fault, width=1.2))
         self._now.show()
-        plot.setLabel("left", begun.unit)
+        plot.setLabel("left", predicted.unit)
         largest = float(np.abs(response).max(initial=0.0))
-        plot.setTitle(f"{words}: largest {quantity(f'{largest:.3g}', begun.unit)}", color=theme.text, size="9pt")
+        plot.setTitle(f"{title}: largest {quantity(f'{largest:.3g}', predicted.unit)}", color=theme.text, size="9pt")
         plot.setXRange(float(time_s[0]), float(time_s[-1]), padding=0.01)
         plot.setYRange(-1.1 * (largest or 1.0), 1.1 * (largest or 1.0), padding=0.0)
 
     def show_time(self, time_s: float) -> None:
+        """Mark the instant that the map shows."""
         self._now.setValue(time_s)

@@ -1,41 +1,175 @@
-"""The table of figures, and below it what a person should know about the scene."""
+"""The figures of a scene with units, limits, verdicts and definitions, and the warnings below them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QBrush, QColor
-from PyQt5.QtWidgets import QHeaderView, QLabel, QTableWidget, QTableWidgetItem, QVBoxLayout, QWidget
+from PyQt5.QtWidgets import QLabel, QTableWidgetItem, QVBoxLayout, QWidget
 
-from gui.scene.results.figures import HELD, Figure
+from gui.scene.results.messages import Driven, FocusFigures, PredictedField
 from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import make_table
 from storage.units import quantity
 
-_TITLES = ("figure", "value", "limit", "verdict")
+Float64Array = NDArray[np.float64]
+
+# Verdicts.
+GOOD, HELD = "within", "held back"
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One line of the table; the value is empty where unknown, the limit where there is none.
+
+    The verdict is `GOOD`, `HELD` where all drives were scaled down for it, or empty.
+    """
+
+    name: str
+    value: str
+    unit: str
+    definition: str
+    limit: str = ""
+    verdict: str = ""
+
+
+def drive_figures(driven: Driven) -> list[Figure]:
+    """Return the figures of the drives."""
+    from rendering.drive.coil_limits import RMS_WINDOW_S, dynamic_range_db  # loaded by then, by another thread
+    from rendering.field.metrics import range_db
+
+    limiting, limits = driven.limiting, driven.limits
+    decided = limiting.decided_by
+    loudest, hottest = int(np.argmax(driven.peak_v)), int(np.argmax(driven.rms_v))
+    peak_v, rms_v = float(driven.peak_v[loudest]), float(driven.rms_v[hottest])
+    figures = [
+        Figure(
+            "scale by the limits", _short(limiting.scale), "",
+            "Factor on all drives that keeps every actuator within its limits; 1 where nothing exceeds them. Drives are"
+            f" scaled, never clipped, and so the responses shrink with them. Now: {limiting}.",
+            verdict=HELD if decided else GOOD,
+        ),
+        Figure(
+            "peak of the drives", _short(peak_v), driven.unit,
+            f"Largest magnitude of any actuator's drive after scaling; actuator {loudest} has it. Its limit is"
+            f" {limits.peak_key}.",
+            _limit(limits.peak_v, driven.unit), _verdict(limits.peak_v, decided == limits.peak_key),
+        ),
+        Figure(
+            "rms of the drives", _short(rms_v), driven.unit,
+            f"Largest rms of any actuator's drive over any {RMS_WINDOW_S:g} s, or over all of a shorter one, after"
+            f" scaling; actuator {hottest} has it. Its limit is {limits.rms_key}.",
+            _limit(limits.rms_v, driven.unit), _verdict(limits.rms_v, decided == limits.rms_key),
+        ),
+    ]  # fmt: skip
+    if driven.resistance_ohm:
+        power = None if limits.rms_v is None else limits.rms_v**2 / driven.resistance_ohm
+        figures.append(Figure(
+            "coil power", _short(rms_v**2 / driven.resistance_ohm), "W",
+            f"rms² over the coil's resistance of {driven.resistance_ohm:g} ohms, by the rig file.",
+            _limit(power, "W"), _verdict(power, decided == limits.rms_key),
+        ))  # fmt: skip
+    gain_db = range_db(driven.gain)
+    figures += [
+        Figure(
+            "dynamic range", f"{dynamic_range_db(driven.rms_v):.1f}", "dB",
+            "Largest over smallest rms of all actuators that are driven at all. Saturation makes it smaller.",
+        ),
+        Figure(
+            "range of n(x)", "" if math.isnan(gain_db) else f"{gain_db:.1f}", "dB",
+            "Largest over smallest n(x) of eq. (15) along the paths: how unequally well the surface can be focused on.",
+        ),
+        Figure(
+            "left out", "" if math.isnan(driven.omitted_bound) else f"{driven.omitted_bound:.1e}", "",
+            "Proved bound on the relative L2 error of the drives from what is left out while you edit (-60 dB). What is"
+            " saved and played leaves nothing out.",
+        ),
+        Figure(
+            "duration", f"{driven.lasts_s:.3f}", "s",
+            "Of the drives, with the lead-in that time reversal needs: one Green's function's length.",
+        ),
+        Figure(
+            "method", driven.method, "",
+            "exact: a continuous source moves from sample to sample (eq. 9); sampled: from path point to path point"
+            " (eq. 16). Emission per point is sampled by nature.",
+        ),
+        Figure(
+            "largest snap", f"{driven.snap_mm:.2f}", "mm",
+            "Largest distance of a path point from the bank's position nearest to it.",
+        ),
+    ]  # fmt: skip
+    return figures
+
+
+def field_figures(found: FocusFigures, field: PredictedField) -> list[Figure]:
+    """Return the figures of the foci."""
+    from rendering.field.focus_figures import FOCUS_RADIUS_MM
+
+    radius = f"{FOCUS_RADIUS_MM:g} mm"
+    return [
+        Figure(
+            "response at the foci", _of(found.peak, _short), field.unit,
+            f"Largest predicted response within {radius} of the path point, at the instant when it is loudest; median"
+            f" of {len(found.time_s)} foci, evenly chosen.",
+        ),
+        Figure(
+            "focal width", _of(found.width_mm, lambda value: f"{value:.1f}"), "mm",
+            "Full width at half maximum of the focal spot: diameter of the disk of equal area; median of the foci that"
+            " lie wholly on measured positions.",
+        ),
+        Figure(
+            "focus position error", _of(found.off_mm, lambda value: f"{value:.2f}"), "mm",
+            f"Distance of the largest response within {radius} from the path point on the grid; median.",
+        ),
+        Figure(
+            "artefact level", _of(found.artefact_db, lambda value: f"{value:.1f}"), "dB",
+            f"Largest response further than {radius} from the focus over the largest within; median.",
+        ),
+        *(
+            Figure(
+                f"crosstalk of source {source}", f"{100 * ratio:.1f}", "%",
+                "Amplitude of what all other foci of the path together make heard at a focus, in the middle of its"
+                " emission, over that of its own; over at most 24 path points in the middle of the path.",
+            )
+            for source, ratio in found.crosstalk
+        ),
+    ]  # fmt: skip
+
+
+def _of(values: Float64Array, words: Callable[[float], str]) -> str:
+    from rendering.field.focus_figures import median_or_none
+
+    median = median_or_none(values)
+    return "" if median is None else words(median)
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _limit(limit: float | None, unit: str) -> str:
+    return "" if limit is None else f"{limit:.3g} {unit}"
+
+
+def _verdict(limit: float | None, decided: bool) -> str:
+    if limit is None:
+        return ""
+    return HELD if decided else GOOD
 
 
 class FiguresView(QWidget):
-    """Lists figures; what each means stands in its tooltip."""
+    """The table of figures; definitions are in the tooltips."""
 
     def __init__(self) -> None:
         super().__init__()
         self._theme = LIGHT
         self.figures: list[Figure] = []
-        self.table = QTableWidget(0, len(_TITLES))
-        self.table.setHorizontalHeaderLabels(_TITLES)
-        self.table.setAccessibleName("Figures of the scene")
-        self.table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-        self.table.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
-        self.table.setAlternatingRowColors(True)
-        self.table.setWordWrap(False)
-        side, top = self.table.verticalHeader(), self.table.horizontalHeader()
-        assert side is not None
-        assert top is not None
-        side.hide()
-        side.setDefaultSectionSize(self.table.fontMetrics().height() + 7)
-        top.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        top.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+        self.table = make_table(("figure", "value", "limit", "verdict"), "Figures of the scene", (0,))
         self.warnings = QLabel()
         self.warnings.setWordWrap(True)
         self.warnings.setContentsMargins(6, 4, 6, 4)
@@ -53,20 +187,18 @@ class FiguresView(QWidget):
         self.table.setRowCount(len(figures))
         for row, figure in enumerate(figures):
             value = quantity(figure.value, figure.unit) if figure.value else "—"
-            cells = (figure.name, value, figure.limit, figure.verdict)
-            for column, text in enumerate(cells):
+            for column, text in enumerate((figure.name, value, figure.limit, figure.verdict)):
                 item = QTableWidgetItem(text)
                 item.setToolTip(figure.definition)
                 if column in (1, 2):
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                if figure.verdict and column == len(cells) - 1:
-                    held = figure.verdict == HELD
-                    item.setForeground(QBrush(QColor(self._theme.warning if held else self._theme.good)))
+                if column == 3 and text:
+                    item.setForeground(QBrush(QColor(self._theme.warning if text == HELD else self._theme.good)))
                 self.table.setItem(row, column, item)
         self.warnings.setText("\n".join(f"• {warning}" for warning in warnings))
         self.warnings.setVisible(bool(warnings))
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self._theme = theme
         self.show_figures(self.figures, [line[2:] for line in self.warnings.text().split("\n") if line])

@@ -1,4 +1,4 @@
-"""Where, how sharp and how clean the foci of a scene come out, from predictions at chosen instants."""
+"""Position, width and artefacts of a scene's foci, from predictions at chosen instants."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
-# Widths take a surface each to be drawn on.
 MOST_FIGURES = 8
 MOST_RESPONSES_BYTES = 128 * 2**20
 MOST_CROSSTALK_POINTS = 24
@@ -33,7 +32,7 @@ MOST_CROSSTALK_SOURCES = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LookedAt:
-    """Foci that are looked at, when each is loudest, and the largest response there.
+    """Foci, the instant at which each is loudest, and the largest response there.
 
     Parameters
     ----------
@@ -65,41 +64,40 @@ def look_at_foci(drive: Drive, bank: Bank) -> LookedAt:
     return LookedAt(instants, peak)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class Snapshots:
-    """The field at the instants of some of the foci, gathered while it is predicted part by part.
+    """The field at the instants of some of the foci; NaN beyond its end.
 
     Parameters
     ----------
-    looked : LookedAt
-        The foci.
-    rate_hz : float
-        Of the drives.
-    start_s, field_rate_hz : float
-        Of the field.
-    positions : int
-        Of the field.
+    instants : list of FocusInstant, length K
+    time_s : float64 array, shape (K,)
+    values : float32 array, shape (K, positions)
     """
 
-    def __init__(self, looked: LookedAt, rate_hz: float, start_s: float, field_rate_hz: float, positions: int) -> None:
+    instants: list[FocusInstant]
+    time_s: Float64Array
+    values: Float32Array
+
+    @classmethod
+    def of(cls, looked: LookedAt, drive: Drive, field: Float32Array, field_rate_hz: float) -> Snapshots:
+        """Take snapshots of a field, shape (samples, positions)."""
         count = len(looked.instants)
         chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_FIGURES)).round().astype(int))
-        self.instants = [looked.instants[index] for index in chosen]
-        self.time_s = np.array([one.sample / rate_hz for one in self.instants])
-        self._places = ((self.time_s - start_s) * field_rate_hz).tolist()
-        self.values = np.full((len(self.instants), positions), np.nan, np.float32)
-
-    def take(self, first: int, part: Float32Array) -> None:
-        """Take a part of the field, (samples, k); instants beyond its end stay unknown."""
-        for index, place in enumerate(self._places):
-            if place <= len(part) - 1:
-                self.values[index, first : first + part.shape[1]] = between(part, place)
+        instants = [looked.instants[index] for index in chosen]
+        time_s = np.array([one.sample for one in instants]) / drive.sample_rate_hz
+        values = np.full((len(instants), field.shape[1]), np.nan, np.float32)
+        for index, place in enumerate(((time_s - drive.start_s) * field_rate_hz).tolist()):
+            if place <= len(field) - 1:
+                values[index] = between(field, place)
+        return cls(instants, time_s, values)
 
 
-def figures_of(
+def focus_figures(
     number: int, snapshots: Snapshots, rows: Int64Array, bank: Bank, scene: Scene, drive: Drive,
     check: Callable[[], None],
 ) -> FocusFigures:  # fmt: skip
-    """Work out the figures; `check` is called between them, and what it raises ends the work."""
+    """Compute the figures; `check` is called between them, and what it raises ends the work."""
     position_mm = np.asarray(bank.position_mm, np.float64)
     there, count = position_mm[rows], len(snapshots.instants)
     peak, off_mm, width_mm, artefact_db = np.full((4, count), np.nan)

@@ -1,4 +1,4 @@
-"""A field at instants between its samples: it is low-passed, and so a few samples on either side tell all."""
+"""A low-passed field at instants between its samples."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def _weights(away: NDArray[np.floating[Any]], half: int, beta: float) -> Float32
 
 @cache
 def _window() -> tuple[int, float]:
-    """Half the length, and the shape, of Kaiser's window: it falls from what is passed to where its images begin."""
-    from rendering.field.decimation import PASSED, STOPBAND_DB  # with scipy, which the window's start does without
+    """Half the length and the shape of a Kaiser window whose transition ends where the images begin."""
+    from rendering.field.decimation import PASSED, STOPBAND_DB  # the window starts without scipy
 
     width = 1.0 - PASSED  # as a part of the rate
     half = int(np.ceil((STOPBAND_DB - 8.0) / (2.285 * 2.0 * np.pi * width) / 2.0))

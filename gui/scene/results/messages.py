@@ -1,4 +1,4 @@
-"""What the window and the process that calculates tell each other; plain data, all of it."""
+"""Messages between the window and the process that calculates scenes."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Int64Array = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A scene to be calculated.
+    """A scene to be calculated, in place of all earlier ones.
 
     Parameters
     ----------
     number : int
-        Answers bear it; a request makes all those before it void.
+        Repeated in the answers.
     text, place : str, Path
-        The scene file's text, and where it lies or would lie.
+        The scene file's text, and its path, for messages and relative names.
     bank : Path
         The bank.
     rig : Path or None
         A rig file whose limits count too.
     allow_large : bool
-        Whether the scene may be larger than scenes usually are.
+        Whether the scene may exceed the limits of the command line.
     """
 
     number: int
@@ -46,43 +46,18 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Calculate nothing more until the next request; answered with `Done`.
-
-    Parameters
-    ----------
-    number : int
-        As of a request.
-    """
+    """Calculate nothing more until the next request; answered with `Finished`."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a stage is, 0 to 1."""
+    """Progress of a stage, 0 to 1."""
 
     number: int
     stage: str
     share: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plate:
-    """The bank that answers speak of from now on.
-
-    Parameters
-    ----------
-    number : int
-        Of the request.
-    rows : int64 array (positions,)
-        Bank rows that hold a measurement; the field has them, in this order.
-    surface : Surface
-        The bank's surface with those positions.
-    """
-
-    number: int
-    rows: Int64Array
-    surface: Surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,11 +69,11 @@ class Driven:
     number : int
         Of the request.
     drive_v : float32 array (actuators, samples)
-        Volts, within the limits.
+        Within the limits.
     sample_rate_hz, start_s : float
         Of the drives.
     lasts_s : float
-        How long the whole scene lasts; longer than the drives where only their beginning was calculated.
+        Duration of the whole scene; longer than the drives where only their beginning was calculated.
     method : str
         ``"sampled"`` or ``"exact"``.
     limiting : Limiting
@@ -110,21 +85,21 @@ class Driven:
     peak_v, rms_v : float64 arrays (actuators,)
         Largest magnitude, and largest rms over a second, after limiting.
     omitted_bound : float
-        Proved bound on the relative L2 error; NaN where it is not known.
+        Proved bound on the relative L2 error; NaN where unknown.
     gain_s, gain : float64 arrays (points,)
         n(x) of eq. (15) at focus instants, at most some hundred.
     focus_s, focus_stop_s : float64 arrays (foci,)
         Each focus counts from its instant to the next one of its source.
     focus_mm : float64 array (foci, 2)
-        Where.
+        Positions of the foci.
     paths_mm : list of float64 arrays (n, 2)
         The sources' paths, NaN where they jump.
     snap_mm : float
         Largest distance of a path point from its position.
     warnings : tuple of str
-        What a person should know.
+        Shown below the figures.
     unit : str
-        Unit of the drives, that of the bank.
+        Of the drives.
     """
 
     number: int
@@ -150,20 +125,24 @@ class Driven:
     unit: str = "V"
 
 
-@dataclass(frozen=True, slots=True)
-class FieldBegun:
-    """The predicted field comes next, part by part.
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedField:
+    """The predicted field.
 
     Parameters
     ----------
     number : int
         Of the request.
-    samples : int
-        Of a response.
+    surface : Surface
+        The bank's surface with the measured positions.
+    rows : int64 array (positions,)
+        Their bank rows.
+    field : float32 array (samples, positions)
+        Low-passed below half its rate.
     sample_rate_hz, start_s : float
         Of the field.
     finer : int
-        Between two of its samples as many instants can be told (`instants.between`).
+        Instants that can be interpolated per sample.
     unit : str
         Of responses.
     limit : float
@@ -171,11 +150,13 @@ class FieldBegun:
     marks_s : tuple of float
         Instants at which foci are looked at.
     lasts_s : float
-        How long the whole response lasts; longer than the field where only its beginning was calculated.
+        Duration of the whole response; longer than the field where only its beginning was calculated.
     """
 
     number: int
-    samples: int
+    surface: Surface
+    rows: Int64Array
+    field: Float32Array
     sample_rate_hz: float
     start_s: float
     finer: int
@@ -186,29 +167,20 @@ class FieldBegun:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FieldPart:
-    """Some positions of it: (samples, k), from the `first` on."""
-
-    number: int
-    first: int
-    values: Float32Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class FocusFigures:
-    """What the foci that were looked at came out like; NaN where it cannot be told.
+    """Figures of the foci that were looked at; NaN where unknown.
 
     Parameters
     ----------
     number : int
         Of the request.
     time_s, peak : float64 arrays (foci,)
-        When, and the largest response near the path point, in the field's unit.
+        Instant, and the largest response near the path point.
     off_mm, width_mm, artefact_db : float64 arrays (foci,)
         Distance of the largest response from the path point; full width at half maximum; level of the largest
         response further away.
     crosstalk : tuple of (source, ratio)
-        Amplitude of what the other foci of a path make heard at one of them, over that of its own.
+        Amplitude of the response at a focus to all other foci of its path, over that to itself.
     """
 
     number: int
@@ -221,32 +193,13 @@ class FocusFigures:
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
-    """Everything was told."""
+class Finished:
+    """The end of a calculation: `problem` says why there is no more; `defect` is a traceback."""
 
     number: int
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """A sentence about why there is no more."""
-
-    number: int
-    sentence: str
-
-
-@dataclass(frozen=True, slots=True)
-class Broken:
-    """A defect: what whoever mends it needs."""
-
-    number: int
-    details: str
-
-
-@dataclass(frozen=True, slots=True)
-class Gone:
-    """The process ended, by itself or because the system ended it."""
+    problem: str = ""
+    defect: str = ""
 
 
 Order = Request | Stop
-Told = Progress | Plate | Driven | FieldBegun | FieldPart | FocusFigures | Done | Failed | Broken | Gone
+Answer = Progress | Driven | PredictedField | FocusFigures | Finished

@@ -1,7 +1,7 @@
-"""The process that calculates scenes beside the window: it takes the latest order, and tells what it finds.
+"""The process that calculates scenes beside the window: from a scene's text to drives, field and figures.
 
 A thread of the window would hold it up: with 1500 positions its ticks came up to 0.24 s late. The process also keeps
-its memory to itself, goes with the window, and can be ended at any time.
+its memory to itself, ends with the window, and can be ended at any time.
 """
 
 from __future__ import annotations
@@ -9,34 +9,169 @@ from __future__ import annotations
 import os
 import time
 import traceback
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
+from pathlib import Path
 
-from gui.scene.results.calculator import Calculator, ReadRig, ReadScene, SupersededError
-from gui.scene.results.messages import Broken, Done, Failed, Order, Progress, Request, Told
-from storage.errors import InputError
+import numpy as np
 
+from gui.scene.results.bank_cache import BankCache
+from gui.scene.results.drives import missing_rows, missing_text, render_while_edited, stricter, summarise
+from gui.scene.results.foci import Snapshots, focus_figures, look_at_foci
+from gui.scene.results.messages import Answer, Finished, Order, PredictedField, Progress, Request
+from gui.shell.front_door import RigLimits
+from rendering.field.model import field_unit
+from rendering.field.prediction import Prediction
+from rendering.scene.loading import read_scene
+from rendering.scene.model import Scene
+from storage.bank.reading import Bank
+from storage.drive_file import Drive
+from storage.errors import InputError, WavefocusError
+
+ReadRigLimits = Callable[[Path], RigLimits]
+
+MOST_FIELD_BYTES = 192 * 2**20
+# Fields are sampled two or three times a period; they are shown at eight times as many instants.
+FINER = 8
+# Nothing that takes long starts so soon after an edit: the next one may follow.
 QUIET_S = 0.12
-LOOKS_EVERY_S = 1.0
+_BANK_LOOK_EVERY_S = 1.0
 _PROGRESS_EVERY_S = 0.1
-# Runs come first: a capture must not notice that somebody draws.
+# A capture must not be slowed down by the editor.
 _NICE = 10
+_LOW_PASS_REACH = 64
 
 
-def serve(connection: Connection, read_scene: ReadScene, read_rig: ReadRig) -> None:
-    """Calculate what is asked for until the window is gone."""
+class SupersededError(Exception):
+    """A newer order has arrived."""
+
+
+def serve(connection: Connection, read_rig_limits: ReadRigLimits) -> None:
+    """Calculate the latest request until the window is gone."""
     if hasattr(os, "nice"):
         with suppress(OSError):
             os.nice(_NICE)
     with suppress(EOFError, OSError, KeyboardInterrupt):
-        _Server(connection, read_scene, read_rig).serve()
+        _Server(connection, read_rig_limits).serve()
+
+
+class Calculator:
+    """Calculates scenes.
+
+    Parameters
+    ----------
+    send : callable
+        Receives the answers.
+    check : callable
+        Called often with the seconds to wait for a newer order; raises SupersededError to end the calculation.
+    read_rig_limits : callable
+        As `gui.shell.front_door.FrontDoor` has it.
+    most_field_bytes : int
+        Of a longer field only the beginning is predicted.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[Answer], object],
+        check: Callable[[float], None],
+        read_rig_limits: ReadRigLimits,
+        most_field_bytes: int = MOST_FIELD_BYTES,
+    ) -> None:
+        self._send, self._check, self._read_rig_limits = send, check, read_rig_limits
+        self._most_field_bytes = most_field_bytes
+        self.cache = BankCache()
+
+    def calculate(self, request: Request, quiet_s: float = QUIET_S) -> bool:
+        """Calculate a scene; returns whether that succeeded. Raises SupersededError by `check`."""
+        try:
+            self._calculate(request, quiet_s)
+        except (WavefocusError, OSError, MemoryError) as failure:
+            problem = str(failure).removeprefix(f"{request.place}: ") or "there is not enough memory for this scene"
+            self._send(Finished(request.number, problem))
+            return False
+        self._send(Finished(request.number))
+        return True
+
+    def _calculate(self, request: Request, quiet_s: float) -> None:
+        number = request.number
+        self._send(Progress(number, "scene", 0.0))
+        scene = read_scene(request.text, request.place, allow_large=request.allow_large)
+        bank = self.cache.open(request.bank)
+        if not len(self.cache.rows):
+            raise InputError(f"{bank.path} has no measured position yet; results are shown when it has")
+        rig = None if request.rig is None else self._read_rig_limits(request.rig)
+        if rig is not None and rig.actuators != bank.actuators:
+            raise InputError(
+                f"{request.rig} has {rig.actuators} actuators, {bank.path} {bank.actuators}: choose the rig that the"
+                " bank was measured with"
+            )
+        self._check(quiet_s)
+        scene = replace(scene, regularisation=self.cache.absolute(scene.regularisation))
+        drive = self._drives(number, scene, bank, rig)
+        self._field(number, scene, bank, drive)
+
+    def _drives(self, number: int, scene: Scene, bank: Bank, rig: RigLimits | None) -> Drive:
+        def report(done: int, total: int) -> None:
+            self._check(0.0)
+            self._send(Progress(number, "drives", done / total))
+
+        report(0, 1)
+        limits = stricter(scene.output, rig)
+        try:
+            rendered = render_while_edited(scene, bank, limits, report)
+        except InputError as refused:
+            if rows := missing_rows(scene, bank):
+                raise InputError(missing_text(rows, str(refused))) from None
+            raise
+        self._check(0.0)
+        self._send(summarise(number, scene, bank, rendered, limits, None if rig is None else rig.coil_resistance_ohm))
+        return rendered.drive
+
+    def _field(self, number: int, scene: Scene, bank: Bank, drive: Drive) -> None:
+        self._check(0.0)
+        cache, rows = self.cache, self.cache.rows
+        factor, rate_hz = cache.factor, cache.rate_hz
+        looked = look_at_foci(drive, bank)
+        whole = -(-(drive.drive_v.shape[1] + bank.taps - 1) // factor)
+        samples = min(whole, max(1, self._most_field_bytes // (4 * len(rows))))
+        beginning = drive.drive_v[:, : (samples + _LOW_PASS_REACH) * factor]
+        shown = replace(drive, drive_v=beginning)
+        field, parts = np.empty((samples, len(rows)), np.float32), cache.parts()
+        for index, part in enumerate(parts):
+            self._check(0.0)
+            self._send(Progress(number, "field", index / len(parts)))
+            predicted = Prediction(shown, cache.spectra(index, part), part).field().field[:, :samples]
+            first = index * len(parts[0])
+            field[:, first : first + len(part)] = predicted.T
+        time_s = looked.time_s(drive.sample_rate_hz)
+        seen = time_s < drive.start_s + samples / rate_hz
+        self._send(
+            PredictedField(
+                number=number,
+                surface=cache.surface,
+                rows=rows,
+                field=field,
+                sample_rate_hz=rate_hz,
+                start_s=drive.start_s,
+                finer=FINER if factor > 1 else 1,
+                unit=field_unit(bank),
+                limit=float(looked.peak[seen].max(initial=0.0)),
+                marks_s=tuple(time_s[seen].tolist()),
+                lasts_s=whole / rate_hz,
+            )
+        )
+        self._send(Progress(number, "figures", 0.0))
+        snapshots = Snapshots.of(looked, drive, field, rate_hz)
+        self._send(focus_figures(number, snapshots, rows, bank, scene, drive, lambda: self._check(0.0)))
 
 
 class _Server:
-    def __init__(self, connection: Connection, read_scene: ReadScene, read_rig: ReadRig) -> None:
+    def __init__(self, connection: Connection, read_rig_limits: ReadRigLimits) -> None:
         self._connection = connection
-        self._told_progress_s = -1.0
-        self._calculator = Calculator(self._tell, self._check, read_scene, read_rig)
+        self._reported_s = -1.0
+        self._calculator = Calculator(self._send, self._check, read_rig_limits)
 
     def serve(self) -> None:
         order: Order = self._connection.recv()
@@ -50,29 +185,29 @@ class _Server:
                     order = self._latest(None)
                     continue
             else:
-                self._connection.send(Done(order.number))
+                self._connection.send(Finished(order.number))
             order = self._wait(order, complete=complete)
 
     def _carry_out(self, request: Request) -> bool:
         try:
-            return self._calculator.calculate(request, QUIET_S)
+            return self._calculator.calculate(request)
         except (EOFError, OSError, SupersededError):
             raise
         except Exception:
-            self._connection.send(Broken(request.number, traceback.format_exc()))
+            self._connection.send(Finished(request.number, "the calculation failed", traceback.format_exc()))
             return True
 
     def _wait(self, order: Order, *, complete: bool) -> Order:
-        """Wait for the next order; the last one comes again when the bank may have what it lacked."""
+        """Wait for the next order; repeat the last one when the bank may have what was missing."""
         gone = False
-        while not self._connection.poll(LOOKS_EVERY_S):
+        while not self._connection.poll(_BANK_LOOK_EVERY_S):
             if not isinstance(order, Request):
                 continue
             try:
-                changed = self._calculator.bank_changed(order.bank)
+                changed = self._calculator.cache.changed(order.bank)
             except (InputError, OSError) as failure:
                 if complete:
-                    self._connection.send(Failed(order.number, str(failure)))
+                    self._connection.send(Finished(order.number, str(failure)))
                     complete = False
                 gone = True
                 continue
@@ -89,10 +224,10 @@ class _Server:
         if self._connection.poll(wait_s):
             raise SupersededError
 
-    def _tell(self, told: Told) -> None:
-        if isinstance(told, Progress):
+    def _send(self, answer: Answer) -> None:
+        if isinstance(answer, Progress):
             now_s = time.monotonic()
-            if told.share > 0.0 and now_s - self._told_progress_s < _PROGRESS_EVERY_S:
+            if answer.share > 0.0 and now_s - self._reported_s < _PROGRESS_EVERY_S:
                 return
-            self._told_progress_s = now_s
-        self._connection.send(told)
+            self._reported_s = now_s
+        self._connection.send(answer)
