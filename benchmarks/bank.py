@@ -1,7 +1,6 @@
-"""What durability costs: commits of the bank, beside plain h5py's write and flush; and opening a whole bank.
+"""Cost of durability: commits of the bank against plain h5py's write and flush, and opening a whole bank.
 
-Both write rows of 20 x 2000 float32 into the same
-folder, turn by turn.
+Both write rows of 20 x 2000 float32 into the same folder, in turns.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
 
 
 def page(figures: dict[str, Any]) -> list[str]:
-    """What was measured and what follows for larger banks, in Markdown."""
+    """Measured figures and the arithmetic of larger banks, in Markdown."""
     positions, recorded, rate = figures["positions"], figures["recorded"], figures["operations_per_s"]
     lines = [
         f"{positions} x {ACTUATORS}, L = {TAPS}, S = {SAMPLES}, float64: a bank of {size(figures['bank_bytes'])} and"
@@ -130,7 +130,7 @@ def _measured(folder: Path, command: tuple[object, ...], options: tuple[str, ...
 
 
 def _gain(found: dict[str, dict[str, Any]]) -> float:
-    """How many times faster two workers are than one, starting aside."""
+    """Speed of two workers over that of one, without the time to start them."""
     one, two = (found[way]["wall_s"] - found[way]["starting_s"] for way in ("1 worker", "2 workers"))
     return float(one / two)
 

@@ -38,12 +38,12 @@ Method = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Workload:
-    """Records with a known truth.
+    """Records with their true Green's functions.
 
     Parameters
     ----------
     excitation : Excitation
-        What each record plays.
+        Played in each record.
     truth : float64 array, shape (records, TAPS)
         The Green's functions.
     reference, response : float32 array, shape (records, samples)
@@ -186,7 +186,7 @@ def _limit_db(work: Workload, estimator: Estimator) -> NDArray[np.float64]:
 
 
 def _repeats(recording: NDArray[np.float32], excitation: Excitation) -> NDArray[np.float32]:
-    """Repeats (records, averages, period), cut where the peers are told that they are."""
+    """Repeats (records, averages, period), cut at their true start."""
     length = excitation.averages * excitation.period_samples
     return recording[:, OFFSET : OFFSET + length].reshape(recording.shape[0], excitation.averages, -1)
 

@@ -95,7 +95,7 @@ def scenes() -> list[tuple[str, tuple[Source, ...]]]:
         ("one point in the middle", (at(2.0, 0.0),)),
         ("two points 12 mm apart", (at(-6.0, 0.0), at(6.0, 0.0))),
         ("two points 60 mm apart", (at(-30.0, 12.0), at(30.0, -12.0))),
-        ("one point beside an actuator", (at(86.0, 40.0),)),
+        ("one point next to an actuator", (at(86.0, 40.0),)),
         ("eight points, 12 mm and 75 ms apart", (line,)),
     ]
 

@@ -1,12 +1,12 @@
-"""Nights on the virtual rig: staggered beside sequential campaigns, and recordings streamed into a bank.
+"""Nights on the virtual rig: staggered and sequential campaigns, and recordings streamed into a bank.
 
 The night is that of the paper: 1500 positions, 20 actuators, 20-500 Hz, responses of 200 ms. Hours are those of the
 rig's own clock over the positions that were measured, the whole way through the engine into a bank, times the
 positions of the night; errors are those of the same positions against the rig's truth.
 
 Recordings that are streamed are a sample of a night with records of the same size, so that the figure per signal is
-the night's. Two free cores do as many a second as their processor time allows; on a machine that others use the clock
-on the wall says less.
+the night's. Two free cores do as many a second as their processor time allows; on a shared machine
+wall time means less.
 
 Long responses at audio rates: 10 records of a linear sweep from 20 Hz to 20 kHz in 3 s at 48 kHz, of which the raw file
 says nothing but the band; responses of 40 echoes within 250 ms, 12,000 taps, 40 dB signal-to-noise ratio, clocks 37 ppm
@@ -65,7 +65,7 @@ PRELOADED = ("scipy.optimize", "scipy.signal", "wavefocus.commands.estimate", "w
 
 @dataclass(frozen=True, slots=True)
 class Night:
-    """What a campaign comes to.
+    """Hours and errors of a campaign.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Night:
     median_db, worst_tenth_db : float
         Relative L2 error in band over all measured pairs; the worst tenth of them begins at `worst_tenth_db`.
     positions : int
-        How many were measured.
+        Number of measured positions.
     """
 
     hours: float
@@ -163,7 +163,7 @@ def _cubic_per_v2(rig: VirtualRig) -> float:
 
 
 def _trial(settings: VirtualSettings) -> dict[str, Any]:
-    """What the trial before a night says of a plate, and what each schedule really errs there."""
+    """Verdict of the trial before a night on a plate, and the errors of each schedule there."""
     rig = VirtualRig(settings)
     plan = sweep_plan(default_grid(rig), rig, staggered=True)
     trial = run_trial(plan, rig_setup(rig), 3.0)

@@ -1,4 +1,4 @@
-"""The paper's figures on the virtual rig, and its numbers beside ours, misses included.
+"""The paper's figures on the virtual rig, with a table of its numbers and ours, misses included.
 
 The plate is a soft plate fitted to the paper's group velocity and
 attenuation (`mocks.plates.soft`), without the reflections of a real one's rim; the actuators lie on the rim.
@@ -59,14 +59,14 @@ def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
     surface = surface_of(source)
     rows = travel(source)
     watch.draw(lambda: figure_3a(source, surface))
-    rows += watch.draw_and_tell(lambda: figure_3b(source, surface))
-    rows += watch.draw_and_tell(lambda: figure_3c(source, surface))
+    rows += watch.draw_with_rows(lambda: figure_3b(source, surface))
+    rows += watch.draw_with_rows(lambda: figure_3c(source, surface))
     rows += watch.time("foci", lambda: foci(source, QUICK_FOCI if quick else FOCI))
-    rows += watch.draw_and_tell(lambda: figure_3d(source, surface, quick=quick))
-    rows += watch.draw_and_tell(lambda: figure_4a(source, surface))
+    rows += watch.draw_with_rows(lambda: figure_3d(source, surface, quick=quick))
+    rows += watch.draw_with_rows(lambda: figure_4a(source, surface))
     watch.draw(lambda: figure_4b(source, surface))
-    rows += watch.draw_and_tell(lambda: figure_4c(source, surface, QUICK_SEEDS if quick else SEEDS))
-    rows += watch.draw_and_tell(lambda: figure_4d(source))
+    rows += watch.draw_with_rows(lambda: figure_4c(source, surface, QUICK_SEEDS if quick else SEEDS))
+    rows += watch.draw_with_rows(lambda: figure_4d(source))
     table = table_of(rows, source.how)
     write_whole(out / "paper.md", table)
     print(table)
@@ -87,9 +87,9 @@ class _Stopwatch:
         return result
 
     def draw(self, work: Callable[[], Picture]) -> None:
-        self.draw_and_tell(lambda: (work(), []))
+        self.draw_with_rows(lambda: (work(), []))
 
-    def draw_and_tell(self, work: Callable[[], tuple[Picture, list[Row]]]) -> list[Row]:
+    def draw_with_rows(self, work: Callable[[], tuple[Picture, list[Row]]]) -> list[Row]:
         began = time.perf_counter()
         picture, rows = work()
         write_whole(self._out / f"{picture.name}.png", picture.png)
@@ -106,7 +106,7 @@ PEAK_V = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure of the paper beside ours.
+    """One figure of the paper and ours.
 
     Parameters
     ----------
@@ -115,9 +115,9 @@ class Row:
     paper, ours : str
         Its value in the paper, and here.
     met : bool or None
-        Whether ours lies where the paper's does; None where the paper gives no number.
+        Ours agrees with the paper's; None where the paper gives no number.
     definition : str
-        How ours is defined.
+        Definition of ours.
     """
 
     what: str
@@ -128,7 +128,7 @@ class Row:
 
 
 def table_of(rows: list[Row], how: str) -> str:
-    """The table in Markdown; `how` tells where the bank comes from."""
+    """The table in Markdown; `how` is the origin of the bank."""
     lines = [
         "# The paper's figures on the virtual rig",
         "",
@@ -145,7 +145,7 @@ def table_of(rows: list[Row], how: str) -> str:
 
 
 def surface_of(source: PaperBank, *paths_mm: Float64Array) -> Surface:
-    """What every map shows."""
+    """Content of every map."""
     bank = source.bank
     rim = np.array(stadium_rim(400, *source.rig.settings.surface_mm))
     spacing_mm = metrics.grid_spacing_mm(bank.position_mm)
@@ -231,21 +231,21 @@ def figure_3c(source: PaperBank, surface: Surface) -> tuple[Picture, list[Row]]:
         [metrics.gain_range_db(gain, bank.position_mm, bank.actuator_mm, clear_mm) for clear_mm in (0.0, CLEAR_MM)]
         for gain in (saturated, plain)
     ]
-    told = [f"{whole:.0f} dB; {clear:.0f} dB further than {CLEAR_MM:g} mm from actuators" for whole, clear in ranges]
+    words = [f"{whole:.0f} dB; {clear:.0f} dB further than {CLEAR_MM:g} mm from actuators" for whole, clear in ranges]
     gain_db = 20.0 * np.log10(saturated / np.nanmin(saturated))
     how = "20 lg(largest / smallest n) over the positions"
     return draw.figure_3c(surface, gain_db), [
         Row(
             "range of n(x) with saturation",
             "up to 17 dB",
-            told[0],
+            words[0],
             bool(ranges[0][1] <= 17.0),
             f"{how}, C = {SATURATION:g} median rms; drawn in 3C. The paper does not say whether its n(x) had it",
         ),
         Row(
             "range of n(x) without",
             "up to 17 dB",
-            told[1],
+            words[1],
             bool(ranges[1][1] <= 17.0),
             f"{how}; the virtual plate has no rim that reflects, so waves reach its middle once",
         ),
@@ -272,14 +272,14 @@ def foci(source: PaperBank, count: int) -> list[Row]:
         ),
         Row(
             "distance of the focus from where it is meant to be",
-            "not told",
+            "not stated",
             f"median {np.nanmedian(saturated.off_mm):.2f} mm, worst {np.nanmax(saturated.off_mm):.1f} mm",
             None,
             f"largest |y| within 15 mm at the focus instant, refined by a quadratic; {where}",
         ),
         Row(
             "artefact level of foci",
-            "not told",
+            "not stated",
             f"median {np.nanmedian(saturated.artefact_db):.1f} dB; saturation changes it by {gained:+.1f} dB",
             None,
             f"largest |y(x, T)| beyond 15 mm over the largest within; {where}",
@@ -288,7 +288,7 @@ def foci(source: PaperBank, count: int) -> list[Row]:
 
 
 def figure_3d(source: PaperBank, surface: Surface, *, quick: bool) -> tuple[Picture, list[Row]]:
-    """A focus scanned on the virtual rig beside its prediction."""
+    """A focus scanned on the virtual rig, and its prediction."""
     bank = source.bank
     row = row_at(bank, -30.0, 12.0)
     drive = impulse_drive(bank, row, SATURATION)

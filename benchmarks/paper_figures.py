@@ -22,7 +22,7 @@ Float64Array = NDArray[np.float64]
 WIDTH_PX = 1120
 GAP_PX = 14
 LEFT_PX = 58
-BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"  # Okabe & Ito's, told apart by all
+BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"  # Okabe & Ito's, for the colour-blind
 
 
 @drawn_in_style

@@ -1,4 +1,4 @@
-"""What the paper's figures show, computed from a bank."""
+"""Data of the paper's figures, computed from a bank."""
 
 from __future__ import annotations
 

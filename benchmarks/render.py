@@ -47,7 +47,7 @@ DRIVE_MARKS = {
     "path": {"exact": Mark("times", 25.0), "loose": Mark("times", 100.0)},
     "random rows": {"loose": Mark("times", 30.0)},
 }
-"""How many times faster than gpuRIR's method, by the kind of workload."""
+"""Speed over that of gpuRIR's method, by the kind of workload."""
 
 
 def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
@@ -231,5 +231,5 @@ def show(results: list[Result]) -> None:
         cpu_times = "" if result.cpu_times is None else f"{result.cpu_times:.1f} x"
         print(
             f"  {result.method:42s} {result.wall_s:9.4f} s {times:>9s}  CPU {result.cpu_s:9.4f} s {cpu_times:>9s}"
-            f" {error:>9s}  {result.remark}{'' if result.mark is None else result.mark.told(result)}"
+            f" {error:>9s}  {result.remark}{'' if result.mark is None else result.mark.words(result)}"
         )

@@ -46,7 +46,7 @@ STYLES: dict[str, tuple[str, str, tuple[tuple[int, int], ...]]] = {
     SAMPLED_LOOSE: ("#e69f00", "d", ()),
     PEER: ("#cc79a7", "v", ((0, 12), (6, 10))),
 }
-"""Colours that the colour-blind tell apart, markers, and where the two ends of a line are labelled, if they are."""
+"""Colours for the colour-blind, markers, and places of the labels at the two ends of a line, if any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +140,10 @@ def draw(path: Path, points: list[dict[str, Any]], title: str) -> None:
                 over_step.axhline(height, color=colour, linewidth=1.0, linestyle=(0, (4, 3)))
                 if point["tolerance_db"] is not None:
                     place = (STEPS_MM[-1], height)
-                    told = {"ha": "right", "va": "bottom", "fontsize": 8, "color": colour}
-                    over_step.annotate(f"asked for {point['tolerance_db']:g} dB", place, **told)
+                    label = {"ha": "right", "va": "bottom", "fontsize": 8, "color": colour}
+                    over_step.annotate(f"asked for {point['tolerance_db']:g} dB", place, **label)
         over_time.plot([point["cpu_s"] for point in mine], error, label=method, **style)
-        # The ends of a line tell which way it runs; the steps between are those of the panel beside.
+        # Labels at its ends show the direction of a line; the steps between are those of the other panel.
         ends = [(mine[0], error[0]), (mine[-1], error[-1])] if mine else []
         for (point, height), shift in zip(ends, shifts, strict=False):
             value = point["step_mm"] if point["step_mm"] is not None else point["tolerance_db"]

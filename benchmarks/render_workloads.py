@@ -291,10 +291,10 @@ def field_memory(*, quick: bool) -> list[Result]:
     """Peak memory that predicting all positions at the full rate takes beyond the bank, in a process of its own."""
     command = [sys.executable, "-m", "benchmarks.render_workloads", *(["--quick"] if quick else [])]
     try:
-        told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600).stdout.split()
+        printed = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600).stdout.split()
     except (OSError, subprocess.SubprocessError) as error:
         return [Result("memory of a field", "ours", 0.0, 0.0, None, None, None, f"not measured: {error}")]
-    megabytes = float(told[-1])
+    megabytes = float(printed[-1])
     mark = Mark("MB", MOST_MEGABYTES, at_most=True, measured=megabytes)
     remark = f"{megabytes:.0f} MB beyond the bank: its spectra, the field, and what is under way"
     return [Result("memory of a field", "ours, spectra kept", 0.0, 0.0, None, None, None, remark, mark)]

@@ -32,7 +32,7 @@ TAPS = 2000
 BAND_HZ = (20.0, 500.0)
 MARGIN_MM, SPACING_MM = 14.3, 4.0
 QUICK_ERROR_DB = -58.0
-"""What a campaign on the virtual rig leaves (README)."""
+"""Error of a campaign on the virtual rig (README)."""
 CHUNK = 64
 STAGGER_S = 0.24
 
@@ -48,7 +48,7 @@ class PaperBank:
     rig : VirtualRig
         The rig.
     how : str
-        Where the bank comes from, for the table.
+        Origin of the bank, for the table.
     """
 
     bank: GreenArray

@@ -1,4 +1,4 @@
-"""Timing side by side: methods take turns, so that what else the machine does meets them all alike."""
+"""Timing side by side: methods take turns, so that other load of the machine meets them all alike."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Timing:
     wall_s, cpu_s : float
         Least time on the wall, and least CPU time of all threads together; not necessarily of the same run.
     result : object
-        What the last run returned.
+        Returned by the last run.
     """
 
     wall_s: float
@@ -42,7 +42,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """What a figure should reach.
+    """Target of a figure.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Mark:
     value : float
         The mark.
     at_most : bool
-        Whether the figure is to stay below it.
+        The figure is to stay below it.
     measured : float, optional
         The figure, where it is not "times".
     """
@@ -62,11 +62,11 @@ class Mark:
     measured: float | None = None
 
     def met(self, result: Result) -> bool:
-        """Whether a result reaches the mark; by wall time where both are timed."""
+        """A result reaches the mark; by wall time where both are timed."""
         figure = result.times if self.measured is None else self.measured
         return figure is not None and (figure <= self.value if self.at_most else figure >= self.value)
 
-    def told(self, result: Result) -> str:
+    def words(self, result: Result) -> str:
         """The mark in words."""
         wanted = f"at {'most' if self.at_most else 'least'} {self.value:g}"
         return f"  [mark: {self.figure} {wanted}: {'met' if self.met(result) else 'NOT met'}]"
@@ -79,18 +79,18 @@ class Result:
     Parameters
     ----------
     work, method : str
-        What was done, and how.
+        Task and method.
     wall_s, cpu_s : float
         Best of the repeats.
     error : float or None
         Relative L2 error, None for the reference itself and for the floor.
     times, cpu_times : float or None
-        How many times faster than the method that the work names as its peer: its wall or CPU time, whichever is
+        Speed over that of the method that the work names as its peer: its wall or CPU time, whichever is
         less, over our wall time; and by CPU time.
     remark : str
-        What a reader must know to judge the figure.
+        Note for the reader.
     mark : Mark, optional
-        What it should reach.
+        Its target.
     """
 
     work: str
@@ -115,7 +115,7 @@ class Result:
         remark: str = "",
         mark: Mark | None = None,
     ) -> Result:
-        """A line of a timing beside its peer's."""
+        """A line of a timing and its peer's."""
         # A peer that others kept from the cores was not slow: it counts no more than its CPU time.
         times = min(peer.wall_s, peer.cpu_s) / timing.wall_s
         cpu_times = peer.cpu_s / max(timing.cpu_s, 1e-9)
@@ -199,7 +199,7 @@ def _version(name: str) -> str | None:
 
 
 def _commit() -> str | None:
-    """The commit that is checked out beside this module, with a plus where files differ from it."""
+    """The commit that is checked out around this module, with a plus where files differ from it."""
     try:
         done = subprocess.run(
             ["git", "describe", "--always", "--dirty=+"],
@@ -235,18 +235,18 @@ def run_command(*arguments: object, limit_bytes: int = 0, preload: Sequence[str]
     """
     child = [sys.executable, "-m", "benchmarks.timing", str(limit_bytes), ",".join(preload), *map(str, arguments)]
     began = ready = time.monotonic()
-    said: list[str] = []
+    errors: list[str] = []
     with subprocess.Popen(child, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None  # pipes, as asked for
         assert process.stderr is not None
         for line in process.stderr:
-            said.append(line)
+            errors.append(line)
             if line.startswith("cluster "):
                 ready = time.monotonic()
         *lines, figures = process.stdout.read().splitlines() or [""]
     wall_s = time.monotonic() - began
     if process.returncode:
-        raise RuntimeError(f"wavefocus {' '.join(map(str, arguments))}: {''.join(said).strip()}")
+        raise RuntimeError(f"wavefocus {' '.join(map(str, arguments))}: {''.join(errors).strip()}")
     processor_s, peak = map(float, figures.split())
     return CommandRun("\n".join(lines), wall_s, ready - began, processor_s, peak)
 

@@ -60,7 +60,7 @@ def settings() -> VirtualSettings:
 
 
 def excitation(sweep_s: float, averages: int) -> Excitation:
-    """What each record plays."""
+    """Signal of each record."""
     return Excitation(
         sample_rate_hz=RATE_HZ,
         start_hz=20.0,
@@ -76,7 +76,7 @@ def excitation(sweep_s: float, averages: int) -> Excitation:
 
 
 def serve_far_sides(period_frames: int) -> None:
-    """Be the far sides until standard input ends; a line asks for the starts that were heard since the last."""
+    """Be the far sides until standard input ends; a line asks for the starts received since the last."""
     from mocks.wire.emulated_rig import EmulatedRig, Wiring
 
     virtual = settings()
@@ -113,12 +113,12 @@ class FarSides:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._keyboard, self._screen = self._process.stdin, self._process.stdout
-        told = json.loads(self._screen.readline())
-        self.mirror, self.recorder, self.environment = told["mirror"], told["recorder"], told["environment"]
+        places = json.loads(self._screen.readline())
+        self.mirror, self.recorder, self.environment = places["mirror"], places["recorder"], places["environment"]
 
-    def heard(self) -> list[float]:
+    def received(self) -> list[float]:
         """At which sample the sound began in each record since the last question."""
-        self._keyboard.write("heard\n")
+        self._keyboard.write("starts\n")
         self._keyboard.flush()
         starts: list[float] = json.loads(self._screen.readline())
         return starts
@@ -229,23 +229,23 @@ def clock_errors(setup: Setup, sides: FarSides, records: int, sweep: Excitation)
     """Errors of the clock ratio in ppm and of the start offset in samples, of each record."""
     signal_v = sweep.signal_v()
     fitter = ClockFitter(signal_v)
-    # The far sides hear the first frame that the player does not leave out as silence; it lies beside sample 0.
+    # The far sides receive the first frame that the player does not leave out as silence; it lies near sample 0.
     ratio = rate_ratio(RATE_HZ, INTERFACE_RATE_HZ)
     frames = np.flatnonzero(np.abs(converted(signal_v, ratio).astype(np.float32)) > HALF_STEP * FULL_SCALE_V)
     first = (frames[0] - lead_samples(ratio)) / INTERFACE_RATE_HZ * RATE_HZ * settings().clock_ratio
     ratio_ppm: list[float] = []
     offset: list[float] = []
-    sides.heard()
+    sides.received()
     while len(offset) < records:
         signals_v = {setup.actuator_channels[0]: signal_v, setup.loopback_channel: signal_v}
         try:
             recording = take_record(setup, signals_v, RATE_HZ, Take(0, 1, len(offset)))
         except TransientInstrumentError:
-            sides.heard()
+            sides.received()
             continue
         fit = fitter.fit(recording.volts[0].astype(np.float64))
         ratio_ppm.append(1e6 * (fit.ratio - settings().clock_ratio))
-        offset.append(fit.offset_samples + first - sides.heard()[-1])
+        offset.append(fit.offset_samples + first - sides.received()[-1])
     return np.array(ratio_ppm), np.array(offset)
 
 

@@ -42,7 +42,7 @@ class Interface:
     full_scale_v: Float64Array
 
     def between_samples(self, drive_v: Float64Array, sample_rate_hz: float) -> Reached:
-        """What a drive reaches at the interface's rate: between its samples a waveform may be larger than at them.
+        """Peak of a drive at the interface's rate: between its samples a waveform may be larger than at them.
 
         Raises InputError: the rates have no ratio of small whole numbers.
         """
@@ -52,7 +52,7 @@ class Interface:
         return self.reached(largest_of(pieces, actuators))
 
     def reached(self, largest_v: Float64Array) -> Reached:
-        """Largest magnitudes at the interface's rate beside what the outputs can put out, (actuators,)."""
+        """Largest magnitudes at the interface's rate, (actuators,), and the outputs' full scale."""
         # Outputs of different full scale are held against the smallest.
         least_v = float(self.full_scale_v.min())
         return Reached(BETWEEN_SAMPLES, least_v, largest_v * (least_v / self.full_scale_v), summed=True)
@@ -87,7 +87,7 @@ class InterfaceRate:
         self._skipped = lead_samples(self._ratio) + self.around_samples * up // down
 
     def frames(self, samples: int) -> int:
-        """How many samples at the interface's rate so many samples of drive make."""
+        """Number of samples at the interface's rate of so many samples of drive."""
         return math.ceil(samples * self._ratio)
 
     def whole(self, drive_v: Float64Array) -> Float64Array:

@@ -36,7 +36,7 @@ class ImpulseTravel:
         Pairs of position and actuator that were used.
     scatter_s, scatter_db : float
         Rms of what the two straight lines leave of arrivals and of levels.
-    velocity_doubt_m_s, attenuation_doubt_db_per_cm : float
+    velocity_error_m_s, attenuation_error_db_per_cm : float
         Standard errors of the two figures.
     correlation : float
         Of arrivals and distances, means of each actuator removed; -1 to 1.
@@ -47,14 +47,14 @@ class ImpulseTravel:
     pairs: int
     scatter_s: float
     scatter_db: float
-    velocity_doubt_m_s: float
-    attenuation_doubt_db_per_cm: float
+    velocity_error_m_s: float
+    attenuation_error_db_per_cm: float
     correlation: float
 
     @property
-    def is_told(self) -> bool:
+    def is_sure(self) -> bool:
         """Whether arrivals follow distances well enough for a velocity; in a room, for one, they do not."""
-        return self.correlation >= LEAST_CORRELATION and 3.0 * self.velocity_doubt_m_s <= self.group_velocity_m_s
+        return self.correlation >= LEAST_CORRELATION and 3.0 * self.velocity_error_m_s <= self.group_velocity_m_s
 
 
 def impulse_travel(
@@ -121,8 +121,8 @@ def impulse_travel(
         pairs,
         arrivals.scatter,
         levels.scatter,
-        velocity_doubt_m_s=abs(velocity * arrivals.doubt / arrivals.slope) if arrivals.slope else np.inf,
-        attenuation_doubt_db_per_cm=10.0 * levels.doubt,
+        velocity_error_m_s=abs(velocity * arrivals.doubt / arrivals.slope) if arrivals.slope else np.inf,
+        attenuation_error_db_per_cm=10.0 * levels.doubt,
         correlation=arrivals.correlation,
     )
 

@@ -1,4 +1,4 @@
-"""What the report's pictures are drawn on: PNG at twice the density at which it is shown."""
+"""Canvas and surface of pictures: PNG at twice the density at which it is shown."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def drawn_in_style(draw: Callable[Parameters, Picture]) -> Callable[Parameters, 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """What every map shows.
+    """Content of every map.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 PREDICTION = "#f0b440"
 SCAN = "#0b3c5d"
 MAP_TOP_PX = 8
-# Okabe & Ito's colours, told apart by all; the darker ones carry the faults.
+# Okabe & Ito's colours, for the colour-blind; the darker ones carry the faults.
 STATUS_COLOURS = {
     "valid": "#56b4e9",
     "not-measured": "#d9d9d9",
@@ -198,7 +198,7 @@ def drive_levels(drive_v: NDArray[np.float64]) -> Picture:
 def focus_level(surface: Surface, fields: FieldComparison) -> float:
     """Largest predicted magnitude within 15 mm of a focus at its instant: the top of the colour scales.
 
-    Beside an actuator the surface may move far more; a scale for that would hide the focus.
+    Next to an actuator the surface may move far more; a scale for that would hide the focus.
     """
     there_mm = surface.position_mm[fields.position_index]
     levels = [0.0]

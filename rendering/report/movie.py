@@ -128,8 +128,8 @@ class _Stage:
         figure.colorbar(self._cells, cax=bar, label=f"y ({unit})", extend="both")
         (self._foci,) = axes.plot([], [], "o", ms=13, mfc="none", mec=INK, mew=1.3, zorder=7)
         self._time = figure.text(LEFT_PX / width_px, 1 - 20 / height_px, "", color=INK, fontsize=10)
-        told = _speed(plan.slowed)
-        figure.text((LEFT_PX + map_px) / width_px, 1 - 20 / height_px, told, color=FAINT, ha="right", fontsize=9)
+        speed = _speed(plan.slowed)
+        figure.text((LEFT_PX + map_px) / width_px, 1 - 20 / height_px, speed, color=FAINT, ha="right", fontsize=9)
         self._axes: Axes = axes
         self._figure: Any = figure
         moving = (self._cells, self._foci, self._time)
@@ -219,7 +219,7 @@ class GifStream:
     Parameters
     ----------
     file : BinaryIO
-        Where to, from its present place.
+        Output, from its present place.
     first : uint8 array, shape (height, width, 3)
         The first frame, and what the others are drawn upon.
     palette_of : uint8 array, shape (height, width, 3)

@@ -1,4 +1,4 @@
-"""Which instants of a field a movie or a snapshot shows, and the field at those instants."""
+"""Instants of a field that a movie or a snapshot shows, and the field at those instants."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Int64Array = NDArray[np.int64]
 DEFAULT_FRAMES = 240
 MOST_FRAMES = 5000
 AROUND_S = 0.02
-"""What is shown before the first focus and after the last."""
+"""Time shown before the first focus and after the last."""
 TOP_SHARE = 0.999
 
 
@@ -42,7 +42,7 @@ class FramePlan:
 
     @property
     def slowed(self) -> float:
-        """How many times slower than life the movie runs; below 1 it is faster."""
+        """Duration of the movie over that of the field."""
         return 1.0 / (self.step_s * self.frame_rate_hz)
 
 
@@ -88,7 +88,7 @@ def plan_frames(
 
 @dataclass(frozen=True, slots=True)
 class Foci:
-    """When and where a drive focuses, in the samples of a field.
+    """Instants and positions of a drive's foci, in the samples of a field.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class Foci:
         return self.position[(self.start_s <= time_s) & (time_s < self.stop_s)]
 
     def seen(self, field: FieldRowReader) -> Seen:
-        """What the field holds of them: of those whose position and instant it has."""
+        """Those whose position and instant the field holds."""
         row_of = {int(position): row for row, position in enumerate(field.position_index.tolist())}
         windows: dict[int, list[tuple[int, int, int]]] = {}
         for focus in range(len(self.position)):
@@ -151,9 +151,9 @@ class Seen:
     Parameters
     ----------
     focus : int64 array, shape (n,)
-        Which foci of the drive.
+        Indices of foci of the drive.
     sample : int64 array, shape (n,)
-        Where the response at the focus is largest between its instant and the next.
+        Sample at which the response at the focus is largest between its instant and the next.
     peak : float64 array, shape (n,)
         Its magnitude there.
     """
@@ -180,7 +180,7 @@ def read_frames(field: FieldRowReader, sample: Int64Array) -> Float32Array:
 def colour_limit(frames: Float32Array, seen: Seen | None) -> float:
     """Magnitude that a colour scale ends at, > 0: the largest response at a focus, if any is seen.
 
-    Beside an actuator the surface may move far more; a scale for that would hide the focus. Without foci it holds all
+    Next to an actuator the surface may move far more; a scale for that would hide the focus. Without foci it holds all
     but the outermost thousandth.
     """
     top = float(seen.peak.max()) if seen is not None and len(seen.peak) else 0.0

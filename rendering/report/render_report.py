@@ -1,4 +1,4 @@
-"""What a person should know about a render: what was snapped, scaled, left out, or looks doubtful."""
+"""Report of a render: points snapped, drives scaled, parts left out, and warnings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from storage.errors import InputError
 Float64Array = NDArray[np.float64]
 
 SPREAD_SHARE = 0.1
-"""Share of the signal's energy that cutting it into segments may move out of the band before it is said."""
+"""Share of the signal's energy that cutting it into segments may move out of the band without a warning."""
 NAMED = 8
 ANY_DISTANCE_MM = (1.0, math.inf)
 LEAST_OWN_SAMPLES = 2**13
@@ -53,7 +53,7 @@ class RenderReport:
     rows : tuple of int
         Bank rows that were used, for interpolation or for regularisation.
     limiting : Limiting
-        What the scene's limits did to the drive, and which actuator decided.
+        Effect of the scene's limits on the drive, and the actuator that decided.
     relative_rms_drive : float64 array, shape (actuators,)
         RMS of each actuator's drive relative to the largest (the paper's figure 3B, right).
     out_of_band : tuple of float or None
@@ -69,7 +69,7 @@ class RenderReport:
         (Block, row) pairs that were multiplied: what the render cost.
     interpolation_errors : InterpolationErrors or None
         Estimated error of the Green's functions between the bank's positions, by band; None where the paths
-        keep to the positions, or the bank does not let one tell.
+        keep to the positions, or the bank has too few of them.
     tail : ResponseTail or None
         The ends of some of the Green's functions, and what may lie beyond them.
     """
@@ -91,13 +91,13 @@ class RenderReport:
 
     @property
     def left_out_words(self) -> tuple[str, ...]:
-        """What was left out, a phrase each."""
+        """Parts that were left out, a phrase each."""
         left_out = self.bins - self.kept_bins
         return (f"{left_out} of {self.bins} frequency bins",) if left_out else ()
 
     @property
     def scale(self) -> float:
-        """What the limits did to the drive, 1 if nothing."""
+        """Factor by which the limits scaled the drive, 1 if they did not."""
         return self.limiting.scale
 
     @property
@@ -176,13 +176,13 @@ def _too_fast(scene: Scene, rows: BankRows) -> list[str]:
         travel = impulse_travel(rows.bank, rows.bank.band_hz, ANY_DISTANCE_MM, rows.used)
     except InputError:
         return []
-    wave, doubt = travel.group_velocity_m_s, travel.velocity_doubt_m_s
+    wave, error = travel.group_velocity_m_s, travel.velocity_error_m_s
     return [
         f"source {index} moves at {speed / 1000:.3g} m/s, faster than the waves (about {wave:.2g}"
-        f" m/s, give or take {doubt:.1g} m/s, by their arrival times); the focus is"
+        f" m/s, give or take {error:.1g} m/s, by their arrival times); the focus is"
         " rendered, but waves pile up along the path"
         for index, speed in enumerate(speeds)
-        if travel.is_told and speed > 1000 * wave
+        if travel.is_sure and speed > 1000 * wave
     ]
 
 

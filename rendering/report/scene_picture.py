@@ -153,7 +153,7 @@ def _draw_snapped(
 
 
 def _gains(scene: Scene, bank: GreenSource, rows: Int64Array) -> Float64Array | None:
-    """n(x) at some rows; None where one of them cannot have any, of which the renderer will tell."""
+    """n(x) at some rows; None where one of them has none, which the renderer reports."""
     try:
         threshold = saturation_threshold(scene.regularisation, bank)
     except InputError:

@@ -1,4 +1,4 @@
-"""What the report says of the waves themselves: how they travel, how alike neighbours hear them, what disturbs what."""
+"""Waves in the report: velocity and attenuation, correlation of neighbours, crosstalk, spectra."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MARKERS = ("o", "s", "^")
 
 @dataclass(frozen=True, slots=True)
 class Waves:
-    """What a bank and a comparison tell of the waves; None where they do not.
+    """Figures of the waves from a bank and a comparison; None where they cannot be found.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Waves:
 
 
 def waves_of(scene: Scene, bank: GreenSource, fields: FieldComparison, spacing_mm: float) -> Waves:
-    """Find what can be told; a bank that does not know its actuators' places, or is no grid, tells less."""
+    """Find the figures; a bank without the actuators' places, or without a grid, gives fewer."""
     travel = correlation = crosstalk = None
     with suppress(InputError):
         travel = impulse_travel(bank)
@@ -107,24 +107,24 @@ def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None
     if travel is not None:
         velocity = FigureLine(
             "Group velocity",
-            _with_doubt(travel.group_velocity_m_s, travel.velocity_doubt_m_s, "m/s"),
+            _with_doubt(travel.group_velocity_m_s, travel.velocity_error_m_s, "m/s"),
             f"Inverse slope over distance of the centroid of energy of {pairs}, with an offset for each actuator; ±"
             " its standard error.",
         )
-        if not travel.is_told:
-            why = f"Not told: arrivals do not follow distances (correlation {travel.correlation:.2f}), as in a room."
+        if not travel.is_sure:
+            why = f"Not found: arrivals do not follow distances (correlation {travel.correlation:.2f}), as in a room."
             velocity = FigureLine("Group velocity", "-", why)
         lines += [
             velocity,
             FigureLine(
                 "Attenuation",
-                _with_doubt(travel.attenuation_db_per_cm, travel.attenuation_doubt_db_per_cm, "dB/cm"),
+                _with_doubt(travel.attenuation_db_per_cm, travel.attenuation_error_db_per_cm, "dB/cm"),
                 f"Slope over distance r of 10 lg(r E), E the energy of {pairs}, with an offset for each actuator; ± its"
                 " standard error.",
             ),
         ]
     else:
-        why = "Not told: too few positions and actuators of known place lie that far apart."
+        why = "Not found: too few positions and actuators of known place lie that far apart."
         lines += [FigureLine(name, "-", why) for name in ("Group velocity", "Attenuation")]
     if waves.correlation is not None:
         lines.append(

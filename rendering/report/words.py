@@ -64,7 +64,7 @@ def _value(figure: Figure) -> str:
 
 
 def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> list[str]:
-    """What a reader should know or do, most pressing first."""
+    """Notes and advice for the reader, most pressing first."""
     fields = verification.fields
     failed = {check.name for check in verification.checks if check.passed is False}
     found: list[str] = []
@@ -127,7 +127,7 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
     if artefact is not None and artefact > 0.0:
         found.append(
             f"Beyond {FOCUS_RADIUS_MM:g} mm from the focus the surface moves more than in it (by "
-            f"{number(artefact, 'dB')} at the median focus instant), mostly beside the actuators. "
+            f"{number(artefact, 'dB')} at the median focus instant), mostly next to the actuators. "
             f"Saturation in the "
             "scene's [regularisation] spreads the drive over more actuators."
         )

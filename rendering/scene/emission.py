@@ -48,7 +48,7 @@ class ContinuousEmission:
     Parameters
     ----------
     signal : float64 array, shape (samples,)
-        What is emitted, from `first_sample`.
+        Emitted from `first_sample`.
     first_sample : int
         Start of the emission.
     stop_sample : int

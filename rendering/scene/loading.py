@@ -65,8 +65,8 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
                 )
             )
         except InputError as error:
-            told = str(error)
-            raise InputError(printable(told if told.startswith(str(file)) else f"{file}: {key}: {told}")) from None
+            text = str(error)
+            raise InputError(printable(text if text.startswith(str(file)) else f"{file}: {key}: {text}")) from None
     return Scene(
         name=config.scene.name,
         sources=tuple(built),

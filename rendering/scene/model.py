@@ -32,7 +32,7 @@ class Source:
     amplitude : float
         In the bank's response unit when the scene normalises.
     emission : {"continuous", "per_point"}
-        Whether the signal runs on along the path or every path point emits all of it anew.
+        The signal runs on along the path, or every path point emits all of it anew.
 
     Raises InputError where a value is out of range.
     """
@@ -59,7 +59,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Regularisation:
-    """How far near actuators are held back (eq. 14) and whether the focus is normalised (eq. 15).
+    """Saturation of near actuators (eq. 14) and normalisation of the focus (eq. 15).
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Regularisation:
     saturation_absolute : float, optional
         C itself, in the unit of the Green's functions; None or 0: off. Not both.
     normalise : bool
-        Whether n(x) makes the response at the focus equal the amplitude.
+        n(x) makes the response at the focus equal the amplitude.
 
     Raises InputError where a value is out of range.
     """
@@ -91,7 +91,7 @@ class Regularisation:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """How the bank is read between its positions, and the largest drive.
+    """Interpolation of the bank between its positions, and the largest drive.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class Scene:
     output : Output
         Interpolation and limit.
     allow_large : bool
-        Whether it may be larger than the limits of `rendering.scene.size`.
+        It may be larger than the limits of `rendering.scene.size`.
     """
 
     name: str

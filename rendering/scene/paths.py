@@ -248,7 +248,7 @@ class TextPath(DrawnPath):
     centre_mm : tuple of float
         Centre of that box, in millimetres.
     allow_large : bool
-        Whether it may have more than `MOST_LETTERS` letters.
+        It may have more than `MOST_LETTERS` letters.
 
     Raises
     ------

@@ -34,9 +34,9 @@ class SampledSource:
     Parameters
     ----------
     index : int
-        Which source of the scene, from 0.
+        Number of the source in the scene, from 0.
     emission : Emission
-        What it emits, and from which rows.
+        Its signal in time and the rows that emit it.
     arc_length_mm : float64 array, shape (points,)
         Arc lengths of the path points, m * d.
     points_mm : float64 array, shape (points, 2)

@@ -34,7 +34,7 @@ class SceneRows:
     Parameters
     ----------
     path : int64 array, shape (n,)
-        What the scene is rendered from, whatever the method and the path's sample distance.
+        Rows that the scene is rendered from, for any method and sample distance of the path.
     checks : int64 array, shape (m,)
         Those within 15 mm of a path: there the foci are looked for when the scene is verified.
     """

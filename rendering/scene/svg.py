@@ -70,7 +70,7 @@ def _arguments(data: str, at: int, command: str) -> tuple[list[float], int]:
 
 
 class _Pen:
-    """Where the drawing stands; complex numbers are points."""
+    """Position and strokes of the drawing; complex numbers are points."""
 
     def __init__(self, tolerance: float, most_points: float) -> None:
         self.strokes: list[list[tuple[float, float]]] = []
@@ -214,9 +214,9 @@ class SvgPath(DrawnPath):
     scale : float
         Millimetres per drawing unit, > 0.
     origin_mm : tuple of float
-        Where the drawing's (0, 0) lies on the surface, in millimetres.
+        Place of the drawing's (0, 0) on the surface, in millimetres.
     allow_large : bool
-        Whether more points are allowed than `rendering.scene.svg.MOST_POINTS`.
+        More points are allowed than `rendering.scene.svg.MOST_POINTS`.
 
     Raises
     ------

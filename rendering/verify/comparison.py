@@ -47,7 +47,7 @@ class FieldComparison:
     level_db : float
         Gain that fits the prediction best to the scan, ``<scan, prediction> / ||prediction||**2``.
     delay_samples : float
-        How much later the scan is: the peak, within 20 ms, of the cross-correlation summed
+        Delay of the scan: the peak, within 20 ms, of the cross-correlation summed
         over positions.
     position_index : int64 array, shape (P,)
         Compared bank rows, ascending.

@@ -18,17 +18,17 @@ from storage.field_file import FieldRowReader
 
 Float32Array = NDArray[np.float32]
 
-# A few very loud positions, mostly beside actuators, must not make all others pale.
+# A few very loud positions, mostly next to actuators, must not make all others pale.
 LOUDEST_SHARE = 0.999
 
 
 class CancelledError(Exception):
-    """Reading was given up because nobody wants it any more."""
+    """Reading was given up because reading was cancelled."""
 
 
 @dataclass(frozen=True, slots=True)
 class PositionFigures:
-    """How prediction and scan agree at one position, within the band; NaN where a field is silent.
+    """Agreement of prediction and scan at one position, within the band; NaN where a field is silent.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class PositionFigures:
 class FieldPair:
     """Two fields of equal positions, rate, start and length, limited to one band.
 
-    They lie in temporary files without names, which the system gives back when the pair is let go.
+    They lie in temporary files without names, which the system gives back when the pair is deleted.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class FieldPair:
         return min(max(round((time_s - self.start_s) * self.sample_rate_hz), 0), self.samples - 1)
 
     def figures(self, index: int) -> PositionFigures:
-        """How both agree at the `index`-th position."""
+        """Agreement of both at the `index`-th position."""
         predicted, scanned = (one.astype(np.float64) for one in self.at_position(index))
         norms = float(np.linalg.norm(predicted)), float(np.linalg.norm(scanned))
         if not (norms[0] > 0.0 and norms[1] > 0.0):
@@ -127,7 +127,7 @@ def read_pair(
     """Read two field files and limit them to a band.
 
     Raises InputError: a file is missing, damaged or no field, or they do not belong together. Raises OSError: the
-    temporary folder is full. Raises CancelledError: nobody wants it any more.
+    temporary folder is full. Raises CancelledError: reading was cancelled.
     """
     with FieldRowReader(prediction) as predicted, FieldRowReader(scan) as scanned:
         _require_one_grid(predicted, scanned)

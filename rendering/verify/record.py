@@ -62,7 +62,7 @@ class Figure:
     relation : str
         ``"at most"`` or ``"at least"``; empty without a limit.
     passed : bool or None
-        Whether it keeps to the limit; None where nothing was judged.
+        It keeps to the limit; None where nothing was judged.
     """
 
     name: str
@@ -113,7 +113,7 @@ class VerificationRecord:
     scene, scene_file, bank, rig : str
         Names of what was verified.
     passed : bool
-        Whether no figure is beyond its limit.
+        No figure is beyond its limit.
     summary : str
         The verdict in a sentence or two.
     response_unit : str

@@ -87,7 +87,7 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class ScanPlan:
-    """Which positions a scan visits.
+    """Positions that a scan visits.
 
     Parameters
     ----------
@@ -128,8 +128,8 @@ def scan(
 ) -> Scan:
     """Play a drive on the rig and record its field at the planned positions.
 
-    Beside the drive a marker sweep plays on the loopback channel; it tells where in each
-    record the drive starts and how fast the two clocks run. While a record is taken, one
+    A marker sweep plays on the loopback channel with the drive; from it follow the start of the drive in each
+    record and the ratio of the two clocks. While a record is taken, one
     worker thread brings the previous one to the playback clock. A lost instrument is waited
     for, as in a campaign. The caller closes `setup`, which mutes the player and parks the mirror.
 
@@ -140,7 +140,7 @@ def scan(
     setup : Setup
         The rig.
     drive : Drive
-        What to play, within the player's full scale.
+        Played, within the player's full scale.
     bank : GreenSource
         Positions, taps and response unit.
     on_progress : callable, optional
@@ -256,7 +256,7 @@ class _ScanRun:
         self._scan.clock_ratio[index] = aligned.clock_ratio
         self._scan.playback_gain[index] = aligned.playback_gain
         self._given_up_in_a_row = 0
-        self._settle(visit, status)
+        self._finish(visit, status)
 
     def _try_again(self, visit: _Visit, failure: Exception) -> None:
         if visit.attempt < self._plan.attempts:
@@ -266,9 +266,9 @@ class _ScanRun:
         if self._given_up_in_a_row >= GIVE_UP_POSITIONS:
             raise failure
         self._faults[visit.row] = str(failure)
-        self._settle(visit, Status.FAILED)
+        self._finish(visit, Status.FAILED)
 
-    def _settle(self, visit: _Visit, status: Status) -> None:
+    def _finish(self, visit: _Visit, status: Status) -> None:
         index = self._place[visit.row]
         self._scan.status[index], self._scan.attempts[index] = status, visit.attempt
         self._done += 1

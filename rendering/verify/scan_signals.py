@@ -1,4 +1,4 @@
-"""A scan's record: what is played, and how it comes back to the clock that played it."""
+"""A scan's record: its signals, and its alignment to the playback clock."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from storage.drive_file import Drive
 
 MARKER_START_HZ = 20.0
-# Low, for the fewer bins the marker fills the less a fit costs; at 60 dB it still tells the time to 0.1 ppm.
+# Low, for the fewer bins the marker fills the less a fit costs; at 60 dB it still gives the clock ratio to 0.1 ppm.
 MARKER_STOP_HZ = 1000.0
 MARKER_FADE_S = 0.02
 # The least silence that says what the noise is, and what is kept clear before the drive, in samples.
@@ -82,7 +82,7 @@ class Alignment:
     setup : Setup
         The rig.
     signals_v : mapping from player channel to float64 array, shape (samples,)
-        What every record plays, from `scan_signals`.
+        Signals of every record, from `scan_signals`.
     rate_hz : float
         Rate of signals and records.
     band_hz : tuple of float, optional
@@ -148,7 +148,7 @@ class DropoutCheck:
     Parameters
     ----------
     drive_v : sequence of float64 array, shape (samples,)
-        What the actuators play.
+        Drives of the actuators.
     rate_hz : float
         Their rate, and about that of the responses.
     band_hz : tuple of float, optional
@@ -169,11 +169,11 @@ class DropoutCheck:
         bins = np.arange(int(quiet_hz * 2 * half / rate_hz) + 1 + CLEAR_BINS, half)
         turn = np.exp(-1j * np.pi * np.outer(np.arange(2 * half), bins) / half)
         outside = shape[:, None] * turn / np.sqrt(max(bins.size, 1) * np.square(shape).sum())
-        # Where the drive fills the spectrum, no bin is left to tell by.
+        # Where the drive fills the spectrum, no bin is left for the check.
         self._outside = np.concatenate([outside.real, outside.imag], axis=1).astype(np.float32)
 
     def finds_one(self, response_v: NDArray[np.float32]) -> bool:
-        """Whether the vibrometer lost the signal during a record."""
+        """The vibrometer lost the signal during a record."""
         windows = np.lib.stride_tricks.sliding_window_view(response_v, 2 * self._half)[:: self._half]
         if not self._outside.size or len(windows) < LEAST_WINDOWS:
             return False

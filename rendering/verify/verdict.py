@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """How well a scan must agree with the prediction.
+    """Limits of the agreement of a scan with the prediction.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Verification:
     spacing_mm : float or None
         Grid spacing of the bank; None for a bank of one position.
     noise_error : float or None
-        What the vibrometer's noise alone would make of the normalised error: the rms of
+        Part of the vibrometer's noise in the normalised error: the rms of
         each record's silent lead-in, taken as white, over all compared samples and within the
         band, divided by ``||scan||``. None when the scan does not know its noise.
     figures : tuple of Figure
@@ -82,14 +82,14 @@ class Verification:
 
     @property
     def misfit(self) -> float | None:
-        """What the scan's noise does not explain of the error, ``sqrt(error**2 - noise_error**2)``."""
+        """Error that the scan's noise does not explain, ``sqrt(error**2 - noise_error**2)``."""
         if self.noise_error is None:
             return None
         return math.sqrt(max(self.fields.error**2 - self.noise_error**2, 0.0))
 
     @property
     def passed(self) -> bool:
-        """Whether no check failed."""
+        """No check failed."""
         return all(check.passed is not False for check in self.checks)
 
     @property
@@ -125,14 +125,14 @@ class Verification:
             "focal_width_predicted_mm": median_or_none(focus.predicted_width_mm),
             "artefact_level_db": median_or_none(focus.scanned_artefact_db),
         }
-        told = ("name", "value", "limit", "relation", "unit", "passed")
+        keys = ("name", "value", "limit", "relation", "unit", "passed")
         return {
             "passed": self.passed,
             "positions_compared": len(fields.position_index),
             "positions_excluded": len(fields.excluded),
             **{name: finite(value) for name, value in figures.items()},
             "checks": [
-                {name: getattr(check, name) for name in told} | {"value": finite(check.value)} for check in self.checks
+                {name: getattr(check, name) for name in keys} | {"value": finite(check.value)} for check in self.checks
             ],
         }
 

@@ -142,8 +142,8 @@ def test_group_velocity_and_attenuation_are_those_of_the_wave(wave):
     assert found.group_velocity_m_s == pytest.approx(expected.group_velocity_m_s, rel=0.02)
     assert found.attenuation_db_per_cm == pytest.approx(expected.attenuation_db_per_cm, rel=0.01)
     assert found.scatter_db < 0.2
-    assert found.is_told
-    assert found.velocity_doubt_m_s < 0.1 * found.group_velocity_m_s
+    assert found.is_sure
+    assert found.velocity_error_m_s < 0.1 * found.group_velocity_m_s
 
 
 def test_gains_and_delays_of_the_actuators_do_not_change_how_impulses_travel():
@@ -169,7 +169,7 @@ def room_bank(seed):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_arrivals_that_do_not_follow_distances_tell_no_velocity(seed):
-    assert not impulse_travel(room_bank(seed)).is_told
+    assert not impulse_travel(room_bank(seed)).is_sure
 
 
 def test_unknown_actuator_positions_leave_nothing_to_fit():

@@ -57,7 +57,7 @@ def test_a_bank_that_tells_little_still_gives_lines_and_a_picture(path):
     assert (waves.travel, waves.crosstalk, waves.scanned) == (None, None, None)
     lines = {one.name: one for one in wave_figures(waves, scene, None)}
     assert lines["Group velocity"].value == lines["Attenuation"].value == "-"
-    assert "Not told" in lines["Attenuation"].definition
+    assert "Not found" in lines["Attenuation"].definition
     assert "Correlation of neighbours" in lines
     assert waves_picture(waves, None).png.startswith(b"\x89PNG")
 

@@ -1,4 +1,4 @@
-"""What an interpolation is wrong by on average, for fields that correlate like the bank's own neighbours."""
+"""Expected error of an interpolation, for fields that correlate like the bank's neighbouring positions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Int64Array = NDArray[np.int64]
 PAIRS = 4
 BANDS_BELOW = 8
 LOWEST_CORRELATION = -0.402
-"""J0 at its first minimum, 3.83: waves shorter than that cannot be told from longer ones."""
+"""J0 at its first minimum, 3.83: shorter waves look like longer ones."""
 SURE_CORRELATION = 0.45
 """Larger than J0 ever is beyond its first minimum, with room for chance."""
 KERNEL_RADIANS = 4.4
@@ -34,7 +34,7 @@ def expected_errors(
     """Estimate errors from a few pairs of neighbouring rows.
 
     Waves from all sides correlate like J0(k r) over a distance r. The correlation of neighbouring positions
-    tells k at each frequency; an interpolation with weights w of positions x_n is then wrong at x by
+    gives k at each frequency; an interpolation with weights w of positions x_n is then wrong at x by
     1 - 2 sum_n w_n J0(k |x - x_n|) + sum_nm w_n w_m J0(k |x_n - x_m|), as power.
 
     Returns None where the bank has no pair of neighbours at the points, (n, 2); frequencies ascend.
@@ -42,7 +42,7 @@ def expected_errors(
     pairs, apart_mm = _pairs(bank, kind.grid, points_mm)
     if not len(pairs):
         return None
-    # Lower frequencies, too: they tell how short the waves are where neighbours hardly correlate any more.
+    # Lower frequencies, too: the wave number follows from them where neighbours hardly correlate any more.
     low_hz = max(bank.sample_rate_hz / bank.taps, 0.0 if bank.band_hz is None else bank.band_hz[0])
     below_hz = np.geomspace(low_hz, max(frequency_hz[0], low_hz), BANDS_BELOW, endpoint=False)
     below_hz = below_hz[below_hz < frequency_hz[0]]
@@ -122,7 +122,7 @@ class ErrorBands:
     power : float64 array, shape (bands,)
         Mean power of the bank's rows there, up to a factor.
     kernel : float64 array, shape (bands,)
-        Median error of "kernel"; infinite where it is not known to be better.
+        Median error of "kernel"; infinite where it may be no better.
     """
 
     frequency_hz: Float64Array

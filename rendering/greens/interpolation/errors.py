@@ -1,4 +1,4 @@
-"""How wrong the bank is between its positions, frequency by frequency, and what to do about it."""
+"""Error of the bank between its positions by frequency, and the warning or refusal that follows."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class InterpolationErrors:
     kind : str
         The interpolation.
     found_by : str
-        ``"leaving positions out"``: what the kernel regression misses of positions that it is not told of,
+        ``"leaving positions out"``: error of the kernel regression at positions that are left out of it,
         scaled to the points by its own variance; for other kinds joined by the difference to that regression.
         ``"correlation"``: what fields correlated like neighbouring positions would be wrong by on average.
     points : int
@@ -68,7 +68,7 @@ class InterpolationErrors:
 
     @property
     def kernel_is_better(self) -> bool:
-        """Whether "kernel" would do much better in the worst band that the scene makes use of."""
+        """The kernel would do much better in the worst band that the scene uses."""
         band = self._worst_band
         return bool(self.kernel[band] < BETTER * self.median[band])
 
@@ -79,7 +79,7 @@ class InterpolationErrors:
 
     @property
     def largest(self) -> tuple[float, float]:
-        """Frequency and median error of the worst band that the scene makes use of."""
+        """Frequency and median error of the worst band that the scene uses."""
         band = self._worst_band
         return float(self.frequency_hz[band]), float(self.median[band])
 
@@ -105,7 +105,7 @@ def interpolation_errors(
 ) -> InterpolationErrors | None:
     """Estimate the error along a scene's paths.
 
-    Returns none where every point lies on a position, or the bank does not let one tell.
+    Returns None where every point lies on a position, or the bank has too few of them.
     """
     points_mm = scene_points(scene)
     points_mm = points_mm[np.unique(np.linspace(0, len(points_mm) - 1, MOST_POINTS).astype(np.int64))]

@@ -33,7 +33,7 @@ MOST_BANDS = 16
 FAINT = 1e-4
 """Without a stated band: frequencies where the bank's power is above this part of its largest."""
 REACH_SPACINGS = 1.5
-"""How far from the nearest position a point may be: an irregular grid has gaps wider than its median spacing."""
+"""Largest distance of a point from the nearest position: an irregular grid has gaps wider than its median spacing."""
 PATH_ERROR = 1e-3
 """Relative error that interpolating along a path adds, at the bank's highest frequency."""
 
@@ -127,7 +127,7 @@ class KernelInterpolation(Interpolation):
         return False
 
     def _patches(self, around_mm: Float64Array) -> Sequence[Patch]:
-        """Some patches around the points, of the commonest shape if it is common; at the rim waves tell less."""
+        """Some patches around the points, of the commonest shape if it is common; the rim shows waves less well."""
         anchors = np.unique(self.neighbourhoods.nearest(around_mm)[0]).tolist()
         patches = [self.neighbourhoods.patch(row) for row in anchors if not self._is_sparse(row)]
         if not patches:

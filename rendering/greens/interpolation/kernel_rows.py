@@ -72,7 +72,7 @@ class KernelRows:
         self._plan(waves)
 
     def add(self, points_mm: Float64Array) -> Int64Array:
-        """Add rows at points, float64 (n, 2), and tell their numbers; a point that is there already is not added."""
+        """Add rows at points, float64 (n, 2), and return their numbers; a point is added once."""
         nearest, _ = self._neighbourhoods.nearest(points_mm)
         numbers = np.empty(len(points_mm), dtype=np.int64)
         for place, (x, y) in enumerate(points_mm.tolist()):

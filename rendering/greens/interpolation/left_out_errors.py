@@ -59,7 +59,7 @@ class RowValues:
 
 
 UNRESOLVED = 0.3
-"""Where the kernel misses more than this from a frequency on, in the median, what it finds there is chance."""
+"""Where the kernel misses more than this from a frequency on, in the median, its result is chance."""
 
 
 def left_out_errors(
@@ -68,7 +68,7 @@ def left_out_errors(
     """Estimate relative errors at points.
 
     Each point's nearest position is left out of its patch and predicted from the others, in closed form. What
-    that misses, over what the kernel expects to miss, tells how strong the field is in the kernel's terms; the
+    misses, over what the kernel expects to miss, gives the strength of the field in the kernel's terms; the
     kernel's variance at the point then gives the error there. It grows with the distance from the positions,
     which leaving out alone does not show: a left-out position is further from its neighbours than any point
     between them. Kinds other than the kernel's are wrong by their difference to it as well.
@@ -117,7 +117,7 @@ def _ratio(wrong: Float64Array, there: Float64Array) -> Float64Array:
 
 
 def _first_unresolved(by_kernel: Float64Array) -> int:
-    """The first band from which on the positions are too far apart for the waves: what is found there is chance."""
+    """The first band from which on the positions are too far apart for the waves: the result is chance."""
     bad = (band for band in range(len(by_kernel)) if by_kernel[band] > UNRESOLVED)
     return next((band for band in bad if np.median(by_kernel[band:]) > UNRESOLVED), len(by_kernel))
 

@@ -1,4 +1,4 @@
-"""How close a grid's positions must be for a band: arithmetic on the wave number and the interpolation alone.
+"""Grid spacing that a band needs, from the wave number and the interpolation alone.
 
 Waves of one complex wave number arrive from all sides. Their covariance is known (`calibration.neighbours.wave_model`),
 and so is what an interpolation with given weights expects to get wrong.
@@ -48,7 +48,7 @@ class NeededGrid:
     spacing_mm : float
         Largest distance of neighbouring positions that keeps to the error.
     positions : int
-        How many it takes to cover the area.
+        Number that covers the area.
     error : float
         Expected relative error at that spacing.
     """

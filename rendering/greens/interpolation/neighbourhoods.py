@@ -1,4 +1,4 @@
-"""Which measured positions a point of the surface is interpolated from."""
+"""Measured positions that a point of the surface is interpolated from."""
 
 from __future__ import annotations
 

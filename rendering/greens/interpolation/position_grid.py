@@ -181,7 +181,7 @@ def _fit_lattice(unique_mm: Float64Array, row: Int64Array) -> tuple[Lattice | No
 def _common_gap_mm(lattice: Lattice, positions: int) -> float:
     """The smaller pitch, where more than half of the positions have a neighbour at that distance; else 0."""
     there = lattice.row_at >= 0
-    beside = np.zeros_like(there)
+    has_neighbour = np.zeros_like(there)
     gap_mm = min(lattice.pitch_mm[axis] for axis in (0, 1) if there.shape[axis] > 1)
     for axis in (0, 1):
         if there.shape[axis] > 1 and lattice.pitch_mm[axis] <= gap_mm * (1.0 + LATTICE_SLACK):
@@ -190,5 +190,5 @@ def _common_gap_mm(lattice: Lattice, positions: int) -> float:
             )
             ends = [(0, 0), (0, 0)]
             for ends[axis] in ((0, 1), (1, 0)):
-                beside |= np.pad(pair, ends)
-    return float(gap_mm) if 2 * np.count_nonzero(beside) > positions else 0.0
+                has_neighbour |= np.pad(pair, ends)
+    return float(gap_mm) if 2 * np.count_nonzero(has_neighbour) > positions else 0.0
