@@ -169,13 +169,7 @@ class DriverProcess:
         return self._gone
 
     def send(self, *messages: object) -> None:
-        """Send messages in a row; a process that does not take them in time is killed.
-
-        Raises
-        ------
-        ProcessGoneError
-            It is gone.
-        """
+        """Send messages in a row; a process that does not take them in time is killed. Raises ProcessGoneError."""
         if self._gone:
             raise ProcessGoneError(self._gone)
         guard = threading.Timer(ANSWER_S, self.kill, [f"it took nothing in for {ANSWER_S:g} s and was killed"])
@@ -190,7 +184,7 @@ class DriverProcess:
             guard.cancel()
 
     def wait_for(self, look: Callable[[], Value | None], until_s: float) -> Value | None:
-        """Wait for news; the process is asked for a sign of life meanwhile.
+        """Wait for news; the process is asked for a sign of life meanwhile. Raises ProcessGoneError.
 
         Parameters
         ----------
@@ -203,11 +197,6 @@ class DriverProcess:
         -------
         object
             What `look` gave, None if the time is up.
-
-        Raises
-        ------
-        ProcessGoneError
-            The process is gone, or showed no sign of life and was killed.
         """
         asked_s, silent_s, looked_s = -math.inf, 0.0, time.monotonic()
         while True:

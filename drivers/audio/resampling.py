@@ -25,7 +25,7 @@ LARGEST_TERM = 1000
 
 
 def rate_ratio(from_hz: float, to_hz: float) -> Fraction:
-    """The ratio of two rates.
+    """The ratio of two rates. Raises ValueError.
 
     Parameters
     ----------
@@ -36,11 +36,6 @@ def rate_ratio(from_hz: float, to_hz: float) -> Fraction:
     -------
     Fraction
         ``to_hz / from_hz``, exactly.
-
-    Raises
-    ------
-    ValueError
-        They have no ratio of whole numbers from 1 up to `LARGEST_TERM`.
     """
     ratio = Fraction(0)
     if from_hz > 0 and to_hz > 0 and math.isfinite(from_hz * to_hz):

@@ -159,13 +159,7 @@ class AsiTiger(Dialect):
 
 
 def _scanner_axes(build: str, wanted: tuple[str, str] | None, instrument: str) -> tuple[str, str]:
-    """The axes to move, of type ``u`` (scanner) both.
-
-    Raises
-    ------
-    InstrumentError
-        They are not, or there is more than one scanner and none is named.
-    """
+    """The axes to move, of type ``u`` (scanner) both. Raises InstrumentError."""
 
     def refuse(cause: str, remedy: str) -> InstrumentError:
         return InstrumentError(instrument, "looking for the scanner's axes", cause, remedy)
@@ -191,13 +185,7 @@ def _scanner_axes(build: str, wanted: tuple[str, str] | None, instrument: str) -
 
 
 def _address(build: str, axis: str, instrument: str) -> str:
-    """The character that addresses the card of an axis.
-
-    Raises
-    ------
-    InstrumentError
-        The controller does not say it.
-    """
+    """The character that addresses the card of an axis. Raises InstrumentError."""
     index = [letter.upper() for letter in _row(build, "Motor Axes:")].index(axis)
     in_hex, as_characters = _row(build, "Hex Addr:"), _row(build, "Axis Addr:")
     if index < len(in_hex):  # since firmware of September 2013

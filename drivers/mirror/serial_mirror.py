@@ -19,6 +19,8 @@ class SerialMirror:
 
     The constructor opens the port, checks who answers, and enables the mirror; it does not move it.
 
+    Raises InstrumentError or InstrumentLostError.
+
     Parameters
     ----------
     dialect : Dialect
@@ -43,13 +45,6 @@ class SerialMirror:
         Longest wait for one answer, in s, > 0.
     patience_s : float, optional
         How long a device whose port was just opened may take until it answers, in s; by default the dialect's.
-
-    Raises
-    ------
-    InstrumentError
-        The limits do not fit the device, or another device answers.
-    InstrumentLostError
-        The device is not there, or does not answer.
     """
 
     def __init__(
@@ -112,12 +107,7 @@ class SerialMirror:
         """Return when the beam stands still where it was sent.
 
         It ends after `timeout_s` and what a question under way then still takes, see
-        `drivers.serial_line.dialogue.Dialogue.ask`.
-
-        Raises
-        ------
-        TransientInstrumentError
-            It still moves, or stands elsewhere, after `timeout_s`.
+        `drivers.serial_line.dialogue.Dialogue.ask`. Raises TransientInstrumentError.
         """
         self._check_open("settling")
         gives_up_s = self._clock.now_s() + timeout_s
@@ -160,10 +150,7 @@ class SerialMirror:
     def where_mrad(self) -> tuple[float, float] | None:
         """Where the device says that it points, optical mrad; None where the dialect has no read-back.
 
-        Raises
-        ------
-        InstrumentError
-            It does not answer.
+        Raises InstrumentError.
         """
         self._check_open("reading the position")
         return self._dialect.where_mrad(self._dialogue, "reading the position")

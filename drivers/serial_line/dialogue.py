@@ -138,6 +138,8 @@ class Dialogue:
     def introduce(self, query: Query[str], patience_s: float, before: str = "") -> str:
         """Ask a device that was just opened who it is, again and again: it may still be starting.
 
+        Raises InstrumentLostError.
+
         Parameters
         ----------
         query : Query
@@ -146,11 +148,6 @@ class Dialogue:
             How long to try; a try that was begun is finished.
         before : str
             A command to send before each try, whether it is answered or not.
-
-        Raises
-        ------
-        InstrumentLostError
-            It does not answer, or not in its language.
         """
         doing = "asking who it is"
         latest = NoAnswerError("no answer came")
@@ -193,12 +190,7 @@ class Dialogue:
     def verify(self, doing: str) -> None:
         """Make sure that the device answers, and that it is still the same.
 
-        Raises
-        ------
-        InstrumentError
-            Another device answers.
-        InstrumentLostError
-            None does, or it has been switched off and on.
+        Raises InstrumentError or InstrumentLostError.
         """
         with self._turn(doing), self._losses(doing):
             self._require_open(doing)
@@ -212,13 +204,6 @@ class Dialogue:
 
         It lasts at most eight times the line's longest wait for an answer, however the device behaves; three where it
         is silent.
-
-        Parameters
-        ----------
-        query : Query
-            The question.
-        doing : str
-            What it is for, for messages.
 
         Raises
         ------
@@ -290,15 +275,7 @@ class Dialogue:
     # -- finding the place again -----------------------------------------------------------------
 
     def _catch_up(self, doing: str) -> None:
-        """Drop all answers up to the marker's.
-
-        Raises
-        ------
-        NoAnswerError
-            The marker's never came.
-        InstrumentError
-            Another device answers, and says so twice.
-        """
+        """Drop all answers up to the marker's. Raises NoAnswerError or InstrumentError."""
         marker = self._marker
         if marker is None:
             raise NoAnswerError("no answer came")
@@ -365,13 +342,7 @@ class Dialogue:
 
     @contextmanager
     def _turn(self, doing: str) -> Iterator[None]:
-        """Wait until no other thread asks, and no longer than a call can take.
-
-        Raises
-        ------
-        InstrumentLostError
-            A call of another thread hangs.
-        """
+        """Wait until no other thread asks, and no longer than a call can take. Raises InstrumentLostError."""
         if not self._lock.acquire(timeout=HUNG_ANSWERS * self._line.settings.answer_s):
             raise InstrumentLostError(
                 self._instrument,

@@ -72,15 +72,7 @@ class SerialLine:
         return self._port is not None
 
     def open(self) -> None:
-        """Open the port, exclusively.
-
-        Raises
-        ------
-        InstrumentLostError
-            It is absent, busy, forbidden, or nobody listens there: each with its own remedy.
-        InstrumentError
-            The port's name is wrong, or pyserial is missing.
-        """
+        """Open the port, exclusively. Raises InstrumentLostError or InstrumentError."""
         self.close()
         try:
             import serial
@@ -103,15 +95,7 @@ class SerialLine:
             raise InstrumentLostError(self._instrument, f"opening {self._name}", cause, remedy) from failure
 
     def send(self, text: str) -> None:
-        """Send a command; its end is added.
-
-        Raises
-        ------
-        NoAnswerError
-            The device does not take it.
-        LineFailedError
-            The port is gone.
-        """
+        """Send a command; its end is added. Raises NoAnswerError or LineFailedError."""
         import serial
 
         try:
@@ -125,19 +109,12 @@ class SerialLine:
             raise LineFailedError(_text(failure)) from failure
 
     def receive(self, deadline_s: float) -> str:
-        """The next line of text, without its end.
+        """The next line of text, without its end. Raises NoAnswerError or LineFailedError.
 
         Parameters
         ----------
         deadline_s : float
             When to give up, on the clock of `time.monotonic`.
-
-        Raises
-        ------
-        NoAnswerError
-            Nothing, only part of a line, or no text came.
-        LineFailedError
-            The port is gone.
         """
         while b"\n" not in self._input:
             self._input += self._read()
@@ -155,26 +132,14 @@ class SerialLine:
             raise NoAnswerError(f"what came is no text: {bytes(line)!r}") from None
 
     def received(self) -> bool:
-        """Whether there is input that nobody has read.
-
-        Raises
-        ------
-        LineFailedError
-            The port is gone.
-        """
+        """Whether there is input that nobody has read. Raises LineFailedError."""
         try:
             return bool(self._input or self._port.in_waiting)
         except self._failures as failure:
             raise LineFailedError(_text(failure)) from failure
 
     def discard(self) -> None:
-        """Drop what has come in so far; a device that never stops sending is left at it.
-
-        Raises
-        ------
-        LineFailedError
-            The port is gone.
-        """
+        """Drop what has come in so far; a device that never stops sending is left at it. Raises LineFailedError."""
         dropped = len(self._input)
         self._input.clear()
         while self.received() and dropped < LONGEST_ANSWER:

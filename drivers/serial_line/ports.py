@@ -33,18 +33,7 @@ class SerialPort:
 
 
 def serial_ports(instrument: str = "serial ports") -> tuple[SerialPort, ...]:
-    """All serial ports that are present now.
-
-    Parameters
-    ----------
-    instrument : str
-        Who asks, for the message.
-
-    Raises
-    ------
-    InstrumentError
-        pyserial is not installed.
-    """
+    """All serial ports that are present now. Raises InstrumentError."""
     try:
         from serial.tools.list_ports import comports
     except ImportError as missing:
@@ -56,6 +45,8 @@ def serial_ports(instrument: str = "serial ports") -> tuple[SerialPort, ...]:
 
 def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None = None) -> str:
     """What to open for a port as a rig file names it; asked afresh at every open, since numbers move.
+
+    Raises InstrumentLostError or InstrumentError.
 
     Parameters
     ----------
@@ -70,13 +61,6 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
     -------
     str
         A device path or a ``socket://`` address.
-
-    Raises
-    ------
-    InstrumentLostError
-        No port, or more than one, has the serial number: that can change.
-    InstrumentError
-        The text is none of the three.
     """
     if port.startswith(NETWORK):
         return _network_address(port, instrument)

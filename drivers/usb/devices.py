@@ -133,7 +133,7 @@ class UsbDevice:
 
 
 def list_devices(backend: Any = None) -> tuple[UsbDevice, ...]:
-    """List what is plugged in.
+    """List what is plugged in. Raises InstrumentError.
 
     Parameters
     ----------
@@ -144,23 +144,12 @@ def list_devices(backend: Any = None) -> tuple[UsbDevice, ...]:
     -------
     tuple of UsbDevice
         Hubs and foreign devices too.
-
-    Raises
-    ------
-    InstrumentError
-        There is no pyusb or no libusb, or the list cannot be made.
     """
     return tuple(device for device, _ in list_with_handles(backend))
 
 
 def list_with_handles(backend: Any = None) -> list[tuple[UsbDevice, Any]]:
-    """List what is plugged in, each with pyusb's own ``usb.core.Device``, closed.
-
-    Raises
-    ------
-    InstrumentError
-        As :func:`list_devices` does.
-    """
+    """List what is plugged in, each with pyusb's own ``usb.core.Device``, closed. Raises InstrumentError."""
     try:
         import usb.core
     except ImportError as missing:

@@ -29,7 +29,7 @@ def reset_device(
     """Reset the device of one role and wait until it is back.
 
     Whoever uses the device must have released it. Try a fresh connection first, and the
-    maker's own reset where there is one; this comes last.
+    maker's own reset where there is one; this comes last. Raises InstrumentLostError or InstrumentError.
 
     Parameters
     ----------
@@ -48,13 +48,6 @@ def reset_device(
     -------
     UsbDevice
         The device as it is now; its address may be a new one.
-
-    Raises
-    ------
-    InstrumentLostError
-        It did not come back.
-    InstrumentError
-        It is not there, not the only one, or cannot be reset.
     """
     clock = clock or WallClock()
     wanted = next((one for one in expected if one.role == role), None)

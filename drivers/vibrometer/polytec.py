@@ -50,6 +50,8 @@ class Polytec:
     ) -> VibrometerReading:
         """Ask for the sensitivity that it is set to, and leave the controller alone again.
 
+        Raises InstrumentError, TransientInstrumentError or InstrumentLostError.
+
         Parameters
         ----------
         port : str
@@ -62,15 +64,6 @@ class Polytec:
             Whether a signal below `least_signal_level` will do.
         answer_s : float
             Longest wait for one answer, in s, > 0.
-
-        Raises
-        ------
-        InstrumentError
-            Another device answers, the decoder is not there, or the signal is too weak.
-        TransientInstrumentError
-            An answer did not come.
-        InstrumentLostError
-            The controller is not there, or does not answer at all.
         """
         name = f"vibrometer (polytec-ofv5000 at {port})"
         dialogue = Dialogue(name, SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s)))

@@ -22,7 +22,7 @@ class DampedWave:
     """An infinite soft plate: a scalar wave whose loss is proportional to velocity.
 
     Time runs as exp(+j w t), so an outgoing wave has Im k < 0:
-    k^2 = (w^2 - j w b) / c^2.
+    k^2 = (w^2 - j w b) / c^2. Raises ValueError.
 
     Parameters
     ----------
@@ -30,11 +30,6 @@ class DampedWave:
         Speed c of the wave's front in m/s, > 0.
     damping_per_s : float
         Damping b in 1/s, >= 0.
-
-    Raises
-    ------
-    ValueError
-        The speed is not positive, or the damping would make the wave grow.
     """
 
     speed_m_s: float
@@ -67,7 +62,7 @@ class DampedWave:
     ) -> Complex128Array:
         """Surface velocity at a distance from a disc that pushes with unit force.
 
-        j w * (-j/4) * <H0(2)(k r)>, the mean taken over the disc; the scale is arbitrary.
+        j w * (-j/4) * <H0(2)(k r)>, the mean taken over the disc; the scale is arbitrary. Raises ValueError.
 
         Parameters
         ----------
@@ -77,11 +72,6 @@ class DampedWave:
             Distances from the centre of the disc in mm, >= 0.
         source_radius_mm : float
             Radius of the disc in mm, > 0.
-
-        Raises
-        ------
-        ValueError
-            A negative distance or a radius that is not positive.
         """
         frequency = np.asarray(frequency_hz, dtype=np.float64)
         still = frequency == 0
@@ -102,7 +92,7 @@ def mean_hankel(wavenumber: ArrayLike, radius_m: ArrayLike, source_radius_m: flo
     """Mean of H0(2)(k |r - s|) over the points s of a disc: finite at r = 0.
 
     Graf's addition theorem: outside the disc H0(2)(k r) 2 J1(k a) / (k a); inside it
-    (2 / (k a)) J0(k r) H1(2)(k a) - 4j / (pi (k a)^2).
+    (2 / (k a)) J0(k r) H1(2)(k a) - 4j / (pi (k a)^2). Raises ValueError.
 
     Parameters
     ----------
@@ -112,11 +102,6 @@ def mean_hankel(wavenumber: ArrayLike, radius_m: ArrayLike, source_radius_m: flo
         Distances from the centre of the disc in m, >= 0.
     source_radius_m : float
         Radius a of the disc in m, > 0.
-
-    Raises
-    ------
-    ValueError
-        A wave that grows as it travels (Im k > 0), a negative distance, a radius not positive.
     """
     k, r = np.broadcast_arrays(np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64))
     a = float(source_radius_m)
@@ -138,7 +123,7 @@ def thin_plate_green(wavenumber: ArrayLike, radius_m: ArrayLike) -> Complex128Ar
     """Green's function of the infinite thin plate, D (biharmonic - k^4) w = q, times D.
 
     -j / (8 k^2) [H0(2)(k r) - (2j / pi) K0(k r)], with the limit -j / (8 k^2) at r = 0.
-    Love (1888); Timoshenko and Woinowsky-Krieger (1959).
+    Love (1888); Timoshenko and Woinowsky-Krieger (1959). Raises ValueError.
 
     Parameters
     ----------
@@ -146,11 +131,6 @@ def thin_plate_green(wavenumber: ArrayLike, radius_m: ArrayLike) -> Complex128Ar
         k in rad/m, not 0, Im k <= 0; broadcast against `radius_m`.
     radius_m : float array
         Distances in m, >= 0.
-
-    Raises
-    ------
-    ValueError
-        A wave that grows as it travels (Im k > 0) or a negative distance.
     """
     k, r = np.broadcast_arrays(np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64))
     _refuse_growth(k)
@@ -200,6 +180,8 @@ def fit_damped_wave(
 ) -> DampedWave:
     """Find the damped wave on which a band-limited impulse travels as measured (`impulse_travel`).
 
+    Raises ValueError.
+
     Parameters
     ----------
     group_velocity_m_s : float
@@ -208,11 +190,6 @@ def fit_damped_wave(
         Wanted attenuation in dB/cm, spreading removed, > 0.
     band_hz : tuple of float
         Band of the impulse in Hz.
-
-    Raises
-    ------
-    ValueError
-        No damped wave travels like that.
     """
     # The only one who needs it; starting a rig shall not wait for it.
     from scipy.optimize import root

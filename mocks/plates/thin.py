@@ -18,7 +18,7 @@ Float64Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ThinPlate:
-    """A simply supported rectangle.
+    """A simply supported rectangle. Raises ValueError.
 
     Parameters
     ----------
@@ -28,11 +28,6 @@ class ThinPlate:
         sqrt(D / (rho h)) in m^2/s, > 0; 1.57 for glass of 1 mm.
     mass_kg_m2 : float
         rho h in kg/m^2, > 0.
-
-    Raises
-    ------
-    ValueError
-        A figure is not positive.
     """
 
     length_m: float
@@ -103,6 +98,8 @@ class ThinPlate:
 class ExplicitPlate:
     """Leapfrog in time on a square grid: cheap steps, but a limit that shrinks with the square of the spacing.
 
+    Raises ValueError.
+
     Parameters
     ----------
     plate : ThinPlate
@@ -111,11 +108,6 @@ class ExplicitPlate:
         Grid spacing; both sides are a multiple of it.
     step_s : float
         Time step, at most `limit_s`.
-
-    Raises
-    ------
-    ValueError
-        The spacing does not divide the sides, or the step is beyond the limit.
     """
 
     def __init__(self, plate: ThinPlate, spacing_m: float, step_s: float) -> None:
@@ -142,7 +134,7 @@ class ExplicitPlate:
 
 
 class ImplicitPlate:
-    """Newmark's method, beta = 1/4, gamma = 1/2: stable at any step, but modes ring too low.
+    """Newmark's method, beta = 1/4, gamma = 1/2: stable at any step, but modes ring too low. Raises ValueError.
 
     Parameters
     ----------
@@ -152,11 +144,6 @@ class ImplicitPlate:
         Grid spacing; both sides are a multiple of it.
     step_s : float
         Time step, > 0.
-
-    Raises
-    ------
-    ValueError
-        The spacing does not divide the sides, or the step is not positive.
     """
 
     def __init__(self, plate: ThinPlate, spacing_m: float, step_s: float) -> None:

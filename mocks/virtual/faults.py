@@ -24,7 +24,7 @@ CORRUPTING = (
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One entry of a fault plan: at the given call, or at the given take.
+    """One entry of a fault plan: at the given call, or at the given take. Raises ValueError.
 
     Parameters
     ----------
@@ -57,11 +57,6 @@ class Fault:
         How many times ``reconnect`` fails before one succeeds, where ``"unplugged"``, >= 0.
     spot_mm : tuple of float, optional
         Where ``"dark"`` is dark: x, y and radius in mm; everywhere, if absent.
-
-    Raises
-    ------
-    ValueError
-        Something that is not in the lists above.
     """
 
     role: str
@@ -148,6 +143,8 @@ class FaultPlan:
 
         An unplugged instrument is plugged in again by a ``reconnect`` after the fault's failing ones.
 
+        Raises TransientInstrumentError or InstrumentLostError.
+
         Parameters
         ----------
         operation : str
@@ -156,13 +153,6 @@ class FaultPlan:
             What it does, for the message.
         take : Take, optional
             What the call is for.
-
-        Raises
-        ------
-        TransientInstrumentError
-            A timeout, an underflow or a short read is due.
-        InstrumentLostError
-            The instrument is lost, now or since an earlier call.
         """
         with self._lock:
             self._calls[operation] += 1

@@ -15,7 +15,7 @@ class MirrorGeometry:
     """How the laser stands before the surface; the default is the straight map at 1000 mm.
 
     The surface point (x, y) lies, seen from the mirror, at R (x, y, 0) + (offset, distance), with R
-    the rotation by tilt and roll; the mirror's angles are the arc tangents of its two slopes.
+    the rotation by tilt and roll; the mirror's angles are the arc tangents of its two slopes. Raises ValueError.
 
     Parameters
     ----------
@@ -29,11 +29,6 @@ class MirrorGeometry:
         Rotation of the surface about the beam in degrees.
     matrix : 3 x 3 tuple of float, optional
         The projective map itself, from (x, y, 1) in mm to the slopes; then all above is ignored.
-
-    Raises
-    ------
-    ValueError
-        A distance that is not positive or a tilt beyond 60 degrees.
     """
 
     distance_mm: float = 1000.0
@@ -77,7 +72,7 @@ def stadium_rim(
 ) -> tuple[tuple[float, float], ...]:
     """Points equally spaced by arc length on the outline of an inset stadium.
 
-    They run anticlockwise from the middle of the right-hand end, half a spacing off the axis.
+    They run anticlockwise from the middle of the right-hand end, half a spacing off the axis. Raises ValueError.
 
     Parameters
     ----------
@@ -91,11 +86,6 @@ def stadium_rim(
     Returns
     -------
     tuple of (x_mm, y_mm)
-
-    Raises
-    ------
-    ValueError
-        A count that is not positive or a stadium that does not exist.
     """
     radius = width_mm / 2 - inset_mm
     straight = length_mm - width_mm

@@ -39,15 +39,6 @@ def stood_between(
 ) -> list[tuple[int, Place | None]]:
     """Where the mirror stood between two instants.
 
-    Parameters
-    ----------
-    moves : sequence of Move
-        In the order of time.
-    start_ns, stop_ns : int
-        The instants.
-    where : callable
-        The place at which a move ends.
-
     Returns
     -------
     list of (instant_ns, place)
@@ -78,15 +69,7 @@ class _Move:
 
 
 class VirtualMirror:
-    """Points the virtual laser; implements `drivers.protocols.Mirror`.
-
-    Parameters
-    ----------
-    settings : VirtualSettings
-        The rig.
-    clock : VirtualClock
-        Its time.
-    """
+    """Points the virtual laser; implements `drivers.protocols.Mirror`."""
 
     def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
         self._settings = settings

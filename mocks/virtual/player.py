@@ -34,15 +34,7 @@ class _Pieces:
 
 
 class VirtualPlayer:
-    """Plays one signal per channel; implements `drivers.protocols.Player`.
-
-    Parameters
-    ----------
-    settings : VirtualSettings
-        The rig.
-    clock : VirtualClock
-        Its time.
-    """
+    """Plays one signal per channel; implements `drivers.protocols.Player`."""
 
     def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
         self._settings = settings
@@ -189,13 +181,7 @@ class VirtualPlayer:
         self._take_under_way = take_under_way
 
     def settle_latency(self, take: Take) -> None:
-        """Draw the latency of a play that began before its record, for that record's take.
-
-        Parameters
-        ----------
-        take : Take
-            The record that starts now.
-        """
+        """Draw the latency of a play that began before its record, for that record's take."""
         with self._lock:
             if self._plays and self._plays[-1].latency_s is None:
                 self._plays[-1].latency_s = self._latency_s(take)
@@ -205,11 +191,6 @@ class VirtualPlayer:
 
         What rings on from a play that had ended is left out: a record would depend on the one before,
         and a resumed campaign would not be the same to the byte.
-
-        Parameters
-        ----------
-        start_ns, stop_ns : int
-            The instants.
         """
         with self._lock:
             return [

@@ -17,7 +17,7 @@ SURFACE_MM = (250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 
 
 @dataclass(frozen=True, slots=True)
 class VirtualSettings:
-    """A virtual rig; the same settings give the same rig, byte for byte.
+    """A virtual rig; the same settings give the same rig, byte for byte. Raises ValueError.
 
     Parameters
     ----------
@@ -86,11 +86,6 @@ class VirtualSettings:
         of light that comes back to the vibrometer, as its controller would tell it.
     realtime : bool
         Let virtual seconds last a second.
-
-    Raises
-    ------
-    ValueError
-        A value outside what is allowed above.
     """
 
     seed: int = 1

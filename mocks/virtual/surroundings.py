@@ -107,18 +107,7 @@ class PatchBay:
             return self._word
 
     def connect(self, word: str) -> None:
-        """Plug in something else.
-
-        Parameters
-        ----------
-        word : str
-            One of the words above.
-
-        Raises
-        ------
-        ValueError
-            Another word, or an output that is not wired.
-        """
+        """Plug in something else. Raises ValueError."""
         _ = self._outputs_of(word)
         with self._lock:
             self._word = word

@@ -52,13 +52,7 @@ class Spot:
 
 
 class Synthesis:
-    """Plate and signal chain of one virtual rig.
-
-    Parameters
-    ----------
-    settings : VirtualSettings
-        The rig.
-    """
+    """Plate and signal chain of one virtual rig."""
 
     def __init__(self, settings: VirtualSettings) -> None:
         self._settings = settings

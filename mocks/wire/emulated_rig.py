@@ -64,6 +64,8 @@ class Wiring:
 class EmulatedRig:
     """Mirror, vibrometer, DAQ and audio interface on their wires, before one plate; a context, or close it.
 
+    Raises ValueError or RuntimeError.
+
     Parameters
     ----------
     settings : VirtualSettings
@@ -72,11 +74,6 @@ class EmulatedRig:
         Devices and addresses.
     faults : tuple of WireFault
         What goes wrong, on all wires.
-
-    Raises
-    ------
-    ValueError, RuntimeError
-        An address that nothing can listen at.
 
     Attributes
     ----------
@@ -143,17 +140,12 @@ class EmulatedRig:
         self._started.close()
 
     def unplug(self, role: str) -> None:
-        """Pull the cable of one instrument.
+        """Pull the cable of one instrument. Raises ValueError.
 
         Parameters
         ----------
         role : str
             ``"mirror"``, ``"recorder"``, ``"player"`` or ``"vibrometer"``.
-
-        Raises
-        ------
-        ValueError
-            There is no such far side.
         """
         match role:
             case "player":

@@ -36,7 +36,7 @@ ANY = "any"
 
 @dataclass(frozen=True, slots=True)
 class WireFault:
-    """One entry of a wire's fault plan.
+    """One entry of a wire's fault plan. Raises ValueError.
 
     Parameters
     ----------
@@ -56,11 +56,6 @@ class WireFault:
         How many calls in a row, > 0.
     seconds : float
         How long a late answer is late, or a device stays unplugged, >= 0; 0 for good where it is unplugged.
-
-    Raises
-    ------
-    ValueError
-        A role or kind that is not known, or not exactly one of `at_call` and `at_s`.
     """
 
     role: str
@@ -104,13 +99,7 @@ class WireFaultPlan:
         self._lock = threading.Lock()
 
     def due(self, operation: str) -> tuple[WireFault, ...]:
-        """Count a call of an operation and return the faults that it meets.
-
-        Parameters
-        ----------
-        operation : str
-            The call.
-        """
+        """Count a call of an operation and return the faults that it meets."""
         with self._lock:
             self._calls[operation] += 1
             self._calls[ANY] += 1

@@ -46,17 +46,12 @@ class Wire(Protocol):
 
 
 class PtyWire:
-    """A pseudo-terminal; POSIX alone.
+    """A pseudo-terminal; POSIX alone. Raises OSError.
 
     Parameters
     ----------
     link : Path
         Where the port appears: a symbolic link, the same after each unplugging.
-
-    Raises
-    ------
-    OSError
-        This system has no pseudo-terminals.
     """
 
     def __init__(self, link: Path) -> None:

@@ -30,7 +30,7 @@ class StreamPlayer:
     """Plays one signal per channel of an audio interface; implements `drivers.protocols.PiecewisePlayer`.
 
     One stream over all channels runs from the moment of opening to that of closing, silent between plays, in a
-    process of its own: what hangs there is killed, and nobody waits for it.
+    process of its own: what hangs there is killed, and nobody waits for it. Raises InstrumentError.
 
     Parameters
     ----------
@@ -49,11 +49,6 @@ class StreamPlayer:
         Frames per callback; 0 for what suits the host.
     environment : mapping from str to str, optional
         Added to the environment of the stream's process, such as ``JACK_DEFAULT_SERVER``.
-
-    Raises
-    ------
-    InstrumentError
-        No such device, or it does not do what is asked, or PortAudio is missing.
     """
 
     def __init__(

@@ -66,7 +66,7 @@ class DeviceChoiceError(Exception):
 
 
 def choose(devices: Sequence[OutputDevice], host_apis: Sequence[str], host_api: str | None, name: str) -> OutputDevice:
-    """The one device that is meant.
+    """The one device that is meant. Raises DeviceChoiceError.
 
     Parameters
     ----------
@@ -78,11 +78,6 @@ def choose(devices: Sequence[OutputDevice], host_apis: Sequence[str], host_api: 
         Name of a host API, in either case; None for any.
     name : str
         The device's name, or a part of it that no other has.
-
-    Raises
-    ------
-    DeviceChoiceError
-        There is no such host API or device, or there are several.
     """
     apis = ", ".join(repr(one) for one in host_apis) or "none"
     if host_api is not None and host_api.casefold() not in (one.casefold() for one in host_apis):
@@ -144,13 +139,7 @@ class StreamRequest:
 
 
 def load_sounddevice() -> Any:
-    """The package with the PortAudio library that it drives.
-
-    Raises
-    ------
-    DeviceChoiceError
-        Either is missing.
-    """
+    """The package with the PortAudio library that it drives. Raises DeviceChoiceError."""
     os.environ["SD_ENABLE_ASIO"] = "1"  # Windows: outputs of more than two channels are rarely offered otherwise
     try:
         import sounddevice
@@ -184,19 +173,7 @@ def outputs(sounddevice: Any) -> tuple[tuple[OutputDevice, ...], tuple[str, ...]
 
 
 class WatchedStream:
-    """An output stream that runs from now on, silent until something is played.
-
-    Parameters
-    ----------
-    sounddevice : module
-        From `load_sounddevice`.
-    request : StreamRequest
-        What to open.
-
-    Raises
-    ------
-    DeviceChoiceError
-        There is no such output, or it cannot do what is asked.
+    """An output stream that runs from now on, silent until something is played. Raises DeviceChoiceError.
 
     Attributes
     ----------

@@ -92,7 +92,7 @@ class SignalShelf:
     def find(
         self, volts: Float64Array, full_scale_v: float, ratio: Fraction
     ) -> tuple[ShelvedSignal, Float32Array | None]:
-        """A signal as parts of full scale at the interface's rate.
+        """A signal as parts of full scale at the interface's rate. Raises BeyondFullScaleError.
 
         Parameters
         ----------
@@ -109,12 +109,6 @@ class SignalShelf:
             Where it is found.
         float32 array, shape (frames,), or None
             Its frames if they are new.
-
-        Raises
-        ------
-        BeyondFullScaleError
-            It overshoots between its samples. What rings beyond full scale at an end that is no fade is
-            cut off instead: a jump has no band-limited form that a converter could put out.
         """
         key = (volts.size, full_scale_v, ratio, volts[:: max(1, volts.size // 64)].tobytes())
         held = self._held.get(key)
@@ -231,10 +225,7 @@ class PlayOrders:
     def order(self, doing: str, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> PlayOrder:
         """Turn voltages into an order; `doing` is for messages, the rest is as of `drivers.protocols.Player.play`.
 
-        Raises
-        ------
-        InstrumentError
-            They cannot be played.
+        Raises InstrumentError.
         """
         lengths = {volts.size for volts in signals_v.values()}
         if len(lengths) != 1 or 0 in lengths:

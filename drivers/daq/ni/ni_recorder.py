@@ -27,7 +27,7 @@ class NiRecorder:
 
     The low-cost devices cannot start on an audio signal: without a trigger a record starts at once, and where the
     sound lies in it is found from the reference. The task is kept committed between records of one kind, so that a
-    start is one call; nobody else can have the device meanwhile.
+    start is one call; nobody else can have the device meanwhile. Raises InstrumentLostError or InstrumentError.
 
     Parameters
     ----------
@@ -49,13 +49,6 @@ class NiRecorder:
         Whether this program had the device before: it is reset then, see `reconnect`.
     tls : TlsFiles, optional
         For a server with a certificate.
-
-    Raises
-    ------
-    InstrumentLostError
-        The device or the server is not there.
-    InstrumentError
-        A package, the driver, a device of that name, an input or a terminal configuration is missing.
     """
 
     def __init__(
@@ -123,13 +116,7 @@ class NiRecorder:
             return () if known is None else tuple(sorted(known))
 
     def start(self, request: RecordRequest) -> None:
-        """Start one finite record and return at once.
-
-        Raises
-        ------
-        InstrumentError
-            The device lacks the rate or a range; a record is under way; the device fails.
-        """
+        """Start one finite record and return at once. Raises InstrumentError."""
         doing = f"starting {request.take}"
         with self._lock:
             session = self._connected(doing)
@@ -148,15 +135,7 @@ class NiRecorder:
             self._under_way = request
 
     def read(self, timeout_s: float) -> Recording:
-        """Wait for the record to end and fetch it.
-
-        Raises
-        ------
-        TransientInstrumentError
-            It has not ended in time (and goes on), was aborted, or samples are missing.
-        InstrumentError
-            No record was started, or the device fails.
-        """
+        """Wait for the record to end and fetch it. Raises TransientInstrumentError or InstrumentError."""
         with self._lock:
             session = self._connected("reading")
             request, task = self._under_way, self._task
@@ -190,15 +169,12 @@ class NiRecorder:
     def read_input_v(self, name: str) -> float:
         """Volts at another input, the mean over 20 ms, so that no hum is left; between two records.
 
+        Raises InstrumentError.
+
         Parameters
         ----------
         name : str
             ``"ai2"``, wired as the others are.
-
-        Raises
-        ------
-        InstrumentError
-            A record is under way, there is no such input, or the device fails.
         """
         doing = f"reading {name}"
         with self._lock:
@@ -243,14 +219,7 @@ class NiRecorder:
 
         The device is reset, if it was ours before: that takes back what a lost session has left reserved, and ends
         a transfer that hangs. It also ends what other programs run on this device, so nothing here does it before
-        this recorder had the device.
-
-        Raises
-        ------
-        InstrumentLostError
-            The device or the server is not there (yet).
-        InstrumentError
-            Another device answers in its place, or the recorder was closed.
+        this recorder had the device. Raises InstrumentLostError or InstrumentError.
         """
         doing = "reconnecting"
         with self._lock:

@@ -44,7 +44,7 @@ def open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) -> 
 
     The nidaqmx package gives its calls no deadline. Here each has one: the time that the call itself asks for
     plus `answer_s`. Once a deadline has passed, further calls fail at once, for a server that is silent would
-    cost as much again for each of the calls that clear up.
+    cost as much again for each of the calls that clear up. Raises OSError.
 
     Parameters
     ----------
@@ -59,11 +59,6 @@ def open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) -> 
     -------
     grpc.Channel
         To be closed by the caller.
-
-    Raises
-    ------
-    OSError
-        A file of `tls` cannot be read.
     """
     import grpc
     from nidaqmx.error_codes import DAQmxWarnings
@@ -164,7 +159,7 @@ class Limits:
 
 
 class NiSession:
-    """A device that has answered.
+    """A device that has answered. Raises InstrumentLostError or InstrumentError.
 
     Parameters
     ----------
@@ -178,13 +173,6 @@ class NiSession:
         Whether it has answered before: then it is gone where it does not answer, and not misspelt.
     tls : TlsFiles, optional
         For a server with a certificate.
-
-    Raises
-    ------
-    InstrumentLostError
-        It is not there, or the server is not.
-    InstrumentError
-        The package, the driver or a device of that name is missing.
     """
 
     def __init__(

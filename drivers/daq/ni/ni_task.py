@@ -54,21 +54,7 @@ class Timing:
 class RecordTask:
     """A committed task: it starts with one call, and can be started again when it has been stopped.
 
-    Parameters
-    ----------
-    session : NiSession
-        The device.
-    wiring : Wiring
-        Its inputs.
-    timing : Timing
-        What is recorded.
-    operation : str
-        For messages.
-
-    Raises
-    ------
-    InstrumentError
-        The device has not this rate or range; nothing is left of the task then.
+    Raises InstrumentError.
     """
 
     def __init__(self, session: NiSession, wiring: Wiring, timing: Timing, operation: str) -> None:
@@ -108,10 +94,7 @@ class RecordTask:
     def read(self) -> tuple[NDArray[np.float64], int]:
         """Volts of the record that has ended, shape (2, samples), and how many of them are there.
 
-        Raises
-        ------
-        DaqReadError
-            Of the driver, where it says itself that samples are missing.
+        Raises DaqReadError.
         """
         from nidaqmx.stream_readers import AnalogMultiChannelReader
 
@@ -197,13 +180,7 @@ class RecordTask:
 
 
 def check_wiring(session: NiSession, wiring: Wiring) -> None:
-    """Refuse inputs, terminal configurations and triggers that the device has not.
-
-    Raises
-    ------
-    InstrumentError
-        Naming what is allowed.
-    """
+    """Refuse inputs, terminal configurations and triggers that the device has not. Raises InstrumentError."""
 
     def refuse(cause: str, remedy: str) -> InstrumentError:
         return InstrumentError(session.instrument, "opening", cause, f"{remedy} of [recorder]")
@@ -232,13 +209,7 @@ def check_wiring(session: NiSession, wiring: Wiring) -> None:
 
 
 def check_request(session: NiSession, request: RecordRequest, operation: str) -> None:
-    """Refuse a record that the device cannot make.
-
-    Raises
-    ------
-    InstrumentError
-        Naming what is allowed.
-    """
+    """Refuse a record that the device cannot make. Raises InstrumentError."""
     product, limits = session.identity.product, session.limits
     if request.samples < 1 or not request.sample_rate_hz > 0:
         raise InstrumentError(

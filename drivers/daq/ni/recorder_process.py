@@ -62,19 +62,14 @@ class Opening:
 class ProcessRecorder:
     """Records reference and response; implements `drivers.protocols.Recorder`.
 
+    Raises InstrumentLostError or InstrumentError.
+
     Parameters
     ----------
     device : str
         Name in NI MAX: ``"Dev1"``.
     reference_input, response_input, terminal, trigger
         As of `drivers.daq.ni.ni_recorder.NiRecorder`.
-
-    Raises
-    ------
-    InstrumentLostError
-        The device is not there.
-    InstrumentError
-        A package, the driver, a device of that name, an input or a terminal configuration is missing.
     """
 
     def __init__(
@@ -141,12 +136,7 @@ class ProcessRecorder:
     def reconnect(self) -> None:
         """End the process that runs NI-DAQmx, start a fresh one, and open the same device in it.
 
-        Raises
-        ------
-        InstrumentLostError
-            The device is not there (yet).
-        InstrumentError
-            Another device answers in its place, or the recorder was closed.
+        Raises InstrumentLostError or InstrumentError.
         """
         self._check_open("reconnecting")
         with self._connecting:

@@ -48,11 +48,6 @@ EARLY_NS = 500_000
 class AudioRing:
     """The last seconds of all outputs, and when they were asked for.
 
-    Parameters
-    ----------
-    descriptor : int
-        Of the shared file.
-
     Attributes
     ----------
     header : record array, shape (1,)
@@ -117,13 +112,7 @@ class AudioRing:
 
 
 class RingWriter:
-    """Puts what is played into the ring, in time.
-
-    Parameters
-    ----------
-    ring : AudioRing
-        Read by `mocks.wire.audio.jack_capture`.
-    """
+    """Puts what is played into the ring, in time."""
 
     def __init__(self, ring: AudioRing) -> None:
         self._ring = ring
@@ -199,13 +188,6 @@ def make_ring(channels: int, rate_hz: int, period_frames: int, seconds: float) -
 
     In anonymous memory where there is such a thing: /dev/shm is small in containers, and a file on a disk would
     keep the audio waiting.
-
-    Parameters
-    ----------
-    channels, rate_hz, period_frames : int
-        Of the interface.
-    seconds : float
-        How much to keep.
     """
     frames = -(-round(seconds * rate_hz) // period_frames) * period_frames
     size = HEADER.itemsize + 16 * (CYCLES + INTERRUPTIONS) + 4 * channels * frames

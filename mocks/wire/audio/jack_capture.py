@@ -54,11 +54,6 @@ class PlayedAudio:
         buffer while the other is filled. The slope is `rate_hz`, exactly. The relation is measured anew only when
         it is asked for an instant more than 30 s from the last measurement, and then moves by what the two clocks
         have parted, or after an interruption.
-
-        Parameters
-        ----------
-        instant_ns : int
-            The instant, past or future.
         """
         ring = self._ring
         with self._lock:
@@ -81,7 +76,7 @@ class PlayedAudio:
         return tuple((int(first), int(frames)) for first, frames in gaps)
 
     def read(self, first_frame: int, stop_frame: int) -> Float32Array:
-        """Frames as parts of full scale, once the last one is there.
+        """Frames as parts of full scale, once the last one is there. Raises AudioNotCapturedError.
 
         Parameters
         ----------
@@ -91,11 +86,6 @@ class PlayedAudio:
         Returns
         -------
         float32 array, shape (channels, stop_frame - first_frame)
-
-        Raises
-        ------
-        AudioNotCapturedError
-            They are older than the ring, or did not come in time.
         """
         out = np.zeros((self.channels, stop_frame - first_frame), dtype=np.float32)
         first, stop = max(0, first_frame), max(0, stop_frame)

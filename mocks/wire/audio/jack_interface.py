@@ -37,12 +37,7 @@ def server_place() -> Iterator[str]:
     """The name of a server that nobody else on this machine uses, and room for it in shared memory.
 
     A few names, used again and again: a server that was killed stays registered until one of its name follows, and
-    eight are all there is room for.
-
-    Raises
-    ------
-    RuntimeError
-        All places were taken for too long.
+    eight are all there is room for. Raises RuntimeError.
     """
     import fcntl
 

@@ -60,7 +60,7 @@ MIRROR_DEVICES: Registry[type[MirrorDevice]] = Registry("mocks.wire.mirrors")
 
 
 def mirror_device(dialect: str, motion: MirrorMotion, full_scale_mrad: float | None = None) -> MirrorDevice:
-    """A device that speaks a dialect.
+    """A device that speaks a dialect. Raises ValueError.
 
     Parameters
     ----------
@@ -71,11 +71,6 @@ def mirror_device(dialect: str, motion: MirrorMotion, full_scale_mrad: float | N
         than the settling time that the near side is told.
     full_scale_mrad : float, optional
         Optical angle at full deflection.
-
-    Raises
-    ------
-    ValueError
-        There is no such dialect.
     """
     devices = MIRROR_DEVICES.all()
     if dialect not in devices:

@@ -57,13 +57,7 @@ class MirrorMotion:
         self._lock = threading.Lock()
 
     def start(self, x_mrad: float, y_mrad: float) -> None:
-        """Begin a move now, from wherever the mirror looks.
-
-        Raises
-        ------
-        ValueError
-            The target is beyond the limit.
-        """
+        """Begin a move now, from wherever the mirror looks. Raises ValueError."""
         if not self.reaches(x_mrad, y_mrad):
             raise ValueError(f"({x_mrad:g}, {y_mrad:g}) mrad is beyond +-{self.limit_mrad:g} mrad")
         with self._lock:

@@ -16,13 +16,7 @@ VOLTAGE = 10322  # nidaqmx.constants.UsageTypeAI
 
 
 def device_value(product: Product, name: str, serial_number: int, attribute: int) -> Any:
-    """A property of the device.
-
-    Raises
-    ------
-    NiError
-        One that it has not.
-    """
+    """A property of the device. Raises NiError."""
     ranges_v = [bound for range_v in product.all_ranges_v for bound in (-range_v, range_v)]
     values = {
         0x0631: product.name,
@@ -42,13 +36,7 @@ def device_value(product: Product, name: str, serial_number: int, attribute: int
 
 
 def channel_value(channel: Channel, device: str, attribute: int) -> Any:
-    """A property of a channel.
-
-    Raises
-    ------
-    NiError
-        One that it has not.
-    """
+    """A property of a channel. Raises NiError."""
     converter = channel.converter
     values = {
         0x1765: float(converter.bits),
@@ -65,13 +53,7 @@ def channel_value(channel: Channel, device: str, attribute: int) -> Any:
 
 
 def read_value(task: NiTask, attribute: int) -> Any:
-    """A property of a task's read side.
-
-    Raises
-    ------
-    NiError
-        One that it has not.
-    """
+    """A property of a task's read side. Raises NiError."""
     values = {
         0x217B: len(task.channels),
         0x31E8: task.samples if task.finite else task.unread,

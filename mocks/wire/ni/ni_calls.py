@@ -31,13 +31,7 @@ OPEN_INPUT_V = 1e-4  # noise of an input that nothing drives, volts rms
 
 
 class NiCalls:
-    """The remote procedures of one box, by name.
-
-    Parameters
-    ----------
-    box : NiBox
-        What they work on.
-    """
+    """The remote procedures of one box, by name."""
 
     def __init__(self, box: NiBox) -> None:
         self._box = box

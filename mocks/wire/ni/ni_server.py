@@ -121,13 +121,7 @@ class NiServer:
             return tuple(self._under_way.elements())
 
     def start(self) -> str:
-        """Listen, and tell the address.
-
-        Raises
-        ------
-        RuntimeError
-            The port is taken.
-        """
+        """Listen, and tell the address. Raises RuntimeError."""
         self._stopping.clear()
         self._listen()
         return self._address
@@ -212,17 +206,7 @@ class NiServer:
     # -- answering -------------------------------------------------------------------------------
 
     def answer(self, name: str, request: Any, context: grpc.ServicerContext) -> Any:
-        """Answer one call, with the faults that it meets.
-
-        Parameters
-        ----------
-        name : str
-            Of the remote procedure.
-        request : protobuf message
-            What was asked.
-        context : grpc.ServicerContext
-            The call.
-        """
+        """Answer one call, with the faults that it meets."""
         began_s = self._begun(name)
         gone = threading.Event()
         if not context.add_callback(gone.set):
