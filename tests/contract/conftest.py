@@ -15,7 +15,7 @@ from typing import TypeVar
 import pytest
 
 from config.rig import RigConfig, default_rig
-from drivers.errors import TransientInstrumentError
+from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import Clock, Mirror, Player, Recorder
 from mocks.wire.emulated_rig import EmulatedRig
 from mocks.wire.mirrors import mirror_device
@@ -56,6 +56,16 @@ class OpenedWhenUsed:
     @cached_property
     def player(self) -> Player:
         return self._ways.player()
+
+    def rest(self) -> None:
+        """Leave nothing under way for the next test, and open anew what this one has closed."""
+        for role, stop in (("player", "mute"), ("recorder", "abort"), ("mirror", "park")):
+            if role in self.__dict__:
+                getattr(getattr(self, role), stop)()
+                try:
+                    getattr(self, role).identify()
+                except InstrumentError:
+                    del self.__dict__[role]
 
     def close(self) -> None:
         for role in ("player", "recorder", "mirror"):
@@ -129,6 +139,21 @@ def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], 
             sides.close()
 
 
+@pytest.fixture(scope="package")
+def wire(emulated: Callable[[], RigConfig]) -> Iterator[Callable[[], Bench]]:
+    """The bench on the emulated rig; to open an audio stream takes a second."""
+    made: list[Bench] = []
+
+    def bench() -> Bench:
+        if not made:
+            made.append(bench_of(emulated(), latency_s=1.0))
+        return made[0]
+
+    yield bench
+    for one in made:
+        one.instruments.close()
+
+
 @pytest.fixture
 def mirror_side(tmp_path: Path) -> Iterator[Callable[[str], RigConfig]]:
     """A rig of which only the mirror is there, on a TCP port, in the dialect that is asked for."""
@@ -163,7 +188,10 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     if kind == "virtual":
         bench = bench_of(default_rig(), latency_s=0.05)
     elif kind == "wire":
-        bench = bench_of(request.getfixturevalue("emulated")(), latency_s=1.0)
+        bench = request.getfixturevalue("wire")()
+        yield bench
+        bench.instruments.rest()
+        return
     elif kind == "hardware":
         bench = bench_of(load_rig(request.config.getoption("--hardware")), latency_s=1.0)
     else:

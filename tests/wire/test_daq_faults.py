@@ -43,19 +43,13 @@ def until_reconnected(recorder):
         ("warning", "ReadAnalogF64", PASSING, "NI-DAQmx warns.*ADC_OVERLOADED"),
         ("wait_timeout", "WaitUntilTaskDone", PASSING, "not finished after 1 s"),
         ("unplugged", "StartTask", LOST, "cannot be accessed: unplugged.*-201003"),
-        ("unplugged", "WaitUntilTaskDone", LOST, "cannot be accessed: unplugged.*-201003"),
         ("unplugged", "ReadAnalogF64", LOST, "cannot be accessed: unplugged.*-201003"),
         ("absent", "StartTask", LOST, "not present .NI-DAQmx -88705"),
-        ("absent", "ReadAnalogF64", LOST, "not present .NI-DAQmx -88705"),
         ("wrong_name", "StartTask", LOST, "not there any more .NI-DAQmx -200220"),
         ("in_use", "StartTask", LOST, "reserved, .*-50103"),
         ("usb_aborted", "StartTask", LOST, "USB transfer was aborted .NI-DAQmx -50405"),
-        ("usb_aborted", "ReadAnalogF64", LOST, "USB transfer was aborted .NI-DAQmx -50405"),
         ("silent", "StartTask", LOST, "does not answer .StartTask got no answer within 1 s"),
-        ("silent", "WaitUntilTaskDone", LOST, "does not answer .WaitUntilTaskDone got no answer within 2 s"),
         ("silent", "ReadAnalogF64", LOST, "does not answer .ReadAnalogF64 got no answer within 3 s"),
-        ("silent", "StopTask", LOST, "does not answer .StopTask got no answer"),
-        ("server_dead", "StartTask", LOST, "cannot be reached, or went away"),
         ("server_dead", "WaitUntilTaskDone", LOST, "cannot be reached, or went away"),
         ("server_dead", "ReadAnalogF64", LOST, "cannot be reached, or went away"),
     ],
@@ -86,9 +80,7 @@ def test_given_a_fault_in_the_second_record_then_it_is_told_and_the_third_is_goo
     [
         ("wrong_name", "GetDeviceAttributeString", FOR_GOOD, "there is no device of this name"),
         ("absent", "GetDeviceAttributeString", LOST, "not present"),
-        ("unplugged", "GetDeviceAttributeString", LOST, "unplugged"),
         ("silent", "GetSystemInfoAttributeUInt32", LOST, "does not answer .GetSystemInfoAttributeUInt32"),
-        ("silent", "GetDeviceAttributeUInt32", LOST, "does not answer .GetDeviceAttributeUInt32"),
         ("server_dead", "GetSystemInfoAttributeUInt32", LOST, "cannot be reached"),
         ("server_dead", "GetPhysicalChanAttributeInt32", LOST, "cannot be reached"),
     ],
@@ -105,10 +97,8 @@ def test_given_a_fault_while_opening_then_it_is_told_and_nothing_stays_open(kind
     ("operation", "kind", "error"),
     [
         ("CreateTask", "usb_aborted", LOST),
-        ("CreateTask", "silent", LOST),
         ("CreateAIVoltageChan", "wrong_name", LOST),
         ("CreateAIVoltageChan", "warning", FOR_GOOD),
-        ("CfgSampClkTiming", "usb_aborted", LOST),
         ("TaskControl", "in_use", FOR_GOOD),
         ("TaskControl", "warning", FOR_GOOD),
         ("TaskControl", "silent", LOST),
@@ -268,10 +258,8 @@ def test_given_a_failure_when_clearing_up_then_the_first_error_carries_it_as_a_n
 @pytest.mark.parametrize(
     ("operation", "kind"),
     [
-        ("StopTask", "unplugged"),
         ("StopTask", "usb_aborted"),
         ("StopTask", "silent"),
-        ("ClearTask", "usb_aborted"),
         ("ClearTask", "server_dead"),
     ],
 )
@@ -288,8 +276,11 @@ def test_given_an_unreachable_address_then_opening_names_it_and_what_to_start():
     with daq_bench() as bench:
         address = bench.server.address
         bench.server.stop()
-        with pytest.raises(LOST, match=f"recorder Dev1 at {address}: .*cannot be reached.*start ni_grpc_device_server"):
+        with pytest.raises(
+            LOST, match=f"recorder Dev1 at {address}: .*cannot be reached.*start ni_grpc_device_server"
+        ) as caught:
             bench.recorder()
+        assert '"address": "[::]"' in caught.value.remedy
 
 
 def test_given_records_back_to_back_then_a_late_answer_within_its_deadline_is_no_fault():
@@ -297,13 +288,6 @@ def test_given_records_back_to_back_then_a_late_answer_within_its_deadline_is_no
         recorder = bench.recorder(answer_s=30.0)
         for _ in range(3):
             check_tone(take_one(recorder))
-
-
-def test_given_a_warning_about_the_device_then_it_is_told_as_a_fault_that_no_repeat_cures():
-    with daq_bench(faults=fault("warning", "TaskControl", at_call=1)) as bench:
-        recorder = bench.recorder()
-        with pytest.raises(InstrumentError, match=r"warns.*DEV_NOT_SELF_CALIBRATED.*put right what it warns of"):
-            recorder.start(ask())
 
 
 @pytest.mark.parametrize(
@@ -324,14 +308,6 @@ def test_given_a_server_that_goes_on_refusing_then_the_attempt_fails_and_the_nex
         # What may have been carried out is not ordered twice.
         assert bench.calls("StartTask") == calls
         check_tone(take_one(recorder))
-
-
-def test_given_an_unreachable_address_then_the_remedy_names_the_bind_address_that_serves_other_computers():
-    with daq_bench() as bench:
-        bench.server.stop()
-        with pytest.raises(InstrumentLostError) as caught:
-            bench.recorder()
-        assert '"address": "[::]"' in caught.value.remedy
 
 
 TLS = Path(__file__).with_name("tls")

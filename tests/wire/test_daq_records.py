@@ -13,6 +13,9 @@ from drivers.protocols import DeviceIdentity
 from mocks.wire.ni.ni_products import DIFFERENTIAL, PRODUCTS, RSE
 from tests.wire.daq_bench import RATE_HZ, TAKE, Tone, Wires, ask, check_tone, daq_bench, take_one
 
+# One of each family.
+SOME = [PRODUCTS[name] for name in ("USB-6001", "USB-6009", "USB-6211", "USB-6356")]
+
 
 @pytest.fixture
 def bench():
@@ -93,7 +96,7 @@ def test_given_another_program_on_the_device_then_starting_says_so_and_does_not_
     assert bench.calls("ResetDevice") == 0
 
 
-@pytest.mark.parametrize("product", PRODUCTS.values(), ids=PRODUCTS.keys())
+@pytest.mark.parametrize("product", SOME, ids=lambda product: product.name)
 def test_given_each_product_then_its_fastest_rate_and_all_its_ranges_record_whole_counts(product):
     # Faster than real time: the figures of a USB-6008 would take its time.
     with daq_bench(Tone(noise_v=0.01), product.name, speed=50.0) as bench:
@@ -123,7 +126,7 @@ def test_given_a_converter_for_each_input_then_the_rate_is_that_of_each_and_no_i
         assert delay_s == 0.0
 
 
-@pytest.mark.parametrize("product", PRODUCTS.values(), ids=PRODUCTS.keys())
+@pytest.mark.parametrize("product", SOME, ids=lambda product: product.name)
 def test_given_a_rate_beyond_the_product_then_the_refusal_names_the_limit(product):
     with daq_bench(product=product.name) as bench:
         recorder = bench.recorder()

@@ -9,7 +9,7 @@ from typing import Any
 
 from mocks.wire.ni.ni_errors import NOT_SUPPORTED, NiError
 from mocks.wire.ni.ni_products import Product
-from mocks.wire.ni.ni_tasks import Channel, NiTask
+from mocks.wire.ni.ni_tasks import Channel
 
 ANALOG_INPUT = 10100  # nidaqmx.constants.ChannelType
 VOLTAGE = 10322  # nidaqmx.constants.UsageTypeAI
@@ -48,17 +48,6 @@ def channel_value(channel: Channel, device: str, attribute: int) -> Any:
         0x187F: ANALOG_INPUT,
         0x0695: VOLTAGE,
         0x18F5: f"{device}/{channel.input}",
-    }
-    return found(values, attribute)
-
-
-def read_value(task: NiTask, attribute: int) -> Any:
-    """A property of a task's read side. Raises NiError."""
-    values = {
-        0x217B: len(task.channels),
-        0x31E8: task.samples if task.finite else task.unread,
-        0x1223: task.unread,
-        0x1823: ", ".join(channel.name for channel in task.channels),
     }
     return found(values, attribute)
 

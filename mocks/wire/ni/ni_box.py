@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
 
 from mocks.wire.ni import ni_errors
 from mocks.wire.ni.ni_errors import NiError
 from mocks.wire.ni.ni_products import PRODUCTS, Product
-from mocks.wire.ni.ni_tasks import Alive, NiTask, SignalSource, State
+from mocks.wire.ni.ni_tasks import NiTask, SignalSource, State
 
 
 class NiBox:
@@ -142,18 +141,6 @@ class NiBox:
         with self.condition:
             if self._reserved is task:
                 self._reserved = None
-
-    def events(self, name: str, samples: int, alive: Alive) -> Iterator[None]:
-        """One turn for each so many samples acquired, until the task is cleared or the caller goes."""
-        with self.condition:
-            task = self._named(name)
-        turn = 0
-        while True:
-            turn += 1
-            with self.condition:
-                if not task.wait_for(turn * samples, lambda: alive() and self._tasks.get(name) is task):
-                    return
-            yield
 
     def _named(self, name: str) -> NiTask:
         task = self._tasks.get(name)

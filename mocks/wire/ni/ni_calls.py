@@ -9,7 +9,7 @@ import numpy as np
 
 from mocks.wire.faults import WireFault
 from mocks.wire.ni import ni_errors
-from mocks.wire.ni.ni_attributes import channel_value, device_value, found, read_value
+from mocks.wire.ni.ni_attributes import channel_value, device_value, found
 from mocks.wire.ni.ni_box import NiBox
 from mocks.wire.ni.ni_errors import NiError
 from mocks.wire.ni.ni_products import DIFFERENTIAL, NRSE, RSE
@@ -25,7 +25,7 @@ TERMINALS = {10106: DIFFERENTIAL, 10083: RSE, 10078: NRSE, -1: DIFFERENTIAL}  # 
 TERMINAL_BITS = {RSE: 1, NRSE: 2, DIFFERENTIAL: 4}  # nidaqmx.constants._TermCfg
 FINITE = 10178  # nidaqmx.constants.AcquisitionType
 BY_CHANNEL = 0  # nidaqmx.constants.FillMode
-START, STOP, VERIFY, COMMIT, RESERVE, UNRESERVE, ABORT = range(7)  # nidaqmx.constants.TaskMode
+COMMIT = 3  # nidaqmx.constants.TaskMode
 FEWEST_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
 OPEN_INPUT_V = 1e-4  # noise of an input that nothing drives, volts rms
 
@@ -47,17 +47,13 @@ class NiCalls:
             "GetDeviceAttributeDouble": self._device_attribute,
             "GetDeviceAttributeDoubleArray": self._device_attribute,
             "GetPhysicalChanAttributeInt32": self._input_terminals,
-            "SelfTestDevice": self._self_test,
             "ResetDevice": self._reset,
             "CreateTask": self._create_task,
             "ClearTask": self._clear_task,
             "GetTaskAttributeString": self._task_text,
-            "GetTaskAttributeUInt32": lambda request, alive: {"value": len(self._task(request).channels)},
             "CreateAIVoltageChan": self._create_channel,
             "GetChanAttributeDouble": self._channel_attribute,
             "GetChanAttributeDoubleArray": self._channel_attribute,
-            "GetChanAttributeInt32": self._channel_attribute,
-            "GetChanAttributeString": self._channel_attribute,
             "CfgSampClkTiming": self._time,
             "GetTimingAttributeDouble": self._timing_attribute,
             "CfgDigEdgeStartTrig": self._trigger,
@@ -65,11 +61,7 @@ class NiCalls:
             "StartTask": self._start,
             "StopTask": self._stop,
             "WaitUntilTaskDone": self._wait,
-            "IsTaskDone": self._is_done,
-            "GetReadAttributeUInt32": self._read_attribute,
-            "GetReadAttributeString": self._read_attribute,
             "ReadAnalogF64": self._read,
-            "UnregisterEveryNSamplesEvent": lambda request, alive: {},
         }
 
     def spoil(self, fault: WireFault) -> None:
@@ -98,10 +90,6 @@ class NiCalls:
         terminals = self._box.product.terminals(self._box.input_number(wanted))
         return {"value_raw": sum(TERMINAL_BITS[terminal] for terminal in terminals)}
 
-    def _self_test(self, request: Any, alive: Alive) -> Answer:
-        self._box.touch(request.device_name)
-        return {}
-
     def _reset(self, request: Any, alive: Alive) -> Answer:
         self._box.reset(request.device_name)
         return {}
@@ -115,12 +103,6 @@ class NiCalls:
     def _clear_task(self, request: Any, alive: Alive) -> Answer:
         self._box.clear(request.task.name)
         return {}
-
-    def _is_done(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request)
-            complete = task.finite and task.acquired() == task.samples
-            return {"is_task_done": task.state is not State.RUNNING or complete}
 
     def _task_text(self, request: Any, alive: Alive) -> Answer:
         task = self._task(request)
@@ -169,8 +151,9 @@ class NiCalls:
                 raise NiError(code, f"Property: DAQmx_SampClk_Rate. Maximum Value: {fastest_hz:g}")
             if request.rate < self._box.product.slowest_hz:
                 raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_SampClk_Rate")
-            task.finite = request.sample_mode_raw == FINITE
-            if task.finite and request.samps_per_chan < FEWEST_SAMPLES:
+            if request.sample_mode_raw != FINITE:
+                raise NiError(ni_errors.NOT_SUPPORTED, "Property: DAQmx_SampQuant_SampMode")
+            if request.samps_per_chan < FEWEST_SAMPLES:
                 raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_SampQuant_SampPerChan. Minimum Value: 2")
             task.rate_hz = self._box.product.coerced_rate_hz(request.rate)
             task.samples = request.samps_per_chan
@@ -194,18 +177,11 @@ class NiCalls:
     def _control(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
             task, action = self._task(request), request.action_raw
-            if action == START:
-                return self._start(request, alive)
-            if action == STOP:
-                return self._stop(request, alive)
-            if action in (COMMIT, RESERVE):
-                self._box.reserve(task)
-                task.commits = True
-                task.state = State.COMMITTED
-            elif action in (UNRESERVE, ABORT):
-                task.commits = False
-                task.end()
-                self._box.release(task)
+            if action != COMMIT:
+                raise NiError(ni_errors.NOT_SUPPORTED, f"Task action: {action}")
+            self._box.reserve(task)
+            task.commits = True
+            task.state = State.COMMITTED
             return {}
 
     def _start(self, request: Any, alive: Alive) -> Answer:
@@ -232,10 +208,6 @@ class NiCalls:
             task.wait_done(request.time_to_wait, alive)
             return {}
 
-    def _read_attribute(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            return {"value": read_value(self._task(request), request.attribute_raw)}
-
     def _read(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
             task = self._task(request)
@@ -244,7 +216,7 @@ class NiCalls:
                 self._start(request, alive)
             asked = request.num_samps_per_chan
             if asked < 0:
-                asked = task.samples if task.finite else task.unread
+                asked = task.samples
             if asked * len(task.channels) > request.array_size_in_samps:
                 raise NiError(ni_errors.NOT_STARTED, "The array is too small.")
             analog_v, complete = task.read(asked, request.timeout, alive)

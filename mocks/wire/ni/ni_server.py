@@ -6,7 +6,7 @@ import functools
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -25,7 +25,6 @@ from mocks.wire.ni.ni_tasks import SignalSource
 __all__ = ["Call", "NiServer", "SignalSource"]
 
 SERVICE = "nidaqmx_grpc.NiDAQmx"
-EVERY_N_SAMPLES = "RegisterEveryNSamplesEvent"
 METHODS = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"].methods_by_name
 # Calls that a wait in one of them must not keep from being answered.
 THREADS = 16
@@ -196,12 +195,10 @@ class NiServer:
 
     def _handlers(self) -> dict[str, Any]:
         """What answers each remote procedure; others are answered that they are not implemented."""
-        handlers = {
+        return {
             name: grpc.unary_unary_rpc_method_handler(functools.partial(self.answer, name), *_wire_format(name))
             for name in self._calls.handlers
         }
-        handlers[EVERY_N_SAMPLES] = grpc.unary_stream_rpc_method_handler(self.events, *_wire_format(EVERY_N_SAMPLES))
-        return handlers
 
     # -- answering -------------------------------------------------------------------------------
 
@@ -231,23 +228,6 @@ class NiServer:
             return context.abort(grpc.StatusCode.UNKNOWN, str(error))
         finally:
             self._told(name, status if alive() else None, began_s)
-
-    def events(self, request: Any, context: grpc.ServicerContext) -> Iterator[Any]:
-        """Answer a registration for every n samples with a stream that lasts as long as the task."""
-        began_s = self._begun(EVERY_N_SAMPLES)
-        gone = threading.Event()
-        if not context.add_callback(gone.set):
-            gone.set()
-        # The client waits for the registration's own answer before it goes on.
-        context.send_initial_metadata(())
-        message = GetMessageClass(METHODS[EVERY_N_SAMPLES].output_type)
-        try:
-            for _ in self._box.events(request.task.name, request.n_samples, lambda: not gone.is_set()):
-                yield message(
-                    every_n_samples_event_type_raw=request.every_n_samples_event_type_raw, n_samples=request.n_samples
-                )
-        finally:
-            self._told(EVERY_N_SAMPLES, 0, began_s)
 
     def _meet(self, name: str, due: Sequence[WireFault], gone: threading.Event) -> int:
         """Let a call meet its faults; returns the status of an answer that is otherwise good."""

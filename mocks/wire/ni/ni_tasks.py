@@ -20,9 +20,6 @@ from mocks.wire.ni.ni_products import Converter
 Float64Array = NDArray[np.float64]
 Alive = Callable[[], bool]
 
-# Buffer of a continuous task by its rate (NI-DAQmx help, "How is Buffer Size Determined?").
-BUFFERS = ((100.0, 1_000), (10_000.0, 10_000), (1_000_000.0, 100_000))
-LARGEST_BUFFER = 1_000_000
 # How often a wait looks whether its caller is still there.
 POLL_S = 0.05
 
@@ -90,7 +87,6 @@ class NiTask:
         self.channels: list[Channel] = []
         self.rate_hz = 0.0
         self.samples = 0
-        self.finite = True
         self.trigger = ""
         self.channel_delay_s = 0.0
         self.state = State.IDLE
@@ -119,7 +115,7 @@ class NiTask:
 
     def end(self, broken: NiError | None = None) -> bool:
         """Stop, for good where `broken` says why; tells whether samples were still to come."""
-        early = self.state is State.RUNNING and self.finite and self.acquired() < self.samples
+        early = self.state is State.RUNNING and self.acquired() < self.samples
         self.broken = self.broken or broken
         self.state = State.COMMITTED if self.commits and broken is None else State.IDLE
         self._start_ns = None
@@ -131,8 +127,7 @@ class NiTask:
         if self._start_ns is None:
             return 0
         elapsed_s = (time.monotonic_ns() - self._start_ns) / NANOSECONDS * self._speed
-        taken = int(elapsed_s * self.rate_hz)
-        return min(taken, self.samples) if self.finite else taken
+        return min(int(elapsed_s * self.rate_hz), self.samples)
 
     @property
     def unread(self) -> int:
@@ -146,17 +141,6 @@ class NiTask:
         if not self._wait(self.samples, timeout_s, alive):
             raise NiError(ni_errors.NOT_DONE)
 
-    def wait_for(self, acquired: int, alive: Alive) -> bool:
-        """Wait for some number of samples since the start; False when the task ends or the caller goes before."""
-        try:
-            while alive():
-                if self.state is State.RUNNING and self.acquired() >= acquired:
-                    return True
-                self._condition.wait(POLL_S)
-        except NiError:
-            pass
-        return False
-
     def read(self, samples: int, timeout_s: float, alive: Alive) -> tuple[Float64Array, bool]:
         """Volts of the next samples, shape (channels, samples or fewer), and whether all came in time.
 
@@ -164,11 +148,9 @@ class NiTask:
         """
         if self.state is not State.RUNNING:
             raise NiError(ni_errors.NOT_STARTED)
-        if self.finite and self._read + samples > self.samples:
+        if self._read + samples > self.samples:
             raise NiError(ni_errors.NOT_STARTED, f"The task has {self.samples - self._read} left.")
         complete = self._wait(self._read + samples, timeout_s, alive)
-        if not self.finite and self.unread > self._buffer():
-            raise NiError(ni_errors.OVERWRITTEN)
         first, count = self._read, min(samples, self.unread)
         self._read += count
         if not count or self._start_ns is None:
@@ -214,7 +196,3 @@ class NiTask:
             raise self.broken
         if self.state is not State.RUNNING or self._started != started:
             raise NiError(ni_errors.ABORTED)
-
-    def _buffer(self) -> int:
-        sized = next((size for rate_hz, size in BUFFERS if self.rate_hz <= rate_hz), LARGEST_BUFFER)
-        return max(sized, self.samples)
