@@ -94,21 +94,6 @@ def hdf5_complaint(error: Exception) -> str:
     return f"is damaged or not readable by HDF5 ({text.strip(chr(39))})"
 
 
-def require_hard_link(file: h5py.File, name: str, path: Path) -> None:
-    """Refuse a name that leads anywhere but to an object of this file."""
-    group: h5py.Group = file
-    parts = name.strip("/").split("/")
-    for depth, part in enumerate(parts, 1):
-        here = "/" + "/".join(parts[:depth])
-        if isinstance(group.get(part, getlink=True), h5py.SoftLink | h5py.ExternalLink):
-            raise InputError(f"{path}: {here} is a link to elsewhere; only objects inside the file itself are read")
-        if depth < len(parts):
-            found = group[part]
-            if not isinstance(found, h5py.Group):
-                raise InputError(f"{path}: {here} is not a group")
-            group = found
-
-
 def plain_dataset(
     file: h5py.File, name: str, path: Path, *, shape: tuple[int, ...] | None = None, packed: bool = False
 ) -> h5py.Dataset:
@@ -130,10 +115,9 @@ def plain_dataset(
     InputError
         When it is packed, missing, linked or stored elsewhere, not numeric or of another shape.
     """
-    if not has(file, name):
+    dataset = _find(file, name)
+    if dataset is None:
         raise InputError(f"{path} has no dataset {name}")
-    require_hard_link(file, name, path)
-    dataset = file[name]
     if not isinstance(dataset, h5py.Dataset):
         raise InputError(f"{path}: {name} is not a dataset")
     properties = dataset.id.get_create_plist()
@@ -240,16 +224,27 @@ def read_whole(dataset: h5py.Dataset, path: Path) -> NDArray[Any]:
 
 
 def has(file: h5py.File, name: str) -> bool:
-    """Whether a name exists, without following it."""
-    group: object = file
-    parts = name.strip("/").split("/")
-    for depth, part in enumerate(parts, 1):
-        if not isinstance(group, h5py.Group) or group.get(part, getlink=True) is None:
-            return False
-        if depth < len(parts):
-            require_hard_link(file, "/".join(parts[:depth]), Path(file.filename))
-            group = group[part]
-    return True
+    """Whether a name exists; InputError where it or a part of it is a link to elsewhere."""
+    return _find(file, name) is not None
+
+
+def _find(file: h5py.File, name: str) -> object:
+    """Return the object of a name, None where there is none, if it is in this file itself."""
+    found: object = file
+    here = ""
+    for part in name.strip("/").split("/"):
+        if not isinstance(found, h5py.Group):
+            raise InputError(f"{file.filename}: {here} is not a group")
+        here += f"/{part}"
+        link = found.get(part, getlink=True)
+        if link is None:
+            return None
+        if not isinstance(link, h5py.HardLink):
+            raise InputError(
+                f"{file.filename}: {here} is a link to elsewhere; only objects inside the file itself are read"
+            )
+        found = found[part]
+    return found
 
 
 def read_floats(file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:

@@ -54,32 +54,19 @@ class RowSource(Protocol):
 class Bank(Closing):
     """A bank open for reading; a context manager, made by :func:`open_bank`.
 
+    What it says about itself is as of `storage.bank.header.BankHeader`, None where the file does not say, with
+    ``"m/s/V"`` and ``"V"`` for units that it does not name.
+
     Parameters
     ----------
-    path : Path
-        The file.
-    sample_rate_hz : float
-        Rate of the Green's functions in Hz.
-    taps : int
-        Length L of each Green's function in samples.
-    position_mm : array (P, 2)
-        Grid positions in millimetres.
-    actuator_mm : array (N, 2)
-        Actuator positions in millimetres, NaN where unknown.
     time_s : array (L,)
         Tap times in seconds.
-    band_hz : tuple of float or None
-        Measured band; None when the file does not say.
     quality : dict of float32 arrays
-        ``snr_db``, ``residual_db``, ``coherence``, ``peak_v`` (P, N) and ``attempts`` (P,); NaN (attempts
-        0) where the file does not say.
+        ``snr_db``, ``residual_db``, ``coherence``, ``peak_v`` (P, N) and ``attempts``, ``moved_mm``, ``reference_db``
+        (P,); NaN (attempts 0) where the file does not say.
     rms : array (P, N)
         Root mean square over the taps of each Green's function, float64, as computed when the position was committed
         and covered by its checksum; NaN in rows that are not measured or silent, of an older version, or foreign.
-    response_unit, drive_unit : str
-        Units; g is in response units per drive unit. ``"m/s/V"`` and ``"V"`` when the file does not say.
-    rig_json, run_json, plan_sha256, software : str or None
-        As :class:`~storage.bank.header.BankHeader`; None when the file does not say.
     rows : RowSource
         Where the rows come from.
     """

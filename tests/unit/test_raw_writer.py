@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 import pytest
 
-from storage.durable import PositionedFile, PosixFile
 from storage.errors import InputError
 from storage.raw.header import RawHeader
 from storage.raw.reading import DamagedError, open_raw
@@ -156,88 +155,3 @@ def test_given_a_changed_schedule_then_the_file_is_refused(tmp_path: Path) -> No
         file.attrs["plan_sha256"] = "cd" * 32
     with pytest.raises(InputError, match="damaged"):
         RawWriter.open(path)
-
-
-class LoggedFile(PosixFile):
-    """A file that notes what is written and synced."""
-
-    log: list[tuple[int, bytes] | None]
-
-    def write(self, offset: int, data: bytes | memoryview) -> None:
-        LoggedFile.log.append((offset, bytes(data)))
-        super().write(offset, data)
-
-    def sync(self) -> None:
-        LoggedFile.log.append(None)
-        super().sync()
-
-
-class UnsyncedFile(PosixFile):
-    """Skips the waiting for the disk, which a replay does not need."""
-
-    def sync(self) -> None:
-        return
-
-
-def unsynced(path: Path, *, write: bool = False) -> PositionedFile:
-    return UnsyncedFile(path, write=write)
-
-
-# Position and attempt in the order of commits: the third replaces the first through the journal.
-COMMITS = ((1, 1), (0, 1), (1, 2))
-
-
-def images(start: bytes, log: list[tuple[int, bytes] | None]) -> list[tuple[int, bytes]]:
-    """States that a power cut leaves: all that was synced, all or nothing of the rest, the last write torn."""
-    draw = np.random.default_rng(1)
-    found, synced, flying = [], bytearray(start), list[tuple[int, bytes]]()
-    for step, entry in enumerate(log):
-        if entry is None:
-            for offset, data in flying:
-                synced[offset : offset + len(data)] = data
-            flying.clear()
-            found.append((step + 1, bytes(synced)))
-            continue
-        offset, data = entry
-        for before in ((), tuple(flying)):
-            for kept in {min(size, len(data)) for size in (0, 512, 4608)}:
-                image = bytearray(synced)
-                for earlier, content in before:
-                    image[earlier : earlier + len(content)] = content
-                image[offset : offset + kept] = data[:kept]
-                torn = min(512, len(data) - kept)
-                image[offset + kept : offset + kept + torn] = draw.bytes(torn)
-                found.append((step, bytes(image)))
-        flying.append(entry)
-    return found
-
-
-def test_given_a_power_cut_at_any_write_then_nothing_acknowledged_is_lost_and_the_end_is_the_same(
-    tmp_path: Path,
-) -> None:
-    base = made(tmp_path, positions=2)
-    start = base.read_bytes()
-    LoggedFile.log = []
-    acknowledged: list[tuple[int, int, int]] = []
-    with RawWriter.open(base, open_file=LoggedFile) as writer:
-        LoggedFile.log.clear()
-        for position, attempt in COMMITS:
-            writer.commit(position, *volts(position, attempt))
-            acknowledged.append((len(LoggedFile.log), position, attempt))
-    finished = base.read_bytes()
-    cuts = images(start, LoggedFile.log)
-    assert len(cuts) > 50
-
-    cut = tmp_path / "cut.raw.h5"
-    for step, image in cuts:
-        cut.write_bytes(image)
-        promised = {position: attempt for length, position, attempt in acknowledged if length <= step}
-        for position, attempt in promised.items():
-            assert any(holds(cut, position, newer) for newer in range(attempt, 3))
-        with RawWriter.open(cut, open_file=unsynced) as writer:
-            assert all(writer.recorded[position] for position in promised)
-            for position in np.flatnonzero(writer.recorded).tolist():
-                assert any(holds(cut, position, attempt) for attempt in (1, 2))
-            for position, attempt in COMMITS[sum(length <= step for length, _, _ in acknowledged) :]:
-                writer.commit(position, *volts(position, attempt))
-        assert cut.read_bytes() == finished

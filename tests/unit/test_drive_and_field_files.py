@@ -1,0 +1,300 @@
+"""The drive and field files of contract section 5."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from storage.drive_file import Drive, read_drive, write_drive
+from storage.errors import InputError
+from storage.field_file import Field, FieldRowReader, FieldWriter, LowPass, field_in_rows, read_field, write_field
+
+
+def drive(actuators: int = 2, samples: int = 5, foci: int = 3, seed: int = 0) -> Drive:
+    rng = np.random.default_rng(seed)
+    return Drive(
+        drive_v=rng.normal(size=(actuators, samples)),
+        sample_rate_hz=10_000.0,
+        start_s=-0.1999,
+        method="exact",
+        scale=0.5,
+        omitted_bound=1e-6,
+        focus_sample=rng.integers(0, 1000, foci),
+        focus_position=rng.integers(0, 1500, foci),
+        focus_source=np.zeros(foci, np.int64),
+    )
+
+
+def field(positions: int = 3, samples: int = 5, seed: int = 0) -> Field:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(positions, samples)).astype(np.float32)
+    return Field(values, rng.integers(0, 1500, positions), 10_000.0, -0.2, "m/s")
+
+
+def a_drive(path: Path, seed: int = 0) -> None:
+    write_drive(path, drive(seed=seed))
+
+
+def a_field(path: Path, seed: int = 0) -> None:
+    write_field(path, field(seed=seed))
+
+
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(1, 4), st.integers(1, 9), st.integers(0, 4), st.integers(0, 2**32 - 1))
+def test_a_drive_or_field_written_then_comes_back_bit_for_bit(
+    tmp_path: Path, rows: int, samples: int, foci: int, seed: int
+) -> None:
+    written = drive(rows, samples, foci, seed)
+    write_drive(tmp_path / "drive.h5", written)
+    found = read_drive(tmp_path / "drive.h5")
+    for name in ("drive_v", "focus_sample", "focus_position", "focus_source"):
+        assert np.array_equal(getattr(found, name), getattr(written, name))
+    for name in ("sample_rate_hz", "start_s", "method", "scale", "omitted_bound"):
+        assert getattr(found, name) == getattr(written, name)
+    response = field(rows, samples, seed)
+    write_field(tmp_path / "field.h5", response)
+    read = read_field(tmp_path / "field.h5")
+    assert read.field.dtype == np.float32
+    assert np.array_equal(read.field, response.field)
+    assert np.array_equal(read.position_index, response.position_index)
+    assert (read.sample_rate_hz, read.start_s, read.response_unit) == (10_000.0, -0.2, "m/s")
+
+
+def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path: Path) -> None:
+    a_drive(tmp_path / "drive.h5")
+    a_field(tmp_path / "field.h5")
+    attributes = {
+        "drive": {
+            "format": "wavefocus-drive", "format_version": 1, "sample_rate_hz": 10_000.0, "start_s": -0.1999,
+            "method": "exact", "scale": 0.5, "omitted_bound": 1e-6,
+        },
+        "field": {
+            "format": "wavefocus-field", "format_version": 1, "sample_rate_hz": 10_000.0, "start_s": -0.2,
+            "response_unit": "m/s",
+        },
+    }  # fmt: skip
+    for name, expected in attributes.items():
+        with h5py.File(tmp_path / f"{name}.h5", "r") as file:
+            assert {key: file.attrs[key] for key in expected} == expected
+            assert (file[name].dtype, file[name].shape) == (
+                (np.float64, (2, 5)) if name == "drive" else (np.float32, (3, 5))
+            )
+            integers = ["position_index"] if name == "field" else [f"focus/{one}" for one in file["focus"]]
+            assert all((file[one].dtype, file[one].shape) == (np.int64, (3,)) for one in integers)
+
+
+def test_a_drive_file_with_only_what_is_needed_then_is_read(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "drive.h5", "w") as file:
+        file.attrs.update(format="wavefocus-drive", format_version=1, sample_rate_hz=10_000, start_s=-0.1)
+        file["drive"] = np.ones((2, 3), ">f4")
+    found = read_drive(tmp_path / "drive.h5")
+    assert found.drive_v.dtype == np.float64
+    assert (found.method, found.scale, found.omitted_bound) == ("unknown", 1.0, 0.0)
+    assert found.focus_sample.shape == (0,)
+
+
+@pytest.mark.parametrize("write", [a_drive, a_field])
+def test_a_file_written_over_an_older_one_then_replaces_it_and_leaves_nothing_else(
+    tmp_path: Path, write: Callable[[Path, int], None]
+) -> None:
+    for name, seeds in (("over.h5", (1, 2)), ("new.h5", (2,))):
+        for seed in seeds:
+            write(tmp_path / name, seed)
+    assert (tmp_path / "over.h5").read_bytes() == (tmp_path / "new.h5").read_bytes()
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["new.h5", "over.h5"]
+
+
+@pytest.mark.parametrize("write", [a_drive, a_field])
+def test_a_folder_that_is_missing_then_is_an_input_error(tmp_path: Path, write: Callable[[Path], None]) -> None:
+    with pytest.raises(InputError, match=r"nowhere/file\.h5 cannot be written: No such file"):
+        write(tmp_path / "nowhere" / "file.h5")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"drive_v": np.zeros(3)}, "/drive has shape"),
+        ({"drive_v": np.array([[0.0], [np.nan]])}, "/drive of actuator 1 holds NaN"),
+        ({"sample_rate_hz": 0.0}, "sample_rate_hz is 0"),
+        ({"start_s": np.inf}, "start_s is inf"),
+        ({"scale": 0.0}, "scale is 0"),
+        ({"omitted_bound": -1.0}, "omitted_bound is -1"),
+        ({"focus_sample": np.zeros(2)}, "one common length"),
+        ({"field": np.zeros(3)}, "/field has shape"),
+        ({"position_index": [0]}, "/position_index has shape"),
+        ({"position_index": [1, -1, 2]}, "/position_index holds -1"),
+        ({"field": np.full((3, 5), np.nan), "position_index": [8, 8, 8]}, "/field of position 8 holds NaN"),
+    ],
+)
+def test_a_wrong_drive_or_field_then_is_refused_by_name(change: dict[str, object], message: str) -> None:
+    sound = field() if set(change) & {"field", "position_index"} else drive()
+    with pytest.raises(InputError, match=message):
+        dataclasses.replace(sound, **change)
+
+
+def attribute(name: str, value: object) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        file.attrs[name] = value
+
+    return change
+
+
+def put(name: str, value: object) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        del file[name]
+        if value is not None:
+            file[name] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("write", "change", "message"),
+    [
+        (
+            a_drive,
+            attribute("format", "wavefocus-bank"),
+            "has the format 'wavefocus-bank'; 'wavefocus-drive' is needed",
+        ),
+        (a_drive, attribute("format_version", 2), "version 2; this program reads version 1"),
+        (a_drive, attribute("sample_rate_hz", "fast"), "sample_rate_hz is 'fast'"),
+        (a_drive, attribute("scale", -1.0), "scale is -1"),
+        (a_drive, attribute("method", 5), "method holds no text"),
+        (a_drive, put("drive", None), "has no dataset /drive"),
+        (a_drive, put("drive", np.array(["x"], h5py.string_dtype())), "/drive holds no plain numbers"),
+        (a_drive, put("drive", h5py.ExternalLink("other.h5", "/drive")), "/drive is a link to elsewhere"),
+        (a_drive, put("drive", np.array([[np.inf]])), "/drive of actuator 0 holds NaN or infinities"),
+        (a_drive, put("focus/sample", np.zeros(3)), "/focus/sample holds floats"),
+        (a_drive, put("focus/sample", np.zeros(2, int)), "one common length"),
+        (a_field, attribute("format", "wavefocus-drive"), "'wavefocus-field' is needed"),
+        (a_field, attribute("format_version", 3), "version 3; this program reads version 1"),
+        (a_field, attribute("sample_rate_hz", -1.0), "sample_rate_hz is -1"),
+        (a_field, attribute("start_s", np.nan), "start_s is nan"),
+        (a_field, attribute("response_unit", 3), "response_unit holds no text"),
+        (a_field, put("position_index", np.array([3, 4])), "/position_index has shape"),
+        (a_field, put("field", np.full((3, 5), np.nan)), "is damaged: the checksum"),
+    ],
+)
+def test_a_file_with_something_wrong_then_is_refused_in_one_line(
+    tmp_path: Path, write: Callable[[Path], None], change: Callable[[h5py.File], None], message: str
+) -> None:
+    path = tmp_path / "file.h5"
+    write(path)
+    with h5py.File(path, "r+") as file:
+        change(file)
+    with pytest.raises(InputError, match=message) as refusal:
+        read_drive(path) if write is a_drive else read_field(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("read", [read_drive, read_field])
+@pytest.mark.parametrize(("content", "message"), [(b"", "is not an HDF5 file"), (None, "does not exist")])
+def test_a_path_without_a_file_of_ours_then_is_refused(
+    tmp_path: Path, read: Callable[[Path], object], content: bytes | None, message: str
+) -> None:
+    if content is not None:
+        (tmp_path / "file.h5").write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        read(tmp_path / "file.h5")
+
+
+# --- fields alone -----------------------------------------------------------------------------------------
+
+
+def test_a_float64_field_written_as_float64_then_keeps_every_digit(tmp_path: Path) -> None:
+    values = np.random.default_rng(3).normal(size=(2, 4))
+    write_field(tmp_path / "field.h5", Field(values, np.arange(2), 1e4, 0.0, "m/s"), dtype=np.float64)
+    assert np.array_equal(read_field(tmp_path / "field.h5").field, values)
+
+
+def test_a_field_at_a_lower_rate_then_says_what_it_lost(tmp_path: Path) -> None:
+    path, plain = tmp_path / "low.h5", tmp_path / "plain.h5"
+    write_field(path, dataclasses.replace(field(), low_pass=LowPass(500.0, 8)))
+    a_field(plain)
+    with h5py.File(path) as low, h5py.File(plain) as other:
+        assert low.attrs["band_hz"].tolist() == [0.0, 500.0]
+        assert low.attrs["decimated_by"] == 8
+        assert not {"band_hz", "decimated_by"} & set(other.attrs)
+    assert read_field(path).low_pass == LowPass(500.0, 8)
+    assert read_field(plain).low_pass is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("decimated_by", 1, "decimated_by is 1; 2 or more"),
+        ("decimated_by", 2.5, "decimated_by is 2.5; a whole number"),
+        ("band_hz", [0.0, -1.0], "band_hz ends at -1"),
+        ("band_hz", [0.0, np.nan], "band_hz"),
+        ("band_hz", [3.0], "band_hz"),
+    ],
+)
+def test_a_field_at_a_lower_rate_with_a_wrong_attribute_then_is_refused(
+    tmp_path: Path, name: str, value: object, message: str
+) -> None:
+    path = tmp_path / "low.h5"
+    write_field(path, dataclasses.replace(field(), low_pass=LowPass(500.0, 8)))
+    with h5py.File(path, "r+") as file:
+        file.attrs[name] = value
+    with pytest.raises(InputError, match=message) as refusal:
+        FieldRowReader(path)
+    assert str(path) in str(refusal.value)
+
+
+def rows_of(path: Path) -> AbstractContextManager[FieldWriter]:
+    return field_in_rows(path, [4, 7, 9], 2, sample_rate_hz=1e4, start_s=-0.1, response_unit="m/s")
+
+
+def test_rows_written_one_by_one_then_make_the_whole_field(tmp_path: Path) -> None:
+    with rows_of(tmp_path / "field.h5") as writer:
+        writer.write(2, np.array([[5.0, 6.0]]))
+        writer.write(0, np.array([[1.0, 2.0], [3.0, 4.0]]))
+        assert not (tmp_path / "field.h5").exists()
+    found = read_field(tmp_path / "field.h5")
+    assert found.field.tolist() == [[1, 2], [3, 4], [5, 6]]
+    assert found.position_index.tolist() == [4, 7, 9]
+
+
+@pytest.mark.parametrize("error", [InputError, KeyboardInterrupt])
+def test_a_field_that_is_not_finished_then_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
+    path = tmp_path / "field.h5"
+    a_field(path)
+    before = path.read_bytes()
+
+    def write() -> None:
+        with rows_of(path) as writer:
+            writer.write(0, np.ones((2, 2)))
+            if error is KeyboardInterrupt:
+                raise KeyboardInterrupt
+
+    with pytest.raises(error):
+        write()
+    assert path.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["field.h5"]
+
+
+@pytest.mark.parametrize(
+    ("first", "rows", "message"),
+    [
+        (2, np.ones((2, 2)), "do not fit"),
+        (-1, np.ones((1, 2)), "do not fit"),
+        (0, np.ones((1, 3)), "do not fit"),
+        (0, np.array([[1.0, np.nan]]), "holds NaN or infinities"),
+    ],
+)
+def test_rows_that_do_not_fit_then_are_refused(tmp_path: Path, first: int, rows: np.ndarray, message: str) -> None:
+    with rows_of(tmp_path / "field.h5") as writer:
+        with pytest.raises(InputError, match=message):
+            writer.write(first, rows)
+        writer.write(0, np.ones((3, 2)))
