@@ -70,3 +70,10 @@ def stadium_rim(length_mm: float, width_mm: float, inset_mm: float, count: int) 
     x_mm = half_mm + radius_mm * np.cos(angle) - straight_mm
     y_mm = radius_mm * np.sin(angle)
     return np.column_stack([np.where(right, x_mm, -x_mm), np.where(upper, y_mm, -y_mm)])
+
+
+def default_marks_mm(length_mm: float, width_mm: float) -> tuple[tuple[float, float], ...]:
+    """Return seven places that determine a mirror map well: the middle, the corners of a rectangle, and the ends."""
+    x_mm, y_mm = 0.32 * length_mm, 0.3 * width_mm
+    return ((0.0, 0.0), (x_mm, y_mm), (-x_mm, y_mm), (-x_mm, -y_mm), (x_mm, -y_mm), (0.4 * length_mm, 0.0),
+            (-0.4 * length_mm, 0.0))  # fmt: skip

@@ -18,7 +18,7 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from acquisition.calibrate.mirror import default_marks_mm
+from config.stadium import default_marks_mm
 from gui.rig.calibration import Calibration
 from gui.rig.calibration_options import CalibrationOptions
 from gui.rig.jog_controls import Arrows

@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
-from rendering.verify.scan import Scan
-
 if TYPE_CHECKING:
     from rendering.verify.record import Figure
+    from rendering.verify.scan import Scan
     from rendering.verify.verdict import Verification
     from storage.drive_file import Drive
     from storage.field_file import Field
@@ -65,6 +63,9 @@ def _value(figure: Figure) -> str:
 
 def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> list[str]:
     """Notes and advice for the reader, most pressing first."""
+    from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none  # the window imports this module
+    from rendering.verify.scan import Scan
+
     fields = verification.fields
     failed = {check.name for check in verification.checks if check.passed is False}
     found: list[str] = []

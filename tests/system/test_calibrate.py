@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acquisition.calibrate.mirror import default_marks_mm
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import CalibrationRecord, load_calibration
+from config.stadium import default_marks_mm
 from mocks.virtual.chain import output_errors
 from storage.bank.reading import open_bank
 from wavefocus.__main__ import run

@@ -9,12 +9,12 @@ import pytest
 
 from acquisition.calibrate.actuators import ActuatorsTask, listening_places, measure_actuators
 from acquisition.calibrate.channels import OutputFigures, OutputsTask, measure_inputs, measure_outputs
-from acquisition.calibrate.mirror import default_marks_mm, fitted_marks, read_fiducials
+from acquisition.calibrate.mirror import fitted_marks, read_fiducials
 from acquisition.calibrate.operator import Here, Jog, JogView
 from acquisition.calibrate.probe import NotMeasuredError, Probe
 from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
-from config.stadium import inside_stadium
+from config.stadium import default_marks_mm, inside_stadium
 from drivers.errors import InstrumentLostError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from storage.errors import InputError

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.calibrate.actuators import listening_places
-from acquisition.calibrate.mirror import Pair, default_marks_mm, fitted_marks, read_fiducials
+from acquisition.calibrate.mirror import Pair, fitted_marks, read_fiducials
 from calibration.rig.mirror_fit import LEAST_MARKS
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import PARTS
 from config.rig import RigConfig
-from config.stadium import inside_stadium
+from config.stadium import default_marks_mm, inside_stadium
 from storage.errors import InputError
 from wavefocus.rig.limits import safe_amplitude_v
 
