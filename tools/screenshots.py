@@ -139,7 +139,7 @@ def take(out: Path, run_file: Path, what: str) -> None:
         keep("closing")
         window.messages.dismiss()
         until(lambda: tab.run.own is None)
-    until(lambda: tab.campaign.surface is not None and tab.campaign.measured == tab.campaign.surface.positions)
+    until(lambda: tab.campaign.state().word == "finished")
     window.messages.dismiss()
     tab.map_panel.map.show_position(71 if what == "over" else 100)
     tab.map_panel.map.select([60, 71])

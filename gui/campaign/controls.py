@@ -117,7 +117,6 @@ class ProgressRow(QWidget):
         put(self.figures, _pace_text(pace) if measuring and pace is not None else "")
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self._theme = theme
         self.state.apply_theme(theme)
 

@@ -49,7 +49,6 @@ class EventLines(QAbstractTableModel):
         return 0 if parent.isValid() else len(_TITLES)
 
     def line(self, row: int) -> Line:
-        """Line of a row."""
         return self._shown[row]
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
@@ -143,7 +142,6 @@ class EventList(QWidget):
         self.view.doubleClicked.connect(self._show_position)
 
     def draw(self) -> None:
-        """Draw new lines, and scroll to the newest if it was visible."""
         if self._drawn != self._campaign.revision["lines"]:
             self._drawn = self._campaign.revision["lines"]
             bar = self.view.verticalScrollBar()
@@ -194,7 +192,6 @@ class InstrumentList(QWidget):
         column.addWidget(self.table, stretch=1)
 
     def draw(self) -> None:
-        """Draw what changed."""
         if self._drawn == self._campaign.revision["instruments"]:
             return
         self._drawn = self._campaign.revision["instruments"]
@@ -212,7 +209,6 @@ class InstrumentList(QWidget):
                 self.table.setItem(row, column, item)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self._theme = theme
         self._drawn = -1
 

@@ -11,7 +11,6 @@ from PyQt5.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QSizePolicy,
-    QStackedLayout,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -66,7 +65,6 @@ class MapPanel(QWidget):
         self.colour_by.currentIndexChanged.connect(self._redraw)
 
     def draw(self) -> None:
-        """Draw what changed."""
         campaign, revision = self._campaign, self._campaign.revision
         if campaign.surface is None:
             return
@@ -78,7 +76,6 @@ class MapPanel(QWidget):
             self._redraw()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self.map.apply_theme(theme)
         self.legend.apply_theme(theme)
         self._redraw()
@@ -114,9 +111,11 @@ class Legend(QWidget):
             row.addWidget(text)
             row.addSpacing(8)
         row.addStretch(1)
-        self._stack = QStackedLayout(self)
-        self._stack.addWidget(self._statuses)
-        self._stack.addWidget(self._bar)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self._statuses)
+        column.addWidget(self._bar)
+        self._bar.hide()
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Maximum)
 
     def show_status(self, status: NDArray[np.uint8]) -> None:
@@ -127,18 +126,20 @@ class Legend(QWidget):
             swatch.setVisible(visible)
             text.setVisible(visible)
             text.setText(f"{look.word} {count}")
-        self._stack.setCurrentWidget(self._statuses)
+        self._show(self._statuses)
 
     def show_range(self, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool]) -> None:
-        """Show the colours of a figure."""
         self._bar.show_range(title, unit, levels, beyond)
-        self._stack.setCurrentWidget(self._bar)
+        self._show(self._bar)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self._bar.apply_theme(theme)
         for look, swatch, _ in self._swatches:
             swatch.setPixmap(_swatch(look, theme))
+
+    def _show(self, shown: QWidget) -> None:
+        for widget in (self._statuses, self._bar):
+            widget.setVisible(widget is shown)
 
 
 def _swatch(look: Look, theme: Theme) -> QPixmap:

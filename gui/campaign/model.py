@@ -72,7 +72,6 @@ class Instruments:
         self.all: list[Instrument] = []
 
     def take(self, record: Record) -> bool:
-        """Apply one event; whether anything changed."""
         match record:
             case {"event": "session_started", "instruments": list(names)}:
                 self.all = [Instrument(str(name)) for name in names]
@@ -134,7 +133,6 @@ class Campaign:
     _asked_s: float = 0.0
 
     def take(self, seen: Seen) -> None:
-        """Apply one finding of the follower."""
         match seen:
             case Records(records, anew):
                 if anew:
@@ -157,7 +155,6 @@ class Campaign:
 
     @property
     def measured(self) -> int:
-        """Positions that the bank holds."""
         return int(np.count_nonzero(self.status & ~np.uint8(DAMAGED)))
 
     def forget(self) -> None:

@@ -115,7 +115,6 @@ class RecordingPlot(Plot):
         super().__init__("Raw recordings", "time (s)", "input (V)", legend_at=(-10, 10))
 
     def show_record(self, recordings: Recordings, record: int, sample_rate_hz: float, position: int) -> None:
-        """Draw one record."""
         plot = self.getPlotItem()
         plot.clear()
         reference, response = recordings.reference_v[record], recordings.response_v[record]
@@ -154,12 +153,10 @@ class DriftPlot(QWidget):
             column.addWidget(plot)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
         for plot in self.plots:
             plot.apply_theme(theme)
 
     def show_drift(self, points: Sequence[DriftPoint]) -> None:
-        """Draw the history."""
         at_s = np.array([point.at.timestamp() for point in points])
         rows = (
             [point.level_db for point in points],

@@ -95,7 +95,6 @@ class PositionPanel(QTabWidget):
         self._fill_attempts()
 
     def draw(self) -> None:
-        """Draw what changed."""
         # Noted first: a failure to draw is reported once, not twenty times a second.
         before, revision = self._drawn, dict(self._campaign.revision)
         self._drawn = revision
@@ -114,7 +113,6 @@ class PositionPanel(QTabWidget):
             self.drift_plot.show_drift(self._campaign.drift)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         for plot in (self.green_plot, self.spectrum_plot, self.recording_plot, self.drift_plot):
             plot.apply_theme(theme)
         self.drift_plot.show_drift(self._campaign.drift)

@@ -106,11 +106,9 @@ class CampaignRun:
         self._order = self._context.run(["plan", str(run_file), "--json"], planned)
 
     def instruments_held(self) -> str:
-        """Whether the own capture has real instruments."""
         return "" if self.own is None or self._virtual else f"a run of this window measures {self.bank}"
 
     def runs(self, bank: Path | None) -> bool:
-        """Whether the own capture of a bank is running."""
         return self.own is not None and bank is not None and same_file(self.bank, bank)
 
     def last_line(self, bank: Path | None) -> str:
@@ -123,7 +121,6 @@ class CampaignRun:
         return self._last_line
 
     def closing_question(self) -> Question | None:
-        """Ask what the own capture does when the window closes."""
         if self.own is None:
             return None
         bank = self.bank
@@ -137,7 +134,6 @@ class CampaignRun:
         )
 
     def detach(self) -> None:
-        """Leave the own capture running."""
         if self.own is not None:
             self.own.detach()
 

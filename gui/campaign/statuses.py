@@ -26,7 +26,6 @@ class Look:
     symbol: str
 
     def colour(self, theme: Theme) -> str:
-        """Colour in a theme."""
         return (self.light if theme is LIGHT else self.dark) or theme.cell
 
 

@@ -74,7 +74,6 @@ class SurfaceMap(SurfaceView):
         self.select([])
 
     def show_status(self, status: NDArray[np.uint8]) -> None:
-        """Colour by status."""
         self._status = status
         self._levels = None
         colours = np.array([rgba(look.colour(self.theme)) for look in LOOKS], np.uint8)
@@ -124,7 +123,6 @@ class SurfaceMap(SurfaceView):
         self._marked_status = b""
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
-        """Walk and select by the keyboard."""
         assert event is not None
         key = event.key()
         if key == Qt.Key.Key_Space and self.shown >= 0:

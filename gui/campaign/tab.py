@@ -89,7 +89,6 @@ class CampaignTab(Tab):
         return name.endswith(".h5") and not name.endswith(".raw.h5") and not of_verification
 
     def open_file(self, path: Path) -> None:
-        """Open a run file, or a bank to follow."""
         if path.suffix.lower() == ".toml":
             self.run_field.show_path(path)
             self._run_chosen(path)
@@ -109,7 +108,6 @@ class CampaignTab(Tab):
         self.follower = Follower(bank, self.context.front)
 
     def poll(self) -> None:
-        """Apply the follower's findings."""
         if self.follower is not None:
             for seen in self.follower.take(_FINDINGS_PER_TICK):
                 self.campaign.take(seen)
@@ -118,7 +116,6 @@ class CampaignTab(Tab):
             self._show_trouble(trouble.sentence, trouble.details)
 
     def draw(self) -> None:
-        """Draw what changed."""
         campaign, bank, selected = self.campaign, self.bank_field.path, len(self.map_panel.map.selected)
         news = (*campaign.revision.values(), selected)
         if news == self._drawn and time.monotonic() < self._draw_due_s:
@@ -147,33 +144,27 @@ class CampaignTab(Tab):
             part.draw()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use a theme's colours."""
         for part in (self.progress, self.map_panel, self.position_panel, self.events, self.instruments):
             part.apply_theme(theme)
 
     def run_file(self) -> Path | None:
-        """The run file."""
         return self.run_field.path
 
     def instruments_held(self) -> str:
-        """Owner of the bank, or the own run of any bank."""
         owner, surface = self.campaign.owner, self.campaign.surface
         if owner is not None and not (surface is not None and surface.is_virtual):
             return f"process {owner.pid} on {owner.host} measures {self.bank_field.path}"
         return self.run.instruments_held()
 
     def closing_question(self) -> Question | None:
-        """Ask about a run of this window."""
         return self.run.closing_question()
 
     def save_settings(self) -> None:
-        """Save run, bank and splitters."""
         super().save_settings()
         for name, field in (("run", self.run_field), ("bank", self.bank_field)):
             self.context.settings.keep(f"campaign/{name}", str(field.path or ""))
 
     def restore_settings(self) -> None:
-        """Open run and bank of the last session, if they still exist."""
         run, bank = (self.context.settings.text(f"campaign/{name}") for name in ("run", "bank"))
         if run and Path(run).is_file():
             self.run_field.show_path(Path(run))
@@ -182,7 +173,6 @@ class CampaignTab(Tab):
             self.follow(Path(bank))
 
     def shut_down(self) -> None:
-        """End following; leave the run alone."""
         if self.follower is not None:
             self.follower.end()
         self.run.detach()

@@ -51,11 +51,9 @@ class Calibration:
 
     @property
     def running(self) -> bool:
-        """Whether it holds the instruments."""
         return self._process is not None
 
     def start(self, rig: Path, options: Sequence[str]) -> None:
-        """Start one."""
         if self._process is None:
             self._reset()
             arguments = ["calibrate", str(rig), "--operator", "lines", *options]
@@ -63,7 +61,6 @@ class Calibration:
             self._changed("question")
 
     def answer(self, word: str, **numbers: float) -> None:
-        """Answer the question."""
         if self._process is not None and self.question is not None:
             self._send_steps()
             self.question = None

@@ -80,7 +80,6 @@ class CalibrationOptions(QWidget):
             box.setChecked(part in ("", name))
 
     def shut_down(self) -> None:
-        """Remove the temporary file of marks."""
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None

@@ -30,7 +30,7 @@ from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import make_table, named, side_by_side
 
 _STEPS_MRAD = (0.05, 0.2, 1.0, 5.0, 20.0)
-_RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "distance (mm)")
+_RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "|Δ| (mm)")
 _YES = {"jog": "here", "map": "keep", "connect": "done", "again": "again"}
 
 
@@ -76,12 +76,10 @@ class CalibrationPage(QWidget):
 
     @property
     def chosen_mark(self) -> int | None:
-        """Chosen row of the residuals, from 1."""
         rows = {index.row() for index in self.residuals.selectedIndexes()}
         return min(rows) + 1 if rows else None
 
     def show_surface(self, length_mm: float, width_mm: float, actuator_mm: list[Pair]) -> None:
-        """Show another rig's surface."""
         self.options.size_mm = (length_mm, width_mm)
         self.picture.show_rig(length_mm, width_mm, actuator_mm)
         if not self._calibration.running:
@@ -89,7 +87,6 @@ class CalibrationPage(QWidget):
             self.picture.show_marks(self._marks_mm, -1, 0)
 
     def draw(self, *, has_rig: bool) -> None:
-        """Draw what changed."""
         calibration = self._calibration
         self.options.setEnabled(has_rig and not calibration.running)
         if self._drawn["question"] != calibration.revision["question"]:
@@ -100,7 +97,6 @@ class CalibrationPage(QWidget):
             self.meter.show_levels(calibration.levels)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self._theme = theme
         self.picture.apply_theme(theme)
         self.meter.apply_theme(theme)

@@ -70,11 +70,9 @@ class ExaminationPage(QWidget):
 
     @property
     def running(self) -> bool:
-        """Whether an examination holds the instruments."""
         return self._process is not None
 
     def start(self, rig: Path, options: Sequence[str]) -> None:
-        """Start an examination."""
         quiet = [] if self.plays.isChecked() else ["--no-play"]
         self.clear()
         self.summary.setText("examining…")
@@ -93,19 +91,16 @@ class ExaminationPage(QWidget):
             self._process = None
 
     def clear(self) -> None:
-        """Forget the findings."""
         self.findings, self.buttons = [], {}
         self.table.setRowCount(0)
         self.summary.setText("not examined yet")
 
     def draw(self, *, has_rig: bool) -> None:
-        """Enable the buttons that make sense."""
         self.examine.setEnabled(has_rig and not self.running)
         self.plays.setEnabled(not self.running)
         self.cancel_button.setVisible(self.running)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self._theme = theme
         for row in range(self.table.rowCount()):
             self._colour(row)

@@ -108,7 +108,6 @@ class JogPanel(QWidget):
         self.park.clicked.connect(session.park)
 
     def draw(self) -> None:
-        """Draw what changed."""
         session, revision, facts = self._session, self._session.revision, self._session.facts
         ready = session.state == "ready"
         if self._drawn["state"] != revision["state"]:

@@ -59,14 +59,12 @@ class LevelMeter(QWidget):
         self.setAccessibleName("; ".join(label.text() for label, _ in self._rows.values()))
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self._theme = theme
         for _, bar in self._rows.values():
             bar.setPalette(QPalette())
         self.show_levels(self._levels)
 
     def mousePressEvent(self, _event: QMouseEvent | None) -> None:  # noqa: N802
-        """Reset the highest peaks."""
         self.held_v.clear()
         self.show_levels(self._levels)
 

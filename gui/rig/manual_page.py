@@ -59,7 +59,6 @@ class ManualPage(QWidget):
         self.sound.actuator.currentIndexChanged.connect(self._mark_actuator)
 
     def draw(self, *, has_rig: bool) -> None:
-        """Draw what changed."""
         session = self._session
         self.take.setEnabled(has_rig and session.state == "released")
         if self._drawn != session.revision["state"]:
@@ -73,7 +72,6 @@ class ManualPage(QWidget):
         self.sound.draw()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self.jog.picture.apply_theme(theme)
         self.sound.apply_theme(theme)
 
@@ -124,7 +122,6 @@ class SoundPanel(QWidget):
         self.again.clicked.connect(lambda on: self.take_sweep() if on else None)
 
     def draw(self) -> None:
-        """Draw what changed."""
         session, revision = self._session, self._session.revision
         changed = {name for name, seen in self._drawn.items() if seen != revision[name]}
         self._drawn = {name: revision[name] for name in self._drawn}
@@ -151,7 +148,6 @@ class SoundPanel(QWidget):
             self._session.take_sweep(self.actuator.currentIndex(), *(box.value() for box in boxes))
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self._theme = theme
         for part in (self.meter, self.waveform, self.spectrum):
             part.apply_theme(theme)

@@ -52,7 +52,6 @@ class ManualSession:
 
     @property
     def pid(self) -> int | None:
-        """Process that holds the instruments."""
         return None if self._process is None else self._process.pid
 
     @property
@@ -61,7 +60,6 @@ class ManualSession:
         return self._process is not None
 
     def take(self, rig: Path) -> None:
-        """Open the instruments of a rig."""
         if self._process is None:
             self._reset()
             arguments = ["operate", str(rig)]
@@ -111,7 +109,6 @@ class ManualSession:
         self._order(order="level", on=on, **sounding)
 
     def take_sweep(self, actuator: int, level_v: float, start_hz: float, stop_hz: float, duration_s: float) -> None:
-        """Play and record one sweep."""
         self.sweeping = True
         self._changed("sweep")
         self._order(
@@ -119,7 +116,6 @@ class ManualSession:
         )
 
     def reconnect(self, role: str) -> None:
-        """Open an instrument again."""
         self._order(order="reconnect", instrument=role)
 
     def detach(self) -> None:

@@ -54,7 +54,6 @@ class RigFacts:
 
     @classmethod
     def from_record(cls, record: Record) -> RigFacts:
-        """Read a ``ready`` message."""
         surface, band_hz = table(record, "surface"), pair(record.get("band_hz"))
         assert band_hz is not None
         return cls(
@@ -79,13 +78,11 @@ class Spot:
 
     @classmethod
     def from_record(cls, record: Record) -> Spot:
-        """Read a ``mirror`` message."""
         x_mm, y_mm, x_mrad, y_mrad = (record.get(key) for key in ("x_mm", "y_mm", "x_mrad", "y_mrad"))
         return cls(pair([x_mm, y_mm]), pair([x_mrad, y_mrad]), bool(record.get("parked")))
 
     @property
     def text(self) -> str:
-        """Place and angles in words."""
         if self.angle_mrad is None:
             return "not moved yet"
         angles = "({:.3f}, {:.3f}) mrad".format(*self.angle_mrad)
@@ -107,7 +104,6 @@ class ChannelLevel:
 
     @classmethod
     def from_record(cls, record: Record) -> ChannelLevel:
-        """Read one channel of a ``level`` message."""
         rms_v, peak_v, range_v = (number(record, key) for key in ("rms_v", "peak_v", "range_v"))
         return cls(rms_v, peak_v, range_v, bool(record.get("over_range")))
 
@@ -122,7 +118,6 @@ class Levels:
 
     @classmethod
     def from_record(cls, record: Record) -> Levels:
-        """Read a ``level`` message."""
         reference, response = (ChannelLevel.from_record(table(record, key)) for key in ("reference", "response"))
         return cls(reference, response, optional_number(record.get("light")))
 
@@ -146,7 +141,6 @@ class Sweep:
 
     @classmethod
     def from_record(cls, record: Record) -> Sweep:
-        """Read a ``sweep`` message."""
         figures, trouble = record.get("figures"), record.get("trouble")
         figures = figures if isinstance(figures, dict) else {}
         found = [str(one["sentence"]) for one in figures.get("defects", [])]
@@ -167,7 +161,6 @@ class Sweep:
 
     @property
     def text(self) -> str:
-        """Figures in words."""
         parts = [f"actuator {self.actuator} at {self.level_v:.3g} V", f"response {volts(self.response_peak_v)} peak"]
         for key, factor, template in (
             ("snr_db", 1.0, "signal {:.0f} dB above noise"),
@@ -189,19 +182,15 @@ class Question:
     record: Record
 
     def pair(self, key: str) -> Pair | None:
-        """Two numbers."""
         return pair(self.record.get(key))
 
     def pairs(self, key: str) -> list[Pair]:
-        """Many pairs of numbers."""
         return pairs(self.record.get(key))
 
     def number(self, key: str) -> float | None:
-        """A number, where there is one."""
         return optional_number(self.record.get(key))
 
     def text(self, key: str) -> str:
-        """A text."""
         return str(self.record.get(key) or "")
 
 
@@ -219,7 +208,6 @@ class Finding:
 
     @classmethod
     def from_record(cls, record: Record) -> Finding:
-        """Read a finding of the doctor."""
         instrument, check, verdict, what, remedy = (
             str(record.get(key) or "") for key in ("instrument", "check", "verdict", "what", "remedy")
         )
@@ -230,7 +218,6 @@ class Finding:
 
     @property
     def bad(self) -> bool:
-        """Whether it needs attention."""
         return self.verdict in ("fail", "warn")
 
     @property

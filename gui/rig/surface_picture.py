@@ -39,7 +39,6 @@ class SurfacePicture(SurfaceView):
             self.add_item(item, depth)
 
     def show_rig(self, length_mm: float, width_mm: float, actuator_mm: Sequence[Pair]) -> None:
-        """Show a stadium and its actuators."""
         rim_mm = stadium_rim(length_mm, width_mm, 0.0, _RIM_POINTS)
         self.show_outline(np.vstack([rim_mm, rim_mm[:1]]))
         self.show_actuators(_points(actuator_mm))
@@ -93,7 +92,6 @@ class SurfacePicture(SurfaceView):
         return times
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         super().apply_theme(theme)
         self._chosen.setBrush(None)
         self._chosen.setPen(pyqtgraph.mkPen(theme.accent, width=3))
@@ -106,7 +104,6 @@ class SurfacePicture(SurfaceView):
         self.clicked.emit(*at_mm)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
-        """Step with the arrow keys."""
         if event is None or event.key() not in STEPS:
             super().keyPressEvent(event)
             return

@@ -75,11 +75,9 @@ class RigTab(Tab):
             self._show_rig(Path(remembered))
 
     def menu_actions(self) -> list[QAction | None]:
-        """Actions with their keys."""
         return [*self._actions]
 
     def accepts(self, path: Path) -> bool:
-        """TOML files that describe a rig."""
         return path.name.lower().endswith(".toml") and toml_kind(path) is TomlKind.RIG
 
     def open_file(self, path: Path) -> None:
@@ -90,19 +88,15 @@ class RigTab(Tab):
         self._show_rig(path)
 
     def examine(self, *options: str) -> None:
-        """Examine the rig."""
         self._with_free_instruments("Examine", lambda rig: self.examination.start(rig.path, options))
 
     def take(self) -> None:
-        """Open the instruments."""
         self._with_free_instruments("Open them", lambda rig: self.session.take(rig.path))
 
     def calibrate(self, options: list[str]) -> None:
-        """Calibrate the rig."""
         self._with_free_instruments("Calibrate", lambda rig: self.calibration.start(rig.path, options))
 
     def do(self, action: str, on: str) -> None:
-        """Do the action of a finding."""
         rig, messages = self.rig, self.context.messages
         if rig is None:
             return
@@ -132,19 +126,16 @@ class RigTab(Tab):
                 self._open(Path(on))
 
     def draw(self) -> None:
-        """Draw what changed."""
         has_rig, examining = self.rig is not None, self.examination.running
         self.examination.draw(has_rig=has_rig)
         self.manual_page.draw(has_rig=has_rig and not examining and not self.calibration.running)
         self.calibration_page.draw(has_rig=has_rig and not examining)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         for page in (self.examination, self.manual_page, self.calibration_page):
             page.apply_theme(theme)
 
     def instruments_held(self) -> str:
-        """Whether a process of this tab has real instruments."""
         busy = self.session.held or self.examination.running or self.calibration.running
         if not busy or self.rig is None or self.rig.is_virtual:
             return ""

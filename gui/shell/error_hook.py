@@ -42,12 +42,10 @@ class ErrorHook(QObject):
         self._former = (sys.excepthook, threading.excepthook)
 
     def install(self) -> None:
-        """Replace the hooks."""
         sys.excepthook = self._caught
         threading.excepthook = self._caught_in_thread
 
     def remove(self) -> None:
-        """Restore the hooks."""
         sys.excepthook, threading.excepthook = self._former
 
     def _report_here(self, sentence: str, details: str) -> None:

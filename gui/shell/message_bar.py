@@ -59,7 +59,6 @@ class MessageBar(QFrame):
         self._show("", "", ())
 
     def buttons(self) -> list[QPushButton]:
-        """Buttons of the answers."""
         return self._buttons
 
     def note(self, sentence: str) -> None:
@@ -71,7 +70,6 @@ class MessageBar(QFrame):
         self._enqueue("warning", sentence, answers)
 
     def fault(self, sentence: str, *answers: Answer) -> None:
-        """Report a failure."""
         self._enqueue("fault", sentence, answers)
 
     def ask(self, sentence: str, *answers: Answer) -> None:
@@ -95,17 +93,14 @@ class MessageBar(QFrame):
             self.dismiss_old()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours."""
         self._theme = theme
         self._colour()
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802
-        """Cut the text to the new width."""
         super().resizeEvent(event)
         self._fit()
 
     def changeEvent(self, event: QEvent | None) -> None:  # noqa: N802
-        """Keep room for text of another size."""
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.FontChange:
             self._set_height()

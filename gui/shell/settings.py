@@ -16,12 +16,10 @@ class Settings:
         self._settings = settings or QSettings("wavefocus", "wavefocus")
 
     def text(self, key: str, default: str = "") -> str:
-        """A remembered text."""
         value = self._settings.value(key, default)
         return value if isinstance(value, str) else default
 
     def whole(self, key: str, default: int) -> int:
-        """A remembered whole number."""
         try:
             return int(self.text(key, str(default)))
         except ValueError:
@@ -33,7 +31,6 @@ class Settings:
         return value if isinstance(value, QByteArray) else QByteArray()
 
     def keep(self, key: str, value: str | int | QByteArray) -> None:
-        """Remember something."""
         self._settings.setValue(key, str(value) if isinstance(value, int) else value)
 
     def folder(self, kind: str, beside: Path | None = None) -> Path:
@@ -53,5 +50,4 @@ class Settings:
         self.keep(f"folder/{path.suffix}", str(path.parent))
 
     def forget_recent(self) -> None:
-        """Forget which files were opened."""
         self.keep("recent", "")

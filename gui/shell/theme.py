@@ -59,7 +59,7 @@ def theme_named(choice: str, system: QPalette) -> Theme:
 def palette_of(theme: Theme) -> QPalette:
     """The palette of all widgets."""
     role = QPalette.ColorRole
-    palette = QPalette()
+    palette = QPalette(QColor(theme.button), QColor(theme.window))  # derives the shades of frames
     for roles, colour in (
         ((role.Window,), theme.window),
         ((role.Base,), theme.base),

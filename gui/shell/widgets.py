@@ -136,7 +136,6 @@ class Badge(QLabel):
         put(self, word)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Use the theme's colours with the next word."""
         self._theme, self._colour = theme, ""
 
 

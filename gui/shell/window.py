@@ -108,7 +108,6 @@ class Window(QMainWindow):
         self.messages.warn(f"{path}: no tab opens such a file; they open {', '.join(self._endings())}")
 
     def restore_settings(self) -> None:
-        """Open the files of the last session."""
         for tab in self.tabs:
             tab.restore_settings()
 
@@ -121,7 +120,6 @@ class Window(QMainWindow):
         self.messages.fault(sentence, ("Copy details", lambda: copy_text(details)))
 
     def choose_theme(self, choice: str) -> None:
-        """Apply a theme to everything."""
         theme = theme_named(choice, self._system_palette)
         set_theme(self._application, theme)
         for part in (self.messages, *self.tabs):
@@ -160,12 +158,10 @@ class Window(QMainWindow):
         self._error_hook.remove()
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
-        """Accept files that a tab opens."""
         if event is not None and any(tab.accepts(path) for path in dropped_files(event) for tab in self.tabs):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
-        """Open dropped files."""
         if event is not None:
             event.acceptProposedAction()
             for path in dropped_files(event):
