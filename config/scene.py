@@ -54,7 +54,7 @@ class CircleTable(Table):
     radius_mm: NonNegative = Field(title="Radius", description="Radius of the circle")
     turns: Finite = Field(default=1.0, title="Turns", description="Number of turns; negative: clockwise")
     start_deg: Finite = Field(
-        default=0.0, title="Start", description="Direction of the start from the centre, anticlockwise from x"
+        default=0.0, title="Start angle", description="Direction of the start from the centre, anticlockwise from x"
     )
 
 
@@ -142,7 +142,7 @@ SignalTable = Annotated[ImpulseTable | SineTable | NoiseTable | FileTable, Field
 class SourceTable(Table):
     """One source: what it emits, where it goes and how fast."""
 
-    start_s: NonNegative = Field(default=0.0, title="Start", description="Start time in the scene")
+    start_s: NonNegative = Field(default=0.0, title="Start time", description="Start time in the scene")
     speed_mm_s: NonNegative | None = Field(
         default=None, title="Speed", description="Speed along the path; not needed for a point"
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, SvgTable, TextTable
+from config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, TextTable
 from gui.process.background import Background
 from gui.scene.document import SceneDocument
 from gui.scene.draft import source_toml
@@ -47,12 +47,6 @@ class Ground:
     ----------
     outline_mm : float64 array (points, 2)
         Rim of the surface, closed; a rectangle about the positions where the bank does not have it.
-    sample_rate_hz : float
-        Of the bank.
-    surface : Surface or None
-        The bank's, None without a bank.
-    grid : PositionGrid or None
-        Its positions, to be searched.
     usable : bool array (positions,)
         Positions that hold a valid measurement.
     """
@@ -72,10 +66,9 @@ class Trace:
     ----------
     line_mm : float64 array (n, 2)
         Its path, NaN where it jumps from stroke to stroke.
-    points_mm, instant_s : float64 arrays (k, 2), (k,)
-        Path points, and when each is a focus; thinned where there are many.
-    rows : int64 array (k,)
-        The bank's position that each is snapped to; empty without a bank.
+    points_mm, instant_s, rows : arrays (k, 2), (k,), (k,)
+        Path points, when each is a focus, and the bank's position that each is snapped to; thinned where there are
+        many; no rows without a bank.
     off : bool array (k,)
         Points further than one grid spacing from every position, or nearest to one without a measurement.
     far : int
@@ -103,20 +96,9 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preview:
-    """A scene as it is drawn.
+    """A scene as it is drawn: a trace per source, and the signal of the chosen one, or why it is not drawn.
 
-    Parameters
-    ----------
-    draft : SceneConfig
-        The scene.
-    ground : Ground
-        What it is drawn over.
-    traces : list of Trace
-        One per source.
-    signal : float64 array (samples,) or str
-        Signal of the chosen source, amplitude included; else why it is not drawn.
-    problem : str
-        Why commands would refuse the scene; empty where they would not.
+    `problem` says why commands would refuse the scene; it is empty where they would not.
     """
 
     draft: SceneConfig
@@ -205,19 +187,14 @@ class LivePreview(QObject):
         self._ask()
 
 
-def name_of(source: SourceTable) -> str:
-    """Return a source's name in a word or two."""
-    path = source.path
-    if isinstance(path, TextTable):
-        return f"text “{path.string}”"
-    if isinstance(path, PolylineTable):
-        return f"{'closed ' if path.closed else ''}polyline of {len(path.points_mm)}"
-    return "drawing" if isinstance(path, SvgTable) else path.kind
-
-
 def title_of(source: SourceTable, trace: Trace | None) -> str:
     """Return a source's line in the list."""
-    words = [name_of(source), source.signal.kind]
+    path = source.path
+    words: list[str] = [path.kind, source.signal.kind]
+    if isinstance(path, TextTable):
+        words[0] = f"text “{path.string}”"
+    elif isinstance(path, PolylineTable):
+        words[0] = f"{'closed ' if path.closed else ''}polyline of {len(path.points_mm)}"
     if trace is not None and trace.length_mm > 0:
         words.insert(1, f"{trace.length_mm:.0f} mm")
     if source.start_s:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pyqtgraph
+from PyQt5.QtCore import QSize
 from PyQt5.QtWidgets import QFrame, QSizePolicy
 
 from gui.shell.theme import LIGHT, Theme
@@ -16,6 +17,7 @@ _ON_LIGHT = ("#08306b", "#3f7fb8", "#a9cbe6", "#f7f7f5", "#f5c08a", "#d0712a", "
 _ON_DARK = ("#c6e6ff", "#5fb0ea", "#2b648f", "#1f2429", "#8d5420", "#e89440", "#ffe3bd")
 # Units that take a prefix; those of other banks are shown as they are.
 _WITH_PREFIX = ("m/s", "m", "m/s²", "m/s^2", "V", "Pa")
+_BAR_PX = 12
 _PREFIXES = (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9), ("p", 1e12))
 
 
@@ -50,15 +52,24 @@ class ColourBar(pyqtgraph.GraphicsView):
     def __init__(self, colour_map: pyqtgraph.ColorMap) -> None:
         super().__init__()
         self._bar = pyqtgraph.ColorBarItem(
-            values=(0.0, 1.0), width=12, colorMap=colour_map, interactive=False, orientation="h", colorMapMenu=False
+            values=(0.0, 1.0),
+            width=_BAR_PX,
+            colorMap=colour_map,
+            interactive=False,
+            orientation="h",
+            colorMapMenu=False,
         )
         self.setCentralItem(self._bar)
         self.setFrameShape(QFrame.Shape.NoFrame)
-        self.setBackground(None)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.setFixedHeight(12 + 3 * self.fontMetrics().height())
         self._bar.axis.enableAutoSIPrefix(False)
         self.apply_theme(LIGHT)
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        return QSize(300, _BAR_PX + int(2.3 * self.fontMetrics().height()))
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        return QSize(160, self.sizeHint().height())
 
     def show_range(
         self, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool] = (False, False)
@@ -80,6 +91,7 @@ class ColourBar(pyqtgraph.GraphicsView):
 
     def apply_theme(self, theme: Theme) -> None:
         """Apply the theme's colours."""
+        self.setBackground(theme.window)
         for side in ("left", "right", "top", "bottom"):
             self._bar.getAxis(side).setPen(theme.grid)
             self._bar.getAxis(side).setTextPen(theme.text)

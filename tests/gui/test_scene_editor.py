@@ -39,11 +39,8 @@ from gui.scene.handles import handles_of, shifted, with_handle_at
 from gui.scene.tab import SceneTab
 from gui.shell.settings import Settings
 from gui.shell.window import Window
-from rendering.scene import paths, signals
-from rendering.scene.loading import load_scene
-from rendering.scene.model import Output, Regularisation, Scene, Source
-from rendering.scene.paths import TextPath
-from rendering.scene.svg import SvgPath
+from rendering.scene import paths
+from rendering.scene.loading import build_scene, load_scene
 from storage.errors import InputError
 from tests.gui.conftest import wait
 from tests.gui.test_details import click, drag, pixel
@@ -649,47 +646,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def expected(draft: SceneConfig, folder: Path) -> Scene:
-    """The scene of a draft, made by hand."""
-
-    def path_of(path: PathTable) -> paths.Path:
-        match path:
-            case PointTable():
-                return paths.Point(path.at_mm)
-            case LineTable():
-                return paths.Line(path.start_mm, path.end_mm)
-            case CircleTable():
-                return paths.Circle(path.centre_mm, path.radius_mm, path.turns, path.start_deg)
-            case PolylineTable():
-                return paths.Polyline(path.points_mm, path.closed)
-            case SvgTable():
-                return SvgPath(folder / "drawing.svg", path.path_id, path.scale, path.origin_mm)
-            case TextTable():
-                return TextPath(path.string, path.height_mm, path.centre_mm)
-
-    sources = []
-    for one in draft.source:
-        signal: signals.Signal
-        match one.signal:
-            case ImpulseTable():
-                signal = signals.Impulse()
-            case SineTable():
-                signal = signals.Sine(one.signal.frequency_hz, one.signal.duration_s)
-            case NoiseTable():
-                signal = signals.Noise(one.signal.band_hz, one.signal.duration_s, one.signal.seed)
-            case FileTable():
-                signal = signals.SoundFile(folder / "a folder" / "sound.wav")
-        speed, step = one.speed_mm_s or 0.0, one.step_mm or 0.0
-        sources.append(Source(path_of(one.path), signal, one.start_s, speed, step, one.amplitude, one.emission))
-    held, output = draft.regularisation, draft.output
-    return Scene(
-        draft.scene.name,
-        tuple(sources),
-        Regularisation(held.saturation, held.saturation_absolute, held.normalise),
-        Output(output.interpolation, output.limit_v, output.limit_rms_v),
-    )
-
-
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(draft=DRAFTS)
 def test_given_any_draft_then_what_is_written_is_the_same_scene_to_the_command_line_and_the_same_draft_again(
@@ -698,7 +654,7 @@ def test_given_any_draft_then_what_is_written_is_the_same_scene_to_the_command_l
     file = folder / "scene.toml"
     text = scene_toml(draft, folder)
     file.write_bytes(text.encode("utf-8"))
-    assert load_scene(file) == expected(draft, folder)
+    assert load_scene(file) == build_scene(draft, file)
     again = read_draft(text, file)
     assert scene_toml(again, folder) == text
     assert again.regularisation == draft.regularisation

@@ -20,21 +20,7 @@ Int64Array = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A scene to be calculated, in place of all earlier ones.
-
-    Parameters
-    ----------
-    number : int
-        Repeated in the answers.
-    text, place : str, Path
-        The scene file's text, and its path, for messages and relative names.
-    bank : Path
-        The bank.
-    rig : Path or None
-        A rig file whose limits count too.
-    allow_large : bool
-        Whether the scene may exceed the limits of the command line.
-    """
+    """A scene to be calculated, in place of all earlier ones; `text` is of the scene file `place`."""
 
     number: int
     text: str
@@ -62,44 +48,22 @@ class Progress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
-    """The drives.
+    """The drives within the limits of scene and rig; `lasts_s` is the duration of the whole scene.
 
     Parameters
     ----------
-    number : int
-        Of the request.
-    drive_v : float32 array (actuators, samples)
-        Within the limits.
-    sample_rate_hz, start_s : float
-        Of the drives.
-    lasts_s : float
-        Duration of the whole scene; longer than the drives where only their beginning was calculated.
-    method : str
-        ``"sampled"`` or ``"exact"``.
-    limiting : Limiting
-        What the limits did.
-    limits : DriveLimits
-        Those of scene and rig, whichever are stricter.
-    resistance_ohm : float or None
-        Of an actuator's coil, by the rig.
     peak_v, rms_v : float64 arrays (actuators,)
         Largest magnitude, and largest rms over a second, after limiting.
     omitted_bound : float
         Proved bound on the relative L2 error; NaN where unknown.
     gain_s, gain : float64 arrays (points,)
         n(x) of eq. (15) at focus instants, at most some hundred.
-    focus_s, focus_stop_s : float64 arrays (foci,)
+    focus_s, focus_stop_s, focus_mm : float64 arrays (foci,), (foci,), (foci, 2)
         Each focus counts from its instant to the next one of its source.
-    focus_mm : float64 array (foci, 2)
-        Positions of the foci.
     paths_mm : list of float64 arrays (n, 2)
         The sources' paths, NaN where they jump.
     snap_mm : float
         Largest distance of a path point from its position.
-    warnings : tuple of str
-        Shown below the figures.
-    unit : str
-        Of the drives.
     """
 
     number: int
@@ -127,30 +91,20 @@ class Driven:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedField:
-    """The predicted field.
+    """The predicted field of the measured positions; `lasts_s` is the duration of the whole response.
 
     Parameters
     ----------
-    number : int
-        Of the request.
-    surface : Surface
-        The bank's surface with the measured positions.
-    rows : int64 array (positions,)
-        Their bank rows.
+    surface, rows : Surface, int64 array (positions,)
+        The measured positions and their bank rows.
     field : float32 array (samples, positions)
         Low-passed below half its rate.
-    sample_rate_hz, start_s : float
-        Of the field.
     finer : int
         Instants that can be interpolated per sample.
-    unit : str
-        Of responses.
     limit : float
         Largest response at a focus.
     marks_s : tuple of float
         Instants at which foci are looked at.
-    lasts_s : float
-        Duration of the whole response; longer than the field where only its beginning was calculated.
     """
 
     number: int
@@ -172,10 +126,6 @@ class FocusFigures:
 
     Parameters
     ----------
-    number : int
-        Of the request.
-    time_s, peak : float64 arrays (foci,)
-        Instant, and the largest response near the path point.
     off_mm, width_mm, artefact_db : float64 arrays (foci,)
         Distance of the largest response from the path point; full width at half maximum; level of the largest
         response further away.
