@@ -11,7 +11,7 @@ from scipy import fft as scipy_fft
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import Subscriber
-from acquisition.engine.stop_signals import StopRequest
+from acquisition.engine.stop_request import StopRequest
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.grid import stadium_grid
 from acquisition.schedule.plan import Plan

@@ -1,4 +1,4 @@
-"""Ending a command early: by a signal, by a file, or by the end of standard input."""
+"""Ending a command early: by a signal, by a file, or by the end of standard input; the one module about signals."""
 
 from __future__ import annotations
 
@@ -7,19 +7,95 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from acquisition.engine.stop_signals import EndingSignals
+from acquisition.engine.stop_request import StopRequest
 from drivers.errors import InstrumentError
+
+TERMINAL_GONE = "stopped because its terminal was closed"
+
+
+@dataclass(frozen=True, slots=True)
+class EndingSignals:
+    """Numbers of signals that end a command, by their meaning; POSIX and Windows do not have the same ones.
+
+    Parameters
+    ----------
+    finish : tuple of int
+        Finish the position first; once more: at once.
+    terminal_gone : tuple of int
+        Nobody watches any more; finish the position.
+    at_once : tuple of int
+        Do not wait for the position. SIGBREAK is what Windows sends for Ctrl-Break and, with seconds to live, when
+        the console window is closed.
+    """
+
+    finish: tuple[int, ...]
+    terminal_gone: tuple[int, ...]
+    at_once: tuple[int, ...]
+
+    @classmethod
+    def here(cls, source: object = signal) -> EndingSignals:
+        """The signals that a module such as `signal` has."""
+
+        def those_of(*names: str) -> tuple[int, ...]:
+            return tuple(int(getattr(source, name)) for name in names if hasattr(source, name))
+
+        return cls(those_of("SIGINT"), those_of("SIGHUP"), those_of("SIGTERM", "SIGBREAK"))
+
+    @property
+    def all(self) -> tuple[int, ...]:
+        """Every one of them."""
+        return (*self.finish, *self.terminal_gone, *self.at_once)
+
+    @contextmanager
+    def caught_by(self, receive: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+        """Handle the signals in a block, but those that are ignored, as under nohup; in the main thread."""
+        caught = [one for one in self.all if signal.getsignal(one) is not signal.SIG_IGN or one in self.finish]
+        former = {number: signal.signal(number, receive) for number in caught}
+        try:
+            yield
+        finally:
+            for number, disposition in former.items():
+                signal.signal(number, disposition)
+
+
+@contextmanager
+def stop_on_signals(stop: StopRequest) -> Iterator[None]:
+    """Ctrl-C asks `stop` to finish the position, a second one raises KeyboardInterrupt at once.
+
+    A terminal that goes away (SIGHUP) finishes the position too. SIGTERM, and a console window that is closed on
+    Windows, raise KeyboardInterrupt at once: whoever sends them will not wait for a record. Signals after that are
+    ignored while the engine puts the instruments to rest. Must be entered in the main thread.
+    """
+    signals, at_once = EndingSignals.here(), False
+
+    def receive(number: int, frame: FrameType | None) -> None:
+        nonlocal at_once
+        if at_once:
+            return
+        if number in signals.terminal_gone:
+            stop.finish_position(TERMINAL_GONE)
+            return
+        if number in signals.finish and not stop.requested:
+            stop.finish_position()
+            return
+        at_once = True
+        stop.finish_position()
+        raise KeyboardInterrupt
+
+    with signals.caught_by(receive):
+        yield
 
 
 @contextmanager
 def ending_at_once() -> Iterator[None]:
     """Let every signal that ends a program mute the outputs first; a second one does not disturb that."""
-    signals, begun = EndingSignals.here(), False
+    begun = False
 
     def receive(number: int, frame: FrameType | None) -> None:
         nonlocal begun
@@ -27,19 +103,14 @@ def ending_at_once() -> Iterator[None]:
             begun = True
             raise KeyboardInterrupt
 
-    former = {}
-    if threading.current_thread() is threading.main_thread():
-        caught = [one for one in signals.all if signal.getsignal(one) is not signal.SIG_IGN or one in signals.finish]
-        former = {number: signal.signal(number, receive) for number in caught}
-    try:
-        yield
-    except InstrumentError as failure:
-        if begun:
-            raise KeyboardInterrupt from failure
-        raise
-    finally:
-        for number, disposition in former.items():
-            signal.signal(number, disposition)
+    in_main = threading.current_thread() is threading.main_thread()
+    with EndingSignals.here().caught_by(receive) if in_main else nullcontext():
+        try:
+            yield
+        except InstrumentError as failure:
+            if begun:
+                raise KeyboardInterrupt from failure
+            raise
 
 
 def interrupt() -> None:

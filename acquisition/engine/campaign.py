@@ -1,21 +1,25 @@
-"""The engine: walks a plan through the instruments into a bank."""
+"""The engine: walks a plan through the instruments into a bank.
+
+:meth:`Campaign.run` asks `_next_step` for one of the steps below, carries it out and asks again, until there is none
+left. `_next_step` looks and changes nothing; a request of a person reaches it as a state of the session
+(`acquisition.engine.states`).
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from enum import Enum, auto
 
 import numpy as np
 
 from acquisition.engine.events import EventPublisher, SessionEnded, State, Subscriber, failure_kind
-from acquisition.engine.measuring import PositionRecords
 from acquisition.engine.recovery import Recovery
 from acquisition.engine.session import Session
 from acquisition.engine.states import Lifecycle
-from acquisition.engine.stop_signals import StoppedWhileWaitingError, StopRequest
-from acquisition.engine.suspension import StandBy
+from acquisition.engine.stop_request import StoppedWhileWaitingError, StopRequest
+from acquisition.engine.suspension import Suspension
 from acquisition.measuring.attempt import (
     Attempt,
     AttemptResult,
@@ -27,16 +31,13 @@ from acquisition.measuring.attempt import (
     is_final,
     is_futile,
     next_attempt,
-    row_of,
 )
 from acquisition.measuring.plays import measuring_of
-from acquisition.measuring.raw_keeping import MEASURED
+from acquisition.measuring.position_records import PositionRecords
 from acquisition.measuring.setup import Setup, names_of
-from acquisition.quality.agreement import Row, difference, in_band
 from acquisition.quality.conditions import Conditions
 from acquisition.quality.drift_watch import DriftWatch
-from acquisition.quality.judgement import differing
-from acquisition.quality.neighbour_watch import UNCONFIRMED, NeighbourWatch
+from acquisition.quality.neighbour_watch import NeighbourWatch
 from acquisition.schedule.plan import Plan
 from calibration.blas import one_blas_thread
 from drivers.errors import InstrumentError, TransientInstrumentError
@@ -49,13 +50,29 @@ from storage.raw.writer import RawWriter
 FAILED_IN_A_ROW = 3
 
 
+class Step(Enum):
+    """What a campaign does next."""
+
+    MEASURE = auto()
+    """Record the next attempt in the queue."""
+    COLLECT = auto()
+    """Wait for the estimate of the attempt before: what comes next depends on it."""
+    PAUSE = auto()
+    COMPARE_SENTINEL = auto()
+    """Before this session measures anything: is it still the plate that the bank holds?"""
+    COMPARE_SENTINEL_AGAIN = auto()
+    MARK = auto()
+    """After the first round: what neighbours contradict, or cannot judge, is poor."""
+    BEGIN_PASS = auto()
+    """Give everything that is not valid another round."""
+    END = auto()
+
+
 class Campaign:
     """One session of a campaign, from the first position to do to the last or to a stop.
 
-    While a position is recorded, the estimate, the judgement and the commit of the
-    one before run in a second thread; the mirror moves on as soon as the last sample of
-    a position is in. An instrument that is lost is waited for, and the attempt that it interrupted
-    is taken again from its first record, as if nothing had been.
+    While a position is recorded, the estimate, the judgement and the commit of the one before run in a second thread.
+    An instrument that is lost is waited for, and the attempt that it interrupted is taken again from its first record.
 
     Parameters
     ----------
@@ -84,25 +101,21 @@ class Campaign:
         *,
         raw: RawWriter | None = None,
     ) -> None:
-        self._plan = plan
-        self._setup = setup
-        self._bank = bank
-        self._raw = raw
+        self._plan, self._setup, self._bank, self._raw, self._stop = plan, setup, bank, raw, stop
         publish = EventPublisher({"a subscriber of the campaign's events": publish})
         self._life = Lifecycle(setup.instruments.clock, publish)
         self._session = Session(plan, setup, bank, self._life, publish)
         self._recovery = Recovery(setup, self._life, publish, stop)
-        self._stop = stop
         measuring = measuring_of(plan, setup)
         self._estimator = measuring.estimator
         self._records = PositionRecords(plan, setup, measuring.plays, self._session)
         self._drift = DriftWatch(plan, bank, self._life, self._session, self._records, self._recovery, self._evaluate)
         conditions = Conditions(setup.watch, setup, plan.excitation)
-        self._stand_by = StandBy(setup, self._life, self._session, stop, conditions, self._records, self._recovery)
+        self._suspension = Suspension(setup, self._life, self._session, stop, conditions, self._records, self._recovery)
         self._neighbours = NeighbourWatch(plan, bank)
         self._queue: deque[Attempt] = deque()
         self._covered = plan.order
-        self._passing = self._judged = False
+        self._compared = self._judged = self._passing = False
         self._fruitless: frozenset[int] = frozenset()
         self._pending: Future[AttemptResult] | None = None
         self._best: dict[int, AttemptResult] = {}
@@ -143,9 +156,9 @@ class Campaign:
         InstrumentError
             An instrument failed, or was gone, for good; all that was committed is safe.
         """
-        self._replaceable = frozenset(replaceable)
+        self._replaceable, self._drift.accept_drift = frozenset(replaceable), accept_drift
         status = self._bank.status
-        rows = self._plan.to_do(status) if positions is None else positions
+        rows = np.asarray(self._plan.to_do(status) if positions is None else positions, dtype=np.int64)
         self._queue = deque(first_attempts(rows, self._bank.attempts))
         again = bool(len(rows)) and bool(np.all(status[rows]))
         if again or np.any(status[np.setdiff1d(self._plan.order, rows)] == 0):
@@ -154,15 +167,9 @@ class Campaign:
         state, reason = State.FINISHED, "every position is committed"
         try:
             names = self._recovery.until_done(lambda: names_of(self._setup.instruments))
-            self._session.start(np.asarray(rows, dtype=np.int64), names, second_looks=not self._judged)
-            with one_blas_thread():
-                self._mark_by_neighbours()
-                if (self._queue or self._due_again()) and not self._stop.requested:
-                    self._drift.accept_drift = accept_drift
-                    self._drift.check()
-                    self._measure_queue()
-                    self._mark_by_neighbours()
-                    self._measure_again()
+            self._session.start(rows, names, second_looks=not self._judged)
+            with one_blas_thread(), ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate") as worker:
+                self._walk(worker)
             if self._stop.requested and (self._queue or self._due_again()):
                 state, reason = State.STOPPED, f"{self._stop.reason} after the position"
         except StoppedWhileWaitingError as stopped:
@@ -174,69 +181,94 @@ class Campaign:
             raise
         return self._session.end(state, reason)
 
-    # -- measuring ---------------------------------------------------------------------------
+    # -- steps --------------------------------------------------------------------------------
 
-    def _measure_queue(self) -> None:
-        """Record every queued attempt while the one before is estimated, judged and committed."""
-        with ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate") as worker:
-            try:
-                while self._goes_on():
-                    recorded = self._record_attempt(self._queue.popleft())
-                    self._session.attempt_recorded()
-                    self._collect()
-                    self._pending = worker.submit(self._evaluate_and_commit, recorded)
-            finally:
-                self._collect()
+    def _walk(self, worker: ThreadPoolExecutor) -> None:
+        """Take step after step; an attempt whose estimate is under way is committed whatever happens."""
+        steps: dict[Step, Callable[[], None]] = {
+            Step.MEASURE: lambda: self._measure(worker),
+            Step.COLLECT: self._collect,
+            Step.PAUSE: self._pause,
+            Step.COMPARE_SENTINEL: self._compare_sentinel,
+            Step.COMPARE_SENTINEL_AGAIN: self._drift.check_again,
+            Step.MARK: lambda: self._mark(worker),
+            Step.BEGIN_PASS: self._begin_pass,
+        }
+        try:
+            self._suspension.follow_requests()
+            while (step := self._next_step()) is not Step.END:
+                steps[step]()
+                self._suspension.follow_requests()
+        finally:
+            self._collect()
 
-    def _mark_by_neighbours(self) -> None:
-        """Once all is measured: what neighbours contradict, or cannot judge, is poor, and due for another round."""
-        if self._judged or self._queue or not np.all(self._bank.status[self._covered]):
-            return
-        for position, judgement in self._neighbours.mark(self._covered):
-            self._session.differs(position, judgement)
-        self._judged = True
+    def _next_step(self) -> Step:
+        """Pauses, stops and the sentinel come between two positions: a position's repeats are finished first."""
+        state, queue = self._life.state, self._queue
+        held = self._passing or self._drift.due or state in (State.PAUSING, State.STOPPING)
+        if self._pending is not None and (held or not queue):
+            return Step.COLLECT
+        if queue and queue[0].of_session > 1:
+            return Step.MEASURE
+        if not queue and not self._judged and np.all(self._bank.status[self._covered]):
+            return Step.MARK
+        if state is State.STOPPING or self._pass_is_futile() or not (queue or self._due_again()):
+            return Step.END
+        if state is State.PAUSING:
+            return Step.PAUSE
+        if not self._compared:
+            return Step.COMPARE_SENTINEL
+        if queue:
+            return Step.COMPARE_SENTINEL_AGAIN if self._drift.due else Step.MEASURE
+        return Step.BEGIN_PASS
 
-    def _measure_again(self) -> None:
-        """Give everything that is not valid another round, as often as the plan says; the bank knows what had its."""
-        while not self._stop.requested and (due := self._due_again()):
-            self._passing = True
-            self._fruitless = frozenset(one.position for one in due if self._bank.status[one.position] == Status.FAILED)
-            self._session.measures_again(tuple(one.position for one in due))
-            self._queue = deque(due)
-            self._measure_queue()
+    def _pass_is_futile(self) -> bool:
+        """Whether the latest positions of the pass have all stayed as they were."""
+        if not (self._passing and self._queue):
+            return False
+        before = self._queue[0].number - 1
+        return is_futile(self._covered, self._bank.status, self._bank.attempts, before)
 
     def _due_again(self) -> list[Attempt]:
+        """The next pass, if there is one; the bank knows what had its."""
         return attempts_again(self._covered, self._bank.status, self._bank.attempts, self._setup, self._plan.quality)
 
-    def _goes_on(self) -> bool:
-        """Whether there is an attempt to record; pauses and the sentinel come between two positions.
+    def _measure(self, worker: ThreadPoolExecutor) -> None:
+        """Record an attempt while the one before is estimated, judged and committed."""
+        recorded = self._record(self._queue.popleft())
+        self._session.attempt_recorded()
+        self._collect()
+        self._pending = worker.submit(self._evaluate_and_commit, recorded)
 
-        A stop or a pause still lets a position's repeats finish.
-        """
-        self._stand_by.follow_requests()
-        if not self._queue or self._passing or self._drift.due or self._life.state in (State.PAUSING, State.STOPPING):
-            self._collect()
-        if self._passing and self._queue and self._queue[0].of_session == 1:
-            before = self._queue[0].number - 1
-            if is_futile(self._covered, self._bank.status, self._bank.attempts, before):
-                self._queue.clear()
-        if not self._queue or self._queue[0].of_session > 1:
-            return bool(self._queue)
-        if self._life.state is State.PAUSING:
-            self._stand_by.pause()
+    def _pause(self) -> None:
+        self._suspension.pause()
+        if self._compared:
             self._drift.check_again()
-        elif self._drift.due and self._life.state is not State.STOPPING:
-            self._drift.check_again()
-        self._stand_by.follow_requests()
-        return self._life.state is not State.STOPPING
 
-    def _record_attempt(self, attempt: Attempt) -> Recorded:
+    def _compare_sentinel(self) -> None:
+        self._compared = True
+        self._drift.check()
+
+    def _mark(self, worker: ThreadPoolExecutor) -> None:
+        """In the worker, where no Ctrl-C lands inside a commit."""
+        self._judged = True
+        for position, judgement in worker.submit(lambda: list(self._neighbours.mark(self._covered))).result():
+            self._session.marked(position, judgement)
+
+    def _begin_pass(self) -> None:
+        due = self._due_again()
+        self._passing = True
+        self._fruitless = frozenset(one.position for one in due if self._bank.status[one.position] == Status.FAILED)
+        self._session.measures_again(tuple(one.position for one in due))
+        self._queue = deque(due)
+
+    # -- recording ----------------------------------------------------------------------------
+
+    def _record(self, attempt: Attempt) -> Recorded:
         """Record all actuators at one position; a passing fault that no repeated record cures costs the attempt."""
         self._session.begin(attempt)
         try:
-            recordings = self._take(attempt)
-            while self._stand_by.must_repeat(attempt, recordings):
-                recordings = self._take(attempt)
+            recordings = self._suspension.take_under_conditions(attempt, lambda: self._take(attempt))
         except TransientInstrumentError as fault:
             self._last_fault = fault
             self._session.fault(fault, attempt, retried=attempt.of_session < self._plan.quality.max_attempts)
@@ -257,54 +289,27 @@ class Campaign:
         )
 
     def _between_records(self) -> None:
-        self._collect_if_done()
-        self._stand_by.follow_requests()
+        """Collect an estimate that is done, so that a repeat follows at once."""
+        if self._pending is not None and self._pending.done():
+            self._collect()
+        self._suspension.follow_requests()
 
-    # -- judging and committing ----------------------------------------------------------------
+    # -- judging and committing ---------------------------------------------------------------
 
     def _evaluate_and_commit(self, recorded: Recorded) -> AttemptResult:
         """In the worker: estimate, judge and, when nothing better can be hoped for, commit.
 
         Signals reach the main thread only, so that a Ctrl-C never lands inside a commit.
         """
-        result = self._evaluate(recorded)
-        row = row_of(result, self._plan)
-        if result.judgement.good and row is not None:
-            result = self._confirmed(result, row)
-        if not is_final(recorded.attempt, result.judgement, self._plan.quality):
-            return result
-        best = min((result, self._best.get(recorded.attempt.position, result)), key=lambda one: one.rank)
-        return commit_attempt(self._bank, best, recorded.attempt.number, self._raw, count_anyway=self._passing)
-
-    def _confirmed(self, result: AttemptResult, row: Row) -> AttemptResult:
-        """Judge a good attempt by what the bank holds of the position, and a repeat by its neighbours.
-
-        A valid row is replaced only by one that agrees with it; where it may be replaced by another one, two attempts
-        must agree with each other. So must two where neighbours cannot judge a repeat.
-        """
-        position, judgement = result.attempt.position, result.judgement
-        status, twice = Status(int(self._bank.status[position])), position in self._replaceable
-        must_agree = status == Status.VALID
-        repeat = self._judged or bool(status)
-        if repeat and result.estimate is not None and (twice or not must_agree):
-            judgement, judged = self._neighbours.judge(position, result.estimate.green, judgement)
-            if not judged and self._plan.quality.confirms:
-                must_agree = twice = True
-        if not (must_agree and judgement.good):
-            return replace(result, judgement=judgement)
-        apart = None
-        if status & MEASURED:
-            record, sweep = self._bank.record(position), self._plan.excitation
-            held = in_band(self._bank.green(position), sweep.sample_rate_hz, sweep.band_hz)
-            apart = difference(Row(held, record.snr_db, record.moved_mm), row)
-            if not apart:
-                return result
+        position, limits = recorded.attempt.position, self._plan.quality
         earlier = self._best.get(position)
-        before = None if earlier is None else row_of(earlier, self._plan)
-        if twice and before is not None and not difference(before, row):
+        result = self._neighbours.confirmed(
+            self._evaluate(recorded), earlier, repeat=self._judged, replaceable=position in self._replaceable
+        )
+        if not is_final(recorded.attempt, result.judgement, limits):
             return result
-        judgement = differing(apart, judgement.score) if apart else replace(UNCONFIRMED, score=judgement.score)
-        return replace(result, judgement=judgement)
+        best = result if earlier is None else min((result, earlier), key=lambda one: one.rank)
+        return commit_attempt(self._bank, best, recorded.attempt.number, self._raw, count_anyway=self._passing)
 
     def _evaluate(self, recorded: Recorded) -> AttemptResult:
         place_mm = self._plan.position_mm[recorded.attempt.position]
@@ -312,38 +317,33 @@ class Campaign:
         before_db = self._bank.reference_before_db(recorded.attempt.position)
         return evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality, distance_mm, before_db)
 
-    def _collect_if_done(self) -> None:
-        """Take up the evaluation under way as soon as it is done, so that a repeat follows at once."""
-        if self._pending is not None and self._pending.done():
-            self._collect()
-
     def _collect(self) -> None:
-        """Wait for the evaluation under way, if any, and publish or queue what follows from it."""
+        """Wait for the estimate under way, if any, and publish or queue what follows from it."""
         if self._pending is None:
             return
         result = self._pending.result()
         self._pending = None
         attempt = result.attempt
-        if not result.final:
-            kept = self._best.get(attempt.position)
-            self._best[attempt.position] = result if kept is None else min((result, kept), key=lambda one: one.rank)
-            following = next_attempt(
-                attempt,
-                result.judgement,
-                Status.NOT_MEASURED if kept is None else kept.judgement.status,
-                self._setup,
-                self._plan.quality,
-                self._plan.position_mm[attempt.position],
-                joint=self._plan.staggered is not None,
-            )
-            self._session.repeat(result, following)
-            self._queue.appendleft(following)
+        if result.final:
+            self._best.pop(attempt.position, None)
+            if result.committed:
+                self._drift.committed(attempt.position)
+            self._session.position_done(result, left=len(self._queue))
+            self._count_failures(result)
             return
-        self._best.pop(attempt.position, None)
-        if result.committed:
-            self._drift.committed(attempt.position)
-        self._session.settle(result, left=len(self._queue))
-        self._count_failures(result)
+        kept = self._best.get(attempt.position)
+        self._best[attempt.position] = result if kept is None else min((result, kept), key=lambda one: one.rank)
+        following = next_attempt(
+            attempt,
+            result.judgement,
+            Status.NOT_MEASURED if kept is None else kept.judgement.status,
+            self._setup,
+            self._plan.quality,
+            self._plan.position_mm[attempt.position],
+            joint=self._plan.staggered is not None,
+        )
+        self._session.repeat(result, following)
+        self._queue.appendleft(following)
 
     def _count_failures(self, result: AttemptResult) -> None:
         """Stop when position after position yields nothing: that is an instrument, not the plate."""

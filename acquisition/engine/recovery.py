@@ -10,7 +10,7 @@ from typing import TypeVar
 from acquisition.durations import hours
 from acquisition.engine.events import Fault, ReconnectTried, State, Subscriber
 from acquisition.engine.states import Lifecycle
-from acquisition.engine.stop_signals import StoppedWhileWaitingError, StopRequest
+from acquisition.engine.stop_request import StoppedWhileWaitingError, StopRequest
 from acquisition.measuring.setup import Setup, as_lost, instrument_of, silence
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 
@@ -46,10 +46,7 @@ class Recovery:
     """
 
     def __init__(self, setup: Setup, life: Lifecycle, publish: Subscriber, stop: StopRequest) -> None:
-        self._setup = setup
-        self._life = life
-        self._publish = publish
-        self._stop = stop
+        self._setup, self._life, self._publish, self._stop = setup, life, publish, stop
         self._clock = setup.instruments.clock
         # All three are forgotten when a measurement comes to its end.
         self._tries: Counter[str] = Counter()
@@ -68,11 +65,6 @@ class Recovery:
         position, attempt : int, optional
             What is measured, for the events.
 
-        Returns
-        -------
-        object
-            What `measure` returned.
-
         Raises
         ------
         StoppedWhileWaitingError
@@ -80,7 +72,7 @@ class Recovery:
         InstrumentLostError
             The instrument did not come back in time, or did not stay.
         InstrumentError
-            Any other failure, at once; tell passing ones with :meth:`renew_if_repeated`.
+            Any other failure, at once; passing ones are for :meth:`renew_if_repeated`.
         """
         while True:
             try:
@@ -88,18 +80,8 @@ class Recovery:
             except InstrumentLostError as lost:
                 if not lost.role:
                     raise  # nobody noted whose it was, so nobody can be asked for a fresh connection
-                self._publish(
-                    Fault(
-                        self._life.time_s(),
-                        lost.instrument,
-                        lost.operation,
-                        lost.cause,
-                        lost.remedy,
-                        position,
-                        attempt,
-                        retried=True,
-                    )
-                )
+                says = lost.instrument, lost.operation, lost.cause, lost.remedy
+                self._publish(Fault(self._life.time_s(), *says, position, attempt, retried=True))
                 self._bring_back(lost)
             else:
                 self._tries.clear()
@@ -108,18 +90,7 @@ class Recovery:
                 return result
 
     def renew_if_repeated(self, fault: TransientInstrumentError) -> None:
-        """Give an instrument a fresh connection when it fails passingly again and again.
-
-        Parameters
-        ----------
-        fault : TransientInstrumentError
-            What ended an attempt.
-
-        Raises
-        ------
-        StoppedWhileWaitingError, InstrumentError
-            As :meth:`until_done` does.
-        """
+        """Give an instrument a fresh connection when it fails passingly again and again; raises as `until_done`."""
         self._passing[fault.role] += 1
         if self._passing[fault.role] >= PASSING_IN_A_ROW:
             self._bring_back(fault)
@@ -128,9 +99,8 @@ class Recovery:
         """Silence the rig and wait until all that was lost is connected again."""
         self._losses += 1
         if self._losses > LOSSES_IN_A_ROW:
-            raise as_lost(
-                failure, f"{failure.cause}, also after {LOSSES_IN_A_ROW} fresh connections in a row"
-            ) from failure
+            cause = f"{failure.cause}, also after {LOSSES_IN_A_ROW} fresh connections in a row"
+            raise as_lost(failure, cause) from failure
         came_from, since_s = self._life.state, self._clock.now_s()
         gives_up_wall_s = time.monotonic() + self._setup.recovery_s
         self._life.enter(State.RECOVERING, f"{failure.instrument}: {failure.cause}")
@@ -167,17 +137,17 @@ class Recovery:
                 left_s = round(until_s - self._clock.now_s(), 3)  # slices of time do not add up exactly
                 if time.monotonic() >= gives_up_wall_s:
                     left_s = 0.0
-                self._tell(failure, absent.cause, left_s)
+                self._publish_try(failure, absent.cause, left_s)
                 if left_s <= 0:
                     wall_s = time.monotonic() - gives_up_wall_s + self._setup.recovery_s
                     waited = hours(max(self._clock.now_s() - since_s, wall_s))
                     tries = f"{self._tries[role]} tries (last: {absent.cause})"
                     raise as_lost(failure, f"{failure.cause}; not back within {waited}, {tries}") from absent
             except InstrumentError as other:
-                self._tell(failure, other.cause, 0.0)
+                self._publish_try(failure, other.cause, 0.0)
                 raise
             else:
-                self._tell(failure, "connected", None)
+                self._publish_try(failure, "connected", None)
                 return
 
     def _wait(self, seconds: float, failure: InstrumentError) -> None:
@@ -191,19 +161,10 @@ class Recovery:
             self._clock.sleep(min(left_s, STOP_LOOKED_FOR_S))
             left_s -= STOP_LOOKED_FOR_S
 
-    def _tell(self, failure: InstrumentError, outcome: str, left_s: float | None) -> None:
-        """Tell how a try ended; `left_s` is the time until the session gives up, None when connected."""
-        number = self._tries[failure.role]
-        waits = left_s is not None and left_s > 0
-        self._publish(
-            ReconnectTried(
-                self._life.time_s(),
-                failure.role,
-                failure.instrument,
-                number,
-                left_s is None,
-                outcome,
-                min(back_off_s(number), left_s) if waits and left_s is not None else None,
-                None if left_s is None else max(0.0, left_s),
-            )
-        )
+    def _publish_try(self, failure: InstrumentError, outcome: str, left_s: float | None) -> None:
+        """Publish how a try ended; `left_s` is the time until the session gives up, None when connected."""
+        number, now_s = self._tries[failure.role], self._life.time_s()
+        next_s = min(back_off_s(number), left_s) if left_s is not None and left_s > 0 else None
+        gives_up_s = None if left_s is None else max(0.0, left_s)
+        tried = failure.role, failure.instrument, number, left_s is None, outcome
+        self._publish(ReconnectTried(now_s, *tried, next_s, gives_up_s))

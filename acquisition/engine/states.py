@@ -1,61 +1,15 @@
-"""The state of a session: which follows which, and how long the session has been at it."""
+"""The state of a session: which follows which, and how long the session has been at work."""
 
 from __future__ import annotations
 
 import time
+from typing import ClassVar
 
 from acquisition.engine.events import State, StateChanged, Subscriber
 from drivers.protocols import Clock
 
-# Which state may follow which; anything else is a defect. Recovering and suspended return to where they came
-# from. What ends a session has nothing after it.
-FOLLOWS: dict[State, frozenset[State]] = {
-    State.IDLE: frozenset({State.RUNNING, State.RECOVERING, State.STOPPED, State.FAILED}),
-    State.RUNNING: frozenset(
-        {
-            State.PAUSING,
-            State.SUSPENDED,
-            State.RECOVERING,
-            State.STOPPING,
-            State.STOPPED,
-            State.FINISHED,
-            State.FAILED,
-        }
-    ),
-    # The position under way is finished first; with the last one there is nothing left to pause.
-    State.PAUSING: frozenset(
-        {
-            State.PAUSED,
-            State.RUNNING,
-            State.SUSPENDED,
-            State.RECOVERING,
-            State.STOPPING,
-            State.STOPPED,
-            State.FINISHED,
-            State.FAILED,
-        }
-    ),
-    State.PAUSED: frozenset({State.RUNNING, State.STOPPED, State.FAILED}),
-    State.SUSPENDED: frozenset({State.RUNNING, State.PAUSED, State.RECOVERING, State.STOPPED, State.FAILED}),
-    State.RECOVERING: frozenset(
-        {
-            State.IDLE,
-            State.RUNNING,
-            State.PAUSING,
-            State.SUSPENDED,
-            State.STOPPING,
-            State.STOPPED,
-            State.FAILED,
-        }
-    ),
-    State.STOPPING: frozenset({State.RECOVERING, State.STOPPED, State.FINISHED, State.FAILED}),
-    State.STOPPED: frozenset(),
-    State.FINISHED: frozenset(),
-    State.FAILED: frozenset(),
-}
-
-# Time spent in these says nothing of how long the other positions will take.
-AWAY = frozenset({State.PAUSED, State.SUSPENDED, State.RECOVERING})
+_ENDS = {State.STOPPED, State.FINISHED, State.FAILED}
+_HELD_UP = {State.SUSPENDED, State.RECOVERING, State.STOPPING}
 
 
 class IllegalStateError(RuntimeError):
@@ -63,7 +17,7 @@ class IllegalStateError(RuntimeError):
 
 
 class Lifecycle:
-    """Where a session stands, told by an event at each change.
+    """State and working time of a session; each change is published.
 
     Parameters
     ----------
@@ -72,6 +26,24 @@ class Lifecycle:
     publish : callable
         Receives every event.
     """
+
+    # Recovering and suspended return to where they came from; nothing follows what ends a session.
+    FOLLOWS: ClassVar[dict[State, set[State]]] = {
+        State.IDLE: {State.RUNNING, State.RECOVERING, State.STOPPED, State.FAILED},
+        State.RUNNING: {State.PAUSING} | _HELD_UP | _ENDS,
+        # The position under way is finished first; with the last one there is nothing left to pause.
+        State.PAUSING: {State.PAUSED, State.RUNNING} | _HELD_UP | _ENDS,
+        State.PAUSED: {State.RUNNING, State.STOPPED, State.FAILED},
+        State.SUSPENDED: {State.RUNNING, State.PAUSED, State.RECOVERING, State.STOPPED, State.FAILED},
+        State.RECOVERING: {State.IDLE, State.RUNNING, State.PAUSING, State.SUSPENDED, State.STOPPING}
+        | (_ENDS - {State.FINISHED}),
+        State.STOPPING: {State.RECOVERING} | _ENDS,
+        State.STOPPED: set(),
+        State.FINISHED: set(),
+        State.FAILED: set(),
+    }
+    # Time spent in these says nothing of how long the other positions will take.
+    AWAY: ClassVar = {State.PAUSED, State.SUSPENDED, State.RECOVERING}
 
     def __init__(self, clock: Clock, publish: Subscriber) -> None:
         self._clock = clock
@@ -82,21 +54,13 @@ class Lifecycle:
         self.state, self.reason = State.IDLE, ""
 
     def enter(self, state: State, reason: str) -> None:
-        """Change the state and tell why.
-
-        Raises
-        ------
-        IllegalStateError
-            The table above does not have this change.
-        """
-        if state not in FOLLOWS[self.state]:
+        """Change the state; raises IllegalStateError where the table does not have this change."""
+        if state not in self.FOLLOWS[self.state]:
             raise IllegalStateError(f"{state} cannot follow {self.state}")
         if self._away_since is not None:
             self._away_s += self.time_s() - self._away_since[0]
             self._away_wall_s += self._wall_s() - self._away_since[1]
-            self._away_since = None
-        if state in AWAY:
-            self._away_since = self.time_s(), self._wall_s()
+        self._away_since = (self.time_s(), self._wall_s()) if state in self.AWAY else None
         self.state, self.reason = state, reason
         self._publish(StateChanged(self.time_s(), state, reason))
 

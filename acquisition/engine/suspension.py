@@ -1,17 +1,17 @@
-"""Standing by between two positions: paused by a person, or suspended until the conditions are back."""
+"""Holding a session still between two positions: paused by a person, or suspended until the conditions are back."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from acquisition.durations import hours
 from acquisition.engine.events import State, SuspendedTooLongError
-from acquisition.engine.measuring import PositionRecords
 from acquisition.engine.recovery import Recovery
 from acquisition.engine.session import Session
 from acquisition.engine.states import Lifecycle
-from acquisition.engine.stop_signals import StoppedWhileWaitingError, StopRequest
+from acquisition.engine.stop_request import StoppedWhileWaitingError, StopRequest
 from acquisition.measuring.attempt import Attempt
+from acquisition.measuring.position_records import PositionRecords
 from acquisition.measuring.setup import Setup, asking, silence
 from acquisition.quality.conditions import Conditions
 from drivers.errors import InstrumentError
@@ -21,8 +21,8 @@ from drivers.protocols import Recording
 LOOKED_FOR_S = 0.1
 
 
-class StandBy:
-    """Holds a session still for as long as it must.
+class Suspension:
+    """Pauses and suspends a session, outputs muted and the mirror parked.
 
     Parameters
     ----------
@@ -31,11 +31,11 @@ class StandBy:
     life : Lifecycle
         The session's state.
     session : Session
-        Told of conditions and faults.
+        Publishes conditions and faults.
     stop : StopRequest
-        What a person asks for.
+        Requests of a person.
     conditions : Conditions
-        What is watched.
+        Watched conditions.
     records : PositionRecords
         Takes probing records.
     recovery : Recovery
@@ -52,17 +52,12 @@ class StandBy:
         records: PositionRecords,
         recovery: Recovery,
     ) -> None:
-        self._setup = setup
-        self._life = life
-        self._session = session
-        self._stop = stop
-        self._conditions = conditions
-        self._records = records
-        self._recovery = recovery
+        self._setup, self._life, self._session, self._stop = setup, life, session, stop
+        self._conditions, self._records, self._recovery = conditions, records, recovery
         self._last_good: int | None = None
 
     def follow_requests(self) -> None:
-        """Let the state say what was asked for, while the position under way goes on."""
+        """Enter the state that was asked for, while the position under way goes on."""
         state = self._life.state
         if self._stop.requested and state in (State.RUNNING, State.PAUSING):
             self._life.enter(State.STOPPING, f"{self._stop.reason}; the position under way is finished first")
@@ -72,13 +67,7 @@ class StandBy:
             self._life.enter(State.RUNNING, "the pause was taken back")
 
     def pause(self) -> None:
-        """Stand still, silent and with the mirror parked, until a person says to go on or to stop.
-
-        Raises
-        ------
-        StoppedWhileWaitingError
-            To stop.
-        """
+        """Stand still until a person says to go on, or to stop: StoppedWhileWaitingError."""
         self._rest()
         self._life.enter(State.PAUSED, "paused by the user: outputs muted, mirror parked; wavefocus go-on, or stop")
         while self._stop.pause_requested:
@@ -88,23 +77,13 @@ class StandBy:
             self._stop.wait_for_news(LOOKED_FOR_S)
         self._life.enter(State.RUNNING, "the user says to go on")
 
-    def must_repeat(self, attempt: Attempt, recordings: Sequence[Recording]) -> bool:
-        """Suspend the session if a watched condition has left its band, until it is back.
+    def take_under_conditions(
+        self, attempt: Attempt, take: Callable[[], tuple[Recording, ...]]
+    ) -> tuple[Recording, ...]:
+        """Records of an attempt, taken again after each suspension.
 
-        What looks like it may be the place alone (a dark spot): where the last good position is still good, it is
-        for the point quality to judge.
-
-        Parameters
-        ----------
-        attempt : Attempt
-            What was just recorded.
-        recordings : sequence of Recording
-            Its records.
-
-        Returns
-        -------
-        bool
-            Whether the attempt was recorded under bad conditions and must be recorded again.
+        A condition that has left its band at one position alone (a dark spot) is for the point quality to judge: where
+        the last good position is still good, the session is not suspended.
 
         Raises
         ------
@@ -115,17 +94,24 @@ class StandBy:
         InstrumentError
             An instrument failed for good meanwhile.
         """
+        while True:
+            recordings = take()
+            reason = self._left(attempt, recordings)
+            if not reason:
+                return recordings
+            self._suspend(attempt, reason)
+
+    def _left(self, attempt: Attempt, recordings: Sequence[Recording]) -> str:
+        """Conditions that left their bands for the whole rig; empty where none did."""
         if not self._conditions.watch.bands:
-            return False
+            return ""
         reason = self._conditions.left(self._conditions.values(self._records.plays, recordings))
-        self._tell_mute_sensors(attempt)
+        self._report_mute_sensors(attempt)
         if not reason:
             self._last_good = attempt.position
-            return False
-        if self._last_good not in (None, attempt.position) and not self._conditions.left(self._probe(attempt)):
-            return False
-        self._suspend(attempt, reason)
-        return True
+        elif self._last_good not in (None, attempt.position) and not self._conditions.left(self._probe(attempt)):
+            return ""
+        return reason
 
     def _suspend(self, attempt: Attempt, reason: str) -> None:
         """Wait for the conditions to come back and to stay for as long as they must."""
@@ -167,7 +153,7 @@ class StandBy:
             self._session.fault(failure, probing, retried=False)
             raise
         values = self._conditions.values(self._records.plays[:1], [recording])
-        self._tell_mute_sensors(attempt)
+        self._report_mute_sensors(attempt)
         return values
 
     def _rest(self) -> None:
@@ -190,7 +176,7 @@ class StandBy:
             self._setup.instruments.clock.sleep(min(left_s, LOOKED_FOR_S))
             left_s -= LOOKED_FOR_S
 
-    def _tell_mute_sensors(self, attempt: Attempt) -> None:
-        """Tell of sensors that do not answer; measuring goes on without them."""
+    def _report_mute_sensors(self, attempt: Attempt) -> None:
+        """Publish sensors that do not answer; measuring goes on without them."""
         for failure in self._conditions.mute.values():
             self._session.fault(failure, attempt, retried=True)

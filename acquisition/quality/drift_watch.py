@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from acquisition.engine.events import DriftError
-from acquisition.engine.measuring import PositionRecords
 from acquisition.engine.recovery import Recovery
 from acquisition.engine.session import Session
 from acquisition.engine.states import Lifecycle
 from acquisition.measuring.attempt import Attempt, AttemptResult, Recorded
+from acquisition.measuring.position_records import PositionRecords
 from acquisition.quality.defects import REFERENCE_LEVEL
 from acquisition.quality.limits import DriftFigures, compare_sentinel
 from acquisition.schedule.plan import Plan, sentinel_of

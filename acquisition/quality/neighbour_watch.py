@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.measuring.attempt import AttemptResult, row_of
+from acquisition.measuring.raw_keeping import MEASURED
+from acquisition.quality.agreement import Row, difference, in_band
 from acquisition.quality.defects import Cure, Defect
-from acquisition.quality.judgement import Judgement
+from acquisition.quality.judgement import Judgement, differing
 from acquisition.schedule.plan import Plan
 from calibration.neighbours.judge import Difference, NeighbourJudge, RowSpectra
 from storage.bank.writer import BankWriter
@@ -82,6 +86,50 @@ class NeighbourWatch:
                 yield position, judgement
         if not self.is_done(covered):
             self._bank.set_status(int(covered[-1]), int(self._bank.status[covered[-1]]), len(covered))
+
+    def confirmed(
+        self, result: AttemptResult, earlier: AttemptResult | None, *, repeat: bool, replaceable: bool
+    ) -> AttemptResult:
+        """Judge a good attempt by what the bank holds of the position, and a repeat by its neighbours.
+
+        A valid row is replaced only by one that agrees with it; where it may be replaced by another one, two attempts
+        must agree with each other. So must two where neighbours cannot judge a repeat.
+
+        Parameters
+        ----------
+        result : AttemptResult
+            Judged by its own records.
+        earlier : AttemptResult, optional
+            The best attempt before it in this session.
+        repeat : bool
+            Whether the position is measured after all others, even where the bank holds nothing of it.
+        replaceable : bool
+            Whether a valid row may be replaced by another one.
+        """
+        position, judgement = result.attempt.position, result.judgement
+        row = row_of(result, self._plan)
+        if row is None or result.estimate is None or not judgement.good:
+            return result
+        status = Status(int(self._bank.status[position]))
+        must_agree, twice = status == Status.VALID, replaceable
+        if (repeat or status) and (replaceable or not must_agree):
+            judgement, judged = self.judge(position, result.estimate.green, judgement)
+            if not judged and self._plan.quality.confirms:
+                must_agree = twice = True
+        if not (must_agree and judgement.good):
+            return replace(result, judgement=judgement)
+        apart = None
+        if status & MEASURED:
+            record, sweep = self._bank.record(position), self._plan.excitation
+            held = in_band(self._bank.green(position), sweep.sample_rate_hz, sweep.band_hz)
+            apart = difference(Row(held, record.snr_db, record.moved_mm), row)
+            if not apart:
+                return result
+        before = None if earlier is None else row_of(earlier, self._plan)
+        if twice and before is not None and not difference(before, row):
+            return result
+        judgement = differing(apart, judgement.score) if apart else replace(UNCONFIRMED, score=judgement.score)
+        return replace(result, judgement=judgement)
 
     def judge(self, position: int, green: NDArray[np.float32], before: Judgement) -> tuple[Judgement, bool]:
         """Judge a repeat that is good by its own records.

@@ -11,8 +11,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
-from acquisition.engine.measuring import RECORD_REPEATS
 from acquisition.measuring.plays import Measuring, measuring_of
+from acquisition.measuring.position_records import RECORD_REPEATS
 from acquisition.measuring.record import point_at, take_record
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import GROUP, Plan

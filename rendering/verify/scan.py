@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acquisition.engine.events import EventPublisher, State, Subscriber
 from acquisition.engine.recovery import Recovery
 from acquisition.engine.states import Lifecycle
-from acquisition.engine.stop_signals import StopRequest
+from acquisition.engine.stop_request import StopRequest
 from acquisition.measuring.record import point_at, take_record
 from acquisition.measuring.setup import Setup
 from calibration.blas import one_blas_thread

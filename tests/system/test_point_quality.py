@@ -198,7 +198,7 @@ def _interrupted(lab: Path, bank: Path, position: int, attempt: int) -> None:
     """A session of the campaign that ends at the first record of an attempt, as a kill there would end it."""
     from acquisition.engine.campaign import Campaign
     from acquisition.engine.events import Event, PositionStarted
-    from acquisition.engine.stop_signals import StopRequest
+    from acquisition.engine.stop_request import StopRequest
     from storage.bank.writer import BankWriter, create_bank
     from wavefocus.campaign.blueprint import blueprint_from_files
     from wavefocus.rig.setup import open_setup

@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import Event, PositionStarted, ReconnectTried, State, StateChanged, Subscriber
-from acquisition.engine.stop_signals import StopRequest
+from acquisition.engine.stop_request import StopRequest
 from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
 from config.run import Virtual

@@ -20,7 +20,7 @@ from acquisition.engine.events import (
     State,
     StateChanged,
 )
-from acquisition.engine.stop_signals import StopRequest
+from acquisition.engine.stop_request import StopRequest
 from wavefocus.campaign.supervision import (
     Attendance,
     Heartbeat,

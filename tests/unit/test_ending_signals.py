@@ -8,7 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from acquisition.engine.stop_signals import TERMINAL_GONE, EndingSignals, StopRequest, stop_on_signals
+from acquisition.engine.stop_request import StopRequest
+from wavefocus.ending import TERMINAL_GONE, EndingSignals, stop_on_signals
 
 
 def test_given_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing() -> None:

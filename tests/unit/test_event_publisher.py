@@ -6,7 +6,7 @@ import pytest
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import Event, EventPublisher, State
-from acquisition.engine.stop_signals import StopRequest
+from acquisition.engine.stop_request import StopRequest
 from storage.bank.writer import BankWriter, create_bank
 from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.campaign.sidecar_files import EventLines

@@ -11,8 +11,8 @@ import pytest
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import DriftError, Event, Fault, ReconnectTried, SessionEnded, State, StateChanged
-from acquisition.engine.states import FOLLOWS
-from acquisition.engine.stop_signals import StopRequest
+from acquisition.engine.states import Lifecycle
+from acquisition.engine.stop_request import StopRequest
 from drivers.errors import InstrumentError
 from storage.bank.writer import BankWriter, create_bank
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
@@ -151,8 +151,8 @@ def test_given_a_request_at_any_event_then_every_change_of_state_is_in_the_table
     for at in moments(whole.events)[::every]:
         session = Session(blueprint, tmp_path / f"{at}.h5", at, act)
         course = [State.IDLE, *(one.state for one in session.events if isinstance(one, StateChanged))]
-        assert all(after in FOLLOWS[before] for before, after in pairwise(course))
-        assert not FOLLOWS[course[-1]]
+        assert all(after in Lifecycle.FOLLOWS[before] for before, after in pairwise(course))
+        assert not Lifecycle.FOLLOWS[course[-1]]
         assert isinstance(session.events[-1], SessionEnded)
         # Nothing that was measured in the dark is in the bank.
         assert not set(session.measured.tolist()) - {0, 1}

@@ -11,14 +11,15 @@ import pytest
 
 from acquisition.engine.events import Event, ReconnectTried, State, StateChanged
 from acquisition.engine.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
-from acquisition.engine.states import FOLLOWS, IllegalStateError, Lifecycle
-from acquisition.engine.stop_signals import StoppedWhileWaitingError, StopRequest, stop_on_signals
+from acquisition.engine.states import IllegalStateError, Lifecycle
+from acquisition.engine.stop_request import StoppedWhileWaitingError, StopRequest
 from acquisition.measuring.record import point_at
 from acquisition.measuring.setup import Setup, names_of
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, WallClock
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.ending import stop_on_signals
 
 LOST = Fault("mirror", "move_to", "lost", at_call=1)
 
@@ -218,8 +219,8 @@ def test_given_a_state_that_cannot_follow_then_it_is_a_defect_and_told_as_one():
 
 
 def test_given_the_table_of_states_then_every_state_is_in_it_and_what_ends_a_session_ends_it():
-    assert set(FOLLOWS) == set(State)
-    assert {state for state in State if not FOLLOWS[state]} == {State.STOPPED, State.FINISHED, State.FAILED}
+    assert set(Lifecycle.FOLLOWS) == set(State)
+    assert {state for state in State if not Lifecycle.FOLLOWS[state]} == {State.STOPPED, State.FINISHED, State.FAILED}
 
 
 def test_given_ctrl_c_on_the_way_out_then_one_step_is_cut_short_and_the_others_are_tried():

@@ -25,7 +25,7 @@ from acquisition.engine.events import (
     SessionStarted,
     StateChanged,
 )
-from acquisition.engine.stop_signals import StopRequest
+from acquisition.engine.stop_request import StopRequest
 from wavefocus.campaign.sidecar_files import read_whole, write_whole
 from wavefocus.console import say
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import Event, EventPublisher, State, Subscriber
-from acquisition.engine.stop_signals import StopRequest, stop_on_signals
+from acquisition.engine.stop_request import StopRequest
 from acquisition.measuring.raw_keeping import raw_header, require_same, without_recordings
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.row_ranges import row_ranges
@@ -40,6 +40,7 @@ from wavefocus.campaign.sidecar_files import (
 )
 from wavefocus.campaign.supervision import Attendance, resume_line
 from wavefocus.console import progress, say
+from wavefocus.ending import stop_on_signals
 from wavefocus.exits import Exit
 from wavefocus.input_files import parse_positions
 from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration

@@ -10,12 +10,13 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.engine.stop_signals import StopRequest, stop_on_signals
+from acquisition.engine.stop_request import StopRequest
 from config.rig import RigConfig
 from mocks.wire.faults import WireFault
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import say
+from wavefocus.ending import stop_on_signals
 from wavefocus.exits import Exit
 from wavefocus.rig.virtual_bench import virtual_settings
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
-from acquisition.engine.session import Session
 from acquisition.measuring.attempt import Attempt
 from acquisition.measuring.plays import Play
 from acquisition.measuring.record import point_at, start_move, take_record
@@ -16,6 +16,18 @@ from drivers.protocols import Recording, Take
 
 # A record is repeated so often before the whole attempt is given up for a passing fault.
 RECORD_REPEATS = 2
+
+
+class Reports(Protocol):
+    """Receives what happens while records are taken."""
+
+    def record_taken(self, attempt: Attempt, record: int, records: int) -> None:
+        """A record of an attempt is in."""
+        ...
+
+    def fault(self, fault: InstrumentError, attempt: Attempt | None, *, retried: bool) -> None:
+        """An instrument failed."""
+        ...
 
 
 class PositionRecords:
@@ -29,15 +41,15 @@ class PositionRecords:
         With what.
     plays : tuple of Play
         What each record of a position plays.
-    session : Session
-        Told of faults.
+    reports : Reports
+        Receives records and faults.
     """
 
-    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], session: Session) -> None:
+    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], reports: Reports) -> None:
         self._plan = plan
         self._setup = setup
         self.plays = plays
-        self._session = session
+        self._reports = reports
 
     def take(self, attempt: Attempt, purpose: str, between: Callable[[], None]) -> tuple[Recording, ...]:
         """Point at a position and take all its records.
@@ -62,7 +74,7 @@ class PositionRecords:
             take = Take(attempt.position, attempt.number, play.actuator, purpose)
             recordings.append(self._record(play, take, attempt))
             if purpose == "capture":
-                self._session.record_taken(attempt, number, len(self.plays))
+                self._reports.record_taken(attempt, number, len(self.plays))
             between()
         return tuple(recordings)
 
@@ -83,7 +95,7 @@ class PositionRecords:
         try:
             start_move(self._setup, *self._place_mm(attempt))
         except InstrumentError as fault:
-            self._session.fault(fault, attempt, retried=True)
+            self._reports.fault(fault, attempt, retried=True)
 
     def _place_mm(self, attempt: Attempt) -> tuple[float, float]:
         """Where the beam goes for an attempt."""
@@ -100,5 +112,5 @@ class PositionRecords:
             try:
                 return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))
             except TransientInstrumentError as fault:
-                self._session.fault(fault, attempt, retried=True)
+                self._reports.fault(fault, attempt, retried=True)
         return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))
