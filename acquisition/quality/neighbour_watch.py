@@ -18,6 +18,8 @@ from calibration.neighbours.judge import Difference, NeighbourJudge, RowSpectra
 from storage.bank.writer import BankWriter
 from storage.point_status import Status
 
+ALONE = 1 << 23
+"""Added to `PointRecord.judged` where neighbours could not judge."""
 NEIGHBOURHOOD = 250
 """So many nearest positions are enough to judge one."""
 SAME = 0.25
@@ -45,13 +47,14 @@ class NeighbourWatch:
     def __init__(self, plan: Plan, bank: BankWriter) -> None:
         self._plan = plan
         self._bank = bank
+        self._marked: dict[int, bool] = {}
 
     def is_done(self, covered: NDArray[np.int64]) -> bool:
         """Whether `mark` came to its end for these positions: the last of them says so."""
         if not len(covered):
             return True
         last = int(covered[-1])
-        return bool(self._bank.status[last]) and self._bank.record(last).judged == len(covered)
+        return bool(self._bank.status[last]) and self._bank.record(last).judged & ~ALONE == len(covered)
 
     def mark(self, covered: NDArray[np.int64]) -> Iterator[tuple[int, Judgement]]:
         """Mark as poor what neighbours contradict, and, where the plan wants second looks, what they cannot judge.
@@ -69,10 +72,11 @@ class NeighbourWatch:
         tuple of int and Judgement
             Each position as it is marked.
         """
+        self._marked.clear()
         status, attempts = self._bank.status, self._bank.attempts
         rows = status == Status.VALID
         for position in np.flatnonzero(status == Status.POOR_SIGNAL).tolist():
-            rows[position] = self._bank.record(position).judged == len(covered)
+            rows[position] = self._bank.record(position).judged & ~ALONE == len(covered)
         differences, judged = self._differences(np.flatnonzero(rows), {})
         judgement: Judgement | None
         for position in covered[(status[covered] == Status.VALID)].tolist():
@@ -82,7 +86,8 @@ class NeighbourWatch:
             if judgement is None and self._plan.quality.confirms and position not in judged:
                 judgement = UNCONFIRMED
             if judgement is not None:
-                self._bank.set_status(position, int(judgement.status), len(covered))
+                alone = ALONE if judgement is UNCONFIRMED else 0
+                self._bank.set_status(position, int(judgement.status), len(covered) | alone)
                 yield position, judgement
         if not self.is_done(covered):
             self._bank.set_status(int(covered[-1]), int(self._bank.status[covered[-1]]), len(covered))
@@ -113,7 +118,9 @@ class NeighbourWatch:
         status = Status(int(self._bank.status[position]))
         must_agree, twice = status == Status.VALID, replaceable
         if (repeat or status) and (replaceable or not must_agree):
-            judgement, judged = self.judge(position, result.estimate.green, judgement)
+            judged = False
+            if not self._alone()[position]:
+                judgement, judged = self.judge(position, result.estimate.green, judgement)
             if not judged and self._plan.quality.confirms:
                 must_agree = twice = True
         if not (must_agree and judgement.good):
@@ -153,7 +160,7 @@ class NeighbourWatch:
         bool
             Whether neighbours could judge it.
         """
-        usable = self._bank.status == Status.VALID
+        usable = (self._bank.status == Status.VALID) | self._alone()
         usable[position] = True
         rows = np.flatnonzero(usable)
         apart_mm = np.hypot(*(self._plan.position_mm[rows] - self._plan.position_mm[position]).T)
@@ -166,6 +173,16 @@ class NeighbourWatch:
         if all(one.kind == "other" and _same(held, green, one) for one in differences):
             return before, True
         return _judgement(differences), True
+
+    def _alone(self) -> NDArray[np.bool_]:
+        """Positions that neighbours could not judge, and that had no second look yet."""
+        poor = np.asarray(self._bank.status == Status.POOR_SIGNAL)
+        poor &= self._bank.attempts <= self._plan.quality.max_attempts
+        for position in np.flatnonzero(poor).tolist():
+            if position not in self._marked:
+                self._marked[position] = bool(self._bank.record(position).judged & ALONE)
+            poor[position] = self._marked[position]
+        return poor
 
     def _differences(
         self, rows: NDArray[np.int64], instead: dict[int, NDArray[np.float32]]

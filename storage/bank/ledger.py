@@ -58,7 +58,7 @@ class PointRecord:
         Level of the reference in dB of its calibration, median over the records; NaN where unknown.
     judged : int
         Number of positions that were judged against their neighbours together, on those that were marked for it and on
-        the last of them; 0 elsewhere.
+        the last of them, with 2**23 added where neighbours could not judge; 0 elsewhere.
     """
 
     status: int
