@@ -31,7 +31,7 @@ class HungError(Exception):
     """A call did not return in its time and was given up."""
 
 
-class Lane:
+class CallThread:
     """Carries out calls one after another in one thread, each for so long and no longer.
 
     A thread whose call hangs is abandoned: it is a daemon, so that it holds up no exit, and the next call
@@ -192,7 +192,7 @@ class _Calls:
         self.name: str = role
         self._role = role
         self._hung_after_s = hung_after_s
-        self._lane = Lane(role)
+        self._lane = CallThread(role)
         self._hung = ""
 
     def work(self, operation: str, ask: Callable[[], Answer], own_s: float = 0.0) -> Answer:
@@ -211,7 +211,7 @@ class _Calls:
         overtakes: bool = False,
         anyhow: bool = False,
     ) -> Answer:
-        """Carry out a call in any case; `overtakes` lets it pass one that was broken off, `anyhow` is as of `Lane`."""
+        """Carry out a call in any case; `overtakes` passes one that was broken off, `anyhow` is as of `CallThread`."""
         limit_s = own_s + patience * self._hung_after_s
         try:
             return self._lane.call(ask, limit_s, yields_s=0.0 if overtakes else self._hung_after_s, anyhow=anyhow)

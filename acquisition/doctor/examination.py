@@ -10,7 +10,7 @@ from typing import NoReturn, Protocol, runtime_checkable
 import numpy as np
 
 from acquisition.doctor.findings import Act, Finding, Findings
-from acquisition.doctor.sound import Told, check_loopback, check_response, check_silence
+from acquisition.doctor.sound import check_loopback, check_response, check_silence
 from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentLostError
@@ -53,7 +53,7 @@ class VibrometerFacts(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Patient:
+class RigUnderTest:
     """A rig to examine: how each instrument is opened, and how they belong together.
 
     Parameters
@@ -101,12 +101,12 @@ class Patient:
     sample_rate_hz: float
 
 
-def examine(patient: Patient, publish: Callable[[Finding], None], *, play: bool) -> dict[str, DeviceIdentity]:
+def examine(rig: RigUnderTest, publish: Callable[[Finding], None], *, play: bool) -> dict[str, DeviceIdentity]:
     """Open, identify and exercise every instrument, and put it to rest.
 
     Parameters
     ----------
-    patient : Patient
+    rig : RigUnderTest
         The rig.
     publish : callable
         Gets every finding as it is made.
@@ -118,7 +118,7 @@ def examine(patient: Patient, publish: Callable[[Finding], None], *, play: bool)
     dict from role to DeviceIdentity
         Of the instruments that answered.
     """
-    examination = _Examination(patient, Findings(publish), play)
+    examination = _Examination(rig, Findings(publish), play)
     examination.run()
     return examination.identities
 
@@ -131,8 +131,8 @@ class _Visit:
 
 
 class _Examination:
-    def __init__(self, patient: Patient, findings: Findings, play: bool) -> None:
-        self._patient, self._findings, self._play = patient, findings, play
+    def __init__(self, rig: RigUnderTest, findings: Findings, play: bool) -> None:
+        self._rig, self._findings, self._play = rig, findings, play
         self._mirror: Mirror | None = None
         self._recorder: Recorder | None = None
         self._player: Player | None = None
@@ -151,15 +151,15 @@ class _Examination:
 
     def _open(self) -> None:
         """Open and identify; whoever fails is left out."""
-        patient, findings = self._patient, self._findings
-        facts = findings.ask("vibrometer", "opening", patient.vibrometer, OPEN_S)
+        rig, findings = self._rig, self._findings
+        facts = findings.ask("vibrometer", "opening", rig.vibrometer, OPEN_S)
         if facts is not None:
             self._sensitivity = facts.sensitivity_m_s_per_v
             findings.add("vibrometer", "identity", "ok", f"{facts.identity}, {self._sensitivity:g} m/s per V")
             self._check_light(facts.signal_level)
-        self._mirror = findings.ask("mirror", "opening", patient.mirror, OPEN_S)
-        self._recorder = findings.ask("recorder", "opening", patient.recorder, OPEN_S)
-        self._player = findings.ask("player", "opening", patient.player, OPEN_S)
+        self._mirror = findings.ask("mirror", "opening", rig.mirror, OPEN_S)
+        self._recorder = findings.ask("recorder", "opening", rig.recorder, OPEN_S)
+        self._player = findings.ask("player", "opening", rig.player, OPEN_S)
         for name, role in (("mirror", self._mirror), ("recorder", self._recorder), ("player", self._player)):
             if role is None:
                 continue
@@ -177,15 +177,15 @@ class _Examination:
 
     def _check_mirror(self) -> bool:
         """Send the mirror to the corners of the surface and back to its middle; True where it went there."""
-        patient, findings, mirror = self._patient, self._findings, self._mirror
+        rig, findings, mirror = self._rig, self._findings, self._mirror
         if mirror is None:
             findings.skip("mirror", "corners", "the mirror is not there")
             return False
-        x_mrad, y_mrad = patient.mirror_map.angles_mrad(*np.array([*patient.corners_mm, (0.0, 0.0)]).T)
+        x_mrad, y_mrad = rig.mirror_map.angles_mrad(*np.array([*rig.corners_mm, (0.0, 0.0)]).T)
         angles = [(float(x), float(y)) for x, y in zip(x_mrad, y_mrad, strict=True)]
         reach_mrad = max(max(map(abs, pair)) for pair in angles)
-        if reach_mrad > patient.limit_mrad:
-            what = f"the surface needs {reach_mrad:.0f} mrad, mirror.limit_mrad is {patient.limit_mrad:g}"
+        if reach_mrad > rig.limit_mrad:
+            what = f"the surface needs {reach_mrad:.0f} mrad, mirror.limit_mrad is {rig.limit_mrad:g}"
             remedy = "raise the limit if the mirror allows it, or move the mirror back"
             findings.add("mirror", "corners", "fail", what, remedy, Act("edit-rig", "mirror.limit_mrad"))
             return False
@@ -206,11 +206,11 @@ class _Examination:
         return True
 
     def _check_player(self) -> None:
-        player, patient = self._player, self._patient
+        player, rig = self._player, self._rig
         if player is None:
             self._findings.skip("player", "outputs", "the player is not there")
             return
-        needed = 1 + max((*patient.actuator_channels, patient.loopback_channel))
+        needed = 1 + max((*rig.actuator_channels, rig.loopback_channel))
         if player.channels >= needed:
             self._findings.add("player", "outputs", "ok", f"{player.channels}, {needed} needed")
             return
@@ -224,8 +224,8 @@ class _Examination:
         if recorder is None:
             self._findings.skip("recorder", "record", "the recorder is not there")
         else:
-            patient = self._patient
-            silence = partial(check_silence, recorder, patient.sample_rate_hz, patient.range_v)
+            rig = self._rig
+            silence = partial(check_silence, recorder, rig.sample_rate_hz, rig.range_v)
             if self._tell("recorder", "record", silence) and player is not None and self._play:
                 self._check_playing(recorder, player)
                 return
@@ -238,35 +238,33 @@ class _Examination:
         self._findings.skip("vibrometer", "response", why)
 
     def _check_playing(self, recorder: Recorder, player: Player) -> None:
-        patient = self._patient
+        rig = self._rig
         setup = Setup(
-            instruments=Instruments(self._mirror or _NoMirror(), recorder, player, patient.clock),
-            mirror_map=patient.mirror_map,
-            actuator_channels=patient.actuator_channels,
-            loopback_channel=patient.loopback_channel,
-            range_v=patient.range_v,
+            instruments=Instruments(self._mirror or _NoMirror(), recorder, player, rig.clock),
+            mirror_map=rig.mirror_map,
+            actuator_channels=rig.actuator_channels,
+            loopback_channel=rig.loopback_channel,
+            range_v=rig.range_v,
             response_per_volt=self._sensitivity,
-            reference_gain=patient.reference_gain,
-            inter_channel_delay_s=patient.inter_channel_delay_s,
-            pre_roll_s=patient.pre_roll_s,
-            post_roll_s=patient.post_roll_s,
+            reference_gain=rig.reference_gain,
+            inter_channel_delay_s=rig.inter_channel_delay_s,
+            pre_roll_s=rig.pre_roll_s,
+            post_roll_s=rig.post_roll_s,
         )
-        looped = partial(check_loopback, setup, patient.amplitude_v, patient.sample_rate_hz)
+        looped = partial(check_loopback, setup, rig.amplitude_v, rig.sample_rate_hz)
         if not self._tell("player", "loopback", looped):
             self._findings.skip("vibrometer", "response", "without a loopback nothing can be told")
         elif not self._points:
             self._findings.skip("vibrometer", "response", "the mirror does not point, so the beam may be anywhere")
         else:
-            self._tell(
-                "vibrometer", "response", partial(check_response, setup, patient.amplitude_v, patient.sample_rate_hz)
-            )
+            self._tell("vibrometer", "response", partial(check_response, setup, rig.amplitude_v, rig.sample_rate_hz))
 
-    def _tell(self, instrument: str, check: str, listen: Callable[[], list[Told]]) -> bool:
-        """Tell what was heard; True where there is nothing that fails."""
+    def _tell(self, instrument: str, check: str, listen: Callable[[], list[Finding]]) -> bool:
+        """Publish the findings of a record; True where nothing failed."""
         heard = self._findings.ask(instrument, check, listen, OPEN_S)
-        for told in heard or ():
-            self._findings.add(instrument, *told)
-        return heard is not None and all(told.verdict != "fail" for told in heard)
+        for finding in heard or ():
+            self._findings.publish(finding)
+        return heard is not None and all(one.verdict != "fail" for one in heard)
 
     def _put_to_rest(self) -> None:
         """Mute, park and release whatever is open; only what fails is told."""

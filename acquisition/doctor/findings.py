@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.timeouts import CallThread, HungError
 
 Verdict = Literal["ok", "warn", "fail", "skipped"]
-Deed = Literal["calibrate", "edit-rig", "open-folder", "reset-usb", "run", "test-message"]
+Action = Literal["calibrate", "edit-rig", "open-folder", "reset-usb", "run", "test-message"]
 Answer = TypeVar("Answer")
 
 HUNG_REMEDY = "unplug it and plug it in again, or switch it off and on; then run wavefocus doctor again"
@@ -29,7 +29,7 @@ class Act:
         The part, the key (``"player.channels"``), the folder, the role or the command.
     """
 
-    do: Deed
+    do: Action
     on: str = ""
 
 
@@ -61,56 +61,6 @@ class Finding:
     act: Act | None = None
 
 
-class HungError(InstrumentError):
-    """An instrument's driver did not come back at all; the thread that asked it is left behind."""
-
-
-def bounded(instrument: str, doing: str, ask: Callable[[], Answer], deadline_s: float) -> Answer:
-    """Ask an instrument in a thread of its own, and go on when it does not come back.
-
-    Drivers have time-outs of their own; this is for when those fail too.
-
-    Parameters
-    ----------
-    instrument, doing : str
-        Who is asked for what, for the message.
-    ask : callable
-        The question.
-    deadline_s : float
-        Longest wait on the wall's clock.
-
-    Raises
-    ------
-    HungError
-        No answer in time.
-    Exception
-        Whatever the question raised.
-    """
-    call = _Call(ask)
-    thread = threading.Thread(target=call.run, name=f"doctor {instrument}", daemon=True)
-    thread.start()
-    thread.join(deadline_s)
-    if thread.is_alive():
-        raise HungError(instrument, doing, f"it did not come back within {deadline_s:g} s", HUNG_REMEDY)
-    if call.failure is not None:
-        raise call.failure
-    answer: Answer = call.answer  # type: ignore[assignment]
-    return answer
-
-
-@dataclass
-class _Call:
-    ask: Callable[[], object]
-    answer: object = None
-    failure: BaseException | None = field(default=None)
-
-    def run(self) -> None:
-        try:
-            self.answer = self.ask()
-        except BaseException as failure:  # raised again where the answer is waited for
-            self.failure = failure
-
-
 class Findings:
     """Collects findings; a check that raises becomes one.
 
@@ -121,14 +71,14 @@ class Findings:
     """
 
     def __init__(self, publish: Callable[[Finding], None]) -> None:
-        self._publish = publish
+        self.publish = publish
         self._hung: set[str] = set()
 
     def add(
         self, instrument: str, check: str, verdict: Verdict, what: str, remedy: str = "", act: Act | None = None
     ) -> None:
         """Tell a finding."""
-        self._publish(Finding(instrument, check, verdict, what, remedy, act))
+        self.publish(Finding(instrument, check, verdict, what, remedy, act))
 
     def skip(self, instrument: str, check: str, why: str) -> None:
         """Tell that a check was not made."""
@@ -153,20 +103,23 @@ class Findings:
         if instrument in self._hung:
             self.skip(instrument, check, "it did not come back from the check before")
             return None
+        thread = CallThread(f"doctor {instrument}")
         try:
             try:
-                return bounded(instrument, check, question, deadline_s)
+                return thread.call(question, deadline_s)
             except TransientInstrumentError as passing:
-                answer = bounded(instrument, check, question, deadline_s)
+                answer = thread.call(question, deadline_s)
                 self.add(instrument, check, "warn", f"only at the second try: {passing.cause}", passing.remedy)
                 return answer
-        except HungError as failure:
+        except HungError:
             self._hung.add(instrument)
-            self.add(instrument, check, "fail", failure.cause, failure.remedy)
+            self.add(instrument, check, "fail", f"it did not come back within {deadline_s:g} s", HUNG_REMEDY)
         except InstrumentError as failure:
             # A check may need several instruments; the one that failed is the one to look at.
             self.add(failure.role or instrument, check, "fail", f"{failure.operation}: {failure.cause}", failure.remedy)
         except Exception as defect:  # a defect of a driver must not hide what the other instruments say
             told = f"{type(defect).__name__}: {defect}"
             self.add(instrument, check, "fail", told, "this is a defect of the program: please report it")
+        finally:
+            thread.abandon()
         return None

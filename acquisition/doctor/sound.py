@@ -3,27 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.doctor.findings import Act, Verdict
+from acquisition.doctor.findings import Act, Finding, Verdict
 from acquisition.measuring.record import ANSWER_MARGIN_S, point_at, take_record
 from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError, fit_clock
 from calibration.excitation.sweeps import Excitation
 from drivers.protocols import Recorder, Recording, RecordRequest, Take
-
-
-class Told(NamedTuple):
-    """Check, verdict, what was found, remedy, and what a program can do about it."""
-
-    check: str
-    verdict: Verdict
-    what: str
-    remedy: str = ""
-    act: Act | None = None
-
 
 SILENCE_S = 0.5
 SWEEP_S, DECAY_S = 0.5, 0.2
@@ -40,7 +28,7 @@ LATENCY_SHARE = 0.7
 ACTUATORS_HEARD = 3
 
 
-def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[float, float]) -> list[Told]:
+def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[float, float]) -> list[Finding]:
     """Record while nothing plays: whether a record comes, and what it holds.
 
     Raises
@@ -60,7 +48,7 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
     except BaseException:
         recorder.abort()
         raise
-    told: list[Told] = [Told("record", "ok", f"{request.samples} samples of 2 channels")]
+    told: list[Finding] = [Finding("recorder", "record", "ok", f"{request.samples} samples of 2 channels")]
     for name, volts, step_v, reached, end_v in zip(
         ("reference", "response"),
         recording.volts.astype(np.float64),
@@ -73,11 +61,18 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
         what = f"{1e3 * noise_v:.3g} mV rms, {1e3 * offset_v:+.3g} mV offset; step {1e3 * step_v:.3g} mV"
         if reached:
             told.append(
-                Told(f"{name} noise", "fail", f"{what}; it reaches {end_v:g} V", "check what is plugged in there")
+                Finding(
+                    "recorder",
+                    f"{name} noise",
+                    "fail",
+                    f"{what}; it reaches {end_v:g} V",
+                    "check what is plugged in there",
+                )
             )
         elif noise_v == 0.0:
             told.append(
-                Told(
+                Finding(
+                    "recorder",
                     f"{name} noise",
                     "warn",
                     f"{what}: not even noise",
@@ -86,11 +81,11 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
                 )
             )
         else:
-            told.append(Told(f"{name} noise", "ok", what))
+            told.append(Finding("recorder", f"{name} noise", "ok", what))
     return told
 
 
-def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Told]:
+def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
     """Play on the loopback alone: level, latency, clock ratio and what else is on the line.
 
     Raises
@@ -104,7 +99,8 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
     if recording.over_range[0]:
         remedy = "raise recorder.reference_range_v, or lower what is played"
         return [
-            Told(
+            Finding(
+                "player",
                 "loopback level",
                 "fail",
                 f"{amplitude_v:g} V reaches the end of the reference input",
@@ -116,7 +112,7 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
         found = fit_clock(recording.volts[0], signal_v)
     except ReferenceMissingError as missing:
         remedy = f"check the cable from output {channel} of the player to the recorder's reference input"
-        return [Told("loopback level", "fail", str(missing), remedy)]
+        return [Finding("player", "loopback level", "fail", str(missing), remedy)]
     return [
         _level(found.gain / setup.reference_gain, amplitude_v, channel),
         _latency(found.offset_samples / sample_rate_hz - setup.pre_roll_s, setup.post_roll_s),
@@ -125,7 +121,7 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
     ]
 
 
-def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Told]:
+def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
     """Listen to silence and to a few actuators at the middle of the surface: whether the vibrometer hears them.
 
     Raises
@@ -147,7 +143,8 @@ def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
         if recording.over_range[1]:
             remedy = "raise recorder.response_range_v, choose a wider range at the vibrometer, or lower what is played"
             return [
-                Told(
+                Finding(
+                    "vibrometer",
                     "response",
                     "fail",
                     f"actuator {actuator} reaches the end of the response input",
@@ -181,23 +178,26 @@ def _sweep(amplitude_v: float, sample_rate_hz: float) -> Excitation:
     )
 
 
-def _level(gain: float, amplitude_v: float, channel: int) -> Told:
+def _level(gain: float, amplitude_v: float, channel: int) -> Finding:
     what = f"{abs(gain) * amplitude_v:.4g} V for {amplitude_v:.4g} V asked"
     if gain < 0:
-        return Told("loopback level", "warn", f"{what}, upside down", f"swap the wires of output {channel}")
+        return Finding(
+            "player", "loopback level", "warn", f"{what}, upside down", f"swap the wires of output {channel}"
+        )
     off = abs(gain - 1)
     if off <= GOOD_LEVEL:
-        return Told("loopback level", "ok", what)
+        return Finding("player", "loopback level", "ok", what)
     remedy = "run wavefocus calibrate --only outputs, or correct player.full_scale_v and recorder.reference_gain"
     verdict: Verdict = "warn" if off <= LEAST_LEVEL else "fail"
-    return Told("loopback level", verdict, what, remedy, Act("calibrate", "outputs"))
+    return Finding("player", "loopback level", verdict, what, remedy, Act("calibrate", "outputs"))
 
 
-def _latency(latency_s: float, post_roll_s: float) -> Told:
+def _latency(latency_s: float, post_roll_s: float) -> Finding:
     what = f"{1e3 * latency_s:.1f} ms, {1e3 * post_roll_s:.0f} ms of post-roll to cover it"
     if latency_s <= LATENCY_SHARE * post_roll_s:
-        return Told("latency", "ok", what)
-    return Told(
+        return Finding("player", "latency", "ok", what)
+    return Finding(
+        "player",
         "latency",
         "warn",
         what,
@@ -206,36 +206,41 @@ def _latency(latency_s: float, post_roll_s: float) -> Told:
     )
 
 
-def _clock(skew_ppm: float) -> Told:
+def _clock(skew_ppm: float) -> Finding:
     what = f"the recorder's runs {skew_ppm:+.1f} ppm faster than the player's"
     if abs(skew_ppm) <= GOOD_PPM:
-        return Told("clock ratio", "ok", what)
-    return Told(
-        "clock ratio", "warn", what, "check the sample rates set at the interface; the estimator allows 500 ppm"
+        return Finding("player", "clock ratio", "ok", what)
+    return Finding(
+        "player",
+        "clock ratio",
+        "warn",
+        what,
+        "check the sample rates set at the interface; the estimator allows 500 ppm",
     )
 
 
-def _purity(residual_db: float) -> Told:
+def _purity(residual_db: float) -> Finding:
     what = f"{-residual_db:.0f} dB above noise and distortion"
     if residual_db <= GOOD_RESIDUAL_DB:
-        return Told("loopback purity", "ok", what)
-    return Told("loopback purity", "warn", what, "look for hum, a loose cable or a range much too wide")
+        return Finding("player", "loopback purity", "ok", what)
+    return Finding("player", "loopback purity", "warn", what, "look for hum, a loose cable or a range much too wide")
 
 
-def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Told]:
+def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Finding]:
     best = max(snr_db, key=lambda actuator: snr_db[actuator])
     what = f"signal {snr_db[best]:.0f} dB above noise at the middle, actuator {best} at {amplitude_v:.3g} V"
     if not math.isfinite(snr_db[best]) or snr_db[best] < LEAST_SNR_DB:
         remedy = "check that the beam is on the surface and in focus, the vibrometer's cable, and the amplifiers"
-        return [Told("response", "fail", what, remedy)]
+        return [Finding("vibrometer", "response", "fail", what, remedy)]
     verdict: Verdict = "ok" if snr_db[best] >= GOOD_SNR_DB else "warn"
     remedy = "" if verdict == "ok" else "focus the laser, put reflective film on the surface, or drive louder"
-    told: list[Told] = [Told("response", verdict, what, remedy)]
+    told: list[Finding] = [Finding("vibrometer", "response", verdict, what, remedy)]
     for actuator, ratio_db in snr_db.items():
         if ratio_db < LEAST_SNR_DB:
             remedy = "run wavefocus calibrate --only actuators; check its cable, amplifier and coil"
             told.append(
-                Told(
+                Finding(
+                    "vibrometer",
                     "actuator",
                     "fail",
                     f"actuator {actuator} is hardly heard ({ratio_db:z.0f} dB)",

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.timeouts import HungError, Lane, bounded
+from drivers.timeouts import CallThread, HungError, bounded
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 SOON_S = 0.05
@@ -26,7 +26,7 @@ def interruptible() -> Iterator[None]:
 
 
 def test_given_calls_then_their_answers_and_their_failures_come_back_in_order() -> None:
-    lane = Lane("test")
+    lane = CallThread("test")
     assert [lane.call(lambda one=one: one * one, 5.0) for one in range(5)] == [0, 1, 4, 9, 16]
     with pytest.raises(ZeroDivisionError):
         lane.call(lambda: 1 // 0, 5.0)
@@ -35,7 +35,7 @@ def test_given_calls_then_their_answers_and_their_failures_come_back_in_order() 
 
 
 def test_given_a_call_that_hangs_then_it_is_given_up_and_the_next_one_gets_a_fresh_thread() -> None:
-    lane, release = Lane("test"), threading.Event()
+    lane, release = CallThread("test"), threading.Event()
     first = lane.call(threading.get_ident, 5.0)
     with pytest.raises(HungError):
         lane.call(release.wait, SOON_S)
@@ -45,7 +45,7 @@ def test_given_a_call_that_hangs_then_it_is_given_up_and_the_next_one_gets_a_fre
 
 
 def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(interruptible: None) -> None:
-    lane, release, done = Lane("test"), threading.Event(), []
+    lane, release, done = CallThread("test"), threading.Event(), []
 
     def hold() -> None:
         # What Ctrl-C does: the main thread stops waiting while the call goes on.
@@ -62,7 +62,7 @@ def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(int
 
 
 def test_given_a_wait_broken_off_then_an_urgent_call_overtakes_it(interruptible: None) -> None:
-    lane, release, done = Lane("test"), threading.Event(), []
+    lane, release, done = CallThread("test"), threading.Event(), []
 
     def hold() -> None:
         _thread.interrupt_main()

@@ -13,7 +13,7 @@ from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from acquisition.doctor.examination import Patient, examine
+from acquisition.doctor.examination import RigUnderTest, examine
 from acquisition.doctor.findings import Act, Finding, Findings
 from calibration.rig.mirror_map import MirrorMap
 from config.rig import RigConfig
@@ -103,12 +103,12 @@ def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
     say(f"{role}: reset; it is now {reset_device(role, expected)}")
 
 
-def _patient(rig: RigConfig) -> Patient:
+def _patient(rig: RigConfig) -> RigUnderTest:
     ways = openers(rig)
     recorder, player, surface = rig.recorder, rig.player, rig.surface
     radius_mm = CORNER_SHARE * surface.width_mm / 2 * math.sqrt(0.5)
     x_mm, y_mm = (surface.length_mm - surface.width_mm) / 2 + radius_mm, radius_mm
-    return Patient(
+    return RigUnderTest(
         clock=ways.clock,
         mirror=ways.mirror,
         recorder=ways.recorder,

@@ -11,7 +11,7 @@ from acquisition.manual.level import GatedPlayer
 from acquisition.quality.watch import Sensor
 from config.rig import RigConfig, default_rig
 from drivers.errors import InstrumentError
-from drivers.timeouts import RECONNECTING, HungError, Lane
+from drivers.timeouts import RECONNECTING, CallThread, HungError
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import say
@@ -79,7 +79,7 @@ def _operate(rig: RigConfig, tell: LinesOut) -> None:
 
 
 def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, tell: LinesOut) -> None:
-    muting = Lane("muting")
+    muting = CallThread("muting")
     orders = LinesIn()
 
     def is_mute(content: Mapping[str, object]) -> bool:

@@ -16,7 +16,7 @@ from config.run import Virtual
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock
 from drivers.registry import Outputs, PlayerDriver, RecorderDriver, VibrometerDriver, VibrometerReading
-from drivers.timeouts import REMEDY, BoundedPlayer, HungError, Lane
+from drivers.timeouts import REMEDY, BoundedPlayer, CallThread, HungError
 from storage.errors import InputError
 from wavefocus.console import say
 
@@ -149,7 +149,7 @@ def in_time(ways: Openers, limit_s: float) -> Openers:
 
     def bounded(role: str, opens: Callable[[], Opened]) -> Callable[[], Opened]:
         def call() -> Opened:
-            lane = Lane(f"opening {role}")
+            lane = CallThread(f"opening {role}")
             try:
                 return lane.call(opens, limit_s)
             except HungError:

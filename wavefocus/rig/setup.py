@@ -16,7 +16,7 @@ from config.rig_recorder import VibrometerSection
 from config.run import RunConfig
 from drivers.errors import InstrumentError
 from drivers.protocols import OffersRanges
-from drivers.timeouts import RECONNECTING, HungError, Lane, bounded
+from drivers.timeouts import RECONNECTING, CallThread, HungError, bounded
 from wavefocus.console import say
 from wavefocus.rig.calibration_validity import calibration_warnings, identities_of
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers, read_vibrometer
@@ -163,7 +163,7 @@ class BoundedSensor:
         self._name = name
         self._sensor = sensor
         self._limit_s = limit_s
-        self._lane = Lane(f"sensor {name}")
+        self._lane = CallThread(f"sensor {name}")
 
     def read(self) -> float:
         """The value now."""
