@@ -120,15 +120,7 @@ class CalibrationRecord(Table):
 def load_calibration(path: Path) -> CalibrationRecord:
     """Read a calibration file.
 
-    Parameters
-    ----------
-    path : Path
-        The file, as `wavefocus calibrate` writes it.
-
-    Raises
-    ------
-    InputError
-        Anything in the file is wrong, or it is of another format or version.
+    Raises InputError: anything in the file is wrong, or it is of another format or version.
     """
     data = read_toml(path)
     if data.get("format") == FORMAT and data.get("format_version") != FORMAT_VERSION:
@@ -144,15 +136,7 @@ def with_calibration(data: dict[str, Any]) -> dict[str, Any]:
     ``recorder.inter_channel_delay_s`` and ``player.full_scale_v``. Two measured values of one thing are a
     contradiction, and so are figures of another wiring.
 
-    Parameters
-    ----------
-    data : dict
-        The rig's tables, defaults filled in but not validated; what is no table is left to be refused later.
-
-    Raises
-    ------
-    PydanticCustomError
-        A contradiction.
+    Raises PydanticCustomError: A contradiction.
     """
     care = data.get("calibration")
     if not isinstance(care, dict) or care.get("measured") is None:
@@ -237,17 +221,7 @@ _KEY = re.compile(r"^\s*file\s*=")
 def name_calibration(rig_file: Path, name: str) -> None:
     """Write ``file = "NAME"`` into the ``[calibration]`` table of a rig file; the table is made where there is none.
 
-    Parameters
-    ----------
-    rig_file : Path
-        The rig file; its mode and every other line stay.
-    name : str
-        The calibration file, relative to the rig file's folder.
-
-    Raises
-    ------
-    InputError
-        The table is written in a way that only a person can change, or the file cannot be written.
+    Raises InputError: the table is written in a way that only a person can change, or the file cannot be written.
     """
     text = read_text(rig_file)
     before = tomllib.loads(text)
@@ -293,10 +267,7 @@ NOTES = {
 def write_calibration(path: Path, record: CalibrationRecord) -> None:
     """Write a calibration file; one that is there is never overwritten.
 
-    Raises
-    ------
-    InputError
-        The file is there already, or cannot be written.
+    Raises InputError: the file is there already, or cannot be written.
     """
     text = HEAD + "\n".join(_lines(record))
     try:

@@ -97,15 +97,7 @@ class DriverTable(Table):
 
 
 def with_drivers(section: type[Section], drivers: Mapping[str, type[Any]]) -> type[Section]:
-    """The table with the keys of all its drivers; two drivers with a key of one name mean the same by it.
-
-    Parameters
-    ----------
-    section : type of DriverTable
-        The keys of every driver; the default of ``driver`` has no others.
-    drivers : mapping from name to data class
-        As registered.
-    """
+    """The table with the keys of all its drivers; two drivers with a key of one name mean the same by it."""
     default = section.model_fields["driver"].default
     keys: dict[str, Any] = {"driver": (Literal[(default, *drivers)], default)}
     for driver in drivers.values():

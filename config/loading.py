@@ -24,10 +24,7 @@ Model = TypeVar("Model", bound=BaseModel)
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file into plain tables.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read or is not TOML; the message names the line.
+    Raises InputError: the file cannot be read or is not TOML; the message names the line.
     """
     try:
         text = read_text(path)
@@ -39,17 +36,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(text: str, source: str) -> dict[str, Any]:
     """Read TOML text into plain tables.
 
-    Parameters
-    ----------
-    text : str
-        The text.
-    source : str
-        Where it comes from, for messages.
-
-    Raises
-    ------
-    InputError
-        It is not TOML; the message names the line.
+    Raises InputError: it is not TOML; the message names the line.
     """
     try:
         return tomllib.loads(text)
@@ -62,10 +49,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 def validated(model: type[Model], data: object, source: str) -> Model:
     """Validate plain tables against a model.
 
-    Raises
-    ------
-    InputError
-        One line with the first few mistakes.
+    Raises InputError: one line with the first few mistakes.
     """
     try:
         return model.model_validate(data)
@@ -76,19 +60,7 @@ def validated(model: type[Model], data: object, source: str) -> Model:
 def named_file(path: Path, key: str, name: str) -> Path:
     """Find a file that a configuration names.
 
-    Parameters
-    ----------
-    path : Path
-        The configuration's own file; the name is relative to its folder.
-    key : str
-        Where it names it, for messages.
-    name : str
-        The name.
-
-    Raises
-    ------
-    InputError
-        There is no such file.
+    Raises InputError: there is no such file.
     """
     try:
         named = path.parent / name
@@ -140,19 +112,7 @@ SENTENCES: Mapping[str, str] = {
 
 
 def one_line(source: str, failure: ValidationError, model: type[BaseModel], data: object) -> str:
-    """Tell what is wrong in one line, the first few mistakes joined by semicolons.
-
-    Parameters
-    ----------
-    source : str
-        The file that the data came from.
-    failure : ValidationError
-        What validation found.
-    model : type of BaseModel
-        The model of the whole file.
-    data : object
-        What was validated.
-    """
+    """Tell what is wrong in one line, the first few mistakes joined by semicolons."""
     errors = failure.errors(include_url=False)
     mistakes = [error for error in errors if not _follows(error, errors)]
     told = [sentence(error, model, data) for error in mistakes[:TOLD_AT_ONCE]]

@@ -67,10 +67,7 @@ if not TYPE_CHECKING:
 def check_port(key: str, port: str) -> None:
     """Refuse a serial port that is written like a network port or a serial number, but is none.
 
-    Raises
-    ------
-    PydanticCustomError
-        A mistake that names the key.
+    Raises PydanticCustomError: A mistake that names the key.
     """
     for beginning, pattern, allowed in (
         ("socket:", r"socket://[^\s/:]+:\d{1,5}", "must be socket://HOST:PORT"),

@@ -23,13 +23,7 @@ TRACEBACK, TRACEBACK_VARIABLE = "--traceback", "WAVEFOCUS_TRACEBACK"
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line and return its exit code.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Without the program's name; none shows the help.
-    """
+    """Run one command line and return its exit code."""
     from wavefocus.exits import Exit, exit_code, one_line
 
     rest = [one for one in arguments if one != TRACEBACK]

@@ -510,15 +510,7 @@ def parser(commands: Sequence[Command] = COMMANDS) -> argparse.ArgumentParser:
 def run_command(arguments: Sequence[str]) -> int:
     """Run one command line.
 
-    Returns
-    -------
-    int
-        The exit code.
-
-    Raises
-    ------
-    UsageError
-        The command line is wrong.
+    Returns the exit code. Raises UsageError: the command line is wrong.
     """
     given = vars(parser(COMMANDS).parse_args(arguments))
     del given["traceback"]

@@ -34,21 +34,11 @@ PARTS_AT_ONCE = 4
 def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
     """Connect to a cluster, or start one of processes on this machine.
 
-    Parameters
-    ----------
-    address : str
-        ``"tcp://HOST:8786"`` of a scheduler, ``"local"``, or ``"local:N"`` for N processes.
-    workers : int, optional
-        Processes of a local cluster that names no number; by default one per processor.
+    Raises InputError: dask is missing, no scheduler answers at the address, or a local cluster's number is none.
 
     Yields
     ------
     distributed.Client
-
-    Raises
-    ------
-    InputError
-        Dask is missing, no scheduler answers at the address, or a local cluster's number is none.
     """
     local = address.partition(":")[0] == LOCAL
     if local and ":" in address:
@@ -94,23 +84,7 @@ def spread(
 ) -> Iterator[Result]:
     """Carry out a function on the cluster for every part, and give the results in the parts' order.
 
-    Parameters
-    ----------
-    client : distributed.Client
-        The cluster.
-    function : callable
-        Of a module that the workers have too.
-    parts : iterable
-        Small, for they travel.
-    stopped : str
-        What failed, for messages.
-
-    Raises
-    ------
-    InputError
-        A worker raised it.
-    WavefocusError
-        Workers were lost, again and again.
+    Raises InputError: A worker raised it. Raises WavefocusError: workers were lost, again and again.
     """
     under_way: deque[Any] = deque()
     most = PARTS_PER_THREAD * max(1, sum(client.nthreads().values()))
@@ -129,17 +103,7 @@ def spread(
 def estimate_on_cluster(
     address: str, raw: Path, positions: Sequence[int], workers: int | None
 ) -> Iterator[PositionResult]:
-    """Estimate positions on a cluster, in their order; each by itself, so that it is the same as here.
-
-    Parameters
-    ----------
-    address, workers
-        As of `cluster_client`.
-    raw : Path
-        The file of recordings, which all workers have at the same path.
-    positions : sequence of int
-        Rows of the file.
-    """
+    """Estimate positions on a cluster, in their order; each by itself, so that it is the same as here."""
     from wavefocus.cluster_tasks import estimated_part, identity_of
 
     file = identity_of(raw)
@@ -165,19 +129,7 @@ class _Spread:
 def field_on_cluster(
     client: Any, drive: Path, bank: Path, rate_hz: float | None, parts: Iterable[Sequence[int]]
 ) -> Iterator[Any]:
-    """Predict the parts of a field on a cluster, in their order; float32 arrays (rows, samples).
-
-    Parameters
-    ----------
-    client : distributed.Client
-        The cluster.
-    drive, bank : Path
-        Files that all workers have at the same path.
-    rate_hz : float or None
-        Rate of the field; None for the bank's.
-    parts : iterable of sequences of int
-        Bank rows that are computed together.
-    """
+    """Predict the parts of a field on a cluster, in their order; float32 arrays (rows, samples)."""
     from wavefocus.cluster_tasks import field_parts, identity_of
 
     files, chosen = (identity_of(drive), identity_of(bank)), [list(part) for part in parts]

@@ -39,23 +39,7 @@ def field_parts(
 ) -> list[NDArray[np.float32]]:
     """Predict some parts of a field, each computed as one, and rounded once to the float32 of its file.
 
-    Parameters
-    ----------
-    drive, bank : tuple
-        The files.
-    rate_hz : float or None
-        Rate of the field; None for the bank's.
-    parts : sequence of sequences of int
-        Bank rows of each part.
-
-    Returns
-    -------
-    list of float32 arrays, shape (positions, samples)
-
-    Raises
-    ------
-    InputError
-        This machine does not have the files.
+    Raises InputError: this machine does not have the files.
     """
     prediction = _prediction(_here(drive), _here(bank), rate_hz)
     return [prediction.respond(np.asarray(part, dtype=np.int64)).astype(np.float32) for part in parts]
@@ -64,17 +48,7 @@ def field_parts(
 def estimated_part(raw: Identity, positions: Sequence[int]) -> list[PositionResult]:
     """Estimate some positions of raw recordings.
 
-    Parameters
-    ----------
-    raw : tuple
-        The file.
-    positions : sequence of int
-        Rows of the file.
-
-    Raises
-    ------
-    InputError
-        This machine does not have the file, or recordings in it cannot be used.
+    Raises InputError: this machine does not have the file, or recordings in it cannot be used.
     """
     recordings, estimator = _recordings(_here(raw))
     with one_blas_thread():

@@ -48,15 +48,7 @@ class Configuration:
 def load_run(path: Path) -> Configuration:
     """Read a run file, the rig and the position list that it names.
 
-    Parameters
-    ----------
-    path : Path
-        The run file; paths in it are relative to its folder.
-
-    Raises
-    ------
-    InputError
-        Anything in the files is wrong, alone or against each other.
+    Raises InputError: anything in the files is wrong, alone or against each other.
     """
     data = read_toml(path)
     if "settled" in data:
@@ -94,15 +86,7 @@ def load_run(path: Path) -> Configuration:
 def load_rig(path: Path) -> RigConfig:
     """Read a rig file.
 
-    Parameters
-    ----------
-    path : Path
-        The rig file.
-
-    Raises
-    ------
-    InputError
-        Anything in the file is wrong.
+    Raises InputError: anything in the file is wrong.
     """
     data = read_toml(path)
     care = data.get("calibration")
@@ -131,19 +115,7 @@ def configuration_from_json(
 ) -> Configuration:
     """Take up the configuration that a bank carries.
 
-    Parameters
-    ----------
-    rig_json, run_json : str
-        The validated configuration as ``model_dump_json`` wrote it.
-    position_mm : float64 array, shape (positions, 2)
-        The bank's grid.
-    source : str
-        The bank's name, for messages.
-
-    Raises
-    ------
-    InputError
-        The texts are no configuration of this version.
+    Raises InputError: the texts are no configuration of this version.
     """
     rig = validated(RigConfig, _from_json(rig_json, f"{source}: attribute rig"), f"{source}: attribute rig")
     run = validated(RunConfig, _from_json(run_json, f"{source}: attribute run"), f"{source}: attribute run")
@@ -154,19 +126,7 @@ def configuration_from_json(
 def with_rig(configuration: Configuration, rig: RigConfig, source: str) -> Configuration:
     """Put another rig in the place of a configuration's own, checked against its run and grid.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        What a bank carries.
-    rig : RigConfig
-        The other rig.
-    source : str
-        Its file's name, for messages.
-
-    Raises
-    ------
-    InputError
-        The run cannot be carried out with it.
+    Raises InputError: the run cannot be carried out with it.
     """
     check_together(configuration.run, rig, source)
     _check_mirror_reach(rig, configuration.position_mm, source)
@@ -176,17 +136,7 @@ def with_rig(configuration: Configuration, rig: RigConfig, source: str) -> Confi
 def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     """Check what neither run nor rig can tell alone.
 
-    Parameters
-    ----------
-    run, rig : RunConfig, RigConfig
-        Each valid by itself.
-    source : str
-        The run file's name, for messages.
-
-    Raises
-    ------
-    InputError
-        A virtual setting without a virtual rig, or a sweep that the wiring cannot carry.
+    Raises InputError: A virtual setting without a virtual rig, or a sweep that the wiring cannot carry.
     """
     if run.virtual is not None and not rig.is_virtual:
         raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
@@ -252,17 +202,7 @@ def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]
     time-outs, verification tolerances, fault plans and what an emulation is like do not: they can change
     without making the rows of one bank differ in kind.
 
-    Parameters
-    ----------
-    rig, run : RigConfig, RunConfig
-        The validated configuration.
-    position_mm : float64 array, shape (positions, 2)
-        The grid.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits: SHA-256 of canonical JSON.
+    Returns 64 hexadecimal digits: SHA-256 of canonical JSON.
     """
     essence = _essence(rig, run, position_mm)
     text = json.dumps(essence, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -270,15 +210,7 @@ def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]
 
 
 def rig_differences(rig: RigConfig, other: RigConfig, run: RunConfig) -> tuple[str, ...]:
-    """Keys of a rig that a resume must not change and in which two rigs differ, as ``recorder.response_range_v``.
-
-    Parameters
-    ----------
-    rig, other : RigConfig
-        The rigs.
-    run : RunConfig
-        The run that both are to carry out.
-    """
+    """Keys of a rig that a resume must not change and in which two rigs differ, as ``recorder.response_range_v``."""
     nowhere = np.empty((0, 2))
     own, new = (dict(_leaves("", _essence(one, run, nowhere))) for one in (rig, other))
     return tuple(key for key in sorted({**own, **new}) if own.get(key) != new.get(key))

@@ -73,10 +73,7 @@ def say(line: str) -> None:
 def answer(line: str) -> None:
     """Write one line of what a command was asked for, on standard output.
 
-    Raises
-    ------
-    OSError
-        Standard output cannot be written.
+    Raises OSError: standard output cannot be written.
     """
     print(escaped(line), flush=True)
 
@@ -110,17 +107,6 @@ def _rate(task: Task) -> str:
 @contextmanager
 def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Iterator[Report]:
     """Show how far some work is, with rate, remaining time and finish time.
-
-    Parameters
-    ----------
-    what : str
-        Name of the work.
-    total : int
-        How many items there are.
-    done : int
-        How many are done before it starts.
-    timed : bool
-        Tell rate and remaining time; False where the notes tell better ones.
 
     Yields
     ------

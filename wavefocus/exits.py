@@ -64,15 +64,7 @@ def escaped(text: str) -> str:
 
 
 def one_line(text: str, longest: int = _LONGEST) -> str:
-    """A message as one escaped line of bounded length: what is too long loses its middle.
-
-    Parameters
-    ----------
-    text : str
-        The message.
-    longest : int
-        Most characters, at least 20.
-    """
+    """A message as one escaped line of bounded length: what is too long loses its middle."""
     line = escaped(" ".join(text.split()))
     if len(line) <= longest:
         return line

@@ -12,13 +12,7 @@ from wavefocus.console import say
 
 
 def input_files(*files: Path | None) -> list[Path]:
-    """List files, and the files that TOML files among them name by any key, at any depth.
-
-    Parameters
-    ----------
-    *files : Path or None
-        Files of the command line; None and what is missing or unreadable names nothing further.
-    """
+    """List files, and the files that TOML files among them name by any key, at any depth."""
     found: list[Path] = []
     left = [file for file in files if file is not None]
     while left:
@@ -53,22 +47,8 @@ def _texts(value: object) -> Iterator[str]:
 def parse_positions(text: str, count: int) -> list[int]:
     """Bank rows from ``"3,5-9,12"``.
 
-    Parameters
-    ----------
-    text : str
-        Row numbers from 0, single or as ranges with both ends included, commas between.
-    count : int
-        How many positions the bank has.
-
-    Returns
-    -------
-    list of int
-        Rows in the order given, each once.
-
-    Raises
-    ------
-    InputError
-        Something that is no row number, or one outside 0..count-1.
+    Returns rows in the order given, each once. Raises InputError: something that is no row number, or one outside
+    0..count-1.
     """
     rows: dict[int, None] = {}
     for part in text.split(","):

@@ -56,15 +56,7 @@ class LinesIn:
         overtakes: Callable[[Mapping[str, object]], object] = lambda _line: None,
         fails: Callable[[], object] = lambda: None,
     ) -> None:
-        """Begin to read.
-
-        Parameters
-        ----------
-        overtakes : callable, optional
-            Called in the reading thread with each object as soon as it is there, before those that wait.
-        fails : callable, optional
-            Called in the reading thread when it ends by an error; `next` raises it, and nothing more is read.
-        """
+        """Begin to read."""
 
         def read() -> None:
             try:
@@ -81,19 +73,9 @@ class LinesIn:
     def next(self, timeout_s: float | None = None) -> Mapping[str, object] | None:
         """The next object; None at the end of the input, again and again.
 
-        Parameters
-        ----------
-        timeout_s : float, optional
-            Longest wait; without end, if absent.
-
-        Raises
-        ------
-        TimeoutError
-            None came in time.
-        InputError
-            A line that is no JSON object; the next call goes on after it.
-        ReadingFailedError
-            The reading thread has ended by an error; lines that wait are not worth anything any more.
+        Raises TimeoutError: none came in time. Raises InputError: A line that is no JSON object; the next call goes on
+        after it. Raises ReadingFailedError: the reading thread has ended by an error; lines that wait are not worth
+        anything any more.
         """
         if self._over:
             return None

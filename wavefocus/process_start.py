@@ -11,13 +11,7 @@ interrupts: list[int] = []
 
 
 def end_at_interrupt(code: int | None = None) -> None:
-    """End the process at once at Ctrl-C: only modules are loaded so far, or the command is over.
-
-    Parameters
-    ----------
-    code : int, optional
-        Exit code of the command that is over; without it, Ctrl-C is what stops the command.
-    """
+    """End the process at once at Ctrl-C: only modules are loaded so far, or the command is over."""
 
     def end(number: int, frame: object) -> None:
         if code is None:

@@ -60,10 +60,7 @@ class Blueprint:
 def blueprint_from_files(run_file: Path) -> Blueprint:
     """Read and check a run file with all that it names.
 
-    Raises
-    ------
-    InputError
-        Anything in the files is wrong.
+    Raises InputError: anything in the files is wrong.
     """
     return blueprint_of(load_run(run_file))
 
@@ -71,10 +68,7 @@ def blueprint_from_files(run_file: Path) -> Blueprint:
 def blueprint_from_bank(path: Path) -> Blueprint:
     """Take up the configuration that a bank carries, checked against the bank's own hash.
 
-    Raises
-    ------
-    InputError
-        The file is no bank, or one that this suite did not measure.
+    Raises InputError: the file is no bank, or one that this suite did not measure.
     """
     with open_bank(path) as bank:
         blueprint = blueprint_of(bank_configuration(bank))
@@ -89,17 +83,8 @@ def blueprint_from_bank(path: Path) -> Blueprint:
 def blueprint_with_rig(path: Path, rig_file: Path) -> Blueprint:
     """The campaign of a bank with another rig file: other ports, names and limits, but rows of the same kind.
 
-    Parameters
-    ----------
-    path : Path
-        The bank.
-    rig_file : Path
-        The rig file.
-
-    Raises
-    ------
-    InputError
-        The rig file is wrong, or its rows would differ in kind from the bank's; the message names the keys.
+    Raises InputError: the rig file is wrong, or its rows would differ in kind from the bank's; the message names the
+    keys.
     """
     own = blueprint_from_bank(path)
     rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
@@ -117,10 +102,7 @@ def blueprint_with_rig(path: Path, rig_file: Path) -> Blueprint:
 def bank_configuration(bank: Bank) -> Configuration:
     """The configuration that an open bank carries.
 
-    Raises
-    ------
-    InputError
-        The bank was made by other means and carries none.
+    Raises InputError: the bank was made by other means and carries none.
     """
     if bank.rig_json is None or bank.run_json is None:
         raise InputError(
@@ -132,10 +114,7 @@ def bank_configuration(bank: Bank) -> Configuration:
 def blueprint_of(configuration: Configuration) -> Blueprint:
     """A checked configuration with the plan that follows from it.
 
-    Raises
-    ------
-    InputError
-        Rig and run ask for records that cannot be.
+    Raises InputError: rig and run ask for records that cannot be.
     """
     run, rig = configuration.run, configuration.rig
     capture = run.capture
@@ -173,21 +152,7 @@ def needed_by(
 ) -> frozenset[int]:
     """Rows of a grid that scenes are rendered from and, if asked for, those that their checks look at.
 
-    Parameters
-    ----------
-    scene_files : sequence of Path
-        The scenes.
-    position_mm : float64 array, shape (positions, 2)
-        The grid in millimetres.
-    checks : bool
-        Whether the scenes shall be verified.
-    allow_large : bool
-        Whether scenes may be larger than the limits of `rendering.scene.size`.
-
-    Raises
-    ------
-    InputError
-        A scene file is wrong, or its paths leave the grid; the message names the file.
+    Raises InputError: A scene file is wrong, or its paths leave the grid; the message names the file.
     """
     from rendering.scene.loading import load_scene  # most campaigns are for no scene
     from rendering.scene.scene_rows import scene_rows

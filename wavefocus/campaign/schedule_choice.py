@@ -25,24 +25,9 @@ GENEROUS = 1.3
 def settle(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[ScheduleSettled, ...]]:
     """Try a staggered run's schedules at one position and settle on one; other runs stay as they are.
 
-    Parameters
-    ----------
-    blueprint : Blueprint
-        What was asked for.
-    source : str
-        The run file, for messages.
-
-    Returns
-    -------
-    tuple
-        The blueprint that the bank is to be made of, and what there is to tell.
-
-    Raises
-    ------
-    InputError
-        The responses are longer than the taps, or staggered capture does not pay and the run says to refuse then.
-    InstrumentError
-        An instrument failed.
+    Returns the blueprint that the bank is to be made of, and what there is to tell. Raises InputError: the responses
+    are longer than the taps, or staggered capture does not pay and the run says to refuse then. Raises InstrumentError:
+    an instrument failed.
     """
     run = blueprint.configuration.run
     if not run.awaits_trial:
@@ -76,15 +61,7 @@ def settle(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[Schedule
 
 
 def as_settled(blueprint: Blueprint, bank: Path) -> Blueprint:
-    """Take up what a trial has settled for a bank, where the run file still asks for the same.
-
-    Parameters
-    ----------
-    blueprint : Blueprint
-        What the run file asks for.
-    bank : Path
-        The bank that is there.
-    """
+    """Take up what a trial has settled for a bank, where the run file still asks for the same."""
     run = blueprint.configuration.run
     if not run.awaits_trial:
         return blueprint

@@ -41,20 +41,7 @@ def log_path(bank: Path) -> Path:
 def write_whole(path: Path, content: Mapping[str, object], *, by_many: bool = False) -> None:
     """Write a JSON object so that a reader finds the old one or the new one and nothing in between.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    content : mapping
-        What it shall hold.
-    by_many : bool
-        Whether several processes may write it at once. A file that one process writes leaves nothing behind that the
-        next one does not take over, however it ends.
-
-    Raises
-    ------
-    OSError
-        It cannot be written.
+    Raises OSError: it cannot be written.
     """
     if not is_replaceable(path):
         raise FileExistsError(errno.EEXIST, "a file of another program has this name", str(path))
@@ -272,13 +259,7 @@ class Standing:
 
 
 def standing(events: Iterator[dict[str, object]]) -> Standing:
-    """The state that a running process logged last; idle while it has not begun its session.
-
-    Parameters
-    ----------
-    events : iterator of mapping
-        From the log, newest first.
-    """
+    """The state that a running process logged last; idle while it has not begun its session."""
     last_try: dict[str, object] | None = None
     for event in events:
         match event:

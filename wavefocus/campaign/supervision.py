@@ -56,10 +56,7 @@ def orders_path(bank: Path) -> Path:
 def give_order(bank: Path, word: str) -> Order:
     """Lay an order; one that was not yet taken is replaced.
 
-    Raises
-    ------
-    OSError
-        The file cannot be written.
+    Raises OSError: the file cannot be written.
     """
     order = Order(word, uuid.uuid4().hex)
     write_whole(orders_path(bank), {"order": order.word, "number": order.number}, by_many=True)
@@ -69,10 +66,7 @@ def give_order(bank: Path, word: str) -> Order:
 def take_order(bank: Path) -> Order | None:
     """Take the order that is there, if any; what is no order is taken away too.
 
-    Raises
-    ------
-    OSError
-        It cannot be taken away.
+    Raises OSError: it cannot be taken away.
     """
     path = orders_path(bank)
     if not path.exists():
@@ -204,10 +198,7 @@ class Pulse:
 def write_heartbeat(bank: Path, beat: Heartbeat) -> None:
     """Write a beat.
 
-    Raises
-    ------
-    OSError
-        It cannot be written.
+    Raises OSError: it cannot be written.
     """
     content = {key: value.isoformat() if isinstance(value, datetime) else value for key, value in asdict(beat).items()}
     finish = beat.finish_at
@@ -323,15 +314,5 @@ def command_line(*words: object) -> str:
 
 
 def resume_line(bank: Path, rig_file: Path | None, *, word: str = "resume") -> str:
-    """``wavefocus resume BANK``, with the rig file of this session where there is one: it may have been corrected.
-
-    Parameters
-    ----------
-    bank : Path
-        The bank.
-    rig_file : Path, optional
-        The rig file that the session's run file or command line named.
-    word : str
-        The command.
-    """
+    """``wavefocus resume BANK``, with the rig file of this session where there is one: it may have been corrected."""
     return command_line("wavefocus", word, bank, *(("--rig", rig_file) if rig_file is not None else ()))

@@ -105,10 +105,7 @@ def _keep(file: Path, record: CalibrationRecord, measured: list[str], rig_file: 
 def parts_named(words: str) -> tuple[str, ...]:
     """Parts from words with commas between; all where there are none.
 
-    Raises
-    ------
-    InputError
-        A word that is no part.
+    Raises InputError: A word that is no part.
     """
     parts = tuple(word.strip() for word in words.split(",")) if words else PARTS
     for part in parts:

@@ -273,19 +273,8 @@ def opened_raw(
 ) -> AbstractContextManager[RawWriter] | AbstractContextManager[None]:
     """Own the raw file of a campaign that keeps its recordings; it is made while the bank is still empty.
 
-    Parameters
-    ----------
-    blueprint : Blueprint
-        What is measured, and whether recordings are kept.
-    setup : Setup
-        With what.
-    bank : BankWriter
-        Where the Green's functions go.
-
-    Raises
-    ------
-    InputError
-        The file is missing though the bank holds positions, of another plan, or recorded with another scale.
+    Raises InputError: the file is missing though the bank holds positions, of another plan, or recorded with another
+    scale.
     """
     if not blueprint.configuration.run.capture.keep_raw:
         return nullcontext()

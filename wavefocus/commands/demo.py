@@ -200,18 +200,8 @@ class TruthFigures:
 def compare_with_truth(bank: Bank, rig: VirtualRig) -> TruthFigures:
     """Compare every measured pair with the plate's true FIR, over the bank's band.
 
-    Parameters
-    ----------
-    bank : Bank
-        Measured on `rig`.
-    rig : VirtualRig
-        The virtual rig that knows the truth.
-
-    Returns
-    -------
-    TruthFigures
-        ``20 log10(|G - G_true|_2 / |G_true|_2)`` over the bins from ``band_hz[0]`` to
-        ``band_hz[1]`` of a transform of twice the length of the FIRs.
+    Returns ``20 log10(|G - G_true|_2 / |G_true|_2)`` over the bins from ``band_hz[0]`` to ``band_hz[1]`` of a transform
+    of twice the length of the FIRs.
     """
     length = scipy.fft.next_fast_len(2 * bank.taps, real=True)
     frequency_hz = np.fft.rfftfreq(length, 1.0 / bank.sample_rate_hz)

@@ -172,19 +172,7 @@ def versions() -> dict[str, str]:
 def check_surroundings(
     rig: RigConfig, folder: Path, identities: Mapping[str, DeviceIdentity], publish: Callable[[Finding], None]
 ) -> None:
-    """Look at all that is not an instrument.
-
-    Parameters
-    ----------
-    rig : RigConfig
-        The rig.
-    folder : Path
-        Where banks will be written.
-    identities : mapping from role to DeviceIdentity
-        Of the instruments that answered.
-    publish : callable
-        Gets each finding.
-    """
+    """Look at all that is not an instrument."""
     findings = Findings(publish)
     _check_packages(rig, findings)
     _check_disk(folder, findings)

@@ -33,17 +33,7 @@ COMMANDS = (
 def emulate(rig_file: Path, *, as_json: bool) -> Exit:
     """Start the far sides that a rig file names and obey the keyboard until it says quit.
 
-    Parameters
-    ----------
-    rig_file : Path
-        A rig with real drivers; its ``[emulation]`` says what stands behind them.
-    as_json : bool
-        Tell addresses and environment as one JSON object on standard output once the far sides are up.
-
-    Raises
-    ------
-    InputError
-        The rig has virtual drivers, or an address that nothing can be put at.
+    Raises InputError: the rig has virtual drivers, or an address that nothing can be put at.
     """
     rig = load_rig(rig_file)
     if rig.is_virtual:
@@ -75,17 +65,7 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
 def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
     """Where a rig's drivers look for their instruments, as the far sides must know it.
 
-    Parameters
-    ----------
-    rig : RigConfig
-        Real drivers throughout.
-    rig_file : Path
-        Its file, for messages.
-
-    Raises
-    ------
-    InputError
-        An address that no far side can be put at.
+    Raises InputError: an address that no far side can be put at.
     """
     from mocks.wire.emulated_rig import Wiring
 

@@ -31,10 +31,7 @@ def export(
 ) -> None:
     """Write a bank, or some rows of it, in another format.
 
-    Raises
-    ------
-    InputError
-        The bank cannot be read or does not fit the format, or a package is missing.
+    Raises InputError: the bank cannot be read or does not fit the format, or a package is missing.
     """
     form, missing_as_nan = EXPORTS[to], missing == "nan"
     if missing_as_nan and not form.holds_nan:

@@ -19,15 +19,7 @@ if TYPE_CHECKING:
 def gui(files: Sequence[Path]) -> int:
     """Show the window until it is closed.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        Run files and banks to open.
-
-    Raises
-    ------
-    InputError
-        There is no display, Qt cannot be loaded, or the system has no font.
+    Raises InputError: there is no display, Qt cannot be loaded, or the system has no font.
     """
     return open_window(front_door(), files)
 

@@ -28,22 +28,7 @@ def init(folder: Path, rig: str) -> None:
 def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
     """Write rig.toml, run.toml and scene.toml with every key explained; nothing is ever overwritten.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write; made when missing.
-    rig : {"virtual", "template", "emulated"}
-        The virtual rig, a rig of one's own to fill in, or real drivers for emulated instruments.
-
-    Returns
-    -------
-    tuple of Path
-        The files written.
-
-    Raises
-    ------
-    InputError
-        One of the files is there already, or the folder cannot be written to.
+    Returns the files written. Raises InputError: one of the files is there already, or the folder cannot be written to.
     """
     templates = files("wavefocus") / "templates"
     named = {"rig.toml": f"rig-{rig}.toml", "run.toml": "run.toml", "scene.toml": "scene.toml"}

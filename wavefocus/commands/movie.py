@@ -53,10 +53,7 @@ def movie(
 ) -> None:
     """Draw a field file.
 
-    Raises
-    ------
-    InputError
-        The files cannot be read or do not belong together, or there is nothing to show.
+    Raises InputError: the files cannot be read or do not belong together, or there is nothing to show.
     """
     if out is None and snapshot_file is None:
         raise InputError("nothing to draw: give --out FILE.gif, --snapshots FILE.png, or both")

@@ -32,19 +32,8 @@ _MUTES_WITHIN_S = 5.0
 def operate(rig_file: Path) -> Exit:
     """Carry out orders until they end; on every way out the outputs are muted and the mirror is parked.
 
-    Returns
-    -------
-    Exit
-        ``DONE`` at the end of the orders, or when nobody reads the answers any more; ``STOPPED`` by a signal.
-
-    Raises
-    ------
-    InputError
-        The rig file is wrong.
-    InstrumentError
-        An instrument cannot be opened, or could not be put to rest.
-    ReadingFailedError
-        Orders cannot be read any more; the outputs are muted at once.
+    Raises InputError: the rig file is wrong. Raises InstrumentError: an instrument cannot be opened, or could not be
+    put to rest. Raises ReadingFailedError: orders cannot be read any more; the outputs are muted at once.
     """
     rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
     tell = LinesOut()

@@ -158,13 +158,7 @@ def _instruments(rig: RigConfig, run: RunConfig) -> list[str]:
 
 
 def compared(blueprint: Blueprint) -> list[Expectation]:
-    """What may be expected of sequential capture, of staggered capture and of groups, the run's own values kept.
-
-    Parameters
-    ----------
-    blueprint : Blueprint
-        The run; what cannot be played (too short a period) is left out.
-    """
+    """What may be expected of sequential capture, of staggered capture and of groups, the run's own values kept."""
     configuration = blueprint.configuration
     actuators = blueprint.plan.actuators
     wanted: list[dict[str, object]] = [{"excitation": "sequential"}, {"excitation": "staggered", "groups": 1}]
@@ -245,21 +239,7 @@ def grid_advice(
 ) -> tuple[GridAdvice, ...]:
     """Find the widest grids that keep the interpolation within an error, on the area that a plan covers.
 
-    Parameters
-    ----------
-    position_mm : float64 array, shape (positions, 2)
-        The plan's grid; its area is positions times spacing squared.
-    position_s : float
-        Seconds that a position takes.
-    top_hz : float
-        Upper end of the band in Hz, > 0.
-    waves : Waves
-        The error allowed, and the plate.
-
-    Raises
-    ------
-    InputError
-        A figure is out of range, or no grid keeps to the error.
+    Raises InputError: A figure is out of range, or no grid keeps to the error.
     """
     area_mm2 = len(position_mm) * PositionGrid(position_mm).spacing_mm ** 2 or 1.0
     wavenumber = wave_number_rad_mm(top_hz, waves.speed_m_s, waves.attenuation_db_per_cm)
@@ -272,17 +252,7 @@ def grid_advice(
 
 
 def top_hz_of(scenes: Sequence[Scene], sample_rate_hz: float, stop_hz: float) -> float:
-    """Upper end of the band that scenes emit: below it lies 99.9 % of their signals' energy.
-
-    Parameters
-    ----------
-    scenes : sequence of Scene
-        At least one.
-    sample_rate_hz : float
-        Rate of the plan.
-    stop_hz : float
-        The sweep's upper end; nothing is measured beyond it.
-    """
+    """Upper end of the band that scenes emit: below it lies 99.9 % of their signals' energy."""
     highest_hz = 0.0
     for scene in scenes:
         for source in scene.sources:

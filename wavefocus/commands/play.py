@@ -46,17 +46,8 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
 
     Where it is `watched`, it ends when standard input closes, muted: whoever started it is gone, or wants it to end.
 
-    Returns
-    -------
-    Exit
-        `Exit.STOPPED` where a person ended it, else `Exit.DONE`.
-
-    Raises
-    ------
-    InputError
-        The drive does not fit the rig, or would give an actuator more than it may get.
-    InstrumentError
-        The interface failed; it was muted.
+    Raises InputError: the drive does not fit the rig, or would give an actuator more than it may get. Raises
+    InstrumentError: the interface failed; it was muted.
     """
     rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
     drive = read_drive(drive_file)
@@ -179,10 +170,7 @@ class Latency:
 def refuse_for_drives(what: Path, **given: object) -> None:
     """Refuse options of a scene where a drive file is to be played; `given` by their names.
 
-    Raises
-    ------
-    InputError
-        One of them is given, or the file is a scene.
+    Raises InputError: one of them is given, or the file is a scene.
     """
     if what.suffix.lower() == ".toml":
         raise InputError(f"{what}: a scene needs a bank to be rendered from; add --bank BANK.h5")
@@ -194,10 +182,7 @@ def refuse_for_drives(what: Path, **given: object) -> None:
 def refuse_for_scenes(what: Path, *, loop: int) -> None:
     """Refuse what a scene that is rendered while it is played cannot do.
 
-    Raises
-    ------
-    InputError
-        It is to be repeated, or the file is a drive file.
+    Raises InputError: it is to be repeated, or the file is a drive file.
     """
     if what.suffix.lower() == ".h5":
         raise InputError(f"{what}: a drive file is played as it is; leave out --bank, or give the scene file")
@@ -221,17 +206,8 @@ def play_scene(
 
     Where it is `watched`, it ends when standard input closes, muted.
 
-    Returns
-    -------
-    Exit
-        `Exit.STOPPED` where a person ended it, else `Exit.DONE`.
-
-    Raises
-    ------
-    InputError
-        The scene does not fit the bank, or the bank not the rig.
-    InstrumentError
-        The interface failed, or ran dry because rendering did not keep up; it was muted.
+    Raises InputError: the scene does not fit the bank, or the bank not the rig. Raises InstrumentError: the interface
+    failed, or ran dry because rendering did not keep up; it was muted.
     """
     scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:

@@ -135,10 +135,7 @@ def predict_energy(
 ) -> None:
     """Write the energy spectra of the responses as an .npz file.
 
-    Raises
-    ------
-    InputError
-        The file is not called so, or a rate or a tolerance is asked for too.
+    Raises InputError: the file is not called so, or a rate or a tolerance is asked for too.
     """
     if out.suffix != ".npz":
         raise InputError(f"--out is {out}; --spectra writes an .npz file")

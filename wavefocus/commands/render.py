@@ -200,10 +200,7 @@ def rendered(
 ) -> tuple[Drive, RenderReport | InverseReport]:
     """Render a scene with progress; what is wrong with it is told with the file's name.
 
-    Raises
-    ------
-    InputError
-        The scene does not fit the bank.
+    Raises InputError: the scene does not fit the bank.
     """
     wanted = options or RenderOptions()
     with progress("render", 1) as report:
@@ -306,10 +303,7 @@ MOST_WHOLE_BYTES = 2 * 2**30
 def too_large(scene_file: Path, scene: Scene, bank: Bank) -> bool:
     """Whether the drives of a scene had better not be held in memory whole.
 
-    Raises
-    ------
-    InputError
-        The scene is larger than it is allowed to be.
+    Raises InputError: the scene is larger than it is allowed to be.
     """
     rate_hz = float(bank.sample_rate_hz)
     try:
@@ -333,10 +327,7 @@ def render_streamed(
 ) -> None:
     """Render a scene in two passes and write the drive file, and a WAV file when asked, in constant memory.
 
-    Raises
-    ------
-    InputError
-        The scene does not fit the bank, or a drive is beyond the interface's full scale.
+    Raises InputError: the scene does not fit the bank, or a drive is beyond the interface's full scale.
     """
     rate_hz, full_scale_v, each = DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V, np.ones(bank.actuators)
     fits = rig is not None and (wav is not None or rig_file is not None)

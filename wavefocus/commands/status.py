@@ -35,21 +35,7 @@ MOST_LINES = 5
 def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool = False) -> None:
     """Tell counts per status, who writes, how it stands and when it will have finished; reads only.
 
-    Parameters
-    ----------
-    bank : Path
-        The bank.
-    as_json : bool
-        Tell programs.
-    plot : Path, optional
-        Where to draw the drift of the sentinel position.
-    force : bool
-        Whether an older file there is replaced.
-
-    Raises
-    ------
-    InputError
-        The bank cannot be read, or there is no drift to draw.
+    Raises InputError: the bank cannot be read, or there is no drift to draw.
     """
     require_outputs((plot,), (bank,), force=force)
     with open_bank(bank) as view:
@@ -268,26 +254,7 @@ LOOKS_EVERY_S = 0.1
 def order(bank: Path, word: str, wait_s: float, *, as_json: bool) -> Exit:
     """Give an order and wait until it is carried out, or at least heard.
 
-    Parameters
-    ----------
-    bank : Path
-        Whose capture.
-    word : str
-        ``"pause"``, ``"go-on"`` or ``"stop"``.
-    wait_s : float
-        Longest wait.
-    as_json : bool
-        Tell programs.
-
-    Returns
-    -------
-    Exit
-        ``DONE`` when the capture has heard the order, ``NOT_GOOD_ENOUGH`` when it does not answer.
-
-    Raises
-    ------
-    InputError
-        No process owns the bank.
+    Raises InputError: no process owns the bank.
     """
     owner = _owner(bank, word)
     given = give_order(bank, word)

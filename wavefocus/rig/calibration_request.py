@@ -63,10 +63,7 @@ LEAST_V = 1e-6
 def amplitude_v(rig: RigConfig, request: Request) -> float:
     """Peak of what is played: asked for within the limits, or well below them.
 
-    Raises
-    ------
-    InputError
-        More than the rig may put out, or next to nothing.
+    Raises InputError: more than the rig may put out, or next to nothing.
     """
     largest_v = rig.player.largest_v
     if request.amplitude_v is None:
@@ -84,10 +81,7 @@ def amplitude_v(rig: RigConfig, request: Request) -> float:
 def marks(rig: RigConfig, request: Request) -> tuple[tuple[Pair, ...], tuple[Pair, ...] | None]:
     """Places of the marks in millimetres, and their angles in milliradians where they are known already.
 
-    Raises
-    ------
-    InputError
-        A file that cannot be understood, or marks that no map can be fitted through.
+    Raises InputError: A file that cannot be understood, or marks that no map can be fitted through.
     """
     angles: tuple[Pair, ...] | None = None
     if request.fiducials is None:
@@ -112,10 +106,7 @@ def marks(rig: RigConfig, request: Request) -> tuple[tuple[Pair, ...], tuple[Pai
 def listening(rig: RigConfig, request: Request) -> tuple[float, NDArray[np.float64]]:
     """How far from each actuator it is listened to, and where.
 
-    Raises
-    ------
-    InputError
-        A place beside the surface.
+    Raises InputError: A place beside the surface.
     """
     distance_mm = request.distance_mm or DISTANCE_SHARE * rig.surface.width_mm
     places = listening_places(rig.actuator_mm, distance_mm)

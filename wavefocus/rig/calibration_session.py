@@ -90,19 +90,8 @@ class CalibrationSession:
     def carry_out(self, setup: Setup, operator: Operator) -> None:
         """Measure every part asked for; one that cannot be measured does not keep the others from it.
 
-        Parameters
-        ----------
-        setup : Setup
-            The rig, open; whoever opened it puts it to rest.
-        operator : Operator
-            The person at the bench.
-
-        Raises
-        ------
-        InputError
-            Angles that no map can be fitted through, or an operator who is gone.
-        InstrumentError
-            Of the instrument that failed for good.
+        Raises InputError: angles that no map can be fitted through, or an operator who is gone. Raises InstrumentError:
+        of the instrument that failed for good.
         """
         self._names = names_of(setup.instruments)
         self._identities = identities_of(setup.instruments)

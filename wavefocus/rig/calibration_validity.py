@@ -32,17 +32,7 @@ def identities_of(instruments: Instruments) -> dict[str, DeviceIdentity]:
 def calibration_warnings(
     rig: RigConfig, identities: Mapping[str, DeviceIdentity], now: datetime | None = None
 ) -> list[str]:
-    """What speaks against the calibration that a rig names; nothing where it names none.
-
-    Parameters
-    ----------
-    rig : RigConfig
-        The rig, its calibration read.
-    identities : mapping from role to DeviceIdentity
-        Of the instruments that are there.
-    now : datetime, optional
-        With a time zone; the present, if absent.
-    """
+    """What speaks against the calibration that a rig names; nothing where it names none."""
     record = rig.calibration.measured
     if record is None:
         return []
@@ -70,17 +60,7 @@ def calibrated_elsewhere(rig: RigConfig, identities: Mapping[str, DeviceIdentity
 
     A part of which the file names the device only in words cannot be compared, and is left out.
 
-    Parameters
-    ----------
-    rig : RigConfig
-        The rig, its calibration read.
-    identities : mapping from role to DeviceIdentity
-        Of the instruments that are there.
-
-    Returns
-    -------
-    dict from part to str
-        A sentence for each.
+    Returns a sentence for each.
     """
     record = rig.calibration.measured
     if record is None:
@@ -97,21 +77,7 @@ def calibrated_elsewhere(rig: RigConfig, identities: Mapping[str, DeviceIdentity
 def with_one_calibration(blueprint: Blueprint, bank: Path, run_file: Path, *, accept: bool) -> Blueprint:
     """Refuse to go on in a bank with a calibration other than its own, or do so on purpose.
 
-    Parameters
-    ----------
-    blueprint : Blueprint
-        From the run file.
-    bank : Path
-        A bank that is there.
-    run_file : Path
-        For messages.
-    accept : bool
-        Go on with the run file's calibration all the same. Everything else must be as in the bank.
-
-    Raises
-    ------
-    InputError
-        They differ, and nobody accepts it.
+    Raises InputError: they differ, and nobody accepts it.
     """
     with open_bank(bank) as view:
         if view.rig_json is None or view.run_json is None:
@@ -135,10 +101,7 @@ def with_one_calibration(blueprint: Blueprint, bank: Path, run_file: Path, *, ac
 def refuse_other_devices(rig: RigConfig, instruments: Instruments, bank: Path, *, accept: bool) -> None:
     """Refuse to go on in a bank with instruments that its calibration was not made on.
 
-    Raises
-    ------
-    InputError
-        An instrument is another one, and nobody accepts it.
+    Raises InputError: an instrument is another one, and nobody accepts it.
     """
     if rig.calibration.measured is None or accept:
         return

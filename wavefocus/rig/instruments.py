@@ -103,15 +103,7 @@ class OpenedRig:
 
 
 def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
-    """Find the driver of each instrument; nothing is opened yet.
-
-    Parameters
-    ----------
-    rig : RigConfig
-        The rig.
-    virtual : Virtual, optional
-        What the run says of a virtual rig.
-    """
+    """Find the driver of each instrument; nothing is opened yet."""
     if rig.is_virtual:
         from wavefocus.rig.virtual_bench import virtual_rig  # a real rig needs none of what stands in for one
 
@@ -137,15 +129,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
 
 
 def in_time(ways: Openers, limit_s: float) -> Openers:
-    """The same ways, each with an end: an instrument whose driver hangs while it is opened is told as lost.
-
-    Parameters
-    ----------
-    ways : Openers
-        How each is opened.
-    limit_s : float
-        Longest wait for each, on the wall's clock.
-    """
+    """The same ways, each with an end: an instrument whose driver hangs while it is opened is told as lost."""
 
     def bounded(role: str, opens: Callable[[], Opened]) -> Callable[[], Opened]:
         def call() -> Opened:
@@ -172,17 +156,8 @@ def in_time(ways: Openers, limit_s: float) -> Openers:
 def open_rig(ways: Openers) -> OpenedRig:
     """Open every instrument, one after the other; when one fails, those before it are put to rest.
 
-    Parameters
-    ----------
-    ways : Openers
-        How each is opened.
-
-    Raises
-    ------
-    InstrumentError
-        An instrument cannot be opened.
-    InputError
-        The process's address space is limited to less than measuring needs.
+    Raises InstrumentError: an instrument cannot be opened. Raises InputError: the process's address space is limited to
+    less than measuring needs.
     """
     require_address_space()
     with ExitStack() as opened:
@@ -272,10 +247,7 @@ def spare_address_space() -> int | None:
 def require_address_space() -> None:
     """Refuse to open instruments where there may not be enough to put them to rest again.
 
-    Raises
-    ------
-    InputError
-        Less than `LEAST_BYTES` are left.
+    Raises InputError: less than `LEAST_BYTES` are left.
     """
     spare = spare_address_space()
     if spare is not None and spare < LEAST_BYTES:

@@ -67,23 +67,7 @@ def check_drive(
 ) -> None:
     """Refuse a drive that the rig's actuators may not get; only a person may say that it is to be scaled.
 
-    Parameters
-    ----------
-    drive : Drive
-        What shall be played.
-    player : PlayerSection
-        The rig's.
-    source, remedy : str
-        The file's name and what to do, for the message; ``{gain_db}`` in it stands for the gain that would do.
-    repeated : bool
-        Whether it is played again and again without a pause.
-    gain_db : float
-        By how much the drive was made louder already.
-
-    Raises
-    ------
-    InputError
-        The drive is not in volts, or an actuator would get more than it may.
+    Raises InputError: the drive is not in volts, or an actuator would get more than it may.
     """
     if drive.drive_unit not in PLAYED_UNITS:
         raise InputError(

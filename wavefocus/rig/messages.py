@@ -215,10 +215,7 @@ class Messenger:
 def messenger_for(bank: Path, section: MessagesSection, go_on: str = "") -> Messenger:
     """The messenger of a session, from the rig's addresses and those of the environment; `go_on` as of `Messenger`.
 
-    Raises
-    ------
-    InputError
-        An address is unknown, or apprise is missing.
+    Raises InputError: an address is unknown, or apprise is missing.
     """
     urls = addresses(section)
     return Messenger(bank, section, AppriseOutbox(urls) if urls else None, go_on)
@@ -229,17 +226,7 @@ EDIT = Act("edit-rig", "messages.urls")
 
 
 def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Finding]:
-    """Look at the addresses of a rig file, and send a message to each if asked to; addresses are never told.
-
-    Parameters
-    ----------
-    rig : RigConfig
-        The rig.
-    name : str
-        Its file, for the message.
-    send : bool
-        Whether to send.
-    """
+    """Look at the addresses of a rig file, and send a message to each if asked to; addresses are never told."""
     urls = addresses(rig.messages)
     if not urls:
         if send:

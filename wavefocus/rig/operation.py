@@ -92,10 +92,7 @@ class Operation:
     def introduce(self) -> None:
         """Tell which rig this is and what it may do.
 
-        Raises
-        ------
-        InstrumentError
-            An instrument does not say who it is.
+        Raises InstrumentError: an instrument does not say who it is.
         """
         rig, setup = self._rig, self._setup
         mirror, recorder, player = names_of(setup.instruments)

@@ -87,10 +87,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 def order_of(content: Mapping[str, object], rig: RigConfig) -> Order:
     """Understand an order, within the rig's limits.
 
-    Raises
-    ------
-    InputError
-        It is not understood, or asks for more than the rig may do.
+    Raises InputError: it is not understood, or asks for more than the rig may do.
     """
     word = content.get("order")
     if not isinstance(word, str) or word not in KEYS:

@@ -26,10 +26,7 @@ from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers, rea
 def open_setup(rig: RigConfig, run: RunConfig) -> Iterator[Setup]:
     """Open the instruments of a rig; on the way out they are muted, parked and released.
 
-    Raises
-    ------
-    InstrumentError
-        An instrument cannot be opened, or could not be put to rest.
+    Raises InstrumentError: an instrument cannot be opened, or could not be put to rest.
     """
     ways = in_time(openers(rig, run.virtual), RECONNECTING * rig.recovery.hung_after_s)
     setup = setup_of(rig, open_rig(ways))
@@ -73,10 +70,7 @@ def _response_ranges_v(rig: RigConfig, opened: OpenedRig) -> tuple[float, ...]:
 def put_to_rest(setup: Setup) -> Iterator[None]:
     """Mute, park and release the instruments on the way out, whatever happens before.
 
-    Raises
-    ------
-    InstrumentError
-        One of them could not be put to rest, and nothing else had failed.
+    Raises InstrumentError: one of them could not be put to rest, and nothing else had failed.
     """
     try:
         yield
@@ -188,15 +182,7 @@ def band_of(section: BandSection, words: str, unit: str) -> Band:
 
 
 def watch_of(rig: RigConfig, opened: OpenedRig) -> Watch:
-    """What a rig's configuration says is to be watched, with the sensors for it.
-
-    Parameters
-    ----------
-    rig : RigConfig
-        The rig.
-    opened : OpenedRig
-        Its instruments, as their drivers made them.
-    """
+    """What a rig's configuration says is to be watched, with the sensors for it."""
     section = rig.watch
     bands: dict[str, Band] = {}
     sensors: dict[str, Sensor] = {}

@@ -14,26 +14,12 @@ from mocks.virtual.settings import VirtualSettings
 
 
 def virtual_rig(rig: RigConfig, virtual: Virtual | None = None) -> VirtualRig:
-    """Build the virtual rig that a configuration describes.
-
-    Parameters
-    ----------
-    rig : RigConfig
-        The rig; where its emulation says nothing, everything is as its own tables say.
-    virtual : Virtual, optional
-        What the run says of the virtual rig, which is stronger than the rig's emulation.
-    """
+    """Build the virtual rig that a configuration describes."""
     return VirtualRig(virtual_settings(rig, virtual))
 
 
 def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualSettings:
-    """What the bench behind a rig is like, for the virtual rig and for emulated wires.
-
-    Parameters
-    ----------
-    rig, virtual
-        As of `virtual_rig`.
-    """
+    """What the bench behind a rig is like, for the virtual rig and for emulated wires."""
     emulation, defaults = rig.emulation, VirtualSettings()
     seed = emulation.seed if virtual is None else virtual.seed
     noise_v = emulation.noise_v if virtual is None or virtual.noise_v is None else virtual.noise_v
