@@ -9,11 +9,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from calibration.estimator.raw_estimation import PositionResult
 from storage.errors import InputError, WavefocusError
 from wavefocus.console import say
+
+if TYPE_CHECKING:
+    from calibration.estimator.raw_estimation import PositionResult
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")

@@ -34,15 +34,15 @@ def test_given_a_fresh_calibration_of_the_same_devices_then_there_is_nothing_to_
 
 def test_given_an_old_one_then_every_part_is_warned_of_with_what_to_do() -> None:
     told = calibration_warnings(calibrated(stale_after_days=10.0), THERE, AT + timedelta(days=30))
-    assert told[0] == "cal.toml: inputs measured 30 days ago, trusted for 10; run wavefocus calibrate --only inputs"
+    assert told[0].reason == "cal.toml: inputs measured 30 days ago, trusted for 10"
+    assert told[0].remedy == "run wavefocus calibrate --only inputs"
     assert len(told) == 4
 
 
 def test_given_another_device_then_the_parts_made_with_it_are_warned_of() -> None:
     told = calibration_warnings(calibrated(), {**THERE, "player": DeviceIdentity("", "other")}, AT)
-    assert [line.split()[1] for line in told] == ["outputs", "actuators"]
-    assert "made" not in told[0]
-    assert "measured on another device (p); this is other; run wavefocus calibrate --only outputs" in told[0]
+    assert [one.part for one in told] == ["outputs", "actuators"]
+    assert "measured on another device (p); this is other" in told[0].reason
 
 
 def test_given_a_device_that_did_not_answer_then_it_is_left_to_others() -> None:
@@ -62,7 +62,7 @@ def test_given_a_file_that_names_a_device_only_in_words_then_it_is_not_compared_
     there = {**THERE, "recorder": DeviceIdentity("", "other")}
     assert calibrated_elsewhere(rig, there) == {}
     (told,) = calibration_warnings(rig, there, AT)
-    assert "inputs not comparable: the file names its device only in words" in told
+    assert "inputs not comparable: the file names its device only in words" in told.reason
 
 
 def test_given_other_settings_then_the_virtual_devices_stay_the_same() -> None:

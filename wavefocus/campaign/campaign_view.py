@@ -33,13 +33,7 @@ _SAME_CLOCK = 0.2
 
 
 class CampaignView:
-    """Subscribes to a campaign's events and shows them on standard error.
-
-    Parameters
-    ----------
-    report : Report
-        The progress bar.
-    """
+    """Subscribes to a campaign's events and shows them on standard error."""
 
     def __init__(self, report: Report) -> None:
         self._report = report

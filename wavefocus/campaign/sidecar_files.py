@@ -81,17 +81,7 @@ def event_line(event: Event) -> str:
 
 
 class EventLines:
-    """Writes events as JSON lines; a subscriber that a full disk or a closed pipe cannot turn against the campaign.
-
-    Parameters
-    ----------
-    write : callable
-        Takes a line with its end and brings it out at once.
-    name : str
-        What the lines go to, for the one message when that fails.
-    work : str
-        What goes on without them.
-    """
+    """Writes events as JSON lines; a subscriber that a full disk or a closed pipe cannot turn against the campaign."""
 
     def __init__(self, write: Callable[[str], object], name: str, work: str = "campaign") -> None:
         self._write: Callable[[str], object] | None = write

@@ -227,15 +227,7 @@ ENDS_WITHIN_S = 5.0
 
 
 class Attendance:
-    """Subscribes to a campaign; whatever fails here, the campaign does not notice.
-
-    Parameters
-    ----------
-    bank : Path
-        Whose.
-    stop : StopRequest
-        Where orders go.
-    """
+    """Subscribes to a campaign; whatever fails here, the campaign does not notice."""
 
     def __init__(self, bank: Path, stop: StopRequest) -> None:
         self._bank = bank

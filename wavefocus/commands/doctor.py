@@ -238,8 +238,7 @@ def _check_calibration(rig: RigConfig, identities: Mapping[str, DeviceIdentity],
             )
         return
     for warning in calibration_warnings(rig, identities):
-        what, _, remedy = warning.rpartition("; ")
-        findings.add("calibration", "file", "warn", what, remedy, Act("calibrate", remedy.rpartition(" ")[2]))
+        findings.add("calibration", "file", "warn", warning.reason, warning.remedy, Act("calibrate", warning.part))
     for one in record.actuators.actuator if record.actuators is not None else ():
         if one.verdict != "good":
             what, act = (

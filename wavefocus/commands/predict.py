@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 from rendering.device import cuda_device
 from rendering.field.model import chosen_positions, field_unit
 from rendering.field.prediction import Prediction
-from rendering.field.response_spectra import predict_spectra
 from storage.bank.reading import open_bank
 from storage.drive_file import read_drive
 from storage.errors import InputError
 from storage.field_file import field_in_rows
 from storage.output_files import replacement, require_outputs
 from storage.units import quantity
-from wavefocus.cluster import cluster_client, field_on_cluster
 from wavefocus.console import Report, progress, say
 from wavefocus.input_files import name_unverified, parse_positions
 
@@ -115,6 +113,8 @@ def _parts(
         return
     parts, index = prediction.parts(), prediction.position_index
     positions = [index[part.start : part.stop].tolist() for part in parts]
+    from wavefocus.cluster import cluster_client, field_on_cluster
+
     with cluster_client(cluster) as client:
         fields = field_on_cluster(client, drive_file, bank, rate_hz, positions)
         for part, field in zip(parts, fields, strict=True):
@@ -137,6 +137,8 @@ def predict_energy(
 
     Raises InputError: the file is not called so, or a rate or a tolerance is asked for too.
     """
+    from rendering.field.response_spectra import predict_spectra
+
     if out.suffix != ".npz":
         raise InputError(f"--out is {out}; --spectra writes an .npz file")
     if rate_hz is not None or tolerance_db is not None:

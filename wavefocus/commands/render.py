@@ -7,16 +7,14 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from config.rig import RigConfig
 from config.stadium import stadium_rim
 from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
-from rendering.drive.inverse_filter import REGULARISATION_DB, InverseReport, inverse_filter
 from rendering.drive.rendering import render_with_report
 from rendering.drive.streamed_drive import StreamedDrive
 from rendering.drive.wav import stream_wav, write_wav
@@ -41,6 +39,10 @@ from wavefocus.rig.limits import (
     rig_of,
     within,
 )
+
+if TYPE_CHECKING:
+    from config.rig import RigConfig
+    from rendering.drive.inverse_filter import InverseReport
 
 Focusing = Literal["time-reversal", "inverse"]
 
@@ -118,7 +120,7 @@ def render(
             raise InputError(
                 f"--wav {wav}: {bank} takes drives in {view.drive_unit}, and a WAV file's full scale is in volts"
             )
-        rig = rig_of(rig_file, view)
+        rig = None if (rig_file, wav, picture) == (None, None, None) else rig_of(rig_file, view)
         if rig_file is not None and rig is not None:
             scene = within(scene, rig)
         if options.focusing == "inverse":
@@ -157,14 +159,14 @@ def render(
     if facts.limiting.decided_by is not None:
         say(limited_words(facts.limiting, rig_file))
     if options.tolerance_db is not None:
-        words = [] if isinstance(facts, InverseReport) else list(facts.left_out_words)
+        words = list(facts.left_out_words) if isinstance(facts, RenderReport) else []
         what = f": {', '.join(words)}" if words else ""
         say(f"left out no more than {drive.omitted_bound:.3g} of the drives (relative L2, proved){what}")
     relative = relative_rms(drive.drive_v)
     range_db = dynamic_range_db(relative)
     without = "" if unsaturated is None else f", {dynamic_range_db(unsaturated):.1f} dB without saturation"
     say(f"rms of the drives: actuators differ by up to {range_db:.1f} dB{without}")
-    if isinstance(facts, InverseReport):
+    if not isinstance(facts, RenderReport):
         frequency_hz, condition = facts.worst_condition
         say(
             f"{facts.control_points} control points, condition at most {condition:.3g} (at {frequency_hz:.3g} Hz), held"
@@ -190,7 +192,7 @@ def render(
             "dynamic_range_db": round(range_db, 3),
             "warnings": list(facts.warnings),
         }
-        if isinstance(facts, InverseReport):
+        if not isinstance(facts, RenderReport):
             figures |= _inverse_figures(facts)
         print(json.dumps(figures))
 
@@ -206,6 +208,8 @@ def rendered(
     with progress("render", 1) as report:
         try:
             if wanted.focusing == "inverse":
+                from rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
+
                 regularisation_db = REGULARISATION_DB if wanted.regularisation_db is None else wanted.regularisation_db
                 return inverse_filter(scene, bank, regularisation_db=regularisation_db)
             return render_with_report(

@@ -270,11 +270,6 @@ class VerifyLog:
     A line is an object with ``at`` and ``event``: first ``started`` (``pid``, ``host``), then ``step`` (``step``,
     ``done``, ``total``, ``left_s``) and any event of a scan as in a bank's log, at the end ``ended`` (``code``,
     ``reason``). A disk that refuses lines does not end the verification.
-
-    Parameters
-    ----------
-    out : Path
-        The verification's folder, which is there; an older log is replaced.
     """
 
     def __init__(self, out: Path) -> None:

@@ -53,13 +53,6 @@ MOST_SPREAD_S = 1e-6
 class CalibrationSession:
     """Carries out a calibration and keeps what it finds.
 
-    Parameters
-    ----------
-    rig : RigConfig
-        The rig; what its present calibration holds of other parts is kept.
-    request : Request
-        What to measure.
-
     Attributes
     ----------
     measured : list of str
@@ -67,10 +60,7 @@ class CalibrationSession:
     problems : list of str
         What is not good enough, with what to do about it.
 
-    Raises
-    ------
-    InputError
-        A request that the rig cannot fulfil.
+    Raises InputError: a request that the rig cannot fulfil.
     """
 
     def __init__(self, rig: RigConfig, request: Request) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 from config.calibration import PARTS
 from config.rig import RigConfig
@@ -29,9 +30,24 @@ def identities_of(instruments: Instruments) -> dict[str, DeviceIdentity]:
     }
 
 
+class CalibrationWarning(NamedTuple):
+    """What speaks against one part of a calibration."""
+
+    part: str
+    reason: str
+
+    @property
+    def remedy(self) -> str:
+        """The command that measures the part again."""
+        return f"run wavefocus calibrate --only {self.part}"
+
+    def __str__(self) -> str:
+        return f"{self.reason}; {self.remedy}"
+
+
 def calibration_warnings(
     rig: RigConfig, identities: Mapping[str, DeviceIdentity], now: datetime | None = None
-) -> list[str]:
+) -> list[CalibrationWarning]:
     """What speaks against the calibration that a rig names; nothing where it names none."""
     record = rig.calibration.measured
     if record is None:
@@ -43,16 +59,14 @@ def calibration_warnings(
         part = getattr(record, name)
         if part is None:
             continue
-        again = f"run wavefocus calibrate --only {name}"
         age_days = (now - part.at).total_seconds() / 86_400
         if age_days > stale_days:
-            warnings.append(f"{file}: {name} measured {age_days:.0f} days ago, trusted for {stale_days:g}; {again}")
+            reason = f"{file}: {name} measured {age_days:.0f} days ago, trusted for {stale_days:g}"
+            warnings.append(CalibrationWarning(name, reason))
         if part.identity is None and ROLE_OF[name] in identities:
-            words = f"({part.device})"
-            warnings.append(f"{file}: {name} not comparable: the file names its device only in words {words}; {again}")
-    for name, sentence in calibrated_elsewhere(rig, identities).items():
-        warnings.append(f"{sentence}; run wavefocus calibrate --only {name}")
-    return warnings
+            reason = f"{file}: {name} not comparable: the file names its device only in words ({part.device})"
+            warnings.append(CalibrationWarning(name, reason))
+    return warnings + [CalibrationWarning(*one) for one in calibrated_elsewhere(rig, identities).items()]
 
 
 def calibrated_elsewhere(rig: RigConfig, identities: Mapping[str, DeviceIdentity]) -> dict[str, str]:

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from config.rig import RigConfig, default_rig
-from config.rig_player import PlayerSection
 from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms
 from rendering.drive.wav import Interface
 from rendering.scene.model import Output, Scene
 from storage.bank.reading import Bank
 from storage.drive_file import Drive
 from storage.errors import InputError
-from wavefocus.campaign.blueprint import bank_configuration
-from wavefocus.configuration import load_rig
+
+if TYPE_CHECKING:
+    from config.rig import RigConfig
+    from config.rig_player import PlayerSection
 
 MOST_AMPLITUDE_V = 1.0
 # An output that puts out four times what the rig believes is still within the limit.
@@ -100,6 +101,10 @@ DEFAULT_FULL_SCALE_V = 1.0
 
 def rig_of(rig_file: Path | None, bank: Bank) -> RigConfig | None:
     """The rig that was named, else the bank's own; None where neither is known."""
+    from config.rig import default_rig
+    from wavefocus.campaign.blueprint import bank_configuration
+    from wavefocus.configuration import load_rig
+
     if rig_file is None:
         return None if bank.rig_json is None or bank.run_json is None else bank_configuration(bank).rig
     rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)

@@ -40,15 +40,7 @@ class Outbox(Protocol):
 class AppriseOutbox:
     """Addresses as apprise has them: ``mailto://...``, ``tgram://...``, ``json://...`` and some hundred more.
 
-    Parameters
-    ----------
-    urls : sequence of str
-        The addresses; never told to anybody.
-
-    Raises
-    ------
-    InputError
-        apprise is not installed, or does not know an address; it is named by its number and kind alone.
+    Raises InputError: apprise is not installed, or does not know an address; it is named by its number and kind alone.
     """
 
     def __init__(self, urls: Sequence[str]) -> None:
@@ -97,17 +89,6 @@ class Messenger:
     """Tells people of a session's events; a subscriber, and a context that ends with the session.
 
     Sending goes on in a thread of its own: an address that does not answer never holds up a campaign.
-
-    Parameters
-    ----------
-    bank : Path
-        What the messages are about.
-    section : MessagesSection
-        Which events are worth a message.
-    outbox : Outbox, optional
-        Where they go; without one nothing is sent.
-    go_on : str
-        The command that goes on with the campaign; by default ``wavefocus resume BANK``.
     """
 
     def __init__(self, bank: Path, section: MessagesSection, outbox: Outbox | None, go_on: str = "") -> None:

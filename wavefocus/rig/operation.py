@@ -53,21 +53,7 @@ class _Stand:
 
 
 class Operation:
-    """Carries out orders on an open rig.
-
-    Parameters
-    ----------
-    rig : RigConfig
-        The rig.
-    setup : Setup
-        It, open; whoever opened it puts it to rest.
-    gate : GatedPlayer
-        The player's gate, shut by whoever reads a ``mute`` while an order is carried out.
-    light : Sensor or None
-        Tells the vibrometer's signal level, where there is such.
-    tell : callable
-        Receives events.
-    """
+    """Carries out orders on an open rig."""
 
     def __init__(self, rig: RigConfig, setup: Setup, gate: GatedPlayer, light: Sensor | None, tell: Tell) -> None:
         self._rig, self._setup, self._gate, self._light, self._tell = rig, setup, gate, light, tell

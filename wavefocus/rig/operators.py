@@ -45,15 +45,7 @@ def cable(source: str) -> str:
 
 
 class TerminalOperator:
-    """Implements `acquisition.calibrate.operator.Operator`.
-
-    Parameters
-    ----------
-    read_line : callable
-        Gives the next line with its end, or an empty text when there are no more.
-    forget_typed : callable, optional
-        Drops what was typed before a question was asked: no answer to it.
-    """
+    """Implements `acquisition.calibrate.operator.Operator`."""
 
     def __init__(self, read_line: Callable[[], str], forget_typed: Callable[[], object] = lambda: None) -> None:
         self._read_line, self._forget_typed = read_line, forget_typed
@@ -107,15 +99,7 @@ class TerminalOperator:
 
 
 class VirtualHands:
-    """An operator whose rig is virtual: what the person says is plugged is plugged.
-
-    Parameters
-    ----------
-    operator : Operator
-        The person.
-    patch_bay : PatchBay
-        The virtual rig's.
-    """
+    """An operator whose rig is virtual: what the person says is plugged is plugged."""
 
     def __init__(self, operator: Operator, patch_bay: PatchBay) -> None:
         self._operator = operator
@@ -158,19 +142,7 @@ Numbers = tuple[float, float]
 
 
 class LinesOperator:
-    """Implements `acquisition.calibrate.operator.Operator`.
-
-    Parameters
-    ----------
-    answers : LinesIn
-        Where answers come from; ``{"answer": "cancel"}`` ends the calibration at any question.
-    tell : callable
-        Receives events: ``tell``, ``ask``, ``level`` while the beam is jogged, ``refused``.
-    hear : callable
-        Gives the level of both inputs.
-    place_mm : callable
-        Where on the surface the beam falls at some angles, by the map believed so far; None where nowhere.
-    """
+    """Implements `acquisition.calibrate.operator.Operator`."""
 
     def __init__(
         self,

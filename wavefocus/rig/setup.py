@@ -98,15 +98,7 @@ class ReadsInput(Protocol):
 
 
 class RoomSensor:
-    """Room temperature from a transmitter at an input of the recorder's box.
-
-    Parameters
-    ----------
-    recorder : ReadsInput
-        Whose input it is.
-    section : RoomSection
-        Which input, and its scale.
-    """
+    """Room temperature from a transmitter at an input of the recorder's box."""
 
     def __init__(self, recorder: ReadsInput, section: RoomSection) -> None:
         self._recorder = recorder
@@ -119,13 +111,7 @@ class RoomSensor:
 
 
 class LightSensor:
-    """The signal level that a Polytec controller tells, 0 to 1.
-
-    Parameters
-    ----------
-    section : VibrometerSection
-        Where the controller is.
-    """
+    """The signal level that a Polytec controller tells, 0 to 1."""
 
     def __init__(self, section: VibrometerSection) -> None:
         self._section = section
@@ -141,17 +127,7 @@ class LightSensor:
 
 
 class BoundedSensor:
-    """A sensor that answers in time or counts as one that does not answer.
-
-    Parameters
-    ----------
-    name : str
-        For messages.
-    sensor : Sensor
-        The sensor.
-    limit_s : float
-        Longest wait.
-    """
+    """A sensor that answers in time or counts as one that does not answer."""
 
     def __init__(self, name: str, sensor: Sensor, limit_s: float) -> None:
         self._name = name
