@@ -13,7 +13,7 @@ from pydantic import AwareDatetime, Field, ValidationError, model_validator
 
 from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
 from config.loading import printable, read_toml, shown, validated
-from config.rig_mirror import Matrix
+from config.rig_instruments import Matrix
 from drivers.protocols import DeviceIdentity
 from storage.errors import InputError
 from storage.output_files import replacement, write_whole

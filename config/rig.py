@@ -11,9 +11,7 @@ from pydantic import Field, model_validator
 
 from config.calibration import CalibrationRecord, with_calibration
 from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
-from config.rig_mirror import Matrix, MirrorSection
-from config.rig_player import PlayerSection
-from config.rig_recorder import AnalogInput, RecorderSection, VibrometerSection
+from config.rig_instruments import AnalogInput, Matrix, MirrorSection, PlayerSection, RecorderSection, VibrometerSection
 from config.stadium import inside_stadium, stadium_rim
 
 

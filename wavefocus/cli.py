@@ -141,7 +141,7 @@ def _calibrate(
     rig_file: Path, only: str, out: Path | None, *, as_json: bool, operator: str, use: bool, **asked: Any
 ) -> int:
     from wavefocus.commands import calibrate as command
-    from wavefocus.rig.calibration_request import Request
+    from wavefocus.rig.calibration_session import Request
 
     request = Request(parts=command.parts_named(only), **asked)
     return command.calibrate(rig_file, request, out, as_json=as_json, as_lines=operator == "lines", use=use)

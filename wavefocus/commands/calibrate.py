@@ -19,11 +19,9 @@ from wavefocus.console import say
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut
-from wavefocus.rig.calibration_request import Request, marks
-from wavefocus.rig.calibration_session import CalibrationSession
+from wavefocus.rig.calibration_session import CalibrationSession, Request, marks
 from wavefocus.rig.instruments import open_rig, openers
-from wavefocus.rig.operation import tell_fault
-from wavefocus.rig.operation_orders import SAMPLE_RATE_HZ
+from wavefocus.rig.operation import SAMPLE_RATE_HZ, tell_fault
 from wavefocus.rig.operators import LinesOperator, TerminalOperator, VirtualHands, forget_typed
 from wavefocus.rig.setup import put_to_rest, setup_of
 

@@ -19,8 +19,7 @@ from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers
-from wavefocus.rig.operation import Operation, tell_fault
-from wavefocus.rig.operation_orders import End, Mute, order_of
+from wavefocus.rig.operation import End, Mute, Operation, order_of, tell_fault
 from wavefocus.rig.setup import BoundedSensor, LightSensor, put_to_rest, setup_of
 
 # So often it is looked whether anybody still reads, while no order comes.

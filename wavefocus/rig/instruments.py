@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from acquisition.quality.watch import Sensor
 from config.rig import RigConfig
-from config.rig_recorder import VibrometerSection
+from config.rig_instruments import VibrometerSection
 from config.run import Virtual
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock

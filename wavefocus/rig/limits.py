@@ -18,7 +18,7 @@ from storage.errors import InputError
 
 if TYPE_CHECKING:
     from config.rig import RigConfig
-    from config.rig_player import PlayerSection
+    from config.rig_instruments import PlayerSection
 
 MOST_AMPLITUDE_V = 1.0
 # An output that puts out four times what the rig believes is still within the limit.

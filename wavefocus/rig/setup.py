@@ -12,7 +12,7 @@ from acquisition.quality.watch import Band, Sensor, Watch
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import calibrated
 from config.rig import BandSection, RigConfig, RoomSection
-from config.rig_recorder import VibrometerSection
+from config.rig_instruments import VibrometerSection
 from config.run import RunConfig
 from drivers.errors import InstrumentError
 from drivers.protocols import OffersRanges
