@@ -9,7 +9,8 @@ import pytest
 from acquisition.calibrate.operator import By, Here, Jog, JogView, To
 from mocks.virtual.surroundings import PatchBay
 from storage.errors import InputError
-from wavefocus.rig.operators import TerminalOperator, VirtualHands
+from wavefocus.rig.calibration_session import Cables
+from wavefocus.rig.operators import TerminalOperator
 
 VIEW = JogView(2, 7, (80.0, -45.0), (1.0, -2.5))
 
@@ -65,7 +66,7 @@ def test_given_a_cable_to_plug_then_the_person_is_told_which_and_the_virtual_one
     source: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bay = PatchBay(range(20), 20)
-    VirtualHands(typing("\n"), bay).connect(source)
+    Cables(typing("\n"), bay).connect(source)
     assert bay.word == source
     told = capsys.readouterr().err
     assert "then press Enter" in told

@@ -22,7 +22,7 @@ from wavefocus.json_lines import LinesIn, LinesOut
 from wavefocus.rig.calibration_session import CalibrationSession, Request, marks
 from wavefocus.rig.instruments import open_rig, openers
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, tell_fault
-from wavefocus.rig.operators import LinesOperator, TerminalOperator, VirtualHands, forget_typed
+from wavefocus.rig.operators import LinesOperator, TerminalOperator, forget_typed
 from wavefocus.rig.setup import put_to_rest, setup_of
 
 
@@ -45,10 +45,8 @@ def calibrate(
             opened = open_rig(openers(rig))
             setup = setup_of(rig, opened)
             operator = _operator(setup, lines)
-            if opened.patch_bay is not None:
-                operator = VirtualHands(operator, opened.patch_bay)
             with put_to_rest(setup):
-                session.carry_out(setup, operator)
+                session.carry_out(setup, operator, opened.patch_bay)
         except InstrumentError as failure:
             if lines is not None:
                 tell_fault(lines, failure)

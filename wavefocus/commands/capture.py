@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +49,25 @@ from wavefocus.rig.messages import messenger_for
 from wavefocus.rig.setup import open_setup
 
 
+class SessionOptions(NamedTuple):
+    """What a session of any command may be told.
+
+    Parameters
+    ----------
+    rig_file : Path, optional
+        The rig file that was named, for the command that goes on.
+    as_json : bool
+        Events on standard output.
+    accept_drift, accept_calibration : bool
+        Go on although the sentinel has changed; with another calibration or other devices.
+    """
+
+    rig_file: Path | None
+    as_json: bool
+    accept_drift: bool
+    accept_calibration: bool
+
+
 def capture(
     run_file: Path,
     bank: Path,
@@ -69,32 +89,13 @@ def capture(
     blueprint, told = _with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
     named = blueprint.configuration.run.rig
     rig_file = None if named == "virtual" else run_file.parent / named
+    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
     if needed is None:
-        return _session(
-            blueprint,
-            bank,
-            None,
-            rig_file=rig_file,
-            as_json=as_json,
-            accept_drift=accept_drift,
-            accept_calibration=accept_calibration,
-            told=told,
-        )
+        return _session(blueprint, bank, None, options, told)
     with open_bank(bank) as view:
         left = blueprint.plan.to_do(view.status)
     rows = [int(row) for row in left if row in needed]
-    done = Exit.DONE
-    if rows:
-        done = _session(
-            blueprint,
-            bank,
-            rows,
-            rig_file=rig_file,
-            as_json=as_json,
-            accept_drift=accept_drift,
-            accept_calibration=accept_calibration,
-            told=told,
-        )
+    done = _session(blueprint, bank, rows, options, told) if rows else Exit.DONE
     say(
         f"all {len(needed)} positions that are needed are in the bank; the other "
         f"{len(left) - len(rows)} are left, and measured by: {resume_line(bank, rig_file)}"
@@ -125,21 +126,16 @@ def resume(
     accept_calibration: bool = False,
 ) -> Exit:
     """Go on with a campaign from the configuration that its bank holds, or with a corrected rig file."""
-    return _session(
-        _from_bank(bank, rig_file, accept_calibration=accept_calibration),
-        bank,
-        None,
-        rig_file=rig_file,
-        as_json=as_json,
-        accept_drift=accept_drift,
-        accept_calibration=accept_calibration,
-    )
+    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
+    return _session(_from_bank(bank, options), bank, None, options)
 
 
-def _from_bank(bank: Path, rig_file: Path | None, *, accept_calibration: bool) -> Blueprint:
+def _from_bank(bank: Path, options: SessionOptions) -> Blueprint:
+    rig_file = options.rig_file
     if rig_file is None:
         return blueprint_from_bank(bank)
-    return with_one_calibration(blueprint_with_rig(bank, rig_file), bank, rig_file, accept=accept_calibration)
+    blueprint = blueprint_with_rig(bank, rig_file)
+    return with_one_calibration(blueprint, bank, rig_file, accept=options.accept_calibration)
 
 
 def remeasure(
@@ -158,7 +154,8 @@ def remeasure(
     Valid rows are replaced by others only where `replace` says so, or where the latest measurement of the sentinel
     speaks against them.
     """
-    blueprint = _from_bank(bank, rig_file, accept_calibration=accept_calibration)
+    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
+    blueprint = _from_bank(bank, options)
     rows = parse_positions(positions, blueprint.plan.positions) if positions else []
     wanted = _status_bits(words) if words or not positions else Status.NOT_MEASURED
     with open_bank(bank) as view:
@@ -169,16 +166,8 @@ def remeasure(
         return Exit.DONE
     history = read_drift(bank)
     suspect = history[-1].suspect if history else ()
-    return _session(
-        blueprint,
-        bank,
-        chosen,
-        rig_file=rig_file,
-        replaceable=chosen if replace or accept_drift or accept_calibration else suspect,
-        as_json=as_json,
-        accept_drift=accept_drift,
-        accept_calibration=accept_calibration,
-    )
+    replaceable = chosen if replace or accept_drift or accept_calibration else suspect
+    return _session(blueprint, bank, chosen, options, replaceable=replaceable)
 
 
 def _status_bits(words: str) -> Status:
@@ -195,16 +184,13 @@ def _session(
     blueprint: Blueprint,
     bank: Path,
     rows: Sequence[int] | None,
-    *,
-    rig_file: Path | None,
-    as_json: bool,
-    accept_drift: bool,
-    accept_calibration: bool = False,
+    options: SessionOptions,
     told: Sequence[Event] = (),
+    *,
     replaceable: Sequence[int] = (),
 ) -> Exit:
     """Carry out one session with log, progress and signals around it; `told` is what happened before it."""
-    stop = StopRequest()
+    stop, rig_file = StopRequest(), options.rig_file
     plan = blueprint.plan
     with (
         _told_how_to_go_on(bank, rig_file),
@@ -226,19 +212,21 @@ def _session(
             "the progress display": CampaignView(report),
             "the sending of messages": messenger,
         }
-        if as_json:
+        if options.as_json:
             subscribers["standard output"] = EventLines(print_line, "standard output")
         publish = EventPublisher(subscribers, say)
 
         if writer.status.any():
-            refuse_other_devices(blueprint.configuration.rig, setup.instruments, bank, accept=accept_calibration)
+            refuse_other_devices(
+                blueprint.configuration.rig, setup.instruments, bank, accept=options.accept_calibration
+            )
         for event in told:
             publish(event)
         if raw is not None and rows is None and (bare := without_recordings(writer.status, raw)):
             say(f"{raw.path} lacks the recordings of {len(bare)} measured position(s): measured again")
             rows = [*plan.to_do(writer.status).tolist(), *bare]
         ended = Campaign(plan, setup, writer, publish, stop, raw=raw).run(
-            rows, accept_drift=accept_drift, replaceable=replaceable
+            rows, accept_drift=options.accept_drift, replaceable=replaceable
         )
         if ended.state is State.STOPPED:
             say(f"nothing measured is lost; go on with: {resume_line(bank, rig_file)}")

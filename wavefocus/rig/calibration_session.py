@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,9 @@ from storage.errors import InputError
 from wavefocus.console import progress
 from wavefocus.rig.calibration_validity import identities_of
 from wavefocus.rig.limits import safe_amplitude_v
+
+if TYPE_CHECKING:
+    from mocks.virtual.surroundings import PatchBay
 
 # The listening distance, as a share of the surface's width.
 DISTANCE_SHARE = 0.2
@@ -183,7 +187,7 @@ class CalibrationSession:
         self.measured: list[str] = []
         self.problems: list[str] = []
 
-    def carry_out(self, setup: Setup, operator: Operator) -> None:
+    def carry_out(self, setup: Setup, operator: Operator, patch_bay: PatchBay | None = None) -> None:
         """Measure every part asked for; one that cannot be measured does not keep the others from it.
 
         Raises InputError: angles that no map can be fitted through, or an operator who is gone. Raises InstrumentError:
@@ -197,7 +201,7 @@ class CalibrationSession:
             "mirror": self._mirror,
             "actuators": self._actuators,
         }
-        cables = _Cables(operator)
+        cables = Cables(operator, patch_bay)
         try:
             for part in PARTS:
                 if part not in self._request.parts:
@@ -363,7 +367,7 @@ class CalibrationSession:
         )
         return setup
 
-    def _need_vibrometer(self, setup: Setup, cables: _Cables) -> None:
+    def _need_vibrometer(self, setup: Setup, cables: Cables) -> None:
         """Have the vibrometer plugged in; an output that was plugged there must not be heard any more."""
         plugged = [one for one in self._rig.player.channels if output(one) == cables.source]
         probe, channel = self._probe(setup), (plugged or self._rig.player.channels)[0]
@@ -384,11 +388,11 @@ class CalibrationSession:
         self.measured.append(part)
 
 
-class _Cables:
-    """An operator who remembers what is plugged into the response input."""
+class Cables:
+    """An operator who remembers what is plugged into the response input; on a virtual rig it is plugged with that."""
 
-    def __init__(self, operator: Operator) -> None:
-        self._operator = operator
+    def __init__(self, operator: Operator, patch_bay: PatchBay | None) -> None:
+        self._operator, self._patch_bay = operator, patch_bay
         self.source = VIBROMETER
 
     def tell(self, line: str) -> None:
@@ -397,6 +401,8 @@ class _Cables:
     def connect(self, source: str) -> None:
         self.source = ""  # neither the one nor the other until it is done
         self._operator.connect(source)
+        if self._patch_bay is not None:
+            self._patch_bay.connect(source)
         self.source = source
 
     def back_to_vibrometer(self) -> None:

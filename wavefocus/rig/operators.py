@@ -19,13 +19,11 @@ from acquisition.calibrate.operator import (
     Judged,
     Keep,
     MapView,
-    Operator,
     Redo,
     To,
 )
 from acquisition.manual.level import Level
 from drivers.errors import InstrumentError
-from mocks.virtual.surroundings import PatchBay
 from storage.errors import InputError
 from wavefocus.console import say
 from wavefocus.json_lines import LinesIn
@@ -96,35 +94,6 @@ class TerminalOperator:
         if not line:
             raise InputError(f"standard input: ended before {before}")
         return line
-
-
-class VirtualHands:
-    """An operator whose rig is virtual: what the person says is plugged is plugged."""
-
-    def __init__(self, operator: Operator, patch_bay: PatchBay) -> None:
-        self._operator = operator
-        self._patch_bay = patch_bay
-
-    def tell(self, line: str) -> None:
-        """Read a line."""
-        self._operator.tell(line)
-
-    def connect(self, source: str) -> None:
-        """Plug something into the response input."""
-        self._operator.connect(source)
-        self._patch_bay.connect(source)
-
-    def jog(self, view: JogView) -> Jog:
-        """Say how the beam is to move next."""
-        return self._operator.jog(view)
-
-    def judge(self, view: MapView) -> Judged:
-        """Look at the residuals."""
-        return self._operator.judge(view)
-
-    def again(self, problem: str) -> bool:
-        """Look for what is wrong."""
-        return self._operator.again(problem)
 
 
 def _two_numbers(text: str) -> tuple[float, float] | None:
