@@ -59,10 +59,6 @@ class ForeignRows:
         """False for each position."""
         return np.zeros(len(self._green), bool)
 
-    def damage_of(self, position: int, more: str = "") -> str:
-        """Never asked for, since no position is broken."""
-        return f"{self._path}: position {position} is damaged{more}"
-
     def close(self) -> None:
         """Close the file."""
         self._open.close()

@@ -6,48 +6,25 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from storage import hdf5_reading
-from storage.bank.foreign import read_foreign
+from storage.bank.foreign import ForeignRows, read_foreign
 from storage.bank.layout import read_layout
-from storage.bank.ledger import QUALITY_NAMES, Figures, figures_of
+from storage.bank.ledger import BANK, QUALITY_NAMES, Figures, figures_of
 from storage.durable import Closing
 from storage.errors import InputError
 from storage.hdf5_writing import sample_times
 from storage.ledger.layout import LedgerLayout, has_ledger
-from storage.ledger.reader import LedgerReader
+from storage.ledger.reader import LedgerReader, damage_of
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 GreenArray = NDArray[np.float32] | NDArray[np.float64]
 
 _FOREIGN_CACHE_BYTES = 64 << 20  # a compressed chunk may hold many positions
-
-
-class RowSource(Protocol):
-    """Where the rows of a bank come from."""
-
-    def read(self, position: int) -> GreenArray:
-        """Green's functions (N, L) of a position that exists."""
-
-    def status(self) -> NDArray[np.uint8]:
-        """Status bits (P,)."""
-
-    def damaged(self) -> tuple[int, ...]:
-        """Positions whose checksums do not hold."""
-
-    def broken(self) -> NDArray[np.bool_]:
-        """Positions (P,) that were measured and whose entry in the ledger no longer holds."""
-
-    def damage_of(self, position: int, more: str = "") -> str:
-        """Say that a position is damaged, and what to do."""
-
-    def close(self) -> None:
-        """Close the file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +44,7 @@ class Bank(Closing):
     rms : array (P, N)
         Root mean square over the taps of each Green's function, float64, as computed when the position was committed
         and covered by its checksum; NaN in rows that are not measured or silent, of an older version, or foreign.
-    rows : RowSource
+    rows : BankRows or ForeignRows
         Where the rows come from.
     """
 
@@ -86,7 +63,7 @@ class Bank(Closing):
     run_json: str | None
     plan_sha256: str | None
     software: str | None
-    rows: RowSource = field(repr=False)
+    rows: BankRows | ForeignRows = field(repr=False)
 
     @property
     def positions(self) -> int:
@@ -152,7 +129,7 @@ class Bank(Closing):
             broken = np.intersect1d(broken, positions)
         if len(broken):
             more = f" ({len(broken)} positions are)" if len(broken) > 1 else ""
-            raise InputError(self.rows.damage_of(int(broken[0]), more))
+            raise InputError(damage_of(self.path, BANK, int(broken[0]), more))
 
     def verify(self) -> tuple[int, ...]:
         """Check every checksum; return the damaged positions (a foreign bank has none)."""

@@ -12,7 +12,7 @@ from storage.durable import open_file
 from storage.errors import InputError
 from storage.ledger.layout import LedgerLayout
 from storage.ledger.owner import owner_path
-from storage.ledger.pages import Replacement, is_empty
+from storage.ledger.pages import LedgerFormat, Replacement, is_empty
 
 # A reader may meet a position that is just being measured again; that takes milliseconds.
 _TRIES = 4
@@ -73,12 +73,7 @@ class LedgerReader:
                     return found or None
         except OSError as error:
             raise InputError(f"{self._path}: position {position} is not readable: {error.strerror}") from error
-        raise DamagedError(self.damage_of(position))
-
-    def damage_of(self, position: int, more: str = "") -> str:
-        """Say that a position's checksum does not hold, and what to do."""
-        remedy = self._shape.format.remedy.format(path=self._path)
-        return f"{self._path}: position {position} is damaged, its checksum does not hold{more}; {remedy}"
+        raise DamagedError(damage_of(self._path, self._shape.format, position))
 
     def damaged(self) -> tuple[int, ...]:
         """Positions whose checksums do not hold."""
@@ -153,3 +148,9 @@ class LedgerReader:
         """The row that is just replacing an older one, or that a crash kept from doing so."""
         entry = self._shape.decode_journal(self._read(self._layout.journal_offset, self._shape.journal_bytes))
         return entry if entry and entry.position < self._layout.positions else None
+
+
+def damage_of(path: Path, form: LedgerFormat, position: int, more: str = "") -> str:
+    """Say that a position's checksum does not hold, and what to do."""
+    remedy = form.remedy.format(path=path)
+    return f"{path}: position {position} is damaged, its checksum does not hold{more}; {remedy}"

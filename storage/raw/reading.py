@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import h5py
 import numpy as np
@@ -44,16 +44,6 @@ class Recordings:
     range_v: tuple[float, float]
 
 
-class Rows(Protocol):
-    """Where the recordings come from."""
-
-    def read(self, position: int) -> tuple[NDArray[Any], ...] | None:
-        """Reference and response (records, samples) in counts; None where nothing was recorded."""
-
-    def close(self) -> None:
-        """Close the file."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RawFile(Closing):
     """Raw recordings open for reading; a context manager, made by :func:`open_raw`.
@@ -64,13 +54,13 @@ class RawFile(Closing):
         The file.
     header : RawHeader
         What it says about itself.
-    rows : Rows
+    rows : RawRows or ForeignRows
         Where the recordings come from.
     """
 
     path: Path
     header: RawHeader
-    rows: Rows = field(repr=False)
+    rows: RawRows | ForeignRows = field(repr=False)
 
     def read(self, position: int) -> Recordings | None:
         """Read all records of a position; None where nothing was recorded.
@@ -135,6 +125,7 @@ class RawRows(LedgerReader):
     """Recordings that this program kept, checked against the ledger."""
 
     def read(self, position: int) -> tuple[NDArray[Any], ...] | None:
+        """Reference and response (records, samples) in counts; None where nothing was recorded."""
         shape, chunks = self._shape, self.chunks(position)
         if chunks is None:
             return None
@@ -148,6 +139,7 @@ class ForeignRows:
         self._path, self._datasets, self._open = path, datasets, stack
 
     def read(self, position: int) -> tuple[NDArray[Any], ...] | None:
+        """As of :class:`RawRows`."""
         try:
             channels = tuple(np.asarray(dataset[position]) for dataset in self._datasets)
         except (OSError, RuntimeError, ValueError) as error:
@@ -157,4 +149,5 @@ class ForeignRows:
         return channels if any(channel.any() for channel in channels) else None
 
     def close(self) -> None:
+        """Close the file."""
         self._open.close()
