@@ -210,7 +210,7 @@ def play_field(window: Window, scene: Path, live: Callable[[float], None]) -> No
     while not results.complete:
         live(0.5)
         if time.monotonic() - began_s > _PATIENCE_S:
-            raise SystemExit(f"the scene was not calculated: {results.state.text() or results.stage.text()}")
+            raise SystemExit(f"the scene was not calculated: {results.problem.text() or results.stage.text()}")
     results.pages.setCurrentWidget(results.field)
     results.field.slider.play.setChecked(True)
 
