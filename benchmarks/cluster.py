@@ -160,13 +160,7 @@ def _write_noise(path: Path, actuators: int, samples: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """A prediction in float64: P positions, N actuators, L taps, S samples of drive.
-
-    Parameters
-    ----------
-    positions, actuators, taps, samples : int
-        P, N, L < 4096, S.
-    """
+    """A prediction in float64: P positions, N actuators, L taps, S samples of drive."""
 
     positions: int
     actuators: int

@@ -38,19 +38,7 @@ Method = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Workload:
-    """Records with their true Green's functions.
-
-    Parameters
-    ----------
-    excitation : Excitation
-        Played in each record.
-    truth : float64 array, shape (records, TAPS)
-        The Green's functions.
-    reference, response : float32 array, shape (records, samples)
-        The two DAQ channels in volts.
-    noise_v : float64 array, shape (records,)
-        Rms of the response's noise.
-    """
+    """Records with their true Green's functions."""
 
     excitation: Excitation
     truth: NDArray[np.float64]

@@ -43,20 +43,7 @@ NEAR_MM = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One line of the table; see the module for the definitions.
-
-    Parameters
-    ----------
-    scene, method : str
-    width_mm, off_mm, artefact_db, at_focus : float or None
-        None where no focus of the scene has one.
-    energy, peak : float
-        Over those of time reversal on the same scene.
-    condition : float or None
-        Largest condition of the inverse filter over frequency, before regularisation.
-    seconds : float
-        To render.
-    """
+    """One line of the table, as the module defines; None where no focus of the scene has such a figure."""
 
     scene: str
     method: str

@@ -48,22 +48,7 @@ ERRORS = (0.01, 0.05)
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of the table.
-
-    Parameters
-    ----------
-    kind : str
-        Interpolation.
-    bank_db : float or None
-        Error of the bank itself in dB; None for the truth.
-    frequency_hz : float
-    median, worst : float
-        Error over the points.
-    estimated : float
-        Median that leaving positions out gives, without the truth.
-    mark : float or None
-        Largest median wanted.
-    """
+    """One line: errors over the points, their estimate without the truth, the mark; `bank_db` is None for the truth."""
 
     kind: str
     bank_db: float | None

@@ -65,17 +65,7 @@ PRELOADED = ("scipy.optimize", "scipy.signal", "wavefocus.commands.estimate", "w
 
 @dataclass(frozen=True, slots=True)
 class Night:
-    """Hours and errors of a campaign.
-
-    Parameters
-    ----------
-    hours : float
-        For 1500 positions.
-    median_db, worst_tenth_db : float
-        Relative L2 error in band over all measured pairs; the worst tenth of them begins at `worst_tenth_db`.
-    positions : int
-        Number of measured positions.
-    """
+    """Hours of 1500 positions; relative L2 errors in band over all pairs: median, and where the worst tenth begins."""
 
     hours: float
     median_db: float

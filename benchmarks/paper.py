@@ -106,19 +106,7 @@ PEAK_V = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure of the paper and ours.
-
-    Parameters
-    ----------
-    what : str
-        Figure.
-    paper, ours : str
-        Its value in the paper, and here.
-    met : bool or None
-        Ours agrees with the paper's; None where the paper gives no number.
-    definition : str
-        Definition of ours.
-    """
+    """One figure of the paper and ours."""
 
     what: str
     paper: str

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.paper_measures import SPEEDS_CM_S, LineScene
+from benchmarks.paper_measures import LineScene
 from rendering.field.crosstalk import CrosstalkTable
 from rendering.field.green_correlation import DistanceCorrelation
 from rendering.field.path_spectrum import PathSpectrum
 from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
+from rendering.report.waves import draw_correlation, draw_crosstalk
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +23,7 @@ Float64Array = NDArray[np.float64]
 WIDTH_PX = 1120
 GAP_PX = 14
 LEFT_PX = 58
-BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"  # Okabe & Ito's, for the colour-blind
+BLUE, ORANGE = "#0072b2", "#d55e00"  # Okabe & Ito's, for the colour-blind
 
 
 @drawn_in_style
@@ -213,29 +214,15 @@ def figure_4c(surface: Surface, fast: LineScene, slow: LineScene, spectra: list[
 @drawn_in_style
 def figure_4d(table: CrosstalkTable, correlation: DistanceCorrelation) -> Picture:
     """Crosstalk over speed for each path sample distance, and correlation over distance."""
-    from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
-
     canvas = Canvas("4D", WIDTH_PX, 390)
     axes = canvas.axes(LEFT_PX + 22, 34, 500, 296)
-    styles = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
-    for place, (step, (colour, marker)) in enumerate(zip(table.step_mm, styles, strict=True)):
-        ratio = 100.0 * table.energy_ratio[:, place]
-        axes.plot(SPEEDS_CM_S, ratio, marker=marker, ms=4, color=colour, label=f"d = {step:g} mm")
+    draw_crosstalk(axes, table, 100.0)
     axes.axvline(16.0, color=FAINT, lw=0.8, ls=":")
-    axes.axhline(1.0, color=FAINT, lw=0.8, ls=":")
-    axes.set(xscale="log", yscale="log", ylim=(1e-3, 100.0))
-    axes.xaxis.set_major_locator(FixedLocator([4, 8, 16, 32, 64, 100]))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axes.set(xlabel="speed v (cm/s)", ylabel="crosstalk: energy ratio (%)")
-    axes.set_title("crosstalk of impulses along a line")
-    axes.legend(loc="upper left")
+    axes.set(xlabel="speed v (cm/s)", ylabel="crosstalk: energy ratio (%)", title="crosstalk of impulses along a line")
     axes.spines[["top", "right"]].set_visible(False)
     axes = canvas.axes(LEFT_PX + 22 + 580, 34, 440, 296)
-    axes.fill_between(correlation.distance_mm, correlation.low, correlation.high, color=BLUE, alpha=0.18, lw=0)
-    axes.plot(correlation.distance_mm, correlation.mean, "o-", ms=3.5, color=BLUE)
-    axes.axhline(0.0, color=FAINT, lw=0.7)
-    axes.set(xlabel="distance (mm)", ylabel="correlation at lag 0", xlim=(0.0, None), ylim=(-0.6, 1.0))
+    draw_correlation(axes, correlation, (-0.6, 1.0))
+    axes.set(xlabel="distance (mm)", ylabel="correlation at lag 0")
     axes.set_title("Green's functions: mean, and 10 to 90 % of all pairs")
     axes.spines[["top", "right"]].set_visible(False)
     return canvas.picture()

@@ -164,18 +164,7 @@ def figure_paths() -> dict[str, Path]:
 
 @dataclass(frozen=True, slots=True)
 class LineScene:
-    """Figure 4C: bursts along a line.
-
-    Parameters
-    ----------
-    drive : Drive
-    rows : int64 array, shape (points,)
-        Rows of the path points.
-    fields : float32 array, shape (points, positions)
-        The field at each focus instant when the points emit impulses instead.
-    responses : float64 array, shape (points, samples)
-        Response at each path point.
-    """
+    """Figure 4C: bursts along a line."""
 
     drive: Drive
     rows: Int64Array

@@ -36,19 +36,7 @@ FEW_ROWS = 200
 
 @dataclass(frozen=True, slots=True)
 class Workload:
-    """A moving source cut into segments, each of which one bank row emits.
-
-    Parameters
-    ----------
-    name : str
-        For the table.
-    bank : GreenArray
-        Green's functions.
-    source : Source
-        Continuous emission.
-    kind : str
-        "path" or "random rows" where a mark is set for it.
-    """
+    """A moving source cut into segments, each of which one bank row emits."""
 
     name: str
     bank: GreenArray

@@ -39,17 +39,7 @@ STAGGER_S = 0.24
 
 @dataclass(frozen=True, slots=True)
 class PaperBank:
-    """A bank, and the rig that it is of.
-
-    Parameters
-    ----------
-    bank : GreenArray
-        1500 positions, 4 mm apart, 20 actuators on the rim.
-    rig : VirtualRig
-        The rig.
-    how : str
-        Origin of the bank, for the table.
-    """
+    """A bank, and the rig that it is of."""
 
     bank: GreenArray
     rig: VirtualRig

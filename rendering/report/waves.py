@@ -20,6 +20,8 @@ from rendering.report.words import FigureLine, number
 from storage.errors import InputError
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from rendering.greens.source import GreenSource
     from rendering.scene.model import Scene
     from rendering.verify.comparison import FieldComparison
@@ -34,8 +36,8 @@ LEAST_LINE = 8
 CORRELATION_BINS = 10
 BEFORE_S, AFTER_S = 0.02, 0.1
 """About each focus instant, the window whose spectrum is formed."""
-COLOURS = ("#0072b2", "#d55e00", "#009e73")
-MARKERS = ("o", "s", "^")
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+MARKERS = ("o", "s", "^", "D")
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +109,7 @@ def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None
     if travel is not None:
         velocity = FigureLine(
             "Group velocity",
-            _with_doubt(travel.group_velocity_m_s, travel.velocity_error_m_s, "m/s"),
+            _with_error(travel.group_velocity_m_s, travel.velocity_error_m_s, "m/s"),
             f"Inverse slope over distance of the centroid of energy of {pairs}, with an offset for each actuator; ±"
             " its standard error.",
         )
@@ -118,7 +120,7 @@ def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None
             velocity,
             FigureLine(
                 "Attenuation",
-                _with_doubt(travel.attenuation_db_per_cm, travel.attenuation_error_db_per_cm, "dB/cm"),
+                _with_error(travel.attenuation_db_per_cm, travel.attenuation_error_db_per_cm, "dB/cm"),
                 f"Slope over distance r of 10 lg(r E), E the energy of {pairs}, with an offset for each actuator; ± its"
                 " standard error.",
             ),
@@ -176,26 +178,14 @@ def waves_picture(waves: Waves, band_hz: tuple[float, float] | None) -> Picture:
     if waves.crosstalk is None:
         _say(axes, "no line of positions")
     else:
-        table = waves.crosstalk
-        for place, (step, colour, marker) in enumerate(zip(table.step_mm, COLOURS, MARKERS, strict=True)):
-            ratio = 100.0 * np.maximum(table.energy_ratio[:, place], 1e-6)
-            axes.plot(table.speed_mm_s / 10, ratio, color=colour, marker=marker, ms=4, label=f"d = {step:g} mm")
-        axes.set(xscale="log", yscale="log", ylim=(1e-3, 200.0))
-        axes.set_xticks(table.speed_mm_s / 10, [f"{speed / 10:g}" for speed in table.speed_mm_s])
-        axes.minorticks_off()
-        axes.axhline(1.0, color=FAINT, lw=0.8, ls=":")
-        axes.legend(loc="upper left")
+        draw_crosstalk(axes, waves.crosstalk, 200.0)
     axes.spines[["top", "right"]].set_visible(False)
     axes = canvas.axes(70 + 370, 30, 280, 236)
     axes.set(title="correlation of Green's functions", xlabel="distance (mm)", ylabel="coefficient at lag 0")
     if waves.correlation is None:
         _say(axes, "too few positions")
     else:
-        found = waves.correlation
-        axes.fill_between(found.distance_mm, found.low, found.high, color=COLOURS[0], alpha=0.18, lw=0)
-        axes.plot(found.distance_mm, found.mean, "o-", ms=3.5, color=COLOURS[0])
-        axes.axhline(0.0, color=FAINT, lw=0.7)
-        axes.set(xlim=(0.0, None), ylim=(-1.0, 1.05))
+        draw_correlation(axes, waves.correlation, (-1.0, 1.05))
     axes.spines[["top", "right"]].set_visible(False)
     axes = canvas.axes(70 + 740, 30, 280, 236)
     axes.set(title="spectrum at path points", xlabel="frequency (Hz)", ylabel="mean magnitude, relative")
@@ -214,12 +204,32 @@ def waves_picture(waves: Waves, band_hz: tuple[float, float] | None) -> Picture:
     return canvas.picture()
 
 
-def _with_doubt(value: float, doubt: float, unit: str) -> str:
-    return f"{number(value)} ± {doubt:.2g} {unit}"
+def draw_crosstalk(axes: Axes, table: CrosstalkTable, top_percent: float) -> None:
+    """Energy ratio over speed, a line for each path sample distance; dotted: 1 %."""
+    for place, (step, colour, marker) in enumerate(zip(table.step_mm, COLOURS, MARKERS, strict=False)):
+        ratio = 100.0 * np.maximum(table.energy_ratio[:, place], 1e-6)
+        axes.plot(table.speed_mm_s / 10, ratio, color=colour, marker=marker, ms=4, label=f"d = {step:g} mm")
+    axes.set(xscale="log", yscale="log", ylim=(1e-3, top_percent))
+    axes.set_xticks(table.speed_mm_s / 10, [f"{speed / 10:g}" for speed in table.speed_mm_s])
+    axes.minorticks_off()
+    axes.axhline(1.0, color=FAINT, lw=0.8, ls=":")
+    axes.legend(loc="upper left")
 
 
-def _say(axes: object, text: str) -> None:
-    axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)  # type: ignore[attr-defined]
+def draw_correlation(axes: Axes, found: DistanceCorrelation, limits: tuple[float, float]) -> None:
+    """Mean coefficient over distance; shaded: 10 to 90 % of all pairs."""
+    axes.fill_between(found.distance_mm, found.low, found.high, color=COLOURS[0], alpha=0.18, lw=0)
+    axes.plot(found.distance_mm, found.mean, "o-", ms=3.5, color=COLOURS[0])
+    axes.axhline(0.0, color=FAINT, lw=0.7)
+    axes.set(xlim=(0.0, None), ylim=limits)
+
+
+def _with_error(value: float, error: float, unit: str) -> str:
+    return f"{number(value)} ± {error:.2g} {unit}"
+
+
+def _say(axes: Axes, text: str) -> None:
+    axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)
 
 
 def _spectrum(fields: FieldComparison, waveforms: NDArray[np.float32]) -> PathSpectrum | None:

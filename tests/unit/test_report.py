@@ -8,7 +8,6 @@ import io
 import math
 import re
 from datetime import UTC, datetime, timedelta
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,46 +15,15 @@ import pytest
 from PIL import Image
 
 from acquisition.quality.limits import DriftPoint
-from rendering.drive.rendering import render_with_report
-from rendering.field.model import predict
 from rendering.greens.source import GreenArray
 from rendering.report.page import build_report
 from rendering.report.words import number, remarks
-from rendering.scene.model import Output, Regularisation, Scene, Source
-from rendering.scene.paths import Line
-from rendering.scene.signals import Impulse
 from rendering.verify.scan import Scan
 from rendering.verify.verdict import compare
-from storage.drive_file import Drive
 from storage.field_file import Field
+from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scene_of
 
-RATE_HZ = 4_000.0
-TAPS = 200
-AXIS_MM = np.arange(-24.0, 24.1, 4.0)
-GRID_MM = np.stack(np.meshgrid(AXIS_MM, AXIS_MM), axis=-1).reshape(-1, 2)
-ACTUATOR_MM = np.array([(-40.0, 0.0), (40.0, 10.0), (0.0, 40.0), (5.0, -40.0)])
 NASTY = '<script>alert("1")</script> & </title><img src="https://evil.example/x.png">'
-
-
-@cache
-def bank() -> GreenArray:
-    distance_m = np.hypot(*(GRID_MM[:, None] - ACTUATOR_MM).transpose(2, 0, 1)) / 1e3
-    late_s = np.arange(TAPS) / RATE_HZ - distance_m[..., None] / 4.8 - 0.006
-    pulse = np.sin(2.0 * np.pi * 250.0 * late_s) * np.exp(-((late_s / 0.002) ** 2))
-    green = pulse / (1.0 + 50.0 * distance_m[..., None])
-    return GreenArray(green, GRID_MM, RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=(50.0, 500.0))
-
-
-def scene_of(name: str) -> Scene:
-    path = Line((-12.0, 0.0), (12.0, 0.0))
-    source = Source(path, Impulse(), speed_mm_s=200.0, step_mm=4.0, emission="per_point")
-    return Scene(name, (source,), Regularisation(), Output())
-
-
-@cache
-def rendered() -> tuple[Drive, Field]:
-    drive, _ = render_with_report(scene_of("line"), bank())
-    return drive, predict(drive, bank())
 
 
 def scan_of(gain: float = 1.0, noise: float = 1e-3) -> Scan:

@@ -11,45 +11,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rendering.drive.rendering import render_with_report
-from rendering.field.model import predict
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Regularisation, Scene, Source
-from rendering.scene.paths import Line
-from rendering.scene.signals import Impulse
 from rendering.verify.field_pair import CancelledError, read_pair
 from rendering.verify.record import RecordedSource, read_record, write_record
 from rendering.verify.verdict import Verification, compare
 from storage.errors import InputError
 from storage.field_file import Field, write_field
+from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scene_of
 
-RATE_HZ = 4_000.0
-TAPS = 200
-AXIS_MM = np.arange(-24.0, 24.1, 4.0)
-GRID_MM = np.stack(np.meshgrid(AXIS_MM, AXIS_MM), axis=-1).reshape(-1, 2)
-ACTUATOR_MM = np.array([(-40.0, 0.0), (40.0, 10.0), (np.nan, np.nan), (5.0, -40.0)])
 NOT_SCANNED = 3
 
 
-@cache
-def bank() -> GreenArray:
-    distance_m = np.hypot(*(GRID_MM[:, None] - np.nan_to_num(ACTUATOR_MM)).transpose(2, 0, 1)) / 1e3
-    late_s = np.arange(TAPS) / RATE_HZ - distance_m[..., None] / 4.8 - 0.006
-    pulse = np.sin(2.0 * np.pi * 250.0 * late_s) * np.exp(-((late_s / 0.002) ** 2))
-    return GreenArray(pulse, GRID_MM, RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=(50.0, 500.0))
-
-
-@cache
-def scene() -> Scene:
-    source = Source(Line((-12.0, 0.0), (12.0, 0.0)), Impulse(), speed_mm_s=200.0, step_mm=4.0, emission="per_point")
-    return Scene("line", (source,), Regularisation(), Output())
+def known_but_one() -> GreenArray:
+    """The bank, without the place of one actuator."""
+    actuator_mm = bank().actuator_mm.copy()
+    actuator_mm[2] = np.nan
+    return dataclasses.replace(bank(), actuator_mm=actuator_mm)
 
 
 @cache
 def fields() -> tuple[Field, Field, Verification]:
     """A prediction, a scan that is five percent louder, noisy, and lacks a position, and their comparison."""
-    drive, _ = render_with_report(scene(), bank())
-    prediction = predict(drive, bank())
+    drive, prediction = rendered()
     noise = np.random.default_rng(5).normal(size=prediction.field.shape)
     louder = 1.05 * prediction.field + 0.01 * np.abs(prediction.field).max() * noise
     there = prediction.position_index != NOT_SCANNED
@@ -67,9 +50,9 @@ def record_file(tmp_path: Path) -> Path:
     return write_record(
         tmp_path,
         verification=verification,
-        scene=scene(),
+        scene=scene_of(),
         prediction=prediction,
-        bank=bank(),
+        bank=known_but_one(),
         names={"scene_file": "line.toml", "bank": "plate.h5", "rig": "virtual"},
     )
 

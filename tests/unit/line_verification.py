@@ -1,0 +1,42 @@
+"""A source on a line over a small bank of pulses: bank, scene, drive and prediction, for reports and records."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from rendering.drive.rendering import render_with_report
+from rendering.field.model import predict
+from rendering.greens.source import GreenArray
+from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.paths import Line
+from rendering.scene.signals import Impulse
+from storage.drive_file import Drive
+from storage.field_file import Field
+
+RATE_HZ = 4_000.0
+TAPS = 200
+AXIS_MM = np.arange(-24.0, 24.1, 4.0)
+GRID_MM = np.stack(np.meshgrid(AXIS_MM, AXIS_MM), axis=-1).reshape(-1, 2)
+ACTUATOR_MM = np.array([(-40.0, 0.0), (40.0, 10.0), (0.0, 40.0), (5.0, -40.0)])
+
+
+@cache
+def bank() -> GreenArray:
+    distance_m = np.hypot(*(GRID_MM[:, None] - ACTUATOR_MM).transpose(2, 0, 1)) / 1e3
+    late_s = np.arange(TAPS) / RATE_HZ - distance_m[..., None] / 4.8 - 0.006
+    pulse = np.sin(2.0 * np.pi * 250.0 * late_s) * np.exp(-((late_s / 0.002) ** 2))
+    green = pulse / (1.0 + 50.0 * distance_m[..., None])
+    return GreenArray(green, GRID_MM, RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=(50.0, 500.0))
+
+
+def scene_of(name: str = "line") -> Scene:
+    source = Source(Line((-12.0, 0.0), (12.0, 0.0)), Impulse(), speed_mm_s=200.0, step_mm=4.0, emission="per_point")
+    return Scene(name, (source,), Regularisation(), Output())
+
+
+@cache
+def rendered() -> tuple[Drive, Field]:
+    drive, _ = render_with_report(scene_of(), bank())
+    return drive, predict(drive, bank())
