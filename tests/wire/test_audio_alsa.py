@@ -29,7 +29,7 @@ def heard(interface, player, channels=CHANNELS):
     return interface.played(channels)
 
 
-@pytest.mark.parametrize("channels", [1, 2, CHANNELS, 24])
+@pytest.mark.parametrize("channels", [2, 24])
 def test_given_a_signal_for_every_channel_then_each_has_its_own_to_the_sample(bench, tmp_path, channels):
     interface, signals = AlsaFile(tmp_path), noise(3000, range(channels))
     player = bench.player(interface, channels=channels, channel_full_scale_v=(2.0,) * channels)
@@ -47,14 +47,6 @@ def test_given_a_full_scale_for_each_channel_then_equal_voltages_are_unlike_part
     levels = sounding(heard(interface, player))
     np.testing.assert_array_equal(levels, np.tile(0.75 / np.array(FULL_SCALE_V, np.float32)[:, None], (1, 100)))
     assert player.full_scale_v == min(FULL_SCALE_V)
-
-
-def test_given_channels_that_are_not_named_then_they_stay_silent(bench, tmp_path):
-    interface, signals = AlsaFile(tmp_path), noise(500, (20, 3))
-    player = bench.player(interface)
-    player.play(signals, RATE_HZ)
-    player.wait(10)
-    np.testing.assert_array_equal(sounding(heard(interface, player)), as_played(signals, CHANNELS))
 
 
 def test_given_plays_in_a_row_then_each_is_whole_with_silence_between(bench, tmp_path):
@@ -91,8 +83,8 @@ def test_given_a_signal_that_was_refused_then_the_next_play_of_its_neighbours_is
 def test_given_an_output_without_a_clock_then_it_is_held_to_real_time(bench, tmp_path):
     interface = AlsaFile(tmp_path)
     player = bench.player(interface)
-    player.play({0: np.full(2 * RATE_HZ, 0.5)}, RATE_HZ)
+    player.play({0: np.full(RATE_HZ, 0.5)}, RATE_HZ)
     player.wait(20)
     frames = heard(interface, player).shape[1]
     # It takes a hundred times as many in that time when it is not held.
-    assert frames < 20 * RATE_HZ
+    assert frames < 10 * RATE_HZ

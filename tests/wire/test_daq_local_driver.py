@@ -140,14 +140,12 @@ answers["left"] = tasks()
 @pytest.mark.parametrize(
     ("status", "error", "cause"),
     [
-        ("-200279", "TransientInstrumentError", "overwritten"),
         (
             "-200284",
             "TransientInstrumentError",
             "samples are missing: they did not come in time (NI-DAQmx -200284); 500",
         ),
         ("-201003", "InstrumentLostError", "unplugged"),
-        ("-50405", "InstrumentLostError", "USB transfer was aborted"),
         ("200005", "TransientInstrumentError", "NI-DAQmx warns"),
         ("-209999", "InstrumentError", "NI-DAQmx says: As ordered"),
     ],
@@ -308,23 +306,14 @@ recorder.close()
 
 @LINUX_ONLY
 @STANDS_IN
-@pytest.mark.parametrize(
-    ("script", "kind", "text"),
-    [
-        ("in_a_process('Dev9')", "InstrumentError", "put a name that is there into device of [recorder]: Dev1, Dev2"),
-        ("in_a_process(terminal='nrse')", "InstrumentError", "put differential or rse into terminal"),
-    ],
-)
-def test_given_what_the_device_has_not_then_the_refusal_comes_from_the_process_word_for_word(
-    library, tmp_path, script, kind, text
-):
+def test_given_what_the_device_has_not_then_the_refusal_comes_from_the_process_word_for_word(library, tmp_path):
     answers = session(
         library,
-        IN_A_PROCESS + f"answers['told'] = told(lambda: {script})",
+        IN_A_PROCESS + "answers['told'] = told(lambda: in_a_process('Dev9'))",
         SHIM_UNPLUGGED=str(tmp_path / "unplugged"),
     )
-    assert answers["told"][0] == kind
-    assert text in answers["told"][1]
+    assert answers["told"][0] == "InstrumentError"
+    assert "put a name that is there into device of [recorder]: Dev1, Dev2" in answers["told"][1]
 
 
 @LINUX_ONLY

@@ -36,20 +36,18 @@ def opened_without(missing, address):
     return done.stdout.strip().split("|")
 
 
-@pytest.mark.parametrize("address", [None, "localhost:31763"])
-def test_given_no_nidaqmx_package_then_it_says_how_to_install_it(address):
-    instrument, operation, cause, remedy = opened_without(["nidaqmx"], address)
-    assert instrument == ("recorder Dev1" if address is None else "recorder Dev1 at localhost:31763")
+def test_given_no_nidaqmx_package_then_it_says_how_to_install_it():
+    instrument, operation, cause, remedy = opened_without(["nidaqmx"], "localhost:31763")
+    assert instrument == "recorder Dev1 at localhost:31763"
     assert operation == "opening"
     assert "the Python package nidaqmx is missing" in cause
     assert remedy == 'install it: pip install "nidaqmx[grpc]"'
 
 
-@pytest.mark.parametrize("missing", ["grpc", "google.protobuf"])
-def test_given_an_address_without_grpc_then_it_says_what_to_install(missing):
-    _, _, cause, remedy = opened_without([missing], "localhost:31763")
+def test_given_an_address_without_grpc_then_it_says_what_to_install():
+    _, _, cause, remedy = opened_without(["grpc"], "localhost:31763")
     assert "what the nidaqmx package needs for an address is missing" in cause
-    assert missing in cause
+    assert "grpc" in cause
     assert remedy == 'install it: pip install "nidaqmx[grpc]"'
 
 
