@@ -16,7 +16,7 @@ from gui.scene.document import EMPTY, SceneDocument
 from gui.scene.preview import LivePreview, problem_of
 from gui.scene.sources import SourceActions
 from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import make_action
+from gui.shell.widgets import make_action, named
 from gui.surface.colours import ColourBar
 from gui.surface.plot import Plot
 
@@ -88,27 +88,24 @@ class SurfacePanel(QWidget):
         row = QHBoxLayout()
         row.setSpacing(3)
         for kind, words, key, tip in _TOOLS:
-            button = QToolButton()
+            button = named(QToolButton(), f"{tip} ({key}, on the surface)", f"Tool: {words}")
             button.setText(words)
             button.setCheckable(True)
             button.setAutoExclusive(True)
-            button.setAccessibleName(f"Tool: {words}")
-            button.setToolTip(f"{tip} ({key}, on the surface)")
             button.clicked.connect(lambda _checked=False, kind=kind: self._use_tool(kind))
             action = make_action(self.canvas, words, partial(self.canvas.use_tool, kind), key)
             action.setShortcutContext(Qt.ShortcutContext.WidgetShortcut)
             self.canvas.addAction(action)
             row.addWidget(button)
             self.tools[kind] = button
-        drawing = QToolButton()
+        tip = "Add a path of an SVG file; files can also be dropped on the window"
+        drawing = named(QToolButton(), tip, "Add a drawing")
         drawing.setText("SVG…")
-        drawing.setAccessibleName("Add a drawing")
-        drawing.setToolTip("Add a path of an SVG file; files can also be dropped on the window")
         drawing.clicked.connect(acts.choose_drawing)
         row.addWidget(drawing)
         row.addStretch(1)
-        self.snaps.setAccessibleName("Snap to positions")
-        self.snaps.setToolTip("Draw and move from position to position of the bank; whole millimetres without a bank")
+        tip = "Draw and move from position to position of the bank; whole millimetres without a bank"
+        named(self.snaps, tip, "Snap to positions")
         self.snaps.toggled.connect(lambda on: setattr(self.canvas, "snaps", on))
         row.addWidget(self.snaps)
         return row

@@ -1,4 +1,4 @@
-"""A plot that looks and behaves alike in every tab."""
+"""The plot that all tabs use."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_COLUMNS = 2000
 
 
 class Plot(pyqtgraph.PlotWidget):
-    """A plot that takes the theme's colours and has its tools on the mouse alone.
+    """A plot in the theme's colours without menu or buttons.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Plot(pyqtgraph.PlotWidget):
         plot.hideButtons()
         for side in ("left", "bottom"):
             plot.getAxis(side).enableAutoSIPrefix(False)
-        self.setToolTip("Wheel: zoom. Drag: move. Double click: everything.")
+        self.setToolTip("Wheel: zoom. Drag: pan. Double click: show everything.")
 
     def mouseDoubleClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
         """Show everything again."""
@@ -47,7 +47,7 @@ class Plot(pyqtgraph.PlotWidget):
         self.getPlotItem().getViewBox().autoRange()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self.theme = theme
         self.setBackground(theme.base)
         theme_axes(self.getPlotItem(), theme)
@@ -67,10 +67,7 @@ class Plot(pyqtgraph.PlotWidget):
 
 
 def thinned(x: Real, y: Real) -> tuple[Real, Real]:
-    """Smallest and largest value of each column of pixels, each where it is; the line looks the same and draws quickly.
-
-    In the order of x: in any other, a smooth slope would get a ripple.
-    """
+    """Return the smallest and the largest value of each column of pixels, in the order of x."""
     step = len(y) // MOST_COLUMNS
     if step < 2:
         return x, y
@@ -82,15 +79,12 @@ def thinned(x: Real, y: Real) -> tuple[Real, Real]:
 
 
 def thinning_curve() -> pyqtgraph.PlotDataItem:
-    """A curve that thins anew what is seen at each zoom, for as many samples as can be looked into.
-
-    To be kept in its plot and filled anew: taken out, it asks a view that it has no longer.
-    """
+    """Return a curve that is thinned again at each zoom; it must stay in its plot."""
     return pyqtgraph.PlotDataItem(
         autoDownsample=True, downsampleMethod="peak", clipToView=True, skipFiniteCheck=True, antialias=True
     )
 
 
 def whole_ticks(count: int, most: int = 12) -> list[tuple[float, str]]:
-    """Ticks at the numbers from 0 on, as many as have room."""
+    """Return ticks at whole numbers from 0 on, as many as have room."""
     return [(float(one), str(one)) for one in range(0, count, max(1, -(-count // most)))]

@@ -22,6 +22,7 @@ from PyQt5.QtWidgets import (
 )
 
 from gui.shell.theme import LIGHT, Theme
+from gui.shell.widgets import named
 
 FRAME_EVERY_MS = 50
 # Waves of some hundred hertz can be followed by eye at about 1/1000 of real time.
@@ -63,9 +64,7 @@ class TimeSlider(QWidget):
         self.next = _button("Next focus instant (Page Up)")
         self.loop = _button("Loop: start again at the end", checkable=True)
         self.loop.setChecked(True)
-        self.slower = QComboBox()
-        self.slower.setAccessibleName("Playing speed")
-        self.slower.setToolTip("How many times slower than real time the field is played")
+        self.slower = named(QComboBox(), "How many times slower than real time the field is played", "Playing speed")
         for factor in SLOWER:
             self.slower.addItem("real time" if factor == 1 else f"{factor} × slower", factor)
         self.slower.setCurrentIndex(SLOWER.index(_USUALLY_SLOWER))
@@ -284,9 +283,7 @@ class _MarkedSlider(QSlider):
 
 
 def _button(tip: str, *, checkable: bool = False) -> QToolButton:
-    button = QToolButton()
-    button.setToolTip(tip)
-    button.setAccessibleName(tip.partition(" (")[0])
+    button = named(QToolButton(), tip, tip.partition(" (")[0])
     button.setCheckable(checkable)
     button.setAutoRaise(True)
     return button

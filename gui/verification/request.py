@@ -1,4 +1,4 @@
-"""What is to be verified: scene, bank, rig, folder, positions; typed, chosen, dropped, or as it was last time."""
+"""The choices of a verification: scene, bank, rig, folder, positions."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from PyQt5.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLab
 from gui.shell.file_choice import PathField
 from gui.shell.tab import TabContext
 from gui.shell.toml_files import names_virtual_rig
+from gui.shell.widgets import named
 from rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 from storage.errors import InputError
 
@@ -27,17 +28,7 @@ _FOLDER = "verify"
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One verification that can be started.
-
-    Parameters
-    ----------
-    arguments : tuple of str
-        The command and its arguments.
-    out : Path
-        The folder that it writes.
-    is_virtual : bool
-        Whether its rig is in software.
-    """
+    """The command of a verification, and the folder that it writes."""
 
     arguments: tuple[str, ...]
     out: Path
@@ -45,13 +36,7 @@ class Request:
 
 
 class RequestForm(QWidget):
-    """Two rows of fields, and the positions to scan.
-
-    Parameters
-    ----------
-    context : TabContext
-        Knows what was chosen last time, and what the Campaign tab has selected.
-    """
+    """Two rows of fields; `choice` holds the positions to scan."""
 
     def __init__(self, context: TabContext) -> None:
         super().__init__()
@@ -61,54 +46,49 @@ class RequestForm(QWidget):
         self.bank = PathField("&Bank", ".h5", "bank to verify", settings)
         self.rig = PathField("Ri&g", ".toml", "rig file", settings)
         self.out = PathField("F&older", "", "folder for the report", settings)
-        self.virtual = QCheckBox("virtual")
-        self.virtual.setToolTip("Play on the virtual rig that comes with wavefocus, without a rig file")
-        self.virtual.setAccessibleName("Virtual rig")
+        tip = "Play on the virtual rig that comes with wavefocus, without a rig file"
+        self.virtual = named(QCheckBox("virtual"), tip, "Virtual rig")
         self.positions = QComboBox()
         self.positions.setAccessibleName("Positions to scan")
         for key, words, _ in _CHOICES:
             self.positions.addItem(words, key)
-        self.step = QSpinBox()
-        self.step.setAccessibleName("One position in so many")
-        self.step.setToolTip("One position in so many, in the bank's order")
+        self.step = named(QSpinBox(), "One position in so many, in the bank's order", "One position in so many")
         self.step.setRange(2, 1000)
-        self.step.setValue(4)
-        self.rows = QLineEdit()
-        self.rows.setAccessibleName("Bank rows to scan")
-        self.rows.setToolTip("Bank rows from 0: single or as ranges, 3,5-9")
+        self.rows = named(QLineEdit(), "Bank rows from 0: single or as ranges, 3,5-9", "Bank rows to scan")
         self.rows.setPlaceholderText("0-99,120")
+        tip = "Allow scenes of over an hour, 8 GiB of drives or a million path points (--allow-large)"
+        self.large = named(QCheckBox("large"), tip, "Allow large scenes")
         self.choice = QWidget()
-        self.large = QCheckBox("large")
-        self.large.setAccessibleName("Allow large scenes")
-        self.large.setToolTip("Allow scenes of over an hour, 8 GiB of drives or a million path points (--allow-large)")
         row = QHBoxLayout(self.choice)
         row.setContentsMargins(0, 0, 0, 0)
         label = QLabel("&Positions")
         label.setBuddy(self.positions)
         for part in (label, self.positions, self.step, self.rows, self.large):
             row.addWidget(part)
-        grid = QGridLayout(self)
-        grid.setContentsMargins(0, 0, 0, 0)
         rig = QHBoxLayout()
         rig.addWidget(self.rig, stretch=1)
         rig.addWidget(self.virtual)
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
         grid.addWidget(self.scene, 0, 0)
         grid.addWidget(self.bank, 0, 1)
         grid.addLayout(rig, 1, 0)
         grid.addWidget(self.out, 1, 1)
-        grid.setColumnStretch(0, 1)
-        grid.setColumnStretch(1, 1)
-        self._align_labels()
+        for column, fields in enumerate(((self.scene, self.rig), (self.bank, self.out))):
+            grid.setColumnStretch(column, 1)
+            labels = [label for field in fields if (label := field.findChild(QLabel)) is not None]
+            for label in labels:
+                label.setMinimumWidth(max(one.sizeHint().width() for one in labels))
         self.bank.chosen.connect(self.take_bank)
         for field in (self.scene, self.rig):
             field.chosen.connect(settings.opened)
         self.virtual.toggled.connect(self.rig.setDisabled)
         self.positions.currentIndexChanged.connect(self._show_choice)
-        self._recall()
+        self._restore_settings()
         self._show_choice()
 
     def take_bank(self, bank: Path) -> None:
-        """Verify a bank; what lies beside it is taken where nothing was chosen yet."""
+        """Verify a bank; empty fields are filled with the files beside it."""
         self.bank.show_path(bank)
         self._context.settings.opened(bank)
         for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml")):
@@ -118,7 +98,7 @@ class RequestForm(QWidget):
             self.out.show_path(bank.with_name(_FOLDER))
 
     def missing(self) -> str:
-        """What has still to be chosen, in words; empty when a verification can be started."""
+        """What has to be chosen first; empty when a verification can be started."""
         fields = [(self.scene, "a scene file"), (self.bank, "a bank"), (self.out, "a folder")]
         if not self.virtual.isChecked():
             fields.insert(2, (self.rig, "a rig file, or the virtual rig"))
@@ -126,15 +106,15 @@ class RequestForm(QWidget):
         return "" if not words else f"choose {', and '.join(words)}"
 
     def request(self) -> Request:
-        """The command of what is chosen; a folder that holds results is left, and one with a number is made.
+        """The command of the present choices; results in the folder are kept, and a numbered folder is used instead.
 
         Raises
         ------
         InputError
-            Something is missing, or the positions make no sense.
+            A choice is missing, or the positions are wrong.
         """
-        if told := self.missing():
-            raise InputError(f"{told} first")
+        if missing := self.missing():
+            raise InputError(f"{missing} first")
         scene, bank, out = self.scene.path, self.bank.path, self.out.path
         assert scene is not None
         assert bank is not None
@@ -149,7 +129,7 @@ class RequestForm(QWidget):
         return Request(tuple(arguments), out, names_virtual_rig(rig))
 
     def save_settings(self) -> None:
-        """Remember what is chosen."""
+        """Keep the choices for the next session."""
         settings = self._context.settings
         for name, field in self._fields().items():
             settings.keep(f"verification/{name}", str(field.path or ""))
@@ -190,7 +170,7 @@ class RequestForm(QWidget):
         self.step.setVisible(key == "every")
         self.rows.setVisible(key == "rows")
 
-    def _recall(self) -> None:
+    def _restore_settings(self) -> None:
         settings = self._context.settings
         for name, field in self._fields().items():
             if text := settings.text(f"verification/{name}"):
@@ -203,18 +183,9 @@ class RequestForm(QWidget):
     def _fields(self) -> dict[str, PathField]:
         return {"scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out}
 
-    def _align_labels(self) -> None:
-        """One width for the words of a column."""
-        for column in ((self.scene, self.rig), (self.bank, self.out)):
-            labels = [field.findChild(QLabel) for field in column]
-            widest = max(label.sizeHint().width() for label in labels if label is not None)
-            for label in labels:
-                if label is not None:
-                    label.setMinimumWidth(widest)
-
 
 def unused_folder(folder: Path) -> Path:
-    """The folder, or the first of ``NAME-2``, ``NAME-3``, ... where it holds results of a verification."""
+    """Return the folder, or the first of ``NAME-2``, ``NAME-3``, ... where it holds results of a verification."""
     if not _holds_results(folder):
         return folder
     stem, _, number = folder.name.rpartition("-")

@@ -25,18 +25,19 @@ class WaveformPanel(QWidget):
         super().__init__()
         self._results: Results | None = None
         self.index = -1
-        self.place = QLabel()
+        self.place, self.figures = QLabel(), QLabel()
         self.place.setAccessibleName("Position shown")
-        self.place.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.figures = QLabel()
         self.figures.setAccessibleName("Figures of the position")
-        self.figures.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        for label in (self.place, self.figures):
+            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.figures.setTextInteractionFlags(Qt.TextInteractionFlags() | Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.legend = QLabel()  # not in the plot, where it would lie over the waveforms
-        self.legend.setAccessibleName("What the lines are")
+        self.legend = QLabel()  # outside the plot, where it would cover the waveforms
+        self.legend.setAccessibleName("Legend of the lines")
         self.plot = Plot("Waveforms at the position", "time (ms); click: show that instant", "response")
         self.plot.setMinimumHeight(90)
-        self.plot.setToolTip("Click: show that instant on the maps. Wheel: zoom. Drag: move. Double click: everything.")
+        self.plot.setToolTip(
+            "Click: show that instant on the maps. Wheel: zoom. Drag: pan. Double click: show everything."
+        )
         self.plot.getPlotItem().getAxis("left").setWidth(64)
         self._instant = pyqtgraph.InfiniteLine(angle=90, movable=False)
         self.plot.scene().sigMouseClicked.connect(self._clicked)
@@ -53,7 +54,7 @@ class WaveformPanel(QWidget):
         self.show_results(None)
 
     def show_results(self, results: Results | None) -> None:
-        """Take up another verification; no position is shown yet."""
+        """Show another verification, at no position."""
         self._results = results
         self.show_position(-1)
 
@@ -83,17 +84,17 @@ class WaveformPanel(QWidget):
         ):
             x, y = thinned(time_ms, factor * values)
             line = plot.plot(x, y, pen=pyqtgraph.mkPen(colours[name], width=width), connect="finite")
-            # The mark of the instant moves over it twenty times a second, and must not have it drawn anew.
+            # Cached: the mark of the instant moves over it twenty times a second.
             line.curve.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
         plot.addItem(self._instant)
         self.plot.setXRange(float(time_ms[0]), float(time_ms[-1]), padding=0.01)
         plot.getViewBox().enableAutoRange(axis="y")
         row, at_mm = int(results.record.position_index[index]), results.record.position_mm[index]
         self.place.setText(f"position {row} at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) mm")
-        told = _told(results, index)
-        self.figures.setText(told)
+        text = _figures_text(results, index)
+        self.figures.setText(text)
         self.figures.setToolTip(
-            f"relative {told}\nWithin the bank's band, over all samples of this position: norm of (scan − prediction) "
+            f"relative {text}\nWithin the bank's band, over all samples of this position: norm of (scan − prediction) "
             "over norm of the scan, zero-lag correlation, and norm of the scan over norm of the prediction"
         )
 
@@ -102,7 +103,7 @@ class WaveformPanel(QWidget):
         self._instant.setValue(1e3 * time_s)
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self.plot.apply_theme(theme)
         self.legend.setText(
             "   ".join(f'<span style="color:{colour}">━ {name}</span>' for name, colour in _lines(theme))
@@ -121,7 +122,7 @@ def _lines(theme: Theme) -> list[tuple[str, str]]:
     return [("prediction", theme.traces[0]), ("scan", theme.traces[1]), ("difference", theme.traces[3])]
 
 
-def _told(results: Results, index: int) -> str:
+def _figures_text(results: Results, index: int) -> str:
     """The figures of a position, or why it has none."""
     row = int(results.record.position_index[index])
     if row in results.record.excluded:

@@ -96,7 +96,7 @@ def test_given_edits_then_drives_field_and_figures_follow_and_nothing_of_an_olde
     bench.edit(line_scene(amplitude=4.0, limit_v=limit_v))
     assert panel.driven is not None
     assert panel.driven.peak_v.max() == pytest.approx(limit_v)
-    assert panel.drives.said.text() == "scaled by 0.25 for limit_v"
+    assert panel.drives.note.text() == "scaled by 0.25 for limit_v"
     verdicts = {figure.name: figure.verdict for figure in panel.figures.figures}
     assert (verdicts["scale by the limits"], verdicts["peak of the drives"]) == (HELD, HELD)
     assert "crosstalk of source 0" in verdicts

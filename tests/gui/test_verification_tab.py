@@ -17,6 +17,7 @@ from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from gui.shell.window import Window
+from gui.surface.time_slider import TimeSlider
 from gui.verification.tab import VerificationTab
 from tests.gui.conftest import campaign_of, wait
 from wavefocus.__main__ import run
@@ -159,30 +160,40 @@ def test_given_a_click_on_a_map_then_the_waveforms_there_and_their_figures(
     assert tab.waveforms.index == index or record.position_mm[tab.waveforms.index][0] > record.position_mm[index][0]
 
 
-def test_given_the_time_slider_then_it_goes_from_focus_to_focus_plays_and_starts_anew(
+def test_given_the_time_slider_then_it_goes_from_focus_to_focus_and_the_maps_follow(
     qtbot: QtBot, open_window: Callable[..., Window], verified: Path
 ) -> None:
     _, tab = opened(qtbot, open_window, verified)
     time, focus = tab.maps.time, tab.results.record.focus_s
     assert time.time_s == pytest.approx(focus[0], abs=1e-4)
+    before = tab.maps.maps[0].values.copy()
     qtbot.mouseClick(time.next, Qt.MouseButton.LeftButton)
     assert time.time_s == pytest.approx(focus[1], abs=1e-4)
     assert time.time_label.text() == f"{1e3 * time.time_s:.2f} ms"
-    before = tab.maps.maps[0].values.copy()
-    time.slower.setCurrentIndex(time.slower.findData(50))
-    qtbot.mouseClick(time.play, Qt.MouseButton.LeftButton)
-    here = time.sample
-    wait(qtbot, lambda: time.sample > here)
-    time.go_to(time.slider.maximum())
-    wait(qtbot, lambda: time.sample < here)  # it looped
-    qtbot.mouseClick(time.play, Qt.MouseButton.LeftButton)
-    assert not time.playing
-    time.loop.setChecked(False)
-    time.go_to(time.slider.maximum() - 1)
-    time.play.click()
-    wait(qtbot, lambda: not time.playing)
-    assert time.sample == time.slider.maximum()
     assert not np.array_equal(before, tab.maps.maps[0].values)
+
+
+def test_given_play_then_samples_follow_the_clock_loop_or_stop_at_the_end(qtbot: QtBot) -> None:
+    now_s = 0.0
+    time = TimeSlider(lambda: now_s)
+    qtbot.addWidget(time)
+    time.show_samples(0.0, 1000.0, 101, marks=[10])
+    time.slower.setCurrentIndex(time.slower.findData(50))
+    time.play.click()
+    now_s = 2.0
+    time.advance()
+    assert time.sample == 10 + 40
+    now_s = 4.6  # beyond the end
+    time.advance()
+    assert (time.sample, time.playing) == (0, True)
+    time.loop.setChecked(False)
+    now_s = 10.0
+    time.advance()
+    assert (time.sample, time.playing) == (100, False)
+    time.play.click()
+    assert (time.sample, time.playing) == (0, True)
+    time.to_mark(-1)
+    assert time.sample == 10
 
 
 def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_told(

@@ -11,7 +11,7 @@ from PyQt5.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSizePoli
 
 from gui.scene.results.messages import Driven
 from gui.shell.theme import Theme
-from gui.shell.widgets import side_by_side, stacked
+from gui.shell.widgets import named, side_by_side, stacked
 from gui.surface.plot import Plot, Real, thinning_curve, whole_ticks
 from storage.units import quantity
 
@@ -28,26 +28,24 @@ class DrivesView(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.driven: Driven | None = None
-        self.actuator = QComboBox()
-        self.actuator.setAccessibleName("Actuator that is emphasised")
-        self.actuator.setToolTip("Actuator whose drive is emphasised, with its limit (V)")
+        tip = "All drives, or the drive of one actuator with its limit (V)"
+        self.actuator = named(QComboBox(), tip, "Actuator shown")
         self.actuator.addItem("all actuators")
-        self.own_scale = QCheckBox("own scale")
-        self.own_scale.setAccessibleName("Each drive to its own peak")
-        self.own_scale.setToolTip("Draw each actuator's drive to its own peak, so that weak ones are seen, too")
-        self.said = QLabel()
-        self.said.setProperty("role", "faint")
-        self.said.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.traces = _Traces()
-        self.levels = _Levels()
-        self.gains = _Gains()
+        tip = "Draw each actuator's drive to its own peak, so that weak ones are seen, too"
+        self.own_scale = named(QCheckBox("own scale"), tip, "Each drive to its own peak")
+        self.note = QLabel()
+        self.note.setProperty("role", "faint")
+        self.note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.traces = TracePlot()
+        self.levels = LevelPlot()
+        self.gains = GainPlot()
         lower = side_by_side((self.levels, 280), (self.gains, 200))
         both = stacked((self.traces, 330), (lower, 180), growing=[0])
         row = QHBoxLayout()
         row.setContentsMargins(4, 4, 4, 2)
         row.addWidget(self.actuator)
         row.addWidget(self.own_scale)
-        row.addWidget(self.said, stretch=1)
+        row.addWidget(self.note, stretch=1)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(2)
@@ -57,7 +55,6 @@ class DrivesView(QWidget):
         self.own_scale.toggled.connect(self._draw)
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Small enough to share a tab with a picture."""
         return QSize(480, 300)
 
     def show_driven(self, driven: Driven | None) -> None:
@@ -74,7 +71,7 @@ class DrivesView(QWidget):
         self._draw()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         for plot in (self.traces, self.levels, self.gains):
             plot.apply_theme(theme)
         self._draw()
@@ -89,35 +86,37 @@ class DrivesView(QWidget):
         for plot in (self.levels, self.gains):
             plot.getPlotItem().clear()
         if self.driven is None:
-            self.said.setText("")
-            self.said.setToolTip("")
+            self.note.setText("")
+            self.note.setToolTip("")
             return
         limiting = self.driven.limiting
         scaled = f"scaled by {limiting.scale:.3g} for {limiting.decided_by}"
-        self.said.setText("within all limits" if limiting.decided_by is None else scaled)
-        self.said.setToolTip(str(limiting))
+        self.note.setText("within all limits" if limiting.decided_by is None else scaled)
+        self.note.setToolTip(str(limiting))
         self.levels.show_driven(self.driven, chosen)
         self.gains.show_driven(self.driven)
 
 
-class _Traces(Plot):
+class TracePlot(Plot):
+    """Drives over time."""
+
     def __init__(self) -> None:
         super().__init__("Drives of all actuators", "time (s)", "actuator")
         self._ends = 0.0, 0.0
         self._curves: list[pyqtgraph.PlotDataItem] = []
         self._limits = [pyqtgraph.InfiniteLine(angle=0), pyqtgraph.InfiniteLine(angle=0)]
-        self._begun = pyqtgraph.InfiniteLine(0.0)
-        self._begun.setZValue(-1)
+        self._zero = pyqtgraph.InfiniteLine(0.0)
+        self._zero.setZValue(-1)
         plot = self.getPlotItem()
         plot.getAxis("left").setWidth(_AXIS_PX)
-        for line in (*self._limits, self._begun):
+        for line in (*self._limits, self._zero):
             line.hide()
             plot.addItem(line)
 
     def show_driven(self, driven: Driven | None, chosen: int, *, own_scale: bool = False) -> None:
         plot, theme = self.getPlotItem(), self.theme
-        self._begun.setPen(pyqtgraph.mkPen(theme.faint, style=Qt.PenStyle.DotLine))
-        self._begun.setVisible(driven is not None)
+        self._zero.setPen(pyqtgraph.mkPen(theme.faint, style=Qt.PenStyle.DotLine))
+        self._zero.setVisible(driven is not None)
         if driven is None:
             self._show_curves(np.zeros(0), [], 1.0)
             self._show_limit(None)
@@ -133,9 +132,9 @@ class _Traces(Plot):
             plot.getAxis("left").setTicks(None)
             reach = _ROOM * max(largest, limit_v or 0.0, 1e-12)
             plot.setYRange(-reach, reach, padding=0.0)
-            told = f"largest {quantity(f'{largest:.3g}', driven.unit)}"
+            title = f"largest {quantity(f'{largest:.3g}', driven.unit)}"
             if limit_v is not None:
-                told += f" of {quantity(f'{limit_v:.3g}', driven.unit)} (dashed)"
+                title += f" of {quantity(f'{limit_v:.3g}', driven.unit)} (dashed)"
         else:
             peaks = np.abs(volts).max(axis=1, initial=0.0) if own_scale else np.full(len(volts), largest)
             scales = np.float32(_STEP) / np.where(peaks > 0, peaks, 1.0).astype(np.float32)
@@ -144,18 +143,18 @@ class _Traces(Plot):
             plot.setLabel("left", "actuator")
             plot.getAxis("left").setTicks([whole_ticks(len(volts)), []])
             plot.setYRange(-1.0, len(volts), padding=0.0)
-            told = (
+            title = (
                 "each to its own peak" if own_scale else f"a step is {quantity(f'{largest / _STEP:.3g}', driven.unit)}"
             )
-        plot.setTitle(told, color=theme.text, size="9pt")
-        # Whoever looks at a detail goes on looking at it while the scene is edited.
+        plot.setTitle(title, color=theme.text, size="9pt")
+        # A zoomed view stays while the scene is edited.
         ends = float(time_s[0]), float(time_s[-1])
         if ends != self._ends:
             self._ends = ends
             plot.setXRange(*ends, padding=0.01)
 
     def _show_curves(self, x: Real, curves: Sequence[Real], width: float) -> None:
-        """Curves are kept and filled anew: thinned ones cannot be taken out of a plot."""
+        """Curves are reused: thinned ones cannot be taken out of a plot."""
         pen = pyqtgraph.mkPen(self.theme.traces[0], width=width)
         while len(self._curves) < len(curves):
             self._curves.append(thinning_curve())
@@ -175,12 +174,14 @@ class _Traces(Plot):
             line.setValue(side * (limit_v or 0.0))
 
 
-class _Levels(Plot):
+class LevelPlot(Plot):
+    """Peak and rms of each actuator."""
+
     def __init__(self) -> None:
         super().__init__("Peak and rms of each actuator", "actuator", "level (V)")
         self.getPlotItem().getAxis("left").setWidth(_AXIS_PX)
         self.setToolTip(
-            "What each actuator's drive reaches (V): outlined its peak, filled its rms over 1 s;"
+            "Level of each actuator's drive (V): outlined the peak, filled the rms over 1 s;"
             " dashed the limit of the peak, dotted that of the rms"
         )
 
@@ -210,7 +211,9 @@ class _Levels(Plot):
         plot.setYRange(0.0, _ROOM * top, padding=0.0)
 
 
-class _Gains(Plot):
+class GainPlot(Plot):
+    """n(x) along the paths."""
+
     def __init__(self) -> None:
         super().__init__("n(x) along the paths", "time (s)", "n(x) (dB)")
         self.getPlotItem().getAxis("left").setWidth(_NARROW_PX)
