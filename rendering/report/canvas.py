@@ -67,14 +67,14 @@ class Canvas:
     Fixed places keep neighbouring pictures aligned, and cost a third of an automatic layout.
     """
 
-    def __init__(self, name: str, width_px: float, height_px: float) -> None:
+    def __init__(self, name: str, width_px: float, height_px: float, *, density: int = DENSITY) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
         self._name, self._size_px = name, (round(width_px), round(height_px))
         size_inch = (self._size_px[0] / CSS_PPI, self._size_px[1] / CSS_PPI)
-        self.figure = Figure(figsize=size_inch, dpi=CSS_PPI * DENSITY)
-        self._canvas: Any = FigureCanvasAgg(self.figure)
+        self.figure = Figure(figsize=size_inch, dpi=CSS_PPI * density)
+        self.agg: Any = FigureCanvasAgg(self.figure)
 
     def axes(self, left_px: float, top_px: float, width_px: float, height_px: float) -> Axes:
         """Axes whose frame lies there, measured from the upper left."""
@@ -94,8 +94,8 @@ class Canvas:
         with warnings.catch_warnings():
             # A name may hold letters that the font lacks; they are drawn as boxes.
             warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-            self._canvas.draw()
-        pixels = Image.fromarray(np.asarray(self._canvas.buffer_rgba())).convert("RGB")
+            self.agg.draw()
+        pixels = Image.fromarray(np.asarray(self.agg.buffer_rgba())).convert("RGB")
         buffer = io.BytesIO()
         # 256 colours are enough for flat maps and lines, and a third of the bytes.
         pixels.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, BinaryIO, Self, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource
 from rendering.report.canvas import (
-    CSS_PPI,
     FAINT,
     INK,
     STYLE,
@@ -100,9 +99,6 @@ class _Stage:
     def __init__(
         self, field: FieldRowReader, surface: Surface, drive: Drive | None, plan: FramePlan, top: float, width_px: int
     ) -> None:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
         self._field, self._surface, self._plan = field, surface, plan
         self._drive_foci = None if drive is None else Foci.of(drive)
         self._factor, unit = scaled_unit(top, field.response_unit)
@@ -110,11 +106,9 @@ class _Stage:
         height = surface.height_px(map_px)
         height_px = round(TOP_PX + height + BOTTOM_PX)
         self._size_px = (width_px, height_px)
-        figure = Figure(figsize=(width_px / CSS_PPI, height_px / CSS_PPI), dpi=CSS_PPI)
-        self._canvas = cast(Any, FigureCanvasAgg(figure))
-        axes = figure.add_axes(
-            (LEFT_PX / width_px, BOTTOM_PX / height_px, map_px / width_px, height / height_px)
-        )  # fmt: skip
+        canvas = Canvas("movie", width_px, height_px, density=1)
+        figure, self._canvas = canvas.figure, canvas.agg
+        axes = canvas.axes(LEFT_PX, TOP_PX, map_px, height)
         draw_surface(axes, surface, path=True)
         axes.set(xlabel="x (mm)", ylabel="y (mm)")
         level = self._factor * top
@@ -122,9 +116,7 @@ class _Stage:
             axes, surface, field.position_index, np.zeros(len(field.position_index)), colours=COLOURS,
             limits=(-level, level),
         )  # fmt: skip
-        bar = figure.add_axes(
-            ((LEFT_PX + map_px + 12) / width_px, BOTTOM_PX / height_px, 11 / width_px, height / height_px)
-        )
+        bar = canvas.axes(LEFT_PX + map_px + 12, TOP_PX, 11, height)
         figure.colorbar(self._cells, cax=bar, label=f"y ({unit})", extend="both")
         (self._foci,) = axes.plot([], [], "o", ms=13, mfc="none", mec=INK, mew=1.3, zorder=7)
         self._time = figure.text(LEFT_PX / width_px, 1 - 20 / height_px, "", color=INK, fontsize=10)

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.drive.block_size import choose_fft_samples
-from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError
+from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, show_mm
 from rendering.greens.interpolation.registry import scene_interpolation
 from rendering.greens.source import GreenSource
 from rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Point
+from rendering.scene.signals import MOST_SAMPLES
 from rendering.scene.size import check_scene_size
 from storage.errors import InputError
 
@@ -23,7 +24,6 @@ Int64Array = NDArray[np.int64]
 Method = Literal["sampled", "exact"]
 
 MOST_POINTS = 10**8
-MOST_SAMPLES = 2**31
 LEAST_PIECE_SAMPLES = 2048
 
 
@@ -76,7 +76,7 @@ class SampledSource:
             point, how = int(hits[0]), ""
         else:
             point, how = int(np.argmin(np.hypot(*(self.points_mm - at_mm).T))), "the path near "
-        return f"{how}path point {point} of source {self.index} at {_show(self.points_mm[point])} mm"
+        return f"{how}path point {point} of source {self.index} at {show_mm(self.points_mm[point])} mm"
 
 
 def sample_source(
@@ -200,10 +200,6 @@ class _Whereabouts:
         along = np.minimum(self._source.speed_mm_s * sample / self._rate_hz, self._source.path.length_mm)
         nodes = self.nodes_at(along, sample=start)
         return nodes.rows, nodes.weights, nodes.nearest
-
-
-def _show(point_mm: Float64Array) -> str:
-    return f"({point_mm[0]:.6g}, {point_mm[1]:.6g})"
 
 
 def sample_scene(scene: Scene, bank: GreenSource, method: Method) -> tuple[Interpolation, list[SampledSource]]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Float64Array = NDArray[np.float64]
 
 MOST_SAMPLES = 2**31
+"""No signal and no scene may have more."""
 
 
 READ_VALUES = 2**20

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 from rendering.scene.model import Scene, Source
-from rendering.scene.signals import signal_size
+from rendering.scene.signals import MOST_SAMPLES, signal_size
 from storage.errors import InputError
 
-LARGEST_SAMPLES = 2**31
-"""No scene may have more."""
 MOST_SECONDS = 3600.0
 MOST_DRIVE_BYTES = 8 * 2**30
 MOST_PATH_POINTS = 10**6
@@ -75,8 +73,8 @@ def check_scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuator
         (size.path_points, MOST_PATH_POINTS, f"{MOST_PATH_POINTS} path points"),
         (size.signal_samples, MOST_SIGNAL_SAMPLES, f"{MOST_SIGNAL_SAMPLES} samples of signals"),
     )
-    if max(size.samples, size.signal_samples) > LARGEST_SAMPLES:
-        raise InputError(f"the scene makes {size}; at most {LARGEST_SAMPLES} samples are allowed")
+    if max(size.samples, size.signal_samples) > MOST_SAMPLES:
+        raise InputError(f"the scene makes {size}; at most {MOST_SAMPLES} samples are allowed")
     for value, limit, words in limits:
         if value > limit and not scene.allow_large:
             raise InputError(f"the scene makes {size}; more than {words} must be allowed with --allow-large")
