@@ -89,7 +89,8 @@ class NeighbourWatch:
                 alone = ALONE if judgement is UNCONFIRMED else 0
                 self._bank.set_status(position, int(judgement.status), len(covered) | alone)
                 yield position, judgement
-        if not self.is_done(covered):
+        # Sessions for some scenes alone leave no note: the rest of the campaign is judged with theirs.
+        if len(covered) == self._plan.positions and not self.is_done(covered):
             self._bank.set_status(int(covered[-1]), int(self._bank.status[covered[-1]]), len(covered))
 
     def confirmed(
