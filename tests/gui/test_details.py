@@ -7,28 +7,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from PyQt5.QtCore import QEvent, QMimeData, QPoint, QPointF, Qt, QUrl
-from PyQt5.QtGui import QDragEnterEvent, QDropEvent, QMouseEvent
+from PyQt5.QtCore import QEvent, QPoint, QPointF, Qt
+from PyQt5.QtGui import QMouseEvent
 from PyQt5.QtWidgets import (
-    QAbstractButton,
-    QAbstractSpinBox,
     QApplication,
-    QComboBox,
-    QLineEdit,
-    QProgressBar,
-    QTableView,
 )
 from pytestqt.qtbot import QtBot
 
 from gui.campaign.statuses import DAMAGED, LOOKS
 from gui.campaign.surface_map import SurfaceMap
 from gui.campaign.tab import CampaignTab
-from gui.shell.settings import Settings
-from gui.shell.theme import DARK
 from gui.shell.window import Window
 from storage.bank.reading import open_bank
 from storage.point_status import STATUS_WORDS
-from tests.gui.conftest import campaign_of, wait, write_lab
+from tests.gui.conftest import campaign_of, wait
 
 LEFT = Qt.MouseButton.LeftButton
 NONE = Qt.KeyboardModifier.NoModifier
@@ -174,57 +166,3 @@ def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_lis
     assert events.lines.rowCount() == 1
     events.view.doubleClicked.emit(events.lines.index(0, 2))
     assert tab.map_panel.map.shown == 7
-
-
-def test_given_a_dropped_file_then_it_is_opened_and_stands_among_the_recent_ones(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path, memory: Settings, tmp_path: Path
-) -> None:
-    window = open_window()
-    other = write_lab(tmp_path / "other", 2, 2)
-    for path in (finished, other):
-        content = QMimeData()
-        content.setUrls([QUrl.fromLocalFile(str(path))])
-        arguments = (content, LEFT, NONE)
-        enter = QDragEnterEvent(QPoint(9, 9), Qt.DropAction.CopyAction, *arguments)
-        window.dragEnterEvent(enter)
-        assert enter.isAccepted()
-        window.dropEvent(QDropEvent(QPointF(9, 9), Qt.DropAction.CopyAction, *arguments))
-    tab = campaign_of(window)
-    assert tab.bank_field.path == finished.with_name("plate.h5") or tab.run_field.path == other
-    assert memory.recent() == [other, finished]
-    window.open_file(tmp_path / "lab" / "positions.csv")
-    assert "no tab opens such a file" in window.messages.sentence
-
-
-def test_given_a_theme_and_larger_text_then_they_are_remembered(
-    qtbot: QtBot, open_window: Callable[..., Window], memory: Settings
-) -> None:
-    window = open_window()
-    window.choose_theme("dark")
-    assert window.palette().window().color().name() == DARK.window
-    before = QApplication.font().pointSize()
-    window._resize_text(2)
-    window.close()
-    assert QApplication.font().pointSize() == before + 2
-    window._resize_text(-2)
-    assert memory.text("theme") == "dark"
-    assert memory.whole("text_pt", 0) == before
-
-
-def test_every_control_has_a_name_for_those_who_cannot_see_it_and_buttons_have_tooltips(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
-) -> None:
-    window = open_window(finished)
-    kinds = (QAbstractButton, QAbstractSpinBox, QComboBox, QLineEdit, QProgressBar, QTableView)
-    controls = [control for kind in kinds for control in window.findChildren(kind)]
-    own = [
-        control
-        for control in controls
-        if not control.objectName().startswith("qt_") and type(control).__name__ not in ("QTableCornerButton",)
-        and not isinstance(control.parent(), QTableView | QComboBox | QAbstractSpinBox | QLineEdit)
-        and type(control.parent()).__name__ != "QTabBar"
-    ]  # fmt: skip
-    assert len(own) > 20
-    assert [type(control).__name__ for control in own if not control.accessibleName()] == []
-    buttons = [control for control in own if isinstance(control, QAbstractButton)]
-    assert [button.text() for button in buttons if not button.toolTip()] == []

@@ -9,11 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from PyQt5.QtCore import QTimer
 from pytestqt.qtbot import QtBot
 
 from gui.shell.window import Window
-from storage.errors import InputError
 from tests.gui.conftest import campaign_of, wait
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="about X servers and fontconfig")
@@ -98,36 +96,3 @@ def test_given_a_file_that_is_no_bank_then_a_sentence(
     window = open_window(tmp_path / "no.h5")
     wait(qtbot, lambda: "no.h5" in window.messages.sentence)
     assert "Traceback" not in window.messages.sentence
-
-
-def test_given_an_exception_in_a_slot_then_a_sentence_with_details_and_the_window_lives(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
-) -> None:
-    window = open_window(finished)
-
-    def slip() -> None:
-        raise KeyError("a slip")
-
-    def mistake() -> None:
-        raise InputError("plate.h5: this and that is wrong")
-
-    QTimer.singleShot(0, slip)
-    wait(qtbot, lambda: "a slip" in window.messages.sentence)
-    assert "A run is not affected" in window.messages.sentence
-    assert "in slip" in window.mishaps.pop()
-    QTimer.singleShot(0, mistake)
-    wait(qtbot, lambda: window.messages.sentence == "plate.h5: this and that is wrong")
-    wait(qtbot, lambda: campaign_of(window).campaign.measured == 12)
-
-
-def test_given_a_question_then_it_stays_until_it_is_answered_whatever_is_told_meanwhile(
-    qtbot: QtBot, open_window: Callable[..., Window]
-) -> None:
-    window = open_window()
-    answers: list[str] = []
-    window.messages.ask("now or never?", ("Now", lambda: answers.append("now")))
-    window.messages.fault("something else")
-    assert window.messages.sentence == "now or never?"
-    window.messages.buttons()[0].click()
-    assert answers == ["now"]
-    assert window.messages.sentence == "something else"

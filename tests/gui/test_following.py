@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +15,14 @@ import pytest
 from acquisition.engine.events import State
 from gui.campaign.events import Weight
 from gui.campaign.figures import per_position
-from gui.campaign.follower import Life, Records
+from gui.campaign.follower import Follower, Life, Records
 from gui.campaign.model import KEPT_LINES, Campaign
 from gui.campaign.state import CampaignState, Extra, Order, possible_orders
 from gui.process.log_tail import LogTail
 from gui.shell.front_door import Pulse
 from gui.surface.surface import raster_of
 from storage.ledger.owner import Owner
+from wavefocus.commands.gui import front_door
 
 
 def test_given_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path: Path) -> None:
@@ -52,9 +57,6 @@ def _said(campaign: Campaign, **record: object) -> None:
 
 
 def _asked(campaign: Campaign, *, owned: bool, silent: bool = False) -> None:
-    import time
-    from datetime import UTC, datetime
-
     owner = Owner("here", 7) if owned else None
     pulse = Pulse(datetime.now(UTC), 7, "running", "", 3, silent)
     campaign.take(Life(owner, pulse, time.monotonic() + 1.0))
@@ -160,3 +162,18 @@ def test_given_json_lines_of_a_real_kind_then_they_are_sentences() -> None:
     line = json.loads('{"event": "session_ended", "state": "finished", "done": 6, "total": 6, "counts": {"valid": 6}}')
     _said(campaign, **line, time_s=17.0)
     assert campaign.lines[-1].text == "session over, finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"
+
+
+def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(tmp_path: Path) -> None:
+    hangs, continues = threading.Event(), threading.Event()
+
+    def hanging(_bank: Path) -> None:
+        hangs.set()
+        continues.wait(60)
+
+    follower = Follower(tmp_path / "plate.h5", replace(front_door(), read_pulse=hanging))
+    assert hangs.wait(30)
+    follower.end()
+    assert not continues.is_set()
+    assert follower.take(9) == []
+    continues.set()

@@ -269,20 +269,6 @@ def test_given_findings_in_json_then_a_button_is_offered_where_something_can_be_
     assert Finding.from_record({**finding, "verdict": "ok", "act": None}).button is None
 
 
-def test_given_all_tabs_then_no_key_of_the_rig_tab_means_something_else_too(
-    open_window: Callable[..., Window],
-) -> None:
-    window = open_window()
-    keys = [
-        action.shortcut().toString()
-        for tab in window.tabs
-        for action in tab.menu_actions()
-        if action is not None and not action.shortcut().isEmpty()
-    ]
-    own = [action.shortcut().toString() for action in tab_of(window).menu_actions() if action is not None]
-    assert [key for key in own if key and keys.count(key) != 1] == []
-
-
 def meet(qtbot: QtBot, window: Window, number: int, off_mm: float = 0.0) -> None:
     """Bring the spot onto the mark that is asked for, as a person does who sees where it really is."""
     tab = tab_of(window)

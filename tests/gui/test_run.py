@@ -111,24 +111,6 @@ def test_given_a_run_of_another_process_then_it_is_followed_live_and_left_alone_
     assert sorted(committed(bank)) == list(range(120))
 
 
-def test_given_an_own_run_then_it_goes_on_in_the_background_when_the_window_is_closed(
-    qtbot: QtBot, open_window: Callable[..., Window], long_run: Path
-) -> None:
-    window = open_window(long_run)
-    tab, bank = campaign_of(window), long_run.with_name("plate.h5")
-    press(qtbot, tab, "start")
-    wait(qtbot, lambda: state(tab) == "running")
-    own = tab.run.own
-    assert own is not None
-    window.close()
-    answer(qtbot, window, "Continue in the background")
-    assert not window.isVisible()
-    assert bank_owner(bank) is not None
-    assert own.pid is not None
-    os.kill(own.pid, signal.SIGTERM)
-    wait(qtbot, lambda: bank_owner(bank) is None)
-
-
 def test_given_a_bank_that_another_process_holds_then_the_sentence_names_it(
     qtbot: QtBot, open_window: Callable[..., Window], finished: Path
 ) -> None:
@@ -186,8 +168,11 @@ def test_given_a_bank_that_nobody_owns_then_an_order_says_so(
     wait(qtbot, lambda: "no process owns the bank" in window.messages.sentence)
 
 
-@pytest.mark.parametrize(("word", "ends"), [("Pause", "paused"), ("Stop after this position", "")])
-def test_given_an_own_run_then_closing_can_pause_or_stop_it(
+@pytest.mark.parametrize(
+    ("word", "ends"),
+    [("Continue in the background", "running"), ("Pause", "paused"), ("Stop after this position", "")],
+)
+def test_given_an_own_run_then_closing_can_leave_pause_or_stop_it(
     qtbot: QtBot, open_window: Callable[..., Window], long_run: Path, word: str, ends: str
 ) -> None:
     window = open_window(long_run)

@@ -9,15 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PyQt5.QtCore import QMimeData, QPoint, QRect, Qt, QUrl
-from PyQt5.QtGui import QColor, QDragEnterEvent
-from PyQt5.QtWidgets import QCheckBox, QStyle, QStyleOptionButton
 from pytestqt.qtbot import QtBot
 
 from gui.rig.tab import RigTab
 from gui.scene.results.exports import IDLE
 from gui.scene.tab import SceneTab
-from gui.shell.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
 from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
 from storage.bank.layout import BankHeader
@@ -25,7 +21,6 @@ from storage.bank.writer import create_bank
 from tests.gui.conftest import campaign_of, wait, write_lab
 from tests.gui.scenes import line_scene
 from tests.gui.test_run import HOLDER, answer, press
-from tests.system.test_startup import loaded_by
 
 REAL = """
 [actuators]
@@ -45,21 +40,6 @@ driver = "sounddevice"
 device = "none"
 """
 SCENE = line_scene(step_mm=4.0)
-OPEN_WINDOW = """
-import os
-os.environ["QT_QPA_PLATFORM"] = "offscreen"
-from pathlib import Path
-from PyQt5.QtCore import QSettings
-from gui.shell.application import make_application
-from gui.shell.settings import Settings
-from gui.shell.window import Window
-from wavefocus.commands.gui import front_door
-application = make_application()
-window = Window(front_door(), Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
-window.show()
-application.processEvents()
-assert len(window.tabs) == 4
-"""
 
 
 def scene_of(window: Window) -> SceneTab:
@@ -197,60 +177,3 @@ def test_given_a_campaign_and_an_unsaved_scene_then_closing_asks_one_after_the_o
     wait(qtbot, lambda: not window.isVisible())
     log = long_run.with_name("plate.events.jsonl")
     wait(qtbot, lambda: "session_ended" in log.read_text(encoding="utf-8"))
-
-
-def test_given_files_of_every_kind_then_the_window_lets_each_be_dropped(
-    open_window: Callable[..., Window], finished: Path, real_rig: Path, tmp_path: Path
-) -> None:
-    window = open_window()
-    (tmp_path / "scene.toml").write_text("[scene]\n", encoding="utf-8")
-    for path, taken in (
-        (finished, True),
-        (real_rig, True),
-        (finished.with_name("run.toml"), True),
-        (tmp_path / "scene.toml", True),
-        (finished.with_name("positions.csv"), False),
-    ):
-        content = QMimeData()
-        content.setUrls([QUrl.fromLocalFile(str(path))])
-        action, key = Qt.DropAction.CopyAction, Qt.KeyboardModifier.NoModifier
-        enter = QDragEnterEvent(QPoint(9, 9), action, content, Qt.MouseButton.LeftButton, key)
-        enter.ignore()
-        window.dragEnterEvent(enter)
-        assert (path.name, enter.isAccepted()) == (path.name, taken)
-
-
-def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Path) -> None:
-    loaded = loaded_by(OPEN_WINDOW, tmp_path)
-    assert "gui.verification.tab" in loaded
-    assert not loaded & {"scipy", "h5py", "matplotlib", "soundfile", "mocks", "acquisition.engine.campaign"}
-    assert not loaded & {
-        "rendering.field.prediction",
-        "rendering.drive.rendering",
-        "rendering.scene.model",
-        "gui.scene.results.worker",
-    }
-
-
-@pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
-def test_given_a_box_then_its_outline_is_seen_and_a_tick_says_that_it_is_on(qtbot: QtBot, theme: Theme) -> None:
-    style, option = BoxStyle(), QStyleOptionButton()
-    box = QCheckBox("Snap")
-    qtbot.addWidget(box)
-    box.setStyle(style)
-    box.setPalette(palette_of(theme))
-    box.show()
-    box.initStyleOption(option)
-    whole = style.subElementRect(QStyle.SubElement.SE_CheckBoxIndicator, option, box)
-    inside = whole.adjusted(2, 2, -2, -2)
-
-    def share(colour: str, part: QRect) -> float:
-        image, wanted = box.grab(part).toImage(), QColor(colour).getRgb()
-        colours = [image.pixelColor(x, y).getRgb() for x in range(image.width()) for y in range(image.height())]
-        return float(np.mean(np.abs(np.subtract(colours, wanted)).max(axis=1) < 40))
-
-    assert share(theme.faint, whole) > 0.1
-    tick = QColor(theme.text).darker(120).name()  # as Fusion draws it
-    assert share(tick, inside) == 0
-    box.setChecked(True)
-    assert share(tick, inside) > 0.04

@@ -1,0 +1,109 @@
+"""Child processes of the window: messages, ends, escalation, log files."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from PyQt5.QtCore import QObject
+from pytestqt.qtbot import QtBot
+
+from gui.process.command_process import STOPPED_BY_USER, CommandProcess
+from tests.gui.conftest import SOON_MS
+from wavefocus.commands.gui import front_door
+
+ECHO = """
+import sys
+print('{"event": "ready"}', 'not JSON', '[1]', sep=chr(10), flush=True)
+for line in sys.stdin:
+    print(line, end="", flush=True)
+print("wavefocus: all is done", file=sys.stderr)
+"""
+STUBBORN = """
+import signal, sys, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+print("{}", flush=True)
+while True:
+    time.sleep(60)
+"""
+
+
+def started(script: str, owner: QObject, **options: object) -> CommandProcess:
+    front = replace(front_door(), command=(sys.executable, "-c", script))
+    return CommandProcess(front, ["echo"], owner, **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def owner(qapp: object) -> QObject:
+    return QObject()
+
+
+def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot: QtBot, owner: QObject) -> None:
+    process, received = started(ECHO, owner), []
+    process.received.connect(received.append)
+    with qtbot.waitSignal(process.received, timeout=SOON_MS):
+        pass
+    assert process.running
+    process.send(order="mute")
+    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
+        process.close_input()
+    assert received == [{"event": "ready"}, {"order": "mute"}]
+    assert (process.exit_code, process.last_line, process.failure) == (0, "all is done", "")
+    assert process.last_message == {"order": "mute"}
+
+
+@pytest.mark.parametrize(
+    ("script", "code", "failure"),
+    [
+        ("import sys; sys.exit('wavefocus: this is wrong')", 1, "this is wrong"),
+        ("raise SystemExit(3)", 3, "the test ended with exit code 3"),
+        (f"raise SystemExit({STOPPED_BY_USER})", STOPPED_BY_USER, f"the test ended with exit code {STOPPED_BY_USER}"),
+    ],
+)
+def test_given_a_failure_then_its_last_line_says_why(
+    qtbot: QtBot, owner: QObject, script: str, code: int, failure: str
+) -> None:
+    process = started(script, owner, name="the test")
+    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
+        pass
+    assert (process.exit_code, process.failure) == (code, failure)
+
+
+def test_given_a_process_that_ignores_everything_then_stop_kills_it(qtbot: QtBot, owner: QObject) -> None:
+    process = started(STUBBORN, owner, advice="look at it")
+    with qtbot.waitSignal(process.received, timeout=SOON_MS):
+        pass
+    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
+        process.stop(1, 1)
+    assert process.exit_code == -signal.SIGKILL
+    assert process.failure.endswith("; look at it")
+
+
+def test_given_a_command_that_is_not_there_then_it_ends_with_127(qtbot: QtBot, owner: QObject) -> None:
+    process = CommandProcess(replace(front_door(), command=("/nowhere/wavefocus",)), ["status"], owner)
+    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
+        pass
+    assert (process.exit_code, process.pid) == (127, None)
+    assert "/nowhere/wavefocus" in process.failure
+
+
+@pytest.mark.parametrize("folder", ["lab", "missing"])
+def test_given_a_link_in_place_of_the_log_file_then_its_target_stays(
+    qtbot: QtBot, owner: QObject, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    precious = tmp_path / "precious"
+    precious.write_text("precious", encoding="utf-8")
+    (tmp_path / "lab").mkdir()
+    log_file = tmp_path / folder / "plate.h5.said"
+    for link in (tmp_path / "lab" / log_file.name, tmp_path / log_file.name):
+        link.symlink_to(precious)
+    process = started("import sys; sys.exit('wavefocus: nothing here')", owner, log_file=log_file)
+    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
+        pass
+    assert process.last_line == "nothing here"
+    assert precious.read_text(encoding="utf-8") == "precious"

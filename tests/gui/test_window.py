@@ -1,0 +1,240 @@
+"""The window's frame: errors, messages, files, size, theme, settings, accessibility, fast start."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PyQt5.QtCore import QMimeData, QPoint, QPointF, QRect, Qt, QTimer, QUrl
+from PyQt5.QtGui import QColor, QDragEnterEvent, QDropEvent
+from PyQt5.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QCheckBox,
+    QComboBox,
+    QLineEdit,
+    QProgressBar,
+    QStyle,
+    QStyleOptionButton,
+    QTableView,
+)
+from pytestqt.qtbot import QtBot
+
+from gui.scene.tab import SceneTab
+from gui.shell.settings import Settings
+from gui.shell.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
+from gui.shell.window import Window
+from storage.errors import InputError
+from tests.gui.conftest import campaign_of, wait, write_lab
+from tests.system.test_startup import loaded_by
+from wavefocus.commands.gui import front_door
+
+LEFT, NO_KEY = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+OPEN_WINDOW = """
+import os
+os.environ["QT_QPA_PLATFORM"] = "offscreen"
+from pathlib import Path
+from PyQt5.QtCore import QSettings
+from gui.shell.application import make_application
+from gui.shell.settings import Settings
+from gui.shell.window import Window
+from wavefocus.commands.gui import front_door
+application = make_application()
+window = Window(front_door(), Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
+window.show()
+application.processEvents()
+assert len(window.tabs) == 4
+"""
+
+
+def test_given_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+) -> None:
+    window = open_window(finished)
+
+    def slip() -> None:
+        raise KeyError("a slip")
+
+    def mistake() -> None:
+        raise InputError("plate.h5: this and that is wrong")
+
+    QTimer.singleShot(0, slip)
+    wait(qtbot, lambda: "a slip" in window.messages.sentence)
+    assert "in slip" in window.mishaps.pop()
+    assert [button.text() for button in window.messages.buttons()] == ["Copy details"]
+    QTimer.singleShot(0, mistake)
+    wait(qtbot, lambda: window.messages.sentence == "plate.h5: this and that is wrong")
+    window.messages.dismiss()
+    thread = threading.Thread(target=slip)
+    thread.start()
+    thread.join()
+    assert window.messages.sentence == ""  # no widget is touched in the other thread
+    wait(qtbot, lambda: "a slip" in window.messages.sentence)
+    assert "in slip" in window.mishaps.pop()
+    wait(qtbot, lambda: campaign_of(window).campaign.measured == 12)
+
+
+def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(
+    qtbot: QtBot, open_window: Callable[..., Window]
+) -> None:
+    window = open_window()
+    messages, button, answers = window.messages, campaign_of(window).run_field.browse, []
+    place = button.mapTo(window, button.rect().center())
+    for sentence in ("short", "a longer sentence that fills more than two lines " * 20):
+        messages.fault(sentence, ("Answer", lambda: None))
+        QApplication.processEvents()
+        assert button.mapTo(window, button.rect().center()) == place
+        assert messages.sentence == sentence
+    assert messages.label.text().endswith("…")
+    assert messages.label.toolTip() == messages.sentence
+    messages.ask("now or never?", ("Now", lambda: answers.append("now")))
+    messages.fault("something else")
+    assert messages.sentence == "now or never?"
+    messages.buttons()[0].click()
+    assert answers == ["now"]
+    assert messages.sentence == "something else"
+    messages.dismiss()
+    assert messages.sentence == ""
+
+
+def test_given_files_then_those_that_a_tab_opens_can_be_dropped_and_are_remembered(
+    open_window: Callable[..., Window], finished: Path, memory: Settings, tmp_path: Path
+) -> None:
+    window = open_window()
+    rig, run = tmp_path / "rig.toml", write_lab(tmp_path / "other", 2, 2)
+    rig.write_text("[rig]\n", encoding="utf-8")
+    (tmp_path / "scene.toml").write_text("[scene]\n", encoding="utf-8")
+    for path, opens in (
+        (rig, True),
+        (tmp_path / "scene.toml", True),
+        (run.with_name("positions.csv"), False),
+        (finished, True),
+        (run, True),
+    ):
+        content = QMimeData()
+        content.setUrls([QUrl.fromLocalFile(str(path))])
+        enter = QDragEnterEvent(QPoint(9, 9), Qt.DropAction.CopyAction, content, LEFT, NO_KEY)
+        enter.ignore()
+        window.dragEnterEvent(enter)
+        assert (path.name, enter.isAccepted()) == (path.name, opens)
+        if path in (finished, run):
+            window.dropEvent(QDropEvent(QPointF(9, 9), Qt.DropAction.CopyAction, content, LEFT, NO_KEY))
+    tab = campaign_of(window)
+    assert (tab.run_field.path, tab.bank_field.path) == (run, finished)
+    assert memory.recent() == [run, finished]
+    window.open_file(run.with_name("positions.csv"))
+    assert "no tab opens such a file" in window.messages.sentence
+
+
+def test_given_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+) -> None:
+    window = open_window(finished)
+    window._resize_text(6)
+    try:
+        window.messages.fault(f"/{'a_folder_without_spaces' * 40}/plate.h5: no such file")
+        for tab in window.tabs:
+            window._pages.setCurrentWidget(tab)
+            QApplication.processEvents()
+            least = window.minimumSizeHint().expandedTo(window.minimumSize())
+            assert least.width() <= 1280 - 16
+            assert least.height() <= 800 - 48
+        window.resize(1240, 720)
+        assert (window.width(), window.height()) == (1240, 720)
+    finally:
+        window._resize_text(-6)
+
+
+def test_given_size_theme_text_run_and_bank_then_the_next_window_has_them_again(
+    qtbot: QtBot, open_window: Callable[..., Window], finished: Path, memory: Settings
+) -> None:
+    window = open_window(finished.with_name("run.toml"))
+    assert campaign_of(window).bank_field.path == finished
+    window.resize(780, 560)
+    window.choose_theme("dark")
+    assert window.palette().window().color().name() == DARK.window
+    size_pt = QApplication.font().pointSize()
+    window._resize_text(2)
+    window.close()
+    assert (memory.text("theme"), memory.whole("text_pt", 0)) == ("dark", size_pt + 2)
+    window._resize_text(-2)
+    again = Window(front_door(), memory)
+    assert (again.width(), again.height()) == (780, 560)
+    assert campaign_of(again).bank_field.path is None
+    again.restore_settings()
+    tab = campaign_of(again)
+    assert (tab.run_field.path, tab.bank_field.path) == (finished.with_name("run.toml"), finished)
+    wait(qtbot, lambda: tab.campaign.measured == 12)
+    again.close_at_once()
+
+
+def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(
+    open_window: Callable[..., Window],
+) -> None:
+    window = open_window()
+    kinds = (QAbstractButton, QAbstractSpinBox, QComboBox, QLineEdit, QProgressBar, QTableView)
+    controls = [control for kind in kinds for control in window.findChildren(kind)]
+    own = [
+        control
+        for control in controls
+        if not control.objectName().startswith("qt_") and type(control).__name__ not in ("QTableCornerButton",)
+        and not isinstance(control.parent(), QTableView | QComboBox | QAbstractSpinBox | QLineEdit)
+        and type(control.parent()).__name__ != "QTabBar"
+    ]  # fmt: skip
+    assert len(own) > 20
+    assert [type(control).__name__ for control in own if not control.accessibleName()] == []
+    buttons = [control for control in own if isinstance(control, QAbstractButton)]
+    assert [button.text() for button in buttons if not button.toolTip()] == []
+    actions = [action for tab in window.tabs[:2] for action in tab.menu_actions() if action is not None]
+    everything = [one for tab in window.tabs for one in tab.menu_actions() if one is not None]
+    keys = [action.shortcut().toString() for action in everything]
+    own_keys = [action.shortcut().toString() for action in actions]
+    assert [key for key in own_keys if key and keys.count(key) != 1] == []
+    scene, campaign = next(tab for tab in window.tabs if isinstance(tab, SceneTab)), campaign_of(window)
+    for tab, plot in ((campaign, campaign.map_panel.map), (scene, scene.surface.canvas)):
+        window._pages.setCurrentWidget(tab)
+        plot.getPlotItem().getViewBox().setRange(xRange=(-0.3, 0.3), yRange=(-0.3, 0.3))
+        for side, word in (("left", "y (mm)"), ("bottom", "x (mm)")):
+            axis = plot.getPlotItem().getAxis(side)
+            assert axis.autoSIPrefixScale == 1.0
+            assert word in axis.labelString()
+
+
+@pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
+def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot: QtBot, theme: Theme) -> None:
+    style, option = BoxStyle(), QStyleOptionButton()
+    box = QCheckBox("Snap")
+    qtbot.addWidget(box)
+    box.setStyle(style)
+    box.setPalette(palette_of(theme))
+    box.show()
+    box.initStyleOption(option)
+    whole = style.subElementRect(QStyle.SubElement.SE_CheckBoxIndicator, option, box)
+    inside = whole.adjusted(2, 2, -2, -2)
+
+    def share(colour: str, part: QRect) -> float:
+        image, wanted = box.grab(part).toImage(), QColor(colour).getRgb()
+        colours = [image.pixelColor(x, y).getRgb() for x in range(image.width()) for y in range(image.height())]
+        return float(np.mean(np.abs(np.subtract(colours, wanted)).max(axis=1) < 40))
+
+    tick = QColor(theme.text).darker(120).name()  # as Fusion draws it
+    assert share(theme.faint, whole) > 0.1
+    assert share(tick, inside) == 0
+    box.setChecked(True)
+    assert share(tick, inside) > 0.04
+
+
+def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Path) -> None:
+    loaded = loaded_by(OPEN_WINDOW, tmp_path)
+    assert "gui.verification.tab" in loaded
+    assert not loaded & {"scipy", "h5py", "matplotlib", "soundfile", "mocks", "acquisition.engine.campaign"}
+    assert not loaded & {
+        "rendering.field.prediction",
+        "rendering.drive.rendering",
+        "rendering.scene.model",
+        "gui.scene.results.worker",
+    }
