@@ -17,7 +17,7 @@ from gui.process.background import Background
 from gui.scene.document import SceneDocument
 from gui.scene.draft import source_toml
 from gui.shell.tab import TabContext
-from gui.surface.surface import Surface, stadium_mm, surface_of
+from gui.surface.surface import Surface, path_line, stadium_mm, surface_of
 from storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
@@ -318,7 +318,7 @@ def _drawn(source: Source, ground: Ground, signal_s: float) -> Trace:
         too_far = distance_mm > ground.grid.spacing_mm * (1.0 + 1e-9) + 1e-9
         off, far = too_far | ~ground.usable[rows], int(too_far.sum())
     return Trace(
-        line_mm=_line(source),
+        line_mm=path_line(source.path, int(min(_LINE_POINTS_PER_MM * source.path.length_mm, _MOST_LINE_POINTS)) + 3),
         points_mm=points_mm,
         instant_s=np.asarray(source.start_s + number * period_s, np.float64),
         rows=rows,
@@ -329,16 +329,6 @@ def _drawn(source: Source, ground: Ground, signal_s: float) -> Trace:
         lasts_s=points * period_s if runs_on else (points - 1) * period_s + signal_s,
         points=points,
     )
-
-
-def _line(source: Source) -> Float64Array:
-    length_mm = source.path.length_mm
-    if length_mm == 0:
-        return source.path.point_at(np.zeros(1))
-    count = int(min(max(_LINE_POINTS_PER_MM * length_mm, 2.0), _MOST_LINE_POINTS)) + 1
-    line_mm = source.path.point_at(np.linspace(0.0, length_mm, count))
-    jumps = np.flatnonzero(np.hypot(*np.diff(line_mm, axis=0).T) > 1.5 * length_mm / (count - 1) + 1e-6) + 1
-    return np.insert(line_mm, jumps, np.nan, axis=0)
 
 
 def _file_times(draft: SourceTable) -> tuple[int, ...]:

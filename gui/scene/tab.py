@@ -112,7 +112,7 @@ class SceneTab(Tab):
         self.files.save_settings()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
-        """Stand on the bank as it is now, or the one at hand where none was chosen, and take the keys."""
+        """Read the bank again, or use the latest one, and focus the canvas."""
         super().showEvent(event)
         if self.document.bank is None:
             bank = self._latest_bank()

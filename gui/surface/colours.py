@@ -74,7 +74,7 @@ class ColourBar(pyqtgraph.GraphicsView):
     def show_range(
         self, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool] = (False, False)
     ) -> None:
-        """Name what the colours mean; `beyond` tells whether values lie below and above the ends of the scale."""
+        """Set title, unit and ends of the scale; `beyond`: whether values lie below and above the ends."""
         title = f"{title} ({unit})" if unit else title
         low, high = (
             f"{sign if there else ''}{level:.4g}"

@@ -17,6 +17,7 @@ from gui.shell.toml_files import is_virtual
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
+    from rendering.scene.paths import Path as Path2D
     from storage.bank.reading import Bank
 
 Float64Array = NDArray[np.float64]
@@ -24,6 +25,8 @@ Float64Array = NDArray[np.float64]
 _OUTLINE_POINTS = 181
 _MOST_PIXELS = 400_000
 _REACH = 1.5  # spacings
+# A path that goes this much further from one point to the next than along it has jumped.
+_JUMP = 1.5
 # Pixels per spacing, and how far a cell reaches from its position, in spacings: with gaps between cells or without.
 _WITH_GAPS, _WITHOUT_GAPS = (12, 0.45), (4, 0.55)
 
@@ -60,7 +63,7 @@ class Raster:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A surface, and what its bank says beside the measurements.
+    """A surface, and the attributes of its bank.
 
     Parameters
     ----------
@@ -145,6 +148,16 @@ def raster_of(position_mm: Float64Array, *, gaps: bool = True) -> Raster:
     _, index = tree.query(pixels_mm, p=np.inf, distance_upper_bound=cell * spacing_mm)
     left_mm, bottom_mm, width_mm, height_mm = (float(one) for one in (*low, *size_mm))
     return Raster(index.reshape(rows, columns), left_mm, bottom_mm, width_mm, height_mm, spacing_mm, tree)
+
+
+def path_line(path: Path2D, points: int) -> Float64Array:
+    """Return a path as a line (n, 2), NaN where it jumps from stroke to stroke; one point for a path at rest."""
+    if path.length_mm <= 0:
+        return path.point_at(np.zeros(1))
+    along_mm, step_mm = np.linspace(0.0, path.length_mm, points, retstep=True)
+    line_mm = path.point_at(along_mm)
+    jumps = np.flatnonzero(np.hypot(*np.diff(line_mm, axis=0).T) > _JUMP * step_mm + 1e-6) + 1
+    return np.insert(line_mm, jumps, np.nan, axis=0)
 
 
 def stadium_mm(length_mm: float, width_mm: float) -> Float64Array:

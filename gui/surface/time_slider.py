@@ -232,7 +232,7 @@ class TimeSlider(QWidget):
 
 
 class _MarkedSlider(QSlider):
-    """A slider with marks beside its groove; a click moves the handle there at once."""
+    """A slider with marks along its groove; a click moves the handle there at once."""
 
     mark_requested = pyqtSignal(int)
     play_requested = pyqtSignal()

@@ -59,7 +59,7 @@ class VerificationTab(Tab):
         return [self.row.start, self.row.cancel, None, self.row.open_earlier]
 
     def accepts(self, path: Path) -> bool:
-        """Records, folders with one, and files that lie beside one."""
+        """Records, folders with one, and files of the same folder."""
         return record_of(path) is not None
 
     def open_file(self, path: Path) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from acquisition.durations import hours
 from gui.scene.results.messages import Driven
 from gui.shell.front_door import RigLimits
+from gui.surface.surface import path_line
 from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
 from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
@@ -34,8 +35,6 @@ MOST_GAINS = 200
 MOST_PATH_POINTS = 400
 _BLOCK_SAMPLES = 8192
 _LISTED = 12
-# A path that goes this much further from one point to the next than it does on the whole has jumped.
-_JUMP = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +138,7 @@ def summarise(
         focus_s=foci.start_s,
         focus_stop_s=foci.stop_s,
         focus_mm=position_mm[foci.position],
-        paths_mm=[_path(source) for source in scene.sources],
+        paths_mm=[path_line(source.path, MOST_PATH_POINTS) for source in scene.sources],
         snap_mm=max(snaps),
         warnings=rendered.warnings,
         unit=drive.drive_unit,
@@ -213,14 +212,3 @@ def _gains(scene: Scene, bank: Bank, drive: Drive) -> tuple[Float64Array, Float6
         known[position] = math.nan if found is None else math.ldexp(found.gain, found.gain_exponent)
     gain = np.array([known[position] for position in drive.focus_position[chosen].tolist()])
     return drive.focus_sample[chosen] / drive.sample_rate_hz, gain
-
-
-def _path(source: Source) -> Float64Array:
-    """A source's path as a line, NaN where it jumps from stroke to stroke; one point where it rests."""
-    length_mm = source.path.length_mm
-    if length_mm <= 0:
-        return source.path.point_at(np.zeros(1))
-    along_mm, step_mm = np.linspace(0.0, length_mm, MOST_PATH_POINTS, retstep=True)
-    points = source.path.point_at(along_mm)
-    jumps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _JUMP * step_mm) + 1
-    return np.insert(points, jumps, np.nan, axis=0)

@@ -133,7 +133,7 @@ def field_figures(found: FocusFigures, field: PredictedField) -> list[Figure]:
         *(
             Figure(
                 f"crosstalk of source {source}", f"{100 * ratio:.1f}", "%",
-                "Amplitude of what all other foci of the path together make heard at a focus, in the middle of its"
+                "Amplitude of the response at a focus to all other foci of the path, in the middle of its"
                 " emission, over that of its own; over at most 24 path points in the middle of the path.",
             )
             for source, ratio in found.crosstalk
