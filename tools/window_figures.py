@@ -257,7 +257,7 @@ def _position(number: int) -> list[str]:
 def _resident_bytes() -> int:
     import gc
 
-    gc.poll()
+    gc.collect()
     for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith("VmRSS"):
             return int(line.split()[1]) * 1024

@@ -43,7 +43,7 @@ def warm_up(commands: list[list[str]]) -> None:
         for command in commands:
             run(command)
     # A collection in a child would touch, and so copy, every page of what it inherits.
-    gc.poll()
+    gc.collect()
     gc.freeze()
 
 
