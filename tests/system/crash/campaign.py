@@ -24,7 +24,7 @@ name = "two coils"
 [actuators]
 position_mm = [[110.0, 0.0], [0.0, 60.0]]
 """
-# Position 2 stays poor for a while, so that there is something to measure again.
+# Each position is measured once, so that what it may hold at any instant is known. Position 2 stays poor for a while, so that there is something to measure again.
 RUN = """
 rig = "rig.toml"
 [grid]
@@ -37,7 +37,7 @@ decay_s = 0.1
 taps = 200
 sample_rate_hz = 2000.0
 [quality]
-second_look = "{second_look}"
+second_look = "never"
 [virtual]
 seed = 3
 noise_v = 1e-4
@@ -97,14 +97,10 @@ class Verdict:
         self.notes.append(f"{kind}: {message}")
 
 
-def write_lab(folder: Path, *, keep_raw: bool = False, poor: int = POOR_ATTEMPTS[0], second_look: str = "auto") -> Path:
+def write_lab(folder: Path, *, keep_raw: bool = False, poor: int = POOR_ATTEMPTS[0]) -> Path:
     """Write the campaign's files; return the run file."""
     folder.mkdir(parents=True, exist_ok=True)
-    run = (
-        RUN.replace("{poor}", str(poor))
-        .replace("{second_look}", second_look)
-        .replace("[capture]", f"[capture]\nkeep_raw = {str(keep_raw).lower()}")
-    )
+    run = RUN.replace("{poor}", str(poor)).replace("[capture]", f"[capture]\nkeep_raw = {str(keep_raw).lower()}")
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
     (folder / "run.toml").write_text(run, encoding="utf-8")
     (folder / "positions.csv").write_text(POSITIONS, encoding="utf-8")
@@ -163,12 +159,9 @@ class Campaign:
         )  # fmt: skip
         for poor in POOR_ATTEMPTS:
             self.clear()
+            write_lab(self.lab, keep_raw=keep_raw, poor=poor)
             self.rows: list[list[np.ndarray]] = [[] for _ in range(POSITIONS.count("\n") - 1)]
             self.recordings: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self.rows]
-            write_lab(self.lab, keep_raw=keep_raw, poor=poor, second_look="never")
-            self._uninterrupted(self.capture)  # notes what positions are like before they are measured again
-            self.clear()
-            write_lab(self.lab, keep_raw=keep_raw, poor=poor)
             self.captured = self._uninterrupted(self.capture)
             self.remeasured = self._uninterrupted(self.remeasure)
             if self.captured != self.remeasured:
