@@ -24,7 +24,8 @@ name = "two coils"
 [actuators]
 position_mm = [[110.0, 0.0], [0.0, 60.0]]
 """
-# Each position is measured once, so that what it may hold at any instant is known. Position 2 stays poor for a while, so that there is something to measure again.
+# Each position is measured once, so that what it may hold at any instant is known.
+# Position 2 stays poor for a while, so that there is something to measure again.
 RUN = """
 rig = "rig.toml"
 [grid]
