@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from storage.errors import InputError
@@ -36,10 +35,13 @@ class Device:
     to_host: Callable[[Any], NDArray[Any]]
     memory_bytes: int
 
-    @property
-    def fft(self) -> Any:
-        """Transforms: SciPy's for NumPy, which make several at once, else the namespace's own."""
-        return scipy.fft if self.xp is np else self.xp.fft
+    def fft(self, *, single: bool) -> Any:
+        """Transforms: the namespace's own, but SciPy's for NumPy in single precision."""
+        if single and self.is_host:
+            import scipy.fft  # 1.5 times as fast, and 0.3 s to load
+
+            return scipy.fft
+        return self.xp.fft
 
     def dtype(self, kind: type[Any]) -> Any:
         """The namespace's own type for one of NumPy's."""
@@ -49,6 +51,20 @@ class Device:
     def is_host(self) -> bool:
         """Whether arrays are NumPy's, so that threads of this process compute side by side."""
         return self.xp is np
+
+
+def fast_length(least: int) -> int:
+    """Smallest transform length of at least so many samples that has no other factors than 2, 3 and 5."""
+    best = 1 << max(least - 1, 0).bit_length()
+    five = 1
+    while five < best:
+        three = five
+        while three < best:
+            # The smallest power of two that makes it long enough.
+            best = min(best, three << max(-(-least // three) - 1, 0).bit_length())
+            three *= 3
+        five *= 5
+    return best
 
 
 def host_device() -> Device:

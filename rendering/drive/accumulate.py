@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
 from rendering.band import Band, choose_band, norm_of, scale
 from rendering.device import Device, host_device
@@ -121,7 +120,7 @@ class SourceDrives:
         self._piece_spectra = emission.piece_spectra(fft_samples)
         inside = slice(0, 0)
         if band_hz is not None:
-            frequency_hz = scipy_fft.rfftfreq(fft_samples, 1.0 / rows.bank.sample_rate_hz)
+            frequency_hz = np.fft.rfftfreq(fft_samples, 1.0 / rows.bank.sample_rate_hz)
             inside = slice(*np.searchsorted(frequency_hz, [band_hz[0], np.nextafter(band_hz[1], np.inf)]).tolist())
         self._inside = inside
         self._exponent: int | None = None
@@ -250,7 +249,7 @@ class SourceDrives:
                     size = np.sqrt(power[place])
                     magnitude += size * known.magnitude
                     coherent += float(size.max()) * known.norm
-        samples = self._device.to_host(self._device.fft.irfft(total, n=self.block_samples, axis=1))
+        samples = self._device.to_host(self._device.fft(single=band.single).irfft(total, n=self.block_samples, axis=1))
         error = 0.0 if band.exact else band.block_error(magnitude, coherent, len(windows))
         return _Block(samples, error, len(windows), band_energy, energy)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
+
+from rendering.device import fast_length
 
 Int64Array = NDArray[np.int64]
 
@@ -40,7 +41,7 @@ def choose_fft_samples(reach: int, span: int, actuators: int, focus_position: In
     moves = nodes * np.count_nonzero(np.diff(focus_position))
     best, least = 0, np.inf
     for hop in sorted({min(span, max(LEAST_HOP_SAMPLES, int(share * reach))) for share in HOPS}):
-        fft_samples = int(scipy_fft.next_fast_len(reach + hop - 1, real=True))
+        fft_samples = fast_length(reach + hop - 1)
         blocks = -(-span // (fft_samples - reach + 1))
         pairs = moves + nodes * blocks
         transform_s = TRANSFORM_S * fft_samples * np.log2(fft_samples)

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
+from rendering.device import fast_length
 from rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive, require_finite
 from rendering.field.metrics import band_weights
 from rendering.greens.bank_rows import BankRows
@@ -122,7 +122,7 @@ def inverse_filter(
     ]
     rows = BankRows(kind.rows_of(bank), Regularisation(normalise=False))
     samples = max(source.emission.stop_sample for source in sources) + taps - 1
-    length = int(scipy_fft.next_fast_len(samples + 3 * taps, real=True))
+    length = fast_length(samples + 3 * taps)
     band = _Band(length, rate_hz, bank.band_hz)
     points_mm, place = _control_points(sources)
     if 16 * len(band.bins) * len(points_mm) * bank.actuators > SYSTEM_BYTES:
@@ -143,7 +143,7 @@ def inverse_filter(
     misfit = float(np.linalg.norm(heard - wanted) / max(float(np.linalg.norm(wanted)), 1e-300))
     whole = np.zeros((bank.actuators, length // 2 + 1), dtype=np.complex128)
     whole[:, band.bins] = spectra.T
-    in_time = scipy_fft.irfft(whole, length, axis=1)
+    in_time = np.fft.irfft(whole, length, axis=1)
     drive_v = np.ascontiguousarray(in_time[:, taps : taps + samples])
     energy = float(np.square(in_time).sum())
     cut_share = 1.0 - float(np.square(drive_v).sum()) / energy if energy > 0 else 0.0
@@ -185,7 +185,7 @@ class _Band:
     def __init__(self, length: int, rate_hz: float, band_hz: tuple[float, float] | None) -> None:
         weights = np.ones(length // 2 + 1) if band_hz is None else band_weights(length, rate_hz, band_hz)
         self.bins: Int64Array = np.flatnonzero(weights > 0)
-        self.frequency_hz: Float64Array = scipy_fft.rfftfreq(length, 1.0 / rate_hz)[self.bins]
+        self.frequency_hz: Float64Array = np.fft.rfftfreq(length, 1.0 / rate_hz)[self.bins].astype(np.float64)
         self.weights: Float64Array = weights[self.bins].astype(np.float64)
         # What a bin adds to the first sample of a real signal: all but the first and last count twice.
         ends = (self.bins == 0) | (2 * self.bins == length)
@@ -215,7 +215,7 @@ def _system(
     for row, by_point in sorted(uses.items()):
         scaled = rows.read(row)
         exponent = scaled.exponent if exponent is None else exponent
-        spectrum = scipy_fft.rfft(scaled.values, length, axis=1)[:, band.bins].T
+        spectrum = np.fft.rfft(scaled.values, length, axis=1)[:, band.bins].T
         spectrum *= np.ldexp(1.0, scaled.exponent - exponent)
         for point, weight in by_point.items():
             system[:, point] += weight * spectrum
@@ -240,7 +240,7 @@ def _wanted(
         for point, begin, end in zip(at.tolist(), begins.tolist(), ends.tolist(), strict=True):
             part = source.signal if anew else source.signal[begin - begins[0] : end - begins[0]]
             wanted[point, lead + begin : lead + begin + len(part)] += part
-    spectra = scipy_fft.rfft(wanted, axis=1)[:, band.bins].T
+    spectra = np.fft.rfft(wanted, axis=1)[:, band.bins].T
     return np.asarray(spectra * band.weights[:, None])
 
 

@@ -89,7 +89,7 @@ class RowSpectra:
     def _transform(self, row: int) -> RowSpectrum:
         scaled = self._rows.read(row, single=self.band.single).values
         reversed_in_time = self._device.xp.asarray(np.ascontiguousarray(scaled[:, ::-1], dtype=self.band.real))
-        whole = self._device.fft.rfft(reversed_in_time, n=self.band.fft_samples, axis=1)
+        whole = self._device.fft(single=self.band.single).rfft(reversed_in_time, n=self.band.fft_samples, axis=1)
         if not self._bounded:
             return RowSpectrum(self._cut(whole))
         host = self._device.to_host(whole)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import soundfile
 from numpy.typing import NDArray
 
 from drivers.audio.resampling import HALF_LENGTH, converted, lead_samples, rate_ratio
@@ -154,6 +153,8 @@ def stream_wav(
     Returns largest magnitude at the interface's rate, in volts. Raises InputError: a drive is beyond full scale or
     cannot be rendered, or the rates have no ratio of small whole numbers.
     """
+    import soundfile  # loaded by those who write a file
+
     try:
         rate = InterfaceRate(sample_rate_hz, interface_rate_hz)
     except InputError as error:

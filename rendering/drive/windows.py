@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 Float64Array = NDArray[np.float64]
@@ -123,7 +122,7 @@ class Windows:
             chosen = (part >= begin) & (part < end)
             part, sample, amount = part[chosen] - begin, sample[chosen], amount[chosen]
         dense = np.bincount(part * fft_samples + sample, weights=amount, minlength=(end - begin) * fft_samples)
-        spectra: Complex128Array = scipy.fft.rfft(dense.reshape(end - begin, fft_samples), axis=1)
+        spectra: Complex128Array = np.fft.rfft(dense.reshape(end - begin, fft_samples), axis=1)
         if piece_spectra is None:
             return spectra
         parts = self._parts[begin:end]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
+from rendering.device import fast_length
 from rendering.field.metrics import RealArray, band_weights
 
 # A delay between prediction and scan is looked for within this time.
@@ -28,7 +28,7 @@ class BandLimit:
     def __init__(self, samples: int, sample_rate_hz: float, band_hz: tuple[float, float] | None) -> None:
         silence_s = MOST_DELAY_S if band_hz is None else 2.0 / band_hz[0]
         self._samples = samples
-        self._padded = fft.next_fast_len(samples + round(silence_s * sample_rate_hz), real=True)
+        self._padded = fast_length(samples + round(silence_s * sample_rate_hz))
         self.bins = self._padded // 2 + 1
         self._weights = np.ones(self.bins, np.float32)
         if band_hz is not None:
@@ -41,7 +41,7 @@ class BandLimit:
 
     def spectrum(self, signals: RealArray) -> NDArray[np.complex64]:
         """Spectra within the band of signals of shape (..., samples)."""
-        limited: NDArray[np.complex64] = fft.rfft(signals.astype(np.float32, copy=False), self._padded).astype(
+        limited: NDArray[np.complex64] = np.fft.rfft(signals.astype(np.float32, copy=False), self._padded).astype(
             np.complex64, copy=False
         )
         limited *= self._weights
@@ -49,12 +49,11 @@ class BandLimit:
 
     def signals(self, spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
         """The signals of such spectra."""
-        limited: NDArray[np.float32] = fft.irfft(spectrum, self._padded)[..., : self._samples]
-        return limited
+        return np.asarray(np.fft.irfft(spectrum, self._padded)[..., : self._samples], dtype=np.float32)
 
     def delay_samples(self, cross_spectrum: NDArray[np.complex128], most: int) -> float:
         """Lag of the largest value of a cross-correlation, at most so many samples, between samples by a parabola."""
-        lags = fft.irfft(cross_spectrum, self._padded)
+        lags = np.fft.irfft(cross_spectrum, self._padded)
         near = np.concatenate([lags[-most:], lags[: most + 1]])
         peak = int(np.argmax(near))
         if peak in (0, near.size - 1):

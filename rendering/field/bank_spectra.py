@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
 from rendering.band import Band, choose_band, tolerance_of
-from rendering.device import Device, host_device
+from rendering.device import Device, fast_length, host_device
 from rendering.field.decimation import Decimation
 from rendering.greens.source import GreenSource, RowReader
 from rendering.threads import in_order
@@ -75,7 +74,7 @@ def transform_rows(
     rows = [reader.read(position, single=band.single) for position in positions]
     green = device.xp.asarray(np.stack([row.values for row in rows]))
     # Bin by bin, as matrix products need them: the transform gathers at no cost.
-    whole = device.fft.rfft(device.xp.moveaxis(green, 2, 0), n=band.fft_samples, axis=0)
+    whole = device.fft(single=band.single).rfft(device.xp.moveaxis(green, 2, 0), n=band.fft_samples, axis=0)
     magnitude = None
     if bounded:
         host = device.to_host(whole[:bins, :, :])
@@ -125,7 +124,7 @@ class BankSpectra:
         self.decimation = Decimation(rate, rate if rate_hz is None else rate_hz)
         factor = self.decimation.factor
         least = (int(BLOCK_SHARE * bank.taps) + self.decimation.kernel_samples) // factor + 1
-        fft_samples = factor * int(scipy_fft.next_fast_len(least, real=True))
+        fft_samples = factor * fast_length(least)
         self.bins = fft_samples // factor // 2 + 1
         """Bins up to half the rate."""
         rows = np.unique(np.asarray(positions, dtype=np.int64))

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
 from rendering.band import Band, choose_band, relative_bound, row_norms
-from rendering.device import Device
+from rendering.device import Device, fast_length
 from rendering.field.bank_spectra import BankSpectra, RowsSpectra, transform_rows
 from rendering.field.decimation import Decimation
 from rendering.greens.source import RowReader
@@ -107,7 +106,9 @@ class DriveSpectra:
         np.ldexp(part, -self.exponent, out=cut[:, : part.shape[1]])
         xp = self._device.xp
         cut = xp.asarray(cut.reshape(len(self._drive), len(group), self.hop))
-        spectra = self._device.fft.rfft(xp.moveaxis(cut, 2, 0), n=self.fft_samples, axis=0)[: self.bins, :, :]
+        spectra = self._device.fft(single=False).rfft(xp.moveaxis(cut, 2, 0), n=self.fft_samples, axis=0)[
+            : self.bins, :, :
+        ]
         return spectra if self._weights is None else spectra * xp.asarray(self._weights)[:, None, None]
 
 
@@ -207,7 +208,9 @@ class Convolution:
             blocks = drive.blocks(group)
             kept = xp.asarray(blocks[: band.kept, :, :], dtype=self._device.dtype(band.complex))
             product = xp.moveaxis(xp.matmul(rows.kept, kept), 0, 2)
-            parts = self._device.to_host(self._device.fft.irfft(product, n=drive.lower_samples, axis=2))
+            parts = self._device.to_host(
+                self._device.fft(single=band.single).irfft(product, n=drive.lower_samples, axis=2)
+            )
             for place, block in enumerate(group):
                 first = block * drive.lower_hop
                 total[:, first : first + drive.lower_samples] += parts[:, place]
@@ -271,7 +274,7 @@ class Convolution:
         reach = taps + self._decimation.kernel_samples - 1 + factor
         best, least = 0, np.inf
         for hop in sorted({min(samples, max(LEAST_HOP_SAMPLES, int(part * taps))) for part in HOPS}):
-            length = factor * int(scipy_fft.next_fast_len(-(-(reach + hop) // factor), real=True))
+            length = factor * fast_length(-(-(reach + hop) // factor))
             blocks = -(-samples // (length - reach))
             cost = length * np.log2(length) * (actuators + blocks / factor) + PRODUCT * length * actuators * blocks / 2
             if cost < least:

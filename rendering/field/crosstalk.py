@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
+from rendering.device import fast_length
 from rendering.field.metrics import band_weights
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenSource, read_row
@@ -76,7 +76,7 @@ class PathResponses:
         self.sample_rate_hz = float(bank.sample_rate_hz)
         self.lead = bank.taps - 1
         self._emitted = len(emitted)
-        length = int(scipy_fft.next_fast_len(2 * bank.taps - 1 + len(emitted) - 1, real=True))
+        length = fast_length(2 * bank.taps - 1 + len(emitted) - 1)
         if 8 * len(rows) ** 2 * length > RESPONSE_BYTES:
             raise InputError(f"{len(rows)} path points are too many for a crosstalk table; choose fewer")
         keep = (
@@ -93,18 +93,18 @@ class PathResponses:
             if scaled.silent:
                 raise InputError(f"position {row} is all zeros, so not measured; choose another path")
             weights = row_weights(scaled, threshold, normalise=regularisation.normalise)
-            spectrum = scipy_fft.rfft(scaled.values, length, axis=1)[:, bins]
+            spectrum = np.fft.rfft(scaled.values, length, axis=1)[:, bins]
             sigma = np.ones(bank.actuators) if weights.sigma is None else weights.sigma
             greens[place] = np.ldexp(1.0, scaled.exponent) * spectrum
             gain = np.ldexp(weights.gain, weights.gain_exponent + scaled.exponent)
             driven[place] = gain * sigma[:, None] * spectrum.conj()
         heard = np.einsum("mib,nib->mnb", greens, driven, optimize=True)
-        heard *= keep[bins] * scipy_fft.rfft(emitted, length)[bins]
+        heard *= keep[bins] * np.fft.rfft(emitted, length)[bins]
         # Lags from -(taps - 1) on: the focus instant is at `lead`.
         heard *= np.exp(-2j * np.pi * bins * self.lead / length)
         whole = np.zeros((len(rows), len(rows), length // 2 + 1), dtype=np.complex128)
         whole[..., bins] = heard
-        self.values: Float64Array = scipy_fft.irfft(whole, length, axis=2)
+        self.values: Float64Array = np.fft.irfft(whole, length, axis=2)
 
     def energy_ratio(self, speed_mm_s: float, step_mm: float, every: int = 1) -> float:
         """Crosstalk ratio of a source that moves from point to point.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
 from storage.errors import InputError
 
@@ -66,5 +65,5 @@ class Decimation:
 
     def weights(self, fft_samples: int) -> Complex128Array:
         """What spectra of `fft_samples` are multiplied with, up to half the lower rate; it delays by `half`."""
-        spectrum: Complex128Array = scipy_fft.rfft(self._kernel, fft_samples)[: fft_samples // self.factor // 2 + 1]
+        spectrum: Complex128Array = np.fft.rfft(self._kernel, fft_samples)[: fft_samples // self.factor // 2 + 1]
         return spectrum / self.factor

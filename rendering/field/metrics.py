@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
+from rendering.device import fast_length
 from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
 
@@ -264,9 +264,9 @@ def band_weights(samples: int, sample_rate_hz: float, band_hz: tuple[float, floa
     -------
     float32 array, shape (samples // 2 + 1,)
     """
-    frequency = np.maximum(fft.rfftfreq(samples, 1.0 / sample_rate_hz), 1e-9)
+    frequency = np.maximum(np.fft.rfftfreq(samples, 1.0 / sample_rate_hz), 1e-9)
     outside = np.maximum(np.log2(band_hz[0] / frequency), np.log2(frequency / band_hz[1]))
-    return (0.5 + 0.5 * np.cos(np.pi * np.clip(outside / 0.25, 0.0, 1.0))).astype(np.float32)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / 0.25, 0.0, 1.0)), dtype=np.float32)
 
 
 def band_limited(field: RealArray, sample_rate_hz: float, band_hz: tuple[float, float]) -> RealArray:
@@ -283,10 +283,10 @@ def band_limited(field: RealArray, sample_rate_hz: float, band_hz: tuple[float, 
     array of the same type and shape
     """
     samples = field.shape[-1]
-    padded = fft.next_fast_len(samples + round(2.0 * sample_rate_hz / band_hz[0]), real=True)
-    spectrum = fft.rfft(field, padded)
+    padded = fast_length(samples + round(2.0 * sample_rate_hz / band_hz[0]))
+    spectrum = np.fft.rfft(field, padded)
     spectrum *= band_weights(padded, sample_rate_hz, band_hz)
-    limited: RealArray = fft.irfft(spectrum, padded)[..., :samples].astype(field.dtype, copy=False)
+    limited: RealArray = np.fft.irfft(spectrum, padded)[..., :samples].astype(field.dtype, copy=False)
     return limited
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
+from rendering.device import fast_length
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -78,6 +78,6 @@ def path_spectrum(
         begin, end = max(first, 0), min(first + samples, len(response))
         if end > begin:
             window[begin - first : end - first] = response[begin:end]
-    length = int(scipy_fft.next_fast_len(max(samples, int(np.ceil(sample_rate_hz / resolution_hz))), real=True))
-    magnitude = np.abs(scipy_fft.rfft(windows, length, axis=1)) / sample_rate_hz
-    return PathSpectrum(scipy_fft.rfftfreq(length, 1.0 / sample_rate_hz), magnitude)
+    length = fast_length(max(samples, int(np.ceil(sample_rate_hz / resolution_hz))))
+    magnitude = np.abs(np.fft.rfft(windows, length, axis=1)) / sample_rate_hz
+    return PathSpectrum(np.fft.rfftfreq(length, 1.0 / sample_rate_hz).astype(np.float64), magnitude)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
-from scipy import fft as scipy_fft
 
 from calibration.blas import one_blas_thread
 from rendering.band import relative_bound, tolerance_of
-from rendering.device import Device, host_device
+from rendering.device import Device, fast_length, host_device
 from rendering.field.bank_spectra import BankSpectra
 from rendering.field.convolution import Convolution
 from rendering.field.decimation import Decimation
@@ -183,22 +182,22 @@ class Prediction:
             return 0.0
         drive_v, rate_hz = self._drive.drive_v, float(self._drive.sample_rate_hz)
         taps = self._bank.taps
-        samples = int(scipy_fft.next_fast_len(2 * taps, real=True))
+        samples = fast_length(2 * taps)
         hop = samples - taps + 1
         starts = np.unique(np.linspace(0, max(drive_v.shape[1] - hop, 0), LOOKED_AT_BLOCKS).astype(int)).tolist()
         window = np.hanning(hop + 2)[1:-1]
         blocks = []
         for start in starts:
             block = drive_v[:, start : start + hop]
-            blocks.append(scipy_fft.rfft(block * window[: block.shape[1]], samples, axis=1))
-        above = scipy_fft.rfftfreq(samples, 1.0 / rate_hz) > self.passed_hz
+            blocks.append(np.fft.rfft(block * window[: block.shape[1]], samples, axis=1))
+        above = np.fft.rfftfreq(samples, 1.0 / rate_hz) > self.passed_hz
         chosen = self.position_index[
             np.unique(np.linspace(0, len(self.position_index) - 1, LOOKED_AT_ROWS).astype(int))
         ]
         shares = [0.0]
         reader = RowReader(self._bank)
         for position in chosen.tolist():
-            green = scipy_fft.rfft(reader.read(position, single=False).values, samples, axis=1)
+            green = np.fft.rfft(reader.read(position, single=False).values, samples, axis=1)
             energy = sum(np.square(np.abs((green * block).sum(axis=0))) for block in blocks)
             total = float(np.sum(energy))
             if total > 0:

@@ -13,14 +13,12 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
 from calibration.blas import one_blas_thread
 from rendering.band import Band
-from rendering.device import host_device
+from rendering.device import fast_length, host_device
 from rendering.field.bank_spectra import BankSpectra, transform_rows
 from rendering.greens.source import GreenSource, RowReader, drive_unit
-from rendering.threads import WORKERS
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.units import response_unit
@@ -97,7 +95,7 @@ def predict_spectra(
     if spectra is not None:
         band = spectra.band
     else:
-        length = int(scipy_fft.next_fast_len(int((1.0 + WINDOW_TAPS) * source.taps), real=True))
+        length = fast_length(int((1.0 + WINDOW_TAPS) * source.taps))
         band = Band.whole(length, single=True)
     fft_samples = band.fft_samples
     exponent = int(np.frexp(float(np.abs(drive.drive_v).max(initial=0.0)))[1])
@@ -106,7 +104,7 @@ def predict_spectra(
     reader = RowReader(source)
     with one_blas_thread():
         for first in range(0, len(blocks), BLOCKS_AT_ONCE):
-            whole = scipy_fft.rfft(blocks[first : first + BLOCKS_AT_ONCE], fft_samples, axis=2, workers=WORKERS)
+            whole = np.fft.rfft(blocks[first : first + BLOCKS_AT_ONCE], fft_samples, axis=2)
             kept = np.ascontiguousarray(whole[:, :, : band.kept].astype(band.complex).transpose(2, 1, 0))
             for begin in range(0, len(index), ROWS_AT_ONCE):
                 some = index[begin : begin + ROWS_AT_ONCE]
@@ -125,7 +123,7 @@ def predict_spectra(
     if fft_samples % 2 == 0:
         twice[-1] = 1.0
     power *= twice[: band.kept] / rate_hz**2
-    frequency_hz = scipy_fft.rfftfreq(fft_samples, 1.0 / rate_hz)[: band.kept]
+    frequency_hz: Float64Array = np.fft.rfftfreq(fft_samples, 1.0 / rate_hz)[: band.kept].astype(np.float64)
     return ResponseSpectra(frequency_hz, power, index, response_unit(source.response_unit, drive_unit(source)))
 
 

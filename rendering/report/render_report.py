@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
+from rendering.device import fast_length
 from rendering.drive.accumulate import Accumulated
 from rendering.drive.coil_limits import Limiting, dynamic_range_db
 from rendering.field.impulse_travel import impulse_travel
@@ -192,10 +192,10 @@ def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> li
     if share <= SPREAD_SHARE:
         return []
     # In single precision, which does for a share; about 1 it neither over- nor underflows.
-    samples = int(scipy_fft.next_fast_len(max(len(source.signal), LEAST_OWN_SAMPLES), real=True))
+    samples = fast_length(max(len(source.signal), LEAST_OWN_SAMPLES))
     peak = float(np.abs(source.signal).max(initial=0.0))
     signal = (source.signal / (peak if peak > 0 else 1.0)).astype(np.float32)
-    spectrum = scipy_fft.rfft(signal, samples)
+    spectrum = np.fft.rfft(signal, samples)
     power = np.square(spectrum.real) + np.square(spectrum.imag)
     low, high = (edge_hz * samples / bank.sample_rate_hz for edge_hz in bank.band_hz)
     whole, inside = float(power.sum()), float(power[math.ceil(low) : math.floor(high) + 1].sum())

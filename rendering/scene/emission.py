@@ -7,7 +7,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
 from rendering.drive.windows import Events
 
@@ -145,7 +144,7 @@ class PointEmission:
         return *self._nodes_at(int(first), int(last)), self.focus_sample[first:last] + delay - start
 
     def piece_spectra(self, fft_samples: int) -> Complex128Array:
-        return np.stack([scipy_fft.rfft(piece, fft_samples) for piece in self._pieces])
+        return np.stack([np.fft.rfft(piece, fft_samples) for piece in self._pieces])
 
 
 def _exponent(signal: Float64Array) -> int:

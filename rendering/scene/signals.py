@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
 from storage.errors import InputError
 
@@ -111,13 +110,13 @@ class Noise:
             raise InputError(f"seed is {self.seed}; it must be 0 or above")
         count = _sample_count(self.duration_s, sample_rate_hz)
         white = np.random.Generator(np.random.PCG64(self.seed)).standard_normal(count)
-        frequency = scipy_fft.rfftfreq(count, 1.0 / sample_rate_hz)
+        frequency = np.fft.rfftfreq(count, 1.0 / sample_rate_hz)
         cut = (frequency < lower) | (frequency > upper)
         banded: Float64Array = white
         if cut.any():
-            spectrum = scipy_fft.rfft(white)
+            spectrum = np.fft.rfft(white)
             spectrum[cut] = 0.0
-            banded = scipy_fft.irfft(spectrum, count)
+            banded = np.fft.irfft(spectrum, count)
         what = f"noise of {self.duration_s} s between {lower} and {upper} Hz"
         return banded / _check_audible(banded, what, silent_below=1e-12)
 

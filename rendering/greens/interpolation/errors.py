@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
 from rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError
 from rendering.greens.interpolation.correlation_errors import ErrorBands, expected_errors
@@ -207,7 +206,7 @@ class _Emitted:
 
     def __init__(self, signals: Sequence[Float64Array], rate_hz: float) -> None:
         self._power = np.zeros(SIGNAL_BLOCK // 2 + 1)
-        self._bins_hz = scipy_fft.rfftfreq(SIGNAL_BLOCK, 1.0 / rate_hz)
+        self._bins_hz = np.fft.rfftfreq(SIGNAL_BLOCK, 1.0 / rate_hz)
         window = np.hanning(SIGNAL_BLOCK + 1)[:-1]
         for signal in signals:
             # Cut from a longer signal, blocks fade in and out: else their edges pass for high frequencies.
@@ -218,7 +217,7 @@ class _Emitted:
                 peak = float(max(part.max(), -part.min()))
                 if peak > 0:
                     shaped = part / peak if short else window * (part / peak)
-                    self._power += np.square(np.abs(scipy_fft.rfft(shaped, SIGNAL_BLOCK))) * min(peak, 1e100) ** 2
+                    self._power += np.square(np.abs(np.fft.rfft(shaped, SIGNAL_BLOCK))) * min(peak, 1e100) ** 2
 
     def bands_hz(self, within_hz: tuple[float, float], count: int) -> Float64Array:
         """Centres of bands over what is emitted within a band; over all of that band where nothing is."""
