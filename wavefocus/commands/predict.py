@@ -111,8 +111,6 @@ def _parts(
         for rows in prediction.rows(report):
             yield rows.first, rows.field
         return
-    from wavefocus.cluster import cluster_client, field_on_cluster  # the estimator, loaded where a cluster is asked
-
     parts, index = prediction.parts(), prediction.position_index
     positions = [index[part.start : part.stop].tolist() for part in parts]
     from wavefocus.cluster import cluster_client, field_on_cluster
