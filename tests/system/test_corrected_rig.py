@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from storage.bank.reading import open_bank
+from tests.system.captures import empty_bank
 from tests.system.conftest import ACTUATORS
-from tests.system.telling import empty_bank
 from wavefocus.__main__ import run
 
 REAL = f"""

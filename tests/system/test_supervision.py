@@ -15,8 +15,8 @@ from pathlib import Path
 import h5py
 import pytest
 
+from tests.system.captures import Listener, capture, empty_bank, events_of, states_of
 from tests.system.conftest import with_faults
-from tests.system.telling import Listener, capture, empty_bank, events_of, states_of
 from wavefocus.__main__ import run
 from wavefocus.campaign.sidecar_files import last_events
 from wavefocus.campaign.supervision import read_heartbeat

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from drivers.protocols import DeviceIdentity
+from tests.system.captures import events_of
 from tests.system.conftest import with_faults
-from tests.system.telling import events_of
 from wavefocus.__main__ import run
 from wavefocus.campaign.sidecar_files import read_drift, session_failure
 

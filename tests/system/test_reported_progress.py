@@ -1,4 +1,4 @@
-"""What people and programs are told: dry run, status, progress, truth."""
+"""Reports to people and programs: dry run, status, progress, error against the truth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 
 from config.run import Virtual
 from storage.bank.reading import open_bank
-from tests.system.telling import Listener, capture
+from tests.system.captures import Listener, capture
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.supervision import give_order, orders_path

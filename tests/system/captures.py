@@ -1,4 +1,4 @@
-"""Captures in this process: what they tell, and a listener that acts when it hears something."""
+"""Captures in this process, the events they report, and a listener that reacts to them."""
 
 from __future__ import annotations
 
