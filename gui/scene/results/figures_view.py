@@ -85,7 +85,7 @@ def drive_figures(driven: Driven) -> list[Figure]:
             "Largest over smallest n(x) of eq. (15) along the paths: how unequally well the surface can be focused on.",
         ),
         Figure(
-            "left out", "" if math.isnan(driven.omitted_bound) else f"{driven.omitted_bound:.1e}", "",
+            "left out", "" if math.isnan(driven.omitted_bound) else f"{driven.omitted_bound:.2g}", "",
             "Proved bound on the relative L2 error of the drives from what is left out while you edit (-60 dB). What is"
             " saved and played leaves nothing out.",
         ),
