@@ -18,11 +18,9 @@ from storage.output_files import replacement, require_room
 
 Float64Array = NDArray[np.float64]
 
-
 BETWEEN_SAMPLES = "full scale of the interface between samples"
-
-
-BLOCK_SAMPLES = 2**15
+CHUNK_SAMPLES = 2**15
+_HEADER_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +44,7 @@ class Interface:
         Raises InputError: the rates have no ratio of small whole numbers.
         """
         actuators, samples = drive_v.shape
-        blocks = (drive_v[:, begin : begin + BLOCK_SAMPLES] for begin in range(0, samples, BLOCK_SAMPLES))
-        pieces = InterfaceRate(sample_rate_hz, self.rate_hz).pieces(blocks, actuators, samples, BLOCK_SAMPLES)
+        pieces = InterfaceRate(sample_rate_hz, self.rate_hz).pieces(_chunks(drive_v), actuators, samples, CHUNK_SAMPLES)
         return self.reached(largest_of(pieces, actuators))
 
     def reached(self, largest_v: Float64Array) -> Reached:
@@ -131,10 +128,6 @@ def largest_of(pieces: Iterable[Float64Array], actuators: int) -> Float64Array:
     return largest
 
 
-CHUNK_SAMPLES = 2**15
-_HEADER_BYTES = 4096
-
-
 def stream_wav(
     path: Path,
     blocks: Iterable[Float64Array],
@@ -189,17 +182,18 @@ def write_wav(
 ) -> None:
     """Write drives as float32 WAV, one channel per actuator, 1.0 being full scale.
 
-    The rates are converted by an exact rational ratio with a linear-phase low-pass, so that
-    sample 0 of the file is sample 0 of the drive.
-
-    Raises InputError: the drive is beyond full scale, or the rates have no ratio of small whole numbers.
+    Raises InputError as `stream_wav` does.
     """
-    pieces = (drive_v[:, begin : begin + CHUNK_SAMPLES] for begin in range(0, drive_v.shape[1], CHUNK_SAMPLES))
     stream_wav(
         path,
-        pieces,
+        _chunks(drive_v),
         (drive_v.shape[0], drive_v.shape[1]),
         sample_rate_hz,
         interface_rate_hz=interface_rate_hz,
         full_scale_v=full_scale_v,
     )
+
+
+def _chunks(drive_v: Float64Array) -> Iterator[Float64Array]:
+    for begin in range(0, drive_v.shape[1], CHUNK_SAMPLES):
+        yield drive_v[:, begin : begin + CHUNK_SAMPLES]

@@ -60,6 +60,9 @@ class KernelRows:
 
     def __init__(self, measured: GreenSource, waves: WaveModel, neighbourhoods: Neighbourhoods) -> None:
         self.measured = measured
+        self.actuator_mm, self.band_hz = measured.actuator_mm, measured.band_hz
+        self.taps, self.actuators = measured.taps, measured.actuators
+        self.sample_rate_hz, self.response_unit = measured.sample_rate_hz, measured.response_unit
         self._neighbourhoods = neighbourhoods
         self._points_mm: list[tuple[float, float]] = []
         self._index: dict[tuple[int, int], int] = {}
@@ -98,32 +101,8 @@ class KernelRows:
         return np.concatenate([np.asarray(self.measured.status, dtype=np.uint8), added])
 
     @property
-    def actuator_mm(self) -> Float64Array:
-        return self.measured.actuator_mm
-
-    @property
-    def sample_rate_hz(self) -> float:
-        return self.measured.sample_rate_hz
-
-    @property
-    def taps(self) -> int:
-        return self.measured.taps
-
-    @property
-    def actuators(self) -> int:
-        return self.measured.actuators
-
-    @property
     def positions(self) -> int:
         return self.measured.positions + len(self._points_mm)
-
-    @property
-    def band_hz(self) -> tuple[float, float] | None:
-        return self.measured.band_hz
-
-    @property
-    def response_unit(self) -> str:
-        return self.measured.response_unit
 
     def green(self, position: int) -> NDArray[Any]:
         """Green's functions of one row, (actuators, taps): measured, or interpolated in float64."""
