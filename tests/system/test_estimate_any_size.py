@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from benchmarks import nights as audio_rate
+from benchmarks import nights
 from calibration.estimator.estimation_memory import affordable_workers
 from storage.errors import InputError
 from storage.raw.reading import open_raw
@@ -210,7 +210,7 @@ def test_given_an_attribute_of_no_meaning_then_exit_2(tmp_path, said):
 
 
 def test_the_benchmark_at_audio_rates_reaches_the_noise_s_limit(capsys):
-    figures = audio_rate.run(quick=True)
+    figures = nights.estimate_audio(quick=True)
     assert len(figures["marks"]) == 2
     assert figures["audio_rate"]["worst_error_db"] < figures["audio_rate"]["noise_limit_db"] + 1.5
     assert "48000 Hz" in capsys.readouterr().out
