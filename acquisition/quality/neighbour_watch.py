@@ -20,6 +20,10 @@ from storage.point_status import Status
 
 ALONE = 1 << 23
 """Added to `PointRecord.judged` where neighbours could not judge."""
+HEARD_DB = 20.0
+"""Rows with less signal-to-noise ratio need no judging: neither neighbours nor a second look could tell their level."""
+TRUSTED = 0.7
+"""Neighbours that can judge fewer rows than this share judge none: the grid is too coarse for them."""
 NEIGHBOURHOOD = 250
 """So many nearest positions are enough to judge one."""
 SAME = 0.25
@@ -196,12 +200,21 @@ class NeighbourWatch:
         judge = NeighbourJudge(
             self._plan.position_mm[rows], self._plan.actuator_mm, spectra, np.ones(len(rows), dtype=bool)
         )
+        heard = ~(np.stack([self._snr_db(row) for row in rows.tolist()]) < HEARD_DB)
         found: dict[int, tuple[Difference, ...]] = {}
+        if np.count_nonzero(judge.judged & heard) < TRUSTED * np.count_nonzero(heard):
+            return found, frozenset()
         verdict = judge.find()
         for one in verdict.differences:
             row = int(rows[one.position])
             found[row] = (*found.get(row, ()), one)
-        return found, frozenset(rows[verdict.judged.all(axis=1)].tolist())
+        return found, frozenset(rows[(verdict.judged | ~heard).all(axis=1)].tolist())
+
+    def _snr_db(self, row: int) -> NDArray[np.float32]:
+        """Signal-to-noise ratios of a row, NaN where unknown."""
+        if not self._bank.status[row]:
+            return np.full(self._plan.actuators, np.nan, np.float32)
+        return self._bank.record(row).snr_db
 
 
 def _judgement(differences: tuple[Difference, ...]) -> Judgement:
