@@ -20,8 +20,8 @@ from storage.point_status import Status
 
 ALONE = 1 << 23
 """Added to `PointRecord.judged` where neighbours could not judge."""
-HEARD_DB = 20.0
-"""Rows with less signal-to-noise ratio need no judging: neither neighbours nor a second look could tell their level."""
+HEARD_DB, AROUND = 6.0, 13
+"""Rows of less signal-to-noise ratio, where those around have no more either, are noise and need no judging."""
 TRUSTED = 0.7
 """Neighbours that can judge fewer rows than this share judge none: the grid is too coarse for them."""
 NEIGHBOURHOOD = 250
@@ -200,7 +200,7 @@ class NeighbourWatch:
         judge = NeighbourJudge(
             self._plan.position_mm[rows], self._plan.actuator_mm, spectra, np.ones(len(rows), dtype=bool)
         )
-        heard = ~(np.stack([self._snr_db(row) for row in rows.tolist()]) < HEARD_DB)
+        heard = self._heard(rows)
         found: dict[int, tuple[Difference, ...]] = {}
         if np.count_nonzero(judge.judged & heard) < TRUSTED * np.count_nonzero(heard):
             return found, frozenset()
@@ -209,6 +209,17 @@ class NeighbourWatch:
             row = int(rows[one.position])
             found[row] = (*found.get(row, ()), one)
         return found, frozenset(rows[(verdict.judged | ~heard).all(axis=1)].tolist())
+
+    def _heard(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which actuators are heard at some positions, or should be: all around them they are."""
+        snr_db = np.array([self._snr_db(row) for row in rows.tolist()]).reshape(len(rows), -1)
+        heard = ~(snr_db < HEARD_DB)
+        place_mm = self._plan.position_mm[rows]
+        for number in np.flatnonzero(~heard.all(axis=1)).tolist():
+            apart_mm = np.hypot(*(place_mm - place_mm[number]).T)
+            around = snr_db[np.argsort(apart_mm, kind="stable")[:AROUND]]
+            heard[number] |= ~(np.median(around, axis=0) < HEARD_DB)
+        return np.asarray(heard)
 
     def _snr_db(self, row: int) -> NDArray[np.float32]:
         """Signal-to-noise ratios of a row, NaN where unknown."""
