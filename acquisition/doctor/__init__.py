@@ -1,1 +1,1 @@
-"""The doctor: every instrument examined."""
+"""The doctor: every instrument opened, identified and exercised; `examine` a `RigUnderTest`."""

@@ -1,1 +1,1 @@
-"""The campaign engine: attempts, records, recovery, suspension, events."""
+"""The campaign engine: `Campaign` walks a plan; `StopRequest` stops or pauses it; events tell of it."""

@@ -1,1 +1,1 @@
-"""A rig operated by hand: the beam jogged, levels heard, single sweeps."""
+"""Measuring by hand: live level, single sweeps."""

@@ -1,1 +1,1 @@
-"""Point quality: defects, limits, drift, watched conditions."""
+"""Point quality: defects by name, judgement, neighbours, drift, watched conditions."""
