@@ -193,6 +193,8 @@ class NeighbourWatch:
         self, rows: NDArray[np.int64], instead: dict[int, NDArray[np.float32]]
     ) -> tuple[dict[int, tuple[Difference, ...]], frozenset[int]]:
         """What differs, and the positions all of whose rows could be judged."""
+        if not len(rows):
+            return {}, frozenset()
         header = self._bank.header
         spectra = RowSpectra(len(rows), self._plan.actuators, self._plan.taps, header.sample_rate_hz, header.band_hz)
         for number, row in enumerate(rows.tolist()):
