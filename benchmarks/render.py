@@ -44,7 +44,7 @@ TOGETHER = 8
 """Segments that torchrir convolves at a time on a GPU; on a processor, too, that is faster than one by one."""
 DIRECT_SAMPLES = 4000
 DRIVE_MARKS = {
-    "path": {"exact": Mark("times", 25.0), "loose": Mark("times", 100.0)},
+    "path": {"exact": Mark("times", 40.0), "loose": Mark("times", 60.0)},
     "random rows": {"loose": Mark("times", 30.0)},
 }
 """Speed over that of gpuRIR's method, by the kind of workload."""
@@ -182,7 +182,7 @@ def compare_exact(workload: Workload, repeats: int) -> list[Result]:
         ours = found[how].result[0]
         # Earlier samples of the drive are complete: nothing emitted after sample s reaches array index s.
         error = relative_error(ours.drive_v[:, :some], found["direct"].result[:, :some])
-        mark = Mark("times", 150.0) if samples > 10 * some else None
+        mark = Mark("times", 100.0) if samples > 10 * some else None
         bound = f"bound {ours.omitted_bound:.1e}"
         lines.append(Result.of(name, f"ours, {how}", found[how], direct, error=error, remark=bound, mark=mark))
     return lines
