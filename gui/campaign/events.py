@@ -9,7 +9,7 @@ from datetime import datetime
 from enum import IntEnum
 
 from acquisition.durations import hours
-from gui.campaign.statuses import status_text
+from gui.campaign.quality import status_text
 from storage.bank.ledger import VALID
 
 Record = Mapping[str, object]

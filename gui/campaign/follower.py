@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gui.campaign.figures import Float32Array, per_position
-from gui.campaign.statuses import DAMAGED
+from gui.campaign.quality import DAMAGED, Float32Array, per_position
 from gui.process.log_tail import LogTail
 from gui.shell.front_door import FrontDoor, Pulse
 from gui.surface.surface import Surface, surface_of

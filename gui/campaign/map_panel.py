@@ -16,9 +16,8 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.campaign.figures import FIGURES
 from gui.campaign.model import Campaign
-from gui.campaign.statuses import LOOKS, Look, look_index
+from gui.campaign.quality import FIGURES, LOOKS, Look, look_index
 from gui.campaign.surface_map import SurfaceMap
 from gui.shell.theme import Theme
 from gui.shell.widgets import named

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from acquisition.engine.events import State
 from gui.campaign.events import Line, Record, instant_s, line_of, number, whole
-from gui.campaign.figures import Float32Array
 from gui.campaign.follower import DriftSeen, Ledger, Life, Opened, Records, Seen, Trouble
+from gui.campaign.quality import DAMAGED, Float32Array
 from gui.campaign.state import GOING, OVER, CampaignState, Extra
-from gui.campaign.statuses import DAMAGED
 from gui.shell.front_door import Pulse
 from gui.surface.surface import Surface
 

@@ -24,7 +24,7 @@ from PyQt5.QtWidgets import (
 from gui.campaign.events import clock
 from gui.campaign.model import Campaign
 from gui.campaign.plots import DriftPlot, GreenPlot, Greens, RecordingPlot, SpectrumPlot
-from gui.campaign.statuses import status_text
+from gui.campaign.quality import status_text
 from gui.shell.tab import TabContext
 from gui.shell.theme import Theme
 from gui.shell.widgets import make_table, named, stacked
@@ -68,6 +68,7 @@ class PositionPanel(QTabWidget):
         self._raw_text.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self._raw_text.setProperty("role", "faint")
         self.attempts = make_table(_ATTEMPTS, "Quality history of the position", stretched=(2,))
+        self.attempts.setWordWrap(False)
         self.actuators = make_table(_ACTUATORS, "Quality per actuator", stretched=range(len(_ACTUATORS)))
         self.addTab(_page(self.green_plot, self.view, self.actuator), "Green's functions")
         self.addTab(_page(self.spectrum_plot, self._spectrum_actuator), "Spectrum")

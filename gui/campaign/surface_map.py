@@ -11,8 +11,7 @@ from PyQt5.QtCore import QPointF, Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QPolygonF
 from PyQt5.QtWidgets import QGraphicsPolygonItem
 
-from gui.campaign.figures import Figure, Float32Array
-from gui.campaign.statuses import LOOKS, look_index, status_text
+from gui.campaign.quality import LOOKS, Figure, Float32Array, look_index, status_text
 from gui.shell.theme import Theme
 from gui.surface.surface import Surface
 from gui.surface.view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba

@@ -14,7 +14,7 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from gui.campaign.statuses import DAMAGED, LOOKS
+from gui.campaign.quality import DAMAGED, LOOKS
 from gui.campaign.surface_map import SurfaceMap
 from gui.campaign.tab import CampaignTab
 from gui.shell.window import Window
