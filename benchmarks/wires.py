@@ -95,8 +95,8 @@ def serve_far_sides(period_frames: int) -> None:
         places = {"mirror": sides.mirror.address, "recorder": sides.recorder.address}
         print(json.dumps({**places, "environment": sides.audio.environment}), flush=True)
         for _ in sys.stdin:
-            print(json.dumps(list(sides.bench.heard)), flush=True)
-            sides.bench.heard.clear()
+            print(json.dumps(list(sides.bench.onsets)), flush=True)
+            sides.bench.onsets.clear()
 
 
 class FarSides:

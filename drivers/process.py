@@ -269,7 +269,7 @@ class DriverProcess:
             self._news.notify_all()
 
     def _why(self) -> str:
-        """Why the pipe is closed, as far as can be told."""
+        """Why the pipe is closed, as far as it can be found out."""
         if self._gone:
             return self._gone
         try:
@@ -277,6 +277,6 @@ class DriverProcess:
         except subprocess.TimeoutExpired:
             return f"{self._name} closed its pipe"
         self._errors.seek(0)
-        told = self._errors.read().decode(errors="replace").strip().splitlines()
-        last = f", its last words {told[-1]!r}" if told else ""
+        lines = self._errors.read().decode(errors="replace").strip().splitlines()
+        last = f", its last words {lines[-1]!r}" if lines else ""
         return f"{self._name} ended with code {code}{last}"

@@ -1,4 +1,4 @@
-"""The three roles of a rig, as the engine knows them: it knows no device."""
+"""The three roles of a rig; the engine uses these and no particular device."""
 
 from __future__ import annotations
 
@@ -229,7 +229,7 @@ class PiecewisePlayer(Player, Protocol):
 
     @property
     def latency_s(self) -> float:
-        """How long after it was taken a sample leaves the outputs, as far as the device tells."""
+        """How long after it was taken a sample leaves the outputs, as far as the device reports it."""
         ...
 
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:

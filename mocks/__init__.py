@@ -1,1 +1,1 @@
-"""Plates and virtual instruments that stand in for a rig."""
+"""Stand-ins for a rig: `plates`, a `virtual` rig without wires, and emulated devices on wires (`wire`)."""

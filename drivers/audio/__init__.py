@@ -1,1 +1,1 @@
-"""Audio interfaces: a stream in a process of its own, and signals at the interface's rate."""
+"""Players: one module for each driver; `resampling` converts signals to an interface's rate."""

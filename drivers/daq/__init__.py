@@ -1,1 +1,1 @@
-"""Data acquisition: recorders of the reference and the response."""
+"""Recorders of the reference and the response: one module for each driver."""

@@ -1,4 +1,4 @@
-"""The dialects of mirrors on serial lines; each device family has a module of its own beside this one."""
+"""The dialects of mirrors on serial lines; each device family has a module of its own in this folder."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Dialect(ABC):
     @property
     @abstractmethod
     def reach_mrad(self) -> float:
-        """Largest angle on either axis that can be sent to the device; it may be known only after `enable`."""
+        """Largest angle on either axis that can be sent to the device; it may be read only in `enable`."""
 
     def reaches(self, x_mrad: float, y_mrad: float) -> bool:
         """Whether the device can point there."""

@@ -68,7 +68,7 @@ class GenericMirror(Dialect):
         dialogue.ask(_query(f"XY={x_mrad:.4f},{y_mrad:.4f}", _done), doing)
 
     def park(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
-        # It may have been switched off and on since it was told.
+        # It may have been switched off and on since it was set.
         self._tell_park(dialogue, park_mrad)
         dialogue.ask(_query("PARK", _done), "parking")
 

@@ -94,7 +94,7 @@ def _greeting(answer: str) -> str:
 def _done(answer: str) -> None:
     refusal = re.fullmatch(r"MTI-ERR ?([ -~]*)", answer)
     if refusal is not None:
-        # What its words mean is not known; a disturbed command is an invalid one, so another try may go well.
+        # The words are not documented; a disturbed command is an invalid one, so another try may go well.
         raise RefusedError(f"the controller answers {answer.strip()!r}", "see the controller's manual", passing=True)
     if answer.strip() != "MTI-OK":
         raise UnreadableError(answer)

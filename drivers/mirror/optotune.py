@@ -9,7 +9,7 @@ stable, ``OU`` and ``OL`` say that a value was over or under the range, that it 
 there, ``NO`` that a command was not recognised; the reach is the unit circle of x and y.
 
 Not confirmed: whether the eight digits have ``0x`` or two zeros before them (all are read). No question for a serial
-number is known, so the device cannot be told from another of its kind: name the port by its serial number
+number is known, so two devices of this kind cannot be distinguished: name the port by its serial number
 (``serial-number:...``) where there are two. There is no read-back.
 """
 
@@ -76,7 +76,7 @@ def _deflections(x_mrad: float, y_mrad: float) -> tuple[float, float]:
 
 
 def _nobody(line: str) -> None:
-    """No answer of this device tells it from another."""
+    """No answer of this device distinguishes it from another."""
 
 
 def _ready(answer: str) -> str:

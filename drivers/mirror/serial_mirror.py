@@ -217,7 +217,7 @@ class SerialMirror:
                 self._clock.sleep(POLL_S)
                 return "still moving"
             if self._standing_since_s is None:
-                # When it came to rest is not known: only that it rests now.
+                # It rests now; since when, it does not say.
                 self._standing_since_s = self._clock.now_s()
         left_s = self._settle_s - (self._clock.now_s() - (self._standing_since_s or 0.0))
         if left_s > 0:
@@ -237,7 +237,7 @@ class SerialMirror:
         return max(abs(one_mrad[0] - other_mrad[0]), abs(one_mrad[1] - other_mrad[1])) <= self._dialect.tolerance_mrad
 
     def _check_settings(self) -> None:
-        """Hold the rig file against what the device can reach, as far as that is known yet."""
+        """Hold the rig file against what the device can reach, as far as that has been read."""
         reach_mrad = self._dialect.reach_mrad
         if self._limit_mrad > reach_mrad:
             cause = f"limit_mrad is {self._limit_mrad:g}, and the device ends at {reach_mrad:.4g} mrad"

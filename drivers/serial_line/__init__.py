@@ -1,1 +1,1 @@
-"""Serial lines: ports by name, lines with deadlines, questions and their answers."""
+"""Serial lines: `ports` by name, a `line` with deadlines, a `dialogue` of questions and answers."""

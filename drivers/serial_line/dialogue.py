@@ -48,7 +48,7 @@ class RefusedError(Exception):
 
 
 class RestartedError(Exception):
-    """The device answers as it does after power-on: what it was told before is lost."""
+    """The device answers as it does after power-on: its settings and its position are lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class Dialogue:
         return self._instrument
 
     def open(self) -> None:
-        """Open the line afresh; nothing is known of the device then."""
+        """Open the line afresh."""
         with self._lock:
             self._marker = None
             self._behind = False
@@ -302,7 +302,7 @@ class Dialogue:
     def _await(self, marker: Marker) -> str | None:
         """None once every marker asked for so far is answered; else who answers in its place, if anybody does.
 
-        Where one of several is missing, it was lost: a pause as long as an answer may take tells.
+        Where one of several is missing, it was lost: no answer comes within the longest wait.
         """
         deadline_s = time.monotonic() + self._line.settings.answer_s
         answered = False
@@ -365,7 +365,7 @@ class Dialogue:
 
     @contextmanager
     def _losses(self, doing: str) -> Iterator[None]:
-        """Close the line where it failed, or where the device has forgotten what it was told."""
+        """Close the line where it failed, or where the device has restarted."""
         try:
             yield
         except LineFailedError as failure:

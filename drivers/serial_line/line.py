@@ -68,7 +68,7 @@ class SerialLine:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open, as far as is known."""
+        """Whether the port is open, until a failure shows otherwise."""
         return self._port is not None
 
     def open(self) -> None:

@@ -15,7 +15,7 @@ BY_SERIAL_NUMBER = "serial-number:"
 
 @dataclass(frozen=True, slots=True)
 class SerialPort:
-    """A serial port that the operating system knows.
+    """A serial port of the operating system.
 
     Parameters
     ----------
@@ -69,8 +69,8 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
             raise InstrumentError(instrument, "opening", "port is empty", "write its path into the rig file, port")
         return port
     wanted = port.removeprefix(BY_SERIAL_NUMBER).strip()
-    known = tuple(serial_ports(instrument) if present is None else present)
-    found = [one.device for one in known if wanted and one.serial_number == wanted]
+    listed = tuple(serial_ports(instrument) if present is None else present)
+    found = [one.device for one in listed if wanted and one.serial_number == wanted]
     if len(found) == 1:
         return found[0]
     doing = f"looking for the port with serial number {wanted!r}"
@@ -78,7 +78,7 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
         raise InstrumentLostError(
             instrument, doing, f"{' and '.join(found)} both have it", "name one of them in the rig file, port"
         )
-    numbers = ", ".join(f"{one.serial_number} ({one.device})" for one in known if one.serial_number)
+    numbers = ", ".join(f"{one.serial_number} ({one.device})" for one in listed if one.serial_number)
     raise InstrumentLostError(
         instrument,
         doing,

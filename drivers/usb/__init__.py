@@ -1,1 +1,1 @@
-"""USB: what is plugged in, whether it is what the rig expects, and a reset as a person's explicit choice."""
+"""USB: `devices` that are plugged in, `matching` with what a rig expects, `reset` at a person's request."""

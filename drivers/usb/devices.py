@@ -22,7 +22,7 @@ def install_libusb(platform: str = sys.platform) -> str:
         As ``sys.platform`` names it.
     """
     if platform == "win32":
-        return "put libusb-1.0.dll (https://libusb.info, VS2019/MS64/dll) beside python.exe"
+        return "put libusb-1.0.dll (https://libusb.info, VS2019/MS64/dll) into the folder of python.exe"
     if platform == "darwin":
         return "install libusb: brew install libusb"
     return "install libusb: sudo apt install libusb-1.0-0, or your system's package of that name"
@@ -210,7 +210,7 @@ def _texts(handle: Any) -> tuple[dict[str, str | None], Problem]:
     except usb.core.USBError as failure:
         return texts, _problem(failure)
     except ValueError:
-        # pyusb says "no langid" for every reason there is; the question itself tells which.
+        # pyusb says "no langid" for every reason there is; asking again shows which.
         return texts, _why_no_text(handle)
     return texts, Problem.NONE
 
@@ -249,7 +249,7 @@ def _kind(handle: Any) -> Kind:
 
 
 def _interface_classes(handle: Any) -> set[int]:
-    """Classes of all interfaces; fewer where the system does not tell, as for a device without a configuration."""
+    """Classes of all interfaces; fewer where the system does not report them."""
     import usb.core
 
     classes: set[int] = set()

@@ -1,1 +1,1 @@
-"""The laser vibrometer's controller, where it can be asked for its settings."""
+"""Vibrometer controllers that can be asked for their settings: one module for each."""

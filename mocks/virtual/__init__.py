@@ -1,1 +1,1 @@
-"""A virtual rig: three instruments, one plate and one clock, without wires."""
+"""A virtual rig without wires: `rig.VirtualRig`, `settings.VirtualSettings`, `faults.Fault`."""

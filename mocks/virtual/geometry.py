@@ -22,7 +22,7 @@ class MirrorGeometry:
     distance_mm : float
         From the mirror to the plane of the surface centre in mm, > 0.
     offset_mm : tuple of float
-        Where the surface centre lies beside the straight beam (x, y), in mm.
+        Where the surface centre lies off the straight beam (x, y), in mm.
     tilt_deg : tuple of float
         Rotation of the surface about its x and its y axis in degrees, within +-60.
     roll_deg : float

@@ -96,7 +96,7 @@ class VirtualPlayer:
         return self._settings.latency_s[1]
 
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
-        """Begin a play that comes in pieces: it takes its time on the clock, and no recorder hears it."""
+        """Begin a play that comes in pieces: it takes its time on the clock, and is not recorded."""
         doing = f"playing piece by piece on {len(channels)} channels"
         self._check_open(doing)
         unknown = [channel for channel in channels if not 0 <= channel < self.channels]
@@ -111,7 +111,7 @@ class VirtualPlayer:
             self._pieces = _Pieces(len(channels), Play(now_ns, float(sample_rate_hz), {}, 0), ahead_s)
 
     def add_piece(self, volts: Float64Array) -> float:
-        """Let the time pass until there is room for more; tells how much was waiting before, in seconds."""
+        """Let the time pass until there is room for more; returns how much was waiting before, in seconds."""
         pieces = self._begun()
         reaches_v = float(np.abs(volts).max(initial=0.0))
         if volts.ndim != 2 or len(volts) != pieces.rows or not reaches_v <= self.full_scale_v:

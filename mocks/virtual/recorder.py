@@ -1,4 +1,4 @@
-"""A recorder that hears the player and sees where the mirror points."""
+"""A recorder of what the player puts out and of the point that the mirror points to."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class VirtualRecorder:
     clock : VirtualClock
         Its time.
     mirror, player : VirtualMirror, VirtualPlayer
-        What it sees and hears.
+        Where the laser is, and what is played.
     synthesis : Synthesis
         The plate and the signal chain between them.
     patch_bay : PatchBay
@@ -276,7 +276,7 @@ def _hides(fault: Fault, spot: Spot) -> bool:
 
 
 def _convert(volts: Float32Array, step_v: float, *, out: Float32Array) -> bool:
-    """Round to 16-bit counts, clip, write volts to `out`; tells whether an end was reached."""
+    """Round to 16-bit counts, clip, write volts to `out`; returns whether an end was reached."""
     np.multiply(volts, np.float32(1 / step_v), out=out)
     np.rint(out, out=out)
     over_range = bool(out.max() >= 32767 or out.min() <= -32768)

@@ -10,7 +10,7 @@ import numpy as np
 from mocks.virtual.faults import Fault
 from mocks.virtual.geometry import MirrorGeometry, stadium_rim
 
-# Small beside any record, and more than outputs and converters differ.
+# Small compared with any record, and more than outputs and converters differ.
 MOST_DELAY_S = 1e-3
 SURFACE_MM = (250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 cm
 
@@ -83,7 +83,7 @@ class VirtualSettings:
         Faults on order.
     room_c, light : tuple of (float, float)
         Instants in s on the rig's clock, rising, with the room's temperature in degrees Celsius, and with the share
-        of light that comes back to the vibrometer, as its controller would tell it.
+        of light that comes back to the vibrometer, as its controller would report it.
     realtime : bool
         Let virtual seconds last a second.
     """

@@ -1,1 +1,1 @@
-"""The far sides of the wires: what real drivers talk to when there is no hardware."""
+"""Emulated devices that real drivers talk to: `emulated_rig.EmulatedRig`, or each device by itself."""

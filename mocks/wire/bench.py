@@ -26,7 +26,7 @@ Float64Array = NDArray[np.float64]
 PARTING_S = 0.01
 # What a converter cannot put out is silence: -160 dB of full scale.
 SILENCE = 1e-8
-HEARD_RECORDS = 1000
+KEPT_ONSETS = 1000
 
 
 class Played(Protocol):
@@ -76,7 +76,7 @@ class WireBench:
     ----------
     patch_bay : PatchBay
         What is plugged into the response input; the vibrometer, until somebody plugs in something else.
-    heard : deque of float
+    onsets : deque of float
         Of the latest records, oldest first: the sample, on the recorder's clock, at which the first sound that began
         within the record began at the loopback output; NaN for a silent record. The truth that drivers and estimator
         are held against.
@@ -98,7 +98,7 @@ class WireBench:
         self._full_scale_v = full_scale_v
         self._inputs = (reference_input, response_input)
         self.patch_bay = PatchBay(settings.channel_of_actuator, settings.channel_of_loopback)
-        self.heard: deque[float] = deque(maxlen=HEARD_RECORDS)
+        self.onsets: deque[float] = deque(maxlen=KEPT_ONSETS)
         self._store = SignalStore(max(full_scale_v))
         self._synthesis: dict[float, Synthesis] = {}
         self._generator = np.random.default_rng(settings.seed)
@@ -131,7 +131,7 @@ class WireBench:
         end_ns = start_ns + round(samples / true_rate_hz * NANOSECONDS)
         plays = self._plays(start_ns, end_ns)
         begun_ns = [play.requested_ns - start_ns for play in plays if play.requested_ns >= start_ns]
-        self.heard.append(min(begun_ns, default=np.nan) / NANOSECONDS * true_rate_hz)
+        self.onsets.append(min(begun_ns, default=np.nan) / NANOSECONDS * true_rate_hz)
         patched = self.patch_bay.outputs
         with self._lock:
             spots = self._spots(start_ns, end_ns, samples, true_rate_hz)

@@ -17,7 +17,7 @@ from mocks.wire.serial_wires import TcpWire, Wire
 
 IDLE_S = 0.5
 TICK_S = 0.01
-HEARD = 1000
+KEPT_COMMANDS = 1000
 
 
 class SerialDevice(Protocol):
@@ -106,7 +106,7 @@ class SerialFarSide:
         self._plug_at_s: float | None = None
         self._read_again_s = 0.0
         self._input = b""
-        self._heard: deque[str] = deque(maxlen=HEARD)
+        self._commands: deque[str] = deque(maxlen=KEPT_COMMANDS)
 
     @property
     def address(self) -> str:
@@ -114,9 +114,9 @@ class SerialFarSide:
         return self._wire.address
 
     @property
-    def heard(self) -> tuple[str, ...]:
+    def commands(self) -> tuple[str, ...]:
         """The latest commands, as they came in."""
-        return tuple(self._heard)
+        return tuple(self._commands)
 
     def start(self) -> SerialFarSide:
         """Make the port appear and serve it."""
@@ -177,10 +177,10 @@ class SerialFarSide:
         end = self._device.command_end.encode()
         while end in self._input and self._plugged:
             command, _, self._input = self._input.partition(end)
-            self._hear(command.strip(b"\r\n").decode("latin-1"))
+            self._obey_command(command.strip(b"\r\n").decode("latin-1"))
 
-    def _hear(self, command: str) -> None:
-        self._heard.append(command)
+    def _obey_command(self, command: str) -> None:
+        self._commands.append(command)
         if not command:
             return
         baud = self._wire.baud()
@@ -208,7 +208,7 @@ class SerialFarSide:
             self._wire.send(answer)
 
     def _before_answer(self, fault: WireFault) -> bool:
-        """Whether the device hears the command at all."""
+        """Whether the command reaches the device."""
         if fault.kind == "stalled":
             self._read_again_s = time.monotonic() + fault.seconds if fault.seconds else float("inf")
         elif fault.kind == "unplugged":

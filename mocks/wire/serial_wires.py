@@ -41,7 +41,7 @@ class Wire(Protocol):
         ...
 
     def baud(self) -> int | None:
-        """Bits per second that the near side has chosen; None where that is not known."""
+        """Bits per second that the near side has chosen; None where it cannot be read."""
         ...
 
 

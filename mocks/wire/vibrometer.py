@@ -11,7 +11,7 @@ from __future__ import annotations
 
 
 class PolytecDevice:
-    """A controller with one velocity decoder; it echoes commands until it is told not to.
+    """A controller with one velocity decoder; it echoes commands until echo is switched off.
 
     Parameters
     ----------

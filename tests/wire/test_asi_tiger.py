@@ -23,7 +23,7 @@ def bench_with(folder, *faults, device_class=AsiTigerDevice, **device):
 
 def only_asks(bench):
     """Whether nothing was said to the controller but questions."""
-    return all(command.upper().endswith("BU X") or command.endswith("?") for command in bench.far.heard if command)
+    return all(command.upper().endswith("BU X") or command.endswith("?") for command in bench.far.commands if command)
 
 
 @pytest.mark.parametrize("axes", [None, ("X", "Y")])
@@ -83,7 +83,7 @@ def test_given_a_card_with_outputs_then_its_range_is_not_taken_for_an_input_mode
     with bench_with(tmp_path, board=board) as bench:
         assert set(bench.device.modes.values()) == {1}
         bench.mirror(**MEMS)
-        assert not any(command.startswith("PM") for command in bench.far.heard)
+        assert not any(command.startswith("PM") for command in bench.far.commands)
 
 
 def test_given_a_micro_mirror_on_its_analog_inputs_then_the_command_that_ends_that_is_named(tmp_path):
@@ -103,7 +103,7 @@ def test_given_limits_beyond_those_of_the_controller_then_opening_refuses_them_a
     with bench_with(tmp_path) as bench:
         with pytest.raises(InstrumentError, match=r"the device ends at 160\.6 mrad; lower limit_mrad and park_mrad"):
             bench.mirror(**beyond)
-        assert not any(command.startswith("M ") for command in bench.far.heard)
+        assert not any(command.startswith("M ") for command in bench.far.commands)
 
 
 def test_given_a_limit_on_one_side_alone_then_it_counts(tmp_path):
@@ -132,7 +132,7 @@ def test_given_a_controller_in_the_other_syntax_then_opening_changes_that(tmp_pa
         mirror.move_to(40.0, -25.0)
         mirror.wait_settled(10.0)
         assert mirror.where_mrad() == pytest.approx((40.0, -25.0), abs=0.01)
-        before, _, _ = "|".join(filter(None, bench.far.heard)).partition("VB F=0")
+        before, _, _ = "|".join(filter(None, bench.far.commands)).partition("VB F=0")
         assert set(before.strip("|").split("|")) == {"BU X"}
 
 
@@ -165,7 +165,7 @@ def test_given_such_a_refusal_twice_then_it_is_final(code, tmp_path):
         with pytest.raises(InstrumentError, match=code) as caught:
             mirror.move_to(40.0, -25.0)
         assert not isinstance(caught.value, TransientInstrumentError)
-        assert len([command for command in bench.far.heard if command.startswith("M ")]) == 2
+        assert len([command for command in bench.far.commands if command.startswith("M ")]) == 2
 
 
 @pytest.mark.parametrize("operation", ["move", "busy", "where"])
@@ -180,9 +180,9 @@ def test_given_a_controller_that_restarted_then_it_is_lost_and_set_up_again(oper
 
         with pytest.raises(InstrumentLostError, match="switched off and on meanwhile: its position and its settings"):
             move()
-        before = len(bench.far.heard)
+        before = len(bench.far.commands)
         mirror.reconnect()
-        assert any(command == "VB F=0" for command in bench.far.heard[before:])
+        assert any(command == "VB F=0" for command in bench.far.commands[before:])
         mirror.move_to(-40.0, 25.0)
         mirror.wait_settled(10.0)
         assert bench.stands_at(-40.0, 25.0)

@@ -132,7 +132,7 @@ def test_given_units_per_degree_then_asi_moves_by_half_the_beam_angle_in_those_u
 
     with mirror_bench("asi-tiger", LOCAL, tmp_path, device=device) as bench:
         bench.mirror().move_to(2000 * math.radians(1.0), 0.0)
-        assert bench.far.heard[-1] == "M P=500.000 Q=0.000"
+        assert bench.far.commands[-1] == "M P=500.000 Q=0.000"
 
 
 def test_given_a_scanner_whose_degrees_are_the_beams_then_the_factor_is_one(tmp_path):
@@ -140,7 +140,7 @@ def test_given_a_scanner_whose_degrees_are_the_beams_then_the_factor_is_one(tmp_
         bench.mirror(beam_per_mirror=1.0, limit_mrad=120.0, park_mrad=(-100.0, -100.0), axes=("a", "b")).move_to(
             1000 * math.radians(1.0), 0.0
         )
-        assert bench.far.heard[-1] == "M A=1000.000 B=0.000"
+        assert bench.far.commands[-1] == "M A=1000.000 B=0.000"
 
 
 def test_given_a_scanner_on_its_analog_inputs_then_it_is_refused_and_the_command_named(tmp_path):
@@ -186,8 +186,8 @@ def test_given_each_way_in_which_firmware_tells_a_setting_then_asi_reads_it(answ
 def test_given_full_scale_then_mirrorcle_gets_parts_of_it(tmp_path):
     with mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench:
         bench.mirror(setup=("MTI+VB 80", "MTI+VD 135", "MTI+BW 120")).move_to(125.0, -62.5)
-        assert bench.far.heard[:2] == ("MTI+EX", "$MTI$")
-        assert bench.far.heard[-6:] == (
+        assert bench.far.commands[:2] == ("MTI+EX", "$MTI$")
+        assert bench.far.commands[-6:] == (
             "MTI+DI",
             "MTI+VB 80",
             "MTI+VD 135",
@@ -218,7 +218,7 @@ def test_given_tangents_then_optotune_gets_them_over_that_of_fifty_degrees(tmp_p
     with mirror_bench("optotune-mre2", LOCAL, tmp_path) as bench:
         bench.mirror().move_to(200.0, -100.0)
         x, y = (math.tan(angle) / math.tan(math.radians(50)) for angle in (0.2, -0.1))
-        assert bench.far.heard[-1] == f"xy={x:.4f};{y:.4f}"
+        assert bench.far.commands[-1] == f"xy={x:.4f};{y:.4f}"
 
 
 def test_given_optotune_in_its_pro_mode_then_it_is_brought_back_to_simple_mode(tmp_path):
@@ -282,7 +282,7 @@ def test_given_a_corner_of_the_square_then_it_is_outside_of_optotunes_circle(tmp
         mirror = bench.mirror(limit_mrad=800.0)
         with pytest.raises(InstrumentError, match=r"cannot point to \(750, 750\) mrad"):
             mirror.move_to(750.0, 750.0)
-        assert not any(command.startswith("xy=") for command in bench.far.heard)
+        assert not any(command.startswith("xy=") for command in bench.far.commands)
 
 
 def test_given_a_park_direction_outside_of_the_circle_then_optotune_refuses_it_before_it_is_needed(tmp_path):

@@ -22,7 +22,7 @@ def move_fault(kind, count=1, **more):
 
 
 def moves(bench):
-    return [command for command in bench.far.heard if command.startswith(DIALECTS[bench.dialect].move)]
+    return [command for command in bench.far.commands if command.startswith(DIALECTS[bench.dialect].move)]
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ def test_given_another_controller_then_it_is_refused(kind, tmp_path):
 def test_given_one_answer_that_cannot_be_had_then_it_is_asked_for_once_more(kind, name, tmp_path):
     with controller(kind, tmp_path, fault(name, seconds=1.5 * ANSWER_S)) as far:
         assert read(far).sensitivity_m_s_per_v == pytest.approx(0.125)
-        assert sum(command.endswith("Range") for command in far.heard) == 2
+        assert sum(command.endswith("Range") for command in far.commands) == 2
 
 
 @pytest.mark.parametrize("name", ["silent", "truncated", "garbled", "stalled"])

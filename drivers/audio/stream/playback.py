@@ -31,13 +31,13 @@ class PieceByPiece:
     channels : sequence of int
         Outputs, in the order of the pieces' columns.
     reserve_frames : int
-        Fewer than these left, and the end not told: it has run dry, with enough left to fade out over.
-    tell : callable
-        Told `Taken` after each piece.
+        Fewer than these left before the end is announced: it has run dry, with enough left to fade out over.
+    report : callable
+        Receives `Taken` after each piece.
     """
 
     def __init__(
-        self, number: int, channels: Sequence[int], reserve_frames: int, tell: Callable[[Taken], None]
+        self, number: int, channels: Sequence[int], reserve_frames: int, report: Callable[[Taken], None]
     ) -> None:
         self.number = number
         self.done = 0
@@ -45,11 +45,11 @@ class PieceByPiece:
         self.silent_frames = 0
         self.ending: tuple[str, str] | None = None
         self.frames = sys.maxsize
-        """Length of it all, once that is known."""
+        """Length of it all, once the end is announced."""
         self.received = 0
         self._channels = list(channels)
         self._reserve_frames = reserve_frames
-        self._tell = tell
+        self._report = report
         self._pieces: queue.SimpleQueue[Float32Array] = queue.SimpleQueue()
         self._piece = np.zeros((0, len(self._channels)), dtype=np.float32)
         self._taken = 0
@@ -64,7 +64,7 @@ class PieceByPiece:
         self.frames = self.received
 
     def put(self, out: Float32Array) -> str:
-        """Put what comes next into a silent period; tells what is missing, if anything is."""
+        """Put the next frames into a silent period; returns what is missing, or an empty text."""
         ended = self.frames != sys.maxsize
         dry = not ended and self.received - self._taken < len(out) + self._reserve_frames
         place = 0
@@ -80,7 +80,7 @@ class PieceByPiece:
             self._taken += count
             place += count
             if not len(self._piece):
-                self._tell(Taken(self.number, self._taken))
+                self._report(Taken(self.number, self._taken))
         return "the next piece of the signal did not come in time" if dry else ""
 
 
@@ -134,7 +134,7 @@ class Play:
         self.frames = max((one.start + one.samples.size for one in self.voices), default=0)
 
     def put(self, out: Float32Array) -> str:
-        """Put what comes next into a silent period; tells what is missing, nothing here."""
+        """Put the next frames into a silent period; nothing is ever missing."""
         for voice in self.voices:
             first = max(voice.start, self.done)
             stop = min(voice.start + voice.samples.size, self.done + len(out))
@@ -161,7 +161,7 @@ class Playback:
     rate_hz : int
         Frames per second.
     latency_s : float
-        How long after its callback a period leaves the outputs, as the stream tells.
+        How long after its callback a period leaves the outputs, as the stream reports.
 
     Attributes
     ----------

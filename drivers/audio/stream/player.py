@@ -82,7 +82,7 @@ class StreamPlayer:
 
     @property
     def identity(self) -> DeviceIdentity:
-        """Name of the device as PortAudio lists it, which knows neither maker nor serial number."""
+        """Name of the device as PortAudio lists it, without maker or serial number."""
         return self._opened.device.identity
 
     @property

@@ -98,7 +98,7 @@ def main() -> None:
     except DeviceChoiceError as error:
         pipe.send(Refused(error.cause, error.remedy, error.absent))
         code = 1
-    except OSError:  # the parent is gone, and with it who could be told
+    except OSError:  # the parent is gone
         code = 2
     except Exception:  # a defect: the parent keeps standard error
         traceback.print_exc()

@@ -36,7 +36,7 @@ class OutputDevice:
 
     @property
     def identity(self) -> DeviceIdentity:
-        """Its name; PortAudio knows neither maker nor serial number.
+        """Its name; PortAudio reports neither maker nor serial number.
 
         With ALSA the name ends in the card's number, " (hw:2,0)", which depends on what was plugged in first.
         """
@@ -121,7 +121,7 @@ SILENT_LIMIT_PERIODS = 5
 """A callback that is overdue by the larger of these is not coming: the driver is frozen."""
 
 MOST_LATENCY_S = 5.0
-"""More is no latency: PortAudio says 89,478 s of a JACK client that has not told its own (2**32 - 1 frames)."""
+"""More is no latency: PortAudio reports 89,478 s (2**32 - 1 frames) for a JACK client that has not set its own."""
 
 AHEAD_S = 0.5
 """An output without a clock, such as ALSA's file and null, is held to real time, so far ahead of it at most."""
@@ -182,7 +182,7 @@ class WatchedStream:
     rate_hz : int
         Frames per second.
     latency_s : float
-        How long after its callback a period leaves the outputs, as the host tells.
+        How long after its callback a period leaves the outputs, as the host reports.
     playback : Playback
         What it plays.
     """

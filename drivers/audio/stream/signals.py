@@ -69,7 +69,7 @@ class _Held:
 
 
 class SignalShelf:
-    """Recognises signals by their content; tells which have to be handed over, and which can be forgotten.
+    """Recognises signals by their content: new ones have to be sent, the longest unused are dropped.
 
     Parameters
     ----------

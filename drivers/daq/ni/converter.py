@@ -32,7 +32,7 @@ class CountScale:
     highest: int
 
     def quantise(self, volts: NDArray[np.float64], out: NDArray[np.float32]) -> bool:
-        """Write volts as whole counts, and tell whether an end was reached.
+        """Write volts as whole counts; returns whether an end of the range was reached.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class CountScale:
 
 
 def count_scale(range_v: float, bits: int, coefficients: Sequence[float] | None) -> CountScale:
-    """The scale of an input from what NI-DAQmx tells about it.
+    """The scale of an input from its properties in NI-DAQmx.
 
     The volts that NI-DAQmx delivers are codes put through a polynomial, the device's calibration. With its linear
     coefficient as the step they come out as whole counts again, up to a constant fraction of a step; the nominal

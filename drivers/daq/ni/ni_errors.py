@@ -80,7 +80,7 @@ OCCUPIED = Meaning(
 def explain(
     failure: BaseException, instrument: str, operation: str, *, known: bool = False, owned: bool = False
 ) -> InstrumentError:
-    """Turn a failure of the nidaqmx package into the error that the engine knows.
+    """Turn a failure of the nidaqmx package into an `InstrumentError`.
 
     Parameters
     ----------

@@ -127,7 +127,7 @@ class NiRecorder:
             try:
                 with session.telling(doing):
                     self._ready(session, timing, doing).start()
-            except BaseException as failure:  # an interruption too leaves a task of which nothing is known
+            except BaseException as failure:  # an interruption too leaves a task in an unknown state
                 self._discard(failure)
                 raise
             finally:
@@ -279,7 +279,7 @@ class NiRecorder:
             session.close()
 
     def _discard(self, failure: BaseException) -> None:
-        """Clear the task after a failure, which has been told; if that fails too, the failure's notes say so."""
+        """Clear the task after a failure, which is raised; a second failure becomes its note."""
         task, self._task = self._task, None
         if task is None:
             return

@@ -94,8 +94,8 @@ def open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) -> 
                 raise ServerSilentError(self._silence)
             status = getattr(outcome.result(), "status", 0)
             if status > 0:
-                known = {warning.value: warning.name for warning in DAQmxWarnings}
-                raise DaqWarning(f"{name}: {known.get(status, 'unknown warning')}", status)
+                names = {warning.value: warning.name for warning in DAQmxWarnings}
+                raise DaqWarning(f"{name}: {names.get(status, 'unknown warning')}", status)
             return outcome
 
     options = [
@@ -137,7 +137,7 @@ TERMINALS = {"differential": "DIFF", "rse": "RSE", "nrse": "NRSE", "pseudodiffer
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the device can do; None where it does not tell.
+    """Limits of the device; None where it does not report them.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ class NiSession:
         return DeviceIdentity("NI", self.handle.product_type, f"{int(self.handle.serial_num):08X}")
 
     def terminals_of(self, name: str) -> tuple[str, ...] | None:
-        """Terminal configurations of an input, None where the device does not tell."""
+        """Terminal configurations of an input, None where the device does not report it."""
         channel = self._nidaqmx.system.PhysicalChannel(f"{self.device}/{name}", grpc_options=self._options)
         known = self._known(lambda: channel.ai_term_cfgs)
         if known is None:
@@ -259,7 +259,7 @@ class NiSession:
         return self._nidaqmx.Task(grpc_options=self._options)
 
     def coefficients_of(self, channel: Any) -> list[float] | None:
-        """The calibration of a channel, None where the device does not tell."""
+        """The calibration of a channel, None where the device does not report it."""
         return self._known(lambda: [float(coefficient) for coefficient in channel.ai_dev_scaling_coeff])
 
     def reset(self) -> None:

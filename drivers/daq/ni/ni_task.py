@@ -15,7 +15,7 @@ from drivers.daq.ni.ni_session import TERMINALS, NiSession
 from drivers.errors import InstrumentError
 from drivers.protocols import RecordRequest
 
-# The estimator finds clock ratios within 500 ppm; what the device's own divider takes of that is told beforehand.
+# The estimator finds clock ratios within 500 ppm; what the device's own divider takes of that is refused beforehand.
 RATE_TOLERANCE = 2e-4
 # NI-DAQmx refuses a finite task of one sample.
 FEWEST_SAMPLES = 2

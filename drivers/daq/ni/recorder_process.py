@@ -42,7 +42,7 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The result of a call, or how it failed; `owned` tells whether the device may be reserved."""
+    """The result of a call, or how it failed; `owned`: the device may be reserved."""
 
     number: int
     result: Any

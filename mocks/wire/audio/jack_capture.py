@@ -101,7 +101,7 @@ class PlayedAudio:
         return out
 
     def _wait_for(self, stop: int) -> int:
-        """Wait for frames; how many there are, fewer only if the rest are known to be silent."""
+        """Wait for frames; how many there are, fewer only if the rest are silent."""
         latest_s = None
         while (written := self._ring["written"]) < stop:
             silent = bool(self._ring["silent"])

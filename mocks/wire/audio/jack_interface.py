@@ -247,8 +247,8 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    told = json.loads(sys.stdin.readline())
-    faults = WireFaultPlan("player", tuple(WireFault(**one) for one in told["faults"]))
+    settings = json.loads(sys.stdin.readline())
+    faults = WireFaultPlan("player", tuple(WireFault(**one) for one in settings["faults"]))
     ring = AudioRing(int(sys.argv[1]))
     orders: queue.SimpleQueue[tuple[str, float]] = queue.SimpleQueue()
 

@@ -21,7 +21,7 @@ ANSWER_S = PLACE_S + START_S + 10.0
 
 
 class JackServerError(Exception):
-    """The emulated interface did not do what it was told."""
+    """The emulated interface did not obey."""
 
 
 class JackServer:
@@ -74,9 +74,9 @@ class JackServer:
         )
         self._lock = threading.Lock()
         self.played = PlayedAudio(self._ring, lambda: self._process.poll() is None)
-        told = {"faults": [asdict(fault) for fault in faults if fault.role == "player"]}
+        settings = {"faults": [asdict(fault) for fault in faults if fault.role == "player"]}
         try:
-            name = self._ask(json.dumps(told), ANSWER_S)["server"]
+            name = self._ask(json.dumps(settings), ANSWER_S)["server"]
         except BaseException:
             self.stop()
             raise

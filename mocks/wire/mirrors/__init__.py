@@ -68,7 +68,7 @@ def mirror_device(dialect: str, motion: MirrorMotion, full_scale_mrad: float | N
         Its name.
     motion : MirrorMotion
         How its mirror moves. Of a mirror that cannot be asked whether it moves, the longest move must be shorter
-        than the settling time that the near side is told.
+        than the settling time of the near side.
     full_scale_mrad : float, optional
         Optical angle at full deflection.
     """

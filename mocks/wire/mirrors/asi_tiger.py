@@ -209,7 +209,7 @@ class AsiTigerDevice(MirrorDevice):
             self._tiger_syntax = rest.strip() == "F=1"
         return ":A \r\n"
 
-    def _told(self, values: dict[str, str], plain: str) -> str:
+    def _listed(self, values: dict[str, str], plain: str) -> str:
         """Values of axes in the syntax that is chosen."""
         named = " ".join(f"{axis}={value}" for axis, value in values.items())
         return f"{named} :A\r\n" if self._tiger_syntax else f"{plain.format(named=named)}\r\n"
@@ -220,7 +220,7 @@ class AsiTigerDevice(MirrorDevice):
             return ":N-3\r\n"
         if any(axis not in (*self._axes, *STAGE_AXES) for axis in asked):
             return ":N-2\r\n"
-        told = {}
+        values = {}
         for axis in (*STAGE_AXES, *self._axes):
             if axis not in asked:
                 continue
@@ -228,13 +228,13 @@ class AsiTigerDevice(MirrorDevice):
             if verb == "PM":
                 if stage:
                     return ":N-2\r\n"
-                told[axis] = str(self._modes[axis])
+                values[axis] = str(self._modes[axis])
             elif verb == "UM":
-                told[axis] = f"{STAGE_UNITS_PER_MM if stage else self._units_per_degree:.3f}"
+                values[axis] = f"{STAGE_UNITS_PER_MM if stage else self._units_per_degree:.3f}"
             else:
                 end = STAGE_LIMIT_MM if stage else self._limit_degrees
-                told[axis] = f"{end if verb == 'SU' else -end:.3f}"
-        return self._told(told, ":A {named}")
+                values[axis] = f"{end if verb == 'SU' else -end:.3f}"
+        return self._listed(values, ":A {named}")
 
     def _set_modes(self, rest: str) -> str:
         for part in rest.split():
@@ -280,5 +280,5 @@ class AsiTigerDevice(MirrorDevice):
         angles = dict(zip(self._axes, self._motion.where_mrad(), strict=False))
         units = self.stage_units | {axis: angle * self._units_per_mrad for axis, angle in angles.items()}
         # In the order of the hardware, whatever the order of the question.
-        told = {axis: f"{units[axis]:.1f}" for axis in (*STAGE_AXES, *self._axes) if axis in asked}
-        return self._told(told, f":A {' '.join(told.values())} ")
+        values = {axis: f"{units[axis]:.1f}" for axis in (*STAGE_AXES, *self._axes) if axis in asked}
+        return self._listed(values, f":A {' '.join(values.values())} ")

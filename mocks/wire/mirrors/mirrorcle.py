@@ -21,7 +21,7 @@ RANGES = {"VB": (0, 100), "VD": (0, 200), "BW": (50, 15000)}
 
 @MIRROR_DEVICES.register
 class MirrorcleDevice(MirrorDevice):
-    """An MTI controller with its mirror; what it was told before its command mode is left, it keeps.
+    """An MTI controller with its mirror; it keeps its settings when its command mode is left.
 
     Parameters
     ----------

@@ -86,10 +86,10 @@ class NiBox:
 
     def input_number(self, wanted: str) -> int:
         """Number of an input such as ``"ai1"``; raises `NiError` where the box has none of that name."""
-        known = [f"ai{number}" for number in range(self.product.inputs)]
-        if wanted not in known:
+        inputs = [f"ai{number}" for number in range(self.product.inputs)]
+        if wanted not in inputs:
             raise NiError(ni_errors.NO_SUCH_INPUT, f"Physical Channel: {wanted}")
-        return known.index(wanted)
+        return inputs.index(wanted)
 
     # -- tasks -----------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from mocks.wire.ni.ni_tasks import Alive, Channel, Float64Array, NiTask, State
 Answer = dict[str, Any]
 """Fields of the answering message."""
 Handler = Callable[[Any, Alive], Answer]
-"""Takes the request and a function that tells whether the caller still waits."""
+"""Takes the request and a function that returns whether the caller still waits."""
 
 DRIVER_VERSION = (24, 5, 0)
 TERMINALS = {10106: DIFFERENTIAL, 10083: RSE, 10078: NRSE, -1: DIFFERENTIAL}  # nidaqmx.constants.TerminalConfiguration

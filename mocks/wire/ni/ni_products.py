@@ -109,7 +109,7 @@ class Product:
         return next((range_v for range_v in self.ranges_v[terminal] if largest_v <= range_v * (1 + 1e-9)), None)
 
     def converter(self, terminal: str, range_v: float, serial_number: int, number: int) -> Converter:
-        """The converter at one input, with the small errors that its calibration knows.
+        """The converter at one input, with the small errors that its calibration corrects.
 
         Parameters
         ----------

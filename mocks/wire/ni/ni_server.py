@@ -120,7 +120,7 @@ class NiServer:
             return tuple(self._under_way.elements())
 
     def start(self) -> str:
-        """Listen, and tell the address. Raises RuntimeError."""
+        """Listen; returns the address. Raises RuntimeError."""
         self._stopping.clear()
         self._listen()
         return self._address

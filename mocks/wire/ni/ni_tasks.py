@@ -73,7 +73,7 @@ class NiTask:
     Parameters
     ----------
     name : str
-        As the client knows it.
+        As the client calls it.
     condition : threading.Condition
         Of the device; notified when anything changes.
     source : SignalSource
@@ -96,7 +96,7 @@ class NiTask:
         self._source = source
         self._speed = speed
         self._start_ns: int | None = None
-        self._started = 0  # starts so far: a wait knows by it that its record is gone
+        self._started = 0  # starts so far: a wait sees by it that its record is gone
         self._read = 0
 
     def begin(self) -> None:
@@ -114,7 +114,7 @@ class NiTask:
             self._condition.notify_all()
 
     def end(self, broken: NiError | None = None) -> bool:
-        """Stop, for good where `broken` says why; tells whether samples were still to come."""
+        """Stop, for good where `broken` says why; returns whether samples were still to come."""
         early = self.state is State.RUNNING and self.acquired() < self.samples
         self.broken = self.broken or broken
         self.state = State.COMMITTED if self.commits and broken is None else State.IDLE
