@@ -151,7 +151,7 @@ def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rend
     scene = next(one for one in window.tabs if isinstance(one, SceneTab))
     assert scene.document.bank == bank
     canvas = scene.surface.canvas
-    press(qtbot, scene.surface.tools.buttons["line"])
+    press(qtbot, scene.surface.tools["line"])
     click(canvas, pixel(canvas, -40.0, 0.0))
     click(canvas, pixel(canvas, 40.0, 10.0))
     wait(qtbot, lambda: len(scene.document.draft.source) == 1)
