@@ -71,6 +71,12 @@ def test_sixty_single_mutations_then_are_found_where_they_change_a_value(tmp_pat
     assert missed(tmp_path / "file.h5", kind, 60, seed=1) == []
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("kind", MAKERS)
+def test_a_thousand_single_mutations_then_are_found_where_they_change_a_value(tmp_path: Path, kind: str) -> None:
+    assert missed(tmp_path / "file.h5", kind, 1000, seed=2) == []
+
+
 def missed(path: Path, kind: str, count: int, seed: int) -> list[str]:
     """Mutations that change what h5py reads and that the check does not find."""
     MAKERS[kind](path)
