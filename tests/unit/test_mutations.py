@@ -72,6 +72,7 @@ def test_sixty_single_mutations_then_are_found_where_they_change_a_value(tmp_pat
 
 
 @pytest.mark.long
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", MAKERS)
 def test_a_thousand_single_mutations_then_are_found_where_they_change_a_value(tmp_path: Path, kind: str) -> None:
     assert missed(tmp_path / "file.h5", kind, 1000, seed=2) == []
