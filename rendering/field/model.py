@@ -86,11 +86,6 @@ def measured_positions(bank: GreenSource) -> tuple[Int64Array, Int64Array]:
     return np.flatnonzero(allowed).astype(np.int64), np.flatnonzero(~allowed).astype(np.int64)
 
 
-def field_samples(drive: Drive, bank: GreenSource) -> int:
-    """Samples of a predicted field: drive samples + L - 1."""
-    return int(drive.drive_v.shape[1]) + bank.taps - 1
-
-
 def field_unit(bank: GreenSource) -> str:
     """Unit of a field: that of the Green's functions times that of the drive."""
     return response_unit(bank.response_unit, drive_unit(bank))
