@@ -1,9 +1,8 @@
-"""Where and how sharply a scene's foci came out: instants, places and widths."""
+"""Foci of a scene in a field: instants, places, widths, artefacts."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,14 +13,13 @@ from rendering.field import metrics
 if TYPE_CHECKING:
     from storage.drive_file import Drive
 
-# A focus is looked for within this distance of its path point: about one wavelength at 300 Hz.
 FOCUS_RADIUS_MM = 15.0
-# At most so many foci are looked at, evenly spread over the scene.
+"""A focus is searched for within this distance of its path point: about one wavelength at 300 Hz."""
 MOST_INSTANTS = 64
-# Foci quieter than this part of the loudest one are between two swings of the source's signal.
 QUIET = 0.25
-# This part of the bank's positions around a focus must be compared before it is judged.
+"""Foci quieter than this part of the loudest one lie between two swings of the source's signal."""
 NEEDED_NEIGHBOURS = 0.9
+"""This part of the bank's positions around a focus must be compared before it is judged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,17 +28,13 @@ class FocusInstant:
 
     Parameters
     ----------
-    source : int
-        Index of the scene's source.
-    row : int
-        Bank row of the path point.
+    source, row : int
+        Index of the scene's source, bank row of the path point.
     start_sample, stop_sample : int
-        Emission window ``[n_m, n_{m+1})`` in samples since t = 0; the last window of a source
-        ends with the drive.
+        Emission window ``[n_m, n_{m+1})`` in samples since t = 0; the last window of a source ends with the drive.
     sample : int
-        The focus instant, in samples since t = 0: where within the emission window the predicted
-        response at the path point is largest. For an impulse that is n_m itself; a longer signal
-        shows its focus most clearly there.
+        The focus instant, in samples since t = 0: where within the emission window the predicted response at the path
+        point is largest. For an impulse that is n_m itself.
     """
 
     source: int
@@ -52,7 +46,7 @@ class FocusInstant:
 
 @dataclass(frozen=True, slots=True)
 class FocusTable:
-    """Figures of each focus looked at; NaN where the positions around it were not compared.
+    """Figures of each focus; NaN where the positions around it were not compared.
 
     Parameters
     ----------
@@ -97,8 +91,13 @@ def median_or_none(values: NDArray[np.float64]) -> float | None:
     return float(np.median(finite)) if finite.size else None
 
 
+def evenly(count: int, most: int) -> NDArray[np.int64]:
+    """At most so many indices of `count` items, evenly spread, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+
+
 def emission_windows(drive: Drive) -> tuple[FocusInstant, ...]:
-    """The scene's foci with their emission windows, at most 64 of them, looked at where they start."""
+    """The scene's foci with their emission windows, at most 64 of them, each at its first sample."""
     end = round(drive.start_s * drive.sample_rate_hz) + drive.drive_v.shape[1]
     windows: list[FocusInstant] = []
     for source in np.unique(drive.focus_source):
@@ -110,8 +109,7 @@ def emission_windows(drive: Drive) -> tuple[FocusInstant, ...]:
             row = int(drive.focus_position[focus])
             last = min(max(int(following), int(first) + 1), max(end, int(first) + 1))
             windows.append(FocusInstant(int(source), row, int(first), last, int(first)))
-    chosen = np.unique(np.linspace(0, len(windows) - 1, min(len(windows), MOST_INSTANTS)).round().astype(int))
-    return tuple(windows[index] for index in chosen) if windows else ()
+    return tuple(windows[index] for index in evenly(len(windows), MOST_INSTANTS))
 
 
 def focus_instants(
@@ -121,24 +119,18 @@ def focus_instants(
 
     Parameters
     ----------
-    windows : tuple of FocusInstant, length K
-    predicted : float32 array, shape (K, samples)
+    predicted : float32 array, shape (len(windows), samples)
         Predicted response at each window's path point, NaN where not predicted.
     first_sample : int
         Sample of the scene at which `predicted` starts (negative: the lead-in).
     """
-    moved: list[FocusInstant] = []
-    loudness: list[float] = []
-    for window, response in zip(windows, np.abs(predicted), strict=True):
+    moved = list(windows)
+    level = np.full(len(windows), np.nan)
+    for index, (window, response) in enumerate(zip(windows, np.abs(predicted), strict=True)):
         part = response[window.start_sample - first_sample : window.stop_sample - first_sample]
-        if not part.size or not np.all(np.isfinite(part)):
-            moved.append(window)
-            loudness.append(math.nan)
-            continue
-        sample = window.start_sample + int(np.argmax(part))
-        moved.append(FocusInstant(window.source, window.row, window.start_sample, window.stop_sample, sample))
-        loudness.append(float(part.max()))
-    level = np.asarray(loudness)
+        if part.size and np.all(np.isfinite(part)):
+            moved[index] = replace(window, sample=window.start_sample + int(np.argmax(part)))
+            level[index] = part.max()
     quietest = QUIET * float(np.nanmax(level)) if np.isfinite(level).any() else 0.0
     return tuple(one for one, loud in zip(moved, level, strict=True) if not loud < quietest)
 
@@ -155,8 +147,7 @@ def focus_table(
 
     Parameters
     ----------
-    instants : tuple of FocusInstant, length K
-    predicted, scanned : float32 array, shape (K, compared positions)
+    predicted, scanned : float32 array, shape (len(instants), compared positions)
         The fields at the focus instants.
     rows : int64 array, shape (compared positions,)
         Their bank rows.
@@ -167,30 +158,15 @@ def focus_table(
     """
     count = len(instants)
     intended = np.array([position_mm[one.row] for one in instants]).reshape(count, 2)
-    places = np.full((2, count, 2), np.nan)
-    widths = np.full((2, count), np.nan)
-    artefact = np.full(count, np.nan)
+    places, widths, artefacts = np.full((2, count, 2), np.nan), np.full((2, count), np.nan), np.full((2, count), np.nan)
     there = position_mm[rows]
     for index, point in enumerate(intended):
-        near_mm = (float(point[0]), float(point[1]))
         possible = np.count_nonzero(np.hypot(*(position_mm - point).T) <= FOCUS_RADIUS_MM)
         compared = np.count_nonzero(np.hypot(*(there - point).T) <= FOCUS_RADIUS_MM)
         if spacing_mm is None or compared < NEEDED_NEIGHBOURS * possible:
             continue
         for kind, field in enumerate((predicted[index], scanned[index])):
-            peak = metrics.focus_peak(there, field, near_mm, FOCUS_RADIUS_MM)
-            if peak is None:
-                continue
-            places[kind, index] = peak.at_mm
-            width = metrics.focal_width_mm(there, field, peak.row, spacing_mm)
-            widths[kind, index] = math.nan if width is None else width
-        artefact[index] = metrics.artefact_level_db(there, scanned[index], near_mm, FOCUS_RADIUS_MM)
-    return FocusTable(
-        instant=instants,
-        intended_mm=intended,
-        predicted_mm=places[0],
-        scanned_mm=places[1],
-        predicted_width_mm=widths[0],
-        scanned_width_mm=widths[1],
-        scanned_artefact_db=artefact,
-    )
+            if (focus := metrics.focus_spot(there, field, point, FOCUS_RADIUS_MM, spacing_mm)) is not None:
+                places[kind, index] = focus.at_mm
+                widths[kind, index], artefacts[kind, index] = focus.width_mm, focus.artefact_db
+    return FocusTable(instants, intended, places[0], places[1], widths[0], widths[1], artefacts[1])

@@ -14,6 +14,8 @@ from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
 
 RealArray = NDArray[np.floating[Any]]
+Place = tuple[float, float] | NDArray[np.float64]
+"""A point on the surface, x and y in millimetres."""
 
 # Cells per grid spacing on which a focal spot is drawn: area to about 1 % at 8 mm width on 4 mm.
 CELLS_PER_SPACING = 8
@@ -25,17 +27,7 @@ LOBE_LEAST = 0.05
 
 @dataclass(frozen=True, slots=True)
 class FocusPeak:
-    """Where a field is largest near a focus.
-
-    Parameters
-    ----------
-    row : int
-        Index of the grid position with the largest magnitude.
-    at_mm : tuple of float
-        The peak's place between the grid positions.
-    value : float
-        The field at `row`, with its sign.
-    """
+    """Peak of a field: grid position `row`, place of the peak between positions, field at `row` with its sign."""
 
     row: int
     at_mm: tuple[float, float]
@@ -43,21 +35,9 @@ class FocusPeak:
 
 
 def normalised_error(measured: RealArray, predicted: RealArray) -> float:
-    """Relative L2 error ``||measured - predicted|| / ||measured||`` over all elements.
+    """Relative L2 error ``||measured - predicted|| / ||measured||`` over all elements, of any equal shape and unit.
 
-    Parameters
-    ----------
-    measured, predicted : array, any equal shape, any equal unit
-
-    Returns
-    -------
-    float
-        0 for equal fields; infinite when `measured` is zero and `predicted` is not.
-
-    Raises
-    ------
-    InputError
-        The shapes differ.
+    0 for equal fields; infinite when `measured` is zero and `predicted` is not. Raises InputError: the shapes differ.
     """
     _same_shape(measured, predicted)
     error = float(np.linalg.norm((measured - predicted).astype(np.float64).ravel()))
@@ -66,17 +46,7 @@ def normalised_error(measured: RealArray, predicted: RealArray) -> float:
 
 
 def correlation(first: RealArray, second: RealArray) -> float:
-    """Zero-lag correlation ``<a, b> / (||a|| ||b||)`` over all elements, means not removed.
-
-    Parameters
-    ----------
-    first, second : array, any equal shape
-
-    Returns
-    -------
-    float
-        -1 to 1; NaN when either is zero everywhere.
-    """
+    """Zero-lag correlation ``<a, b> / (||a|| ||b||)`` over all elements, means not removed; NaN when either is zero."""
     _same_shape(first, second)
     a, b = first.astype(np.float64).ravel(), second.astype(np.float64).ravel()
     norm = float(np.linalg.norm(a)) * float(np.linalg.norm(b))
@@ -103,16 +73,8 @@ def gain_range_db(
 ) -> float:
     """Range of n(x), or of its inverse, over the positions further than `clear_mm` from every actuator.
 
-    The paper (section IV.A) says up to 17 dB and not where: beside an actuator n(x) falls without end.
-
-    Parameters
-    ----------
-    gain : array, shape (positions,)
-        n(x) of equation (15), NaN where not measured.
-    position_mm : float64 array, shape (positions, 2)
-    actuator_mm : float64 array, shape (actuators, 2)
-        NaN where unknown.
-    clear_mm : float
+    The paper (section IV.A) says up to 17 dB and not where: next to an actuator n(x) falls without end. `gain` is NaN
+    where not measured, `actuator_mm` where unknown.
     """
     known = actuator_mm[np.isfinite(actuator_mm).all(axis=1)]
     if not len(known):
@@ -122,20 +84,14 @@ def gain_range_db(
 
 
 def grid_spacing_mm(position_mm: NDArray[np.float64]) -> float:
-    """Median distance in millimetres from each position to its nearest neighbour.
-
-    Raises
-    ------
-    InputError
-        Fewer than two positions.
-    """
+    """Median distance from each position to its nearest neighbour. Raises InputError: fewer than two positions."""
     if len(position_mm) < 2:
         raise InputError(f"a grid spacing needs two positions, there are {len(position_mm)}")
     return PositionGrid(position_mm).spacing_mm
 
 
 def focus_peak(
-    position_mm: NDArray[np.float64], field: RealArray, near_mm: tuple[float, float], radius_mm: float
+    position_mm: NDArray[np.float64], field: RealArray, near_mm: Place, radius_mm: float
 ) -> FocusPeak | None:
     """Find the place of the largest ``|field|`` within `radius_mm` of a point.
 
@@ -147,18 +103,12 @@ def focus_peak(
 
     Parameters
     ----------
-    position_mm : float64 array, shape (positions, 2)
     field : array, shape (positions,)
         The field at one instant, any unit.
     near_mm : tuple of float
-        Where the focus is meant to be.
-    radius_mm : float
-        How far from there to look, > 0.
+        Intended place of the focus.
 
-    Returns
-    -------
-    FocusPeak or None
-        None when no position lies within the radius.
+    Returns None when no position lies within the radius.
     """
     rows = np.flatnonzero(np.hypot(*(position_mm - np.asarray(near_mm)).T) <= radius_mm)
     if not rows.size:
@@ -192,20 +142,7 @@ def focal_width_mm(
     the peak in which the field has the peak's sign and more than half of its value;
     the width is ``sqrt(4 area / pi)``.
 
-    Parameters
-    ----------
-    position_mm : float64 array, shape (positions, 2)
-    field : array, shape (positions,)
-        The field at one instant, any unit.
-    peak_row : int
-        Position with the largest magnitude.
-    spacing_mm : float
-        Grid spacing, > 0.
-
-    Returns
-    -------
-    float or None
-        Millimetres; None when the spot reaches beyond the positions that are there.
+    `peak_row` is the position with the largest magnitude. Returns None when the spot reaches beyond the positions.
     """
     from scipy import ndimage, spatial
     from scipy.interpolate import RBFInterpolator  # a render measures no spot, and does not wait for these
@@ -241,28 +178,68 @@ def focal_width_mm(
 
 
 def artefact_level_db(
-    position_mm: NDArray[np.float64], field: RealArray, near_mm: tuple[float, float], radius_mm: float
+    position_mm: NDArray[np.float64],
+    field: RealArray,
+    near_mm: Place,
+    radius_mm: float,
+    others_mm: NDArray[np.float64] | None = None,
 ) -> float:
-    """Largest ``|field|`` further than `radius_mm` from a focus over the largest within it, in dB.
+    """Largest ``|field|`` further than `radius_mm` from every focus over the largest within it of one, in dB.
 
-    NaN when there is no position on either side of the circle, or no field within it.
+    `others_mm`, shape (foci, 2), are further foci of the same instant. NaN when there is no position on either side of
+    the circles, or no field within.
     """
     within = np.hypot(*(position_mm - np.asarray(near_mm)).T) <= radius_mm
-    if not within.any() or within.all():
+    beyond = ~within
+    for other_mm in () if others_mm is None else others_mm:
+        beyond &= np.hypot(*(position_mm - other_mm).T) > radius_mm
+    if not within.any() or not beyond.any():
         return math.nan
     inside = float(np.max(np.abs(field[within])))
-    return level_db(float(np.max(np.abs(field[~within]))) / inside) if inside > 0.0 else math.nan
+    return level_db(float(np.max(np.abs(field[beyond]))) / inside) if inside > 0.0 else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class FocusSpot:
+    """Figures of one focus, as `focus_peak`, `focal_width_mm` and `artefact_level_db` define them; NaN: has none.
+
+    `off_mm` is the distance of the peak from the intended place.
+    """
+
+    value: float
+    at_mm: tuple[float, float]
+    off_mm: float
+    width_mm: float
+    artefact_db: float
+
+
+def focus_spot(
+    position_mm: NDArray[np.float64],
+    field: RealArray,
+    near_mm: Place,
+    radius_mm: float,
+    spacing_mm: float | None,
+    others_mm: NDArray[np.float64] | None = None,
+) -> FocusSpot | None:
+    """All figures of the focus near a point; None where no position lies within the radius."""
+    peak = focus_peak(position_mm, field, near_mm, radius_mm)
+    if peak is None:
+        return None
+    width = None if spacing_mm is None else focal_width_mm(position_mm, field, peak.row, spacing_mm)
+    return FocusSpot(
+        value=peak.value,
+        at_mm=peak.at_mm,
+        off_mm=math.hypot(peak.at_mm[0] - near_mm[0], peak.at_mm[1] - near_mm[1]),
+        width_mm=math.nan if width is None else width,
+        artefact_db=artefact_level_db(position_mm, field, near_mm, radius_mm, others_mm),
+    )
 
 
 def band_weights(samples: int, sample_rate_hz: float, band_hz: tuple[float, float]) -> NDArray[np.float32]:
-    """Zero-phase weights of a band on the bins of ``rfft``.
+    """Zero-phase weights of a band on the bins of ``rfft``, shape (samples // 2 + 1,).
 
-    1 inside `band_hz`, falling to 0 over a quarter of an octave outside it, as half a
-    cosine on the logarithm of frequency.
-
-    Returns
-    -------
-    float32 array, shape (samples // 2 + 1,)
+    1 inside `band_hz`, falling to 0 over a quarter of an octave outside it, as half a cosine on the logarithm of
+    frequency.
     """
     frequency = np.maximum(np.fft.rfftfreq(samples, 1.0 / sample_rate_hz), 1e-9)
     outside = np.maximum(np.log2(band_hz[0] / frequency), np.log2(frequency / band_hz[1]))
@@ -270,18 +247,7 @@ def band_weights(samples: int, sample_rate_hz: float, band_hz: tuple[float, floa
 
 
 def band_limited(field: RealArray, sample_rate_hz: float, band_hz: tuple[float, float]) -> RealArray:
-    """The part of signals within a band, by `band_weights` on their zero-padded spectra.
-
-    Parameters
-    ----------
-    field : float32 or float64 array, shape (..., samples)
-    sample_rate_hz : float
-    band_hz : tuple of float
-
-    Returns
-    -------
-    array of the same type and shape
-    """
+    """The part of signals (..., samples) within a band, by `band_weights` on their zero-padded spectra."""
     samples = field.shape[-1]
     padded = fast_length(samples + round(2.0 * sample_rate_hz / band_hz[0]))
     spectrum = np.fft.rfft(field, padded)

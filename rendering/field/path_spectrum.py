@@ -34,6 +34,13 @@ class PathSpectrum:
         """Mean over the points, (bins,): the paper's "average magnitude spectrum"."""
         return np.asarray(self.magnitude.mean(axis=0))
 
+    @property
+    def centroid_hz(self) -> float:
+        """Mean frequency of the energy of all points; NaN without any."""
+        energy = np.square(self.magnitude).sum(axis=0)
+        total = float(energy.sum())
+        return float(energy @ self.frequency_hz) / total if total > 0 else float("nan")
+
     def share_within(self, band_hz: tuple[float, float]) -> float:
         """Share of the energy of all points that lies within a band, 0 to 1; NaN without any energy."""
         energy = np.square(self.magnitude).sum(axis=0)

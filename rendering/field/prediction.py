@@ -1,7 +1,8 @@
-"""What a drive makes the surface do, as the bank predicts it (eqs. 4 and 17), row by row."""
+"""Response of the surface to a drive as the bank predicts it (eqs. 4 and 17), row by row."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from rendering.device import Device, fast_length, host_device
 from rendering.field.bank_spectra import BankSpectra
 from rendering.field.convolution import Convolution
 from rendering.field.decimation import Decimation
+from rendering.field.focus_figures import FocusInstant, emission_windows, evenly
 from rendering.greens.source import GreenSource, RowReader, drive_unit
 from rendering.threads import WORKERS, in_order
 from storage.drive_file import Drive
@@ -29,6 +31,7 @@ OnProgress = Callable[[int, int], None]
 LEAST_ROWS = 8
 """Fewer rows are not worth a thread of their own."""
 LOOKED_AT_ROWS, LOOKED_AT_BLOCKS = 4, 8
+MOST_FOCI = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,3 +206,25 @@ class Prediction:
             if total > 0:
                 shares.append(float(np.sum(np.asarray(energy)[above])) / total)
         return max(shares)
+
+
+def predicted_focus_peak(drive: Drive, bank: GreenSource) -> float | None:
+    """Largest magnitude of the predicted response at a scene's foci, each while it is emitted.
+
+    In the bank's response unit, of at most `MOST_FOCI` foci; None where there is none that is finite.
+    """
+    windows = emission_windows(drive)
+    foci: dict[int, list[FocusInstant]] = {}
+    for index in evenly(len(windows), MOST_FOCI).tolist():
+        foci.setdefault(windows[index].row, []).append(windows[index])
+    if not foci:
+        return None
+    peak, begin = 0.0, round(drive.start_s * drive.sample_rate_hz)
+    with np.errstate(over="ignore", invalid="ignore"):
+        prediction = Prediction(drive, bank, list(foci), dtype=np.float64)
+        for row, instants in foci.items():
+            response = np.abs(prediction.respond(np.array([row], dtype=np.int64))[0])
+            for one in instants:
+                part = response[one.start_sample - begin : one.stop_sample - begin]
+                peak = max(peak, float(part.max(initial=0.0)))
+    return peak if math.isfinite(peak) else None

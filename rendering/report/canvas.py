@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ParamSpec
 
@@ -39,21 +39,15 @@ STYLE: dict[Any, Any] = {
 }
 
 
+TITLE_PX, MAP_GAP_PX = 26, 12
+"""Height of the title above each map of `draw_maps`, and the space between neighbours."""
+
 Parameters = ParamSpec("Parameters")
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A figure of the report.
-
-    Parameters
-    ----------
-    name : str
-        File name without ending.
-    png : bytes
-    width_px, height_px : int
-        The size at which it is shown, in CSS pixels.
-    """
+    """A figure of the report: file name without ending, and the size in CSS pixels at which it is shown."""
 
     name: str
     png: bytes
@@ -83,9 +77,22 @@ class Canvas:
             (left_px / across, 1.0 - (top_px + height_px) / down, width_px / across, height_px / down)
         )
 
-    def legend_place(self, left_px: float, top_px: float) -> tuple[float, float]:
-        """A place for ``bbox_to_anchor``."""
-        return left_px / self._size_px[0], 1.0 - top_px / self._size_px[1]
+    def plot(self, left_px: float, top_px: float, width_px: float, height_px: float, **labels: Any) -> Axes:
+        """Axes without a frame above and to the right, for curves; `labels` as of ``Axes.set``."""
+        axes = self.axes(left_px, top_px, width_px, height_px)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.set(**labels)
+        return axes
+
+    def legend(self, handles: Sequence[Any], left_px: float, top_px: float, columns: int) -> None:
+        """A legend of the whole figure, centred below a point."""
+        place = left_px / self._size_px[0], 1.0 - top_px / self._size_px[1]
+        self.figure.legend(handles=handles, loc="upper center", bbox_to_anchor=place, ncols=columns)
+
+    def colour_bar(self, cells: Any, place_px: tuple[float, float, float, float], label: str, **options: Any) -> None:
+        """A colour bar at (left, top, width, height), horizontal where it is wider than high."""
+        orientation = "horizontal" if place_px[2] > place_px[3] else "vertical"
+        self.figure.colorbar(cells, cax=self.axes(*place_px), label=label, orientation=orientation, **options)
 
     def picture(self) -> Picture:
         """Draw and encode."""
@@ -162,9 +169,9 @@ class Surface:
 def draw_surface(axes: Axes, surface: Surface, *, path: bool, path_colour: str = "black") -> None:
     """Draw outline and actuators, and the path above the cells when asked for."""
     if surface.outline_mm is not None:
-        axes.plot(*surface.outline_mm.T, color="#6a737d", lw=1.0, zorder=3)
+        axes.plot(*surface.outline_mm.T, color=FAINT, lw=1.0, zorder=3)
     known = np.all(np.isfinite(surface.actuator_mm), axis=1)
-    axes.plot(*surface.actuator_mm[known].T, "^", ms=4.5, mfc="white", mec="#1b1f24", mew=0.8, zorder=4)
+    axes.plot(*surface.actuator_mm[known].T, "^", ms=4.5, mfc="white", mec=INK, mew=0.8, zorder=4)
     if path:
         for points in surface.paths_mm:
             axes.plot(*points.T, color=path_colour, lw=0.8, zorder=5)
@@ -196,4 +203,57 @@ def draw_cells(
         cells.set_cmap(colours)
         cells.set_clim(*(limits if limits is not None else (float(values.min()), float(values.max()))))
     axes.add_collection(cells)
+    return cells
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One map: its title, the values of its positions, and places (points, 2) that get a ring."""
+
+    title: str
+    values: NDArray[np.floating[Any]]
+    rings_mm: NDArray[np.float64] | None = None
+
+
+def draw_maps(
+    canvas: Canvas,
+    surface: Surface,
+    panels: Sequence[Panel],
+    place_px: tuple[float, float, float],
+    *,
+    columns: int,
+    limits: tuple[float, float],
+    colours: str = "viridis",
+    rows: NDArray[np.int64] | None = None,
+    path_colour: str | None = None,
+    ring_colour: str = INK,
+) -> PolyCollection:
+    """Draw maps in rows, on one colour scale; the outer ones alone are labelled.
+
+    Parameters
+    ----------
+    place_px : tuple of float
+        Left and top of the first map's frame (its title is above), and the width of each.
+    rows : int64 array, optional
+        Positions that the values are of; by default all.
+    path_colour : str, optional
+        Draws the paths.
+
+    Returns cells for a colour bar.
+    """
+    left_px, top_px, width_px = place_px
+    height_px = surface.height_px(width_px)
+    shown = np.arange(len(surface.position_mm)) if rows is None else rows
+    for number, panel in enumerate(panels):
+        line, column = divmod(number, columns)
+        axes = canvas.axes(
+            left_px + column * (width_px + MAP_GAP_PX), top_px + line * (height_px + TITLE_PX), width_px, height_px
+        )
+        draw_surface(axes, surface, path=path_colour is not None, path_colour=path_colour or INK)
+        cells = draw_cells(axes, surface, shown, panel.values, colours=colours, limits=limits)
+        if panel.rings_mm is not None:
+            axes.plot(*panel.rings_mm.T, "o", ms=12, mfc="none", mec=ring_colour, mew=1.1, zorder=6)
+        left, bottom = column == 0, number + columns >= len(panels)
+        axes.tick_params(labelleft=left, labelbottom=bottom)
+        axes.set(title=panel.title, xlabel="x (mm)" if bottom else "", ylabel="y (mm)" if left else "")
     return cells

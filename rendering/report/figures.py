@@ -13,7 +13,19 @@ from numpy.typing import NDArray
 from acquisition.quality.limits import DriftLimits, DriftPoint
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
 from rendering.field.metrics import normalised_error
-from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
+from rendering.report.canvas import (
+    FAINT,
+    INK,
+    TITLE_PX,
+    Canvas,
+    Panel,
+    Picture,
+    Surface,
+    draw_cells,
+    draw_maps,
+    draw_surface,
+    drawn_in_style,
+)
 from storage.point_status import STATUS_WORDS, Status
 
 if TYPE_CHECKING:
@@ -52,8 +64,7 @@ def status_map(
             draw_cells(axes, surface, rows[there], colour=STATUS_COLOURS[word])
             keys.append(Patch(color=STATUS_COLOURS[word], label=f"{word} ({np.count_nonzero(there)})"))
     axes.plot(*surface.position_mm[crossed].T, "x", ms=4, mec=INK, mew=0.9, zorder=6)
-    place = canvas.legend_place(56 + 480 / 2, MAP_TOP_PX + surface.height_px(480) + 46)
-    canvas.figure.legend(handles=keys, loc="upper center", bbox_to_anchor=place, ncols=3)
+    canvas.legend(keys, 56 + 480 / 2, MAP_TOP_PX + surface.height_px(480) + 46, 3)
     return canvas.picture()
 
 
@@ -76,9 +87,8 @@ def value_map(
         low, high = _limits(values[known])
         cells = draw_cells(axes, surface, rows[known], values[known], colours=colours, limits=(low, high))
         outside = bool(np.any((values[known] < low) | (values[known] > high)))
-        bar = canvas.axes(56 + 80, MAP_TOP_PX + surface.height_px(480) + 50, 320, 10)
-        extend = "both" if outside else "neither"
-        canvas.figure.colorbar(cells, cax=bar, label=label, orientation="horizontal", extend=extend)
+        place_px = (56 + 80, MAP_TOP_PX + surface.height_px(480) + 50, 320, 10)
+        canvas.colour_bar(cells, place_px, label, extend="both" if outside else "neither")
     return canvas.picture()
 
 
@@ -89,18 +99,14 @@ def path_map(surface: Surface, fields: FieldComparison) -> Picture:
     factor, unit = scaled_unit(top, fields.response_unit)
     height = surface.height_px(470)
     canvas = Canvas("path", 1120, height + 74)
-    for left, title, snapshot in (
-        (56, "Prediction", fields.predicted_snapshot),
-        (56 + 486, "Scan", fields.scanned_snapshot),
-    ):
-        axes = canvas.axes(left, 24, 470, height)
-        draw_surface(axes, surface, path=True, path_colour="white")
-        axes.set(title=title, xlabel="x (mm)", ylabel="y (mm)" if left == 56 else "")
-        axes.tick_params(labelleft=left == 56)
-        largest = factor * np.max(np.abs(snapshot), axis=0)
-        cells = draw_cells(axes, surface, fields.position_index, largest, limits=(0.0, factor * top))
-    bar = canvas.axes(1034, 24 + 0.1 * height, 12, 0.8 * height)
-    canvas.figure.colorbar(cells, cax=bar, label=f"largest |y| over focus instants ({unit})", extend="max")
+    snapshots = {"Prediction": fields.predicted_snapshot, "Scan": fields.scanned_snapshot}
+    panels = [Panel(title, factor * np.max(np.abs(field), axis=0)) for title, field in snapshots.items()]
+    cells = draw_maps(
+        canvas, surface, panels, (56, 24, 470), columns=2, limits=(0.0, factor * top), rows=fields.position_index,
+        path_colour="white",
+    )  # fmt: skip
+    place_px = (1034, 24 + 0.1 * height, 12, 0.8 * height)
+    canvas.colour_bar(cells, place_px, f"largest |y| over focus instants ({unit})", extend="max")
     return canvas.picture()
 
 
@@ -109,31 +115,25 @@ def snapshots(surface: Surface, fields: FieldComparison, chosen: NDArray[np.int6
     """Prediction, scan and their difference at focus instants, all on one colour scale."""
     top = focus_level(surface, fields)
     factor, unit = scaled_unit(top, fields.response_unit)
-    width, gap, title_height = 346, 10, 24
-    pitch = surface.height_px(width) + title_height
-    canvas = Canvas("snapshots", 1120, 60 + pitch * len(chosen) + 46)
-    for line, index in enumerate(chosen):
+    panels = []
+    for index in chosen:
         predicted, scanned = fields.predicted_snapshot[index], fields.scanned_snapshot[index]
         instant = fields.instant[index]
-        time_ms = 1e3 * instant.sample / fields.sample_rate_hz
         error = 100.0 * normalised_error(scanned, predicted)
-        for column, (title, values) in enumerate(
-            (
-                (f"prediction, t = {time_ms:.1f} ms", predicted),
-                ("scan", scanned),
-                (f"scan \N{MINUS SIGN} prediction: {error:.2g} % at this instant", scanned - predicted),
-            )
-        ):
-            place = (56 + column * (width + gap), 60 + title_height + pitch * line)
-            axes = canvas.axes(*place, width, pitch - title_height)
-            draw_surface(axes, surface, path=True)
-            axes.set_title(title)
-            limits = (-factor * top, factor * top)
-            cells = draw_cells(axes, surface, fields.position_index, factor * values, colours="RdBu_r", limits=limits)
-            axes.plot(*surface.position_mm[instant.row], "o", ms=13, mfc="none", mec=INK, mew=1.2, zorder=6)
-            _label_outer(axes, left=column == 0, bottom=line == len(chosen) - 1)
-    bar = canvas.axes(1120 / 2 - 180, 8, 360, 10)
-    canvas.figure.colorbar(cells, cax=bar, label=f"y ({unit}), all panels", orientation="horizontal", extend="both")
+        ring_mm = surface.position_mm[[instant.row]]
+        panels += [
+            Panel(
+                f"prediction, t = {1e3 * instant.sample / fields.sample_rate_hz:.1f} ms", factor * predicted, ring_mm
+            ),
+            Panel("scan", factor * scanned, ring_mm),
+            Panel(f"scan \N{MINUS SIGN} prediction: {error:.2g} %", factor * (scanned - predicted), ring_mm),
+        ]
+    canvas = Canvas("snapshots", 1120, 58 + (surface.height_px(344) + TITLE_PX) * len(chosen) + 46)
+    cells = draw_maps(
+        canvas, surface, panels, (56, 58 + TITLE_PX, 344), columns=3, limits=(-factor * top, factor * top),
+        colours="RdBu_r", rows=fields.position_index, path_colour=INK,
+    )  # fmt: skip
+    canvas.colour_bar(cells, (1120 / 2 - 180, 8, 360, 10), f"y ({unit}), all panels", extend="both")
     return canvas.picture()
 
 
@@ -156,7 +156,9 @@ def waveforms(surface: Surface, fields: FieldComparison) -> Picture:
         first_ms = start_ms - 40.0
         last_ms = min(stop_ms + 40.0, first_ms + 180.0)
         shown = (time_ms >= first_ms) & (time_ms <= last_ms)
-        axes = canvas.axes(62 + 550 * (place % 2), 54 + 176 * (place // 2), 486, 108)
+        axes = canvas.plot(
+            62 + 550 * (place % 2), 54 + 176 * (place // 2), 486, 108, xlabel="time (ms)", ylabel=f"y ({unit})"
+        )
         axes.axvspan(start_ms, stop_ms, color="#e9edf1", lw=0)
         axes.axvline(1e3 * window.sample / rate_hz, color=FAINT, lw=0.8, ls=":")
         axes.plot(time_ms[shown], factor * predicted[shown], color=PREDICTION, lw=3.2)
@@ -165,16 +167,13 @@ def waveforms(surface: Surface, fields: FieldComparison) -> Picture:
         axes.set_xlim(first_ms, last_ms)
         x_mm, y_mm = surface.position_mm[row]
         axes.set_title(f"position {row} at x = {x_mm:.0f} mm, y = {y_mm:.0f} mm", loc="left")
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.set(xlabel="time (ms)", ylabel=f"y ({unit})")
         axes.locator_params(axis="y", nbins=5)
     keys = [
         Line2D([], [], color=PREDICTION, lw=3.2, label="prediction"),
         Line2D([], [], color=SCAN, lw=0.9, label="scan"),
         Line2D([], [], color=FAINT, lw=0.7, label="scan \N{MINUS SIGN} prediction"),
     ]
-    place_of_keys = canvas.legend_place(1120 / 2, 0)
-    canvas.figure.legend(handles=keys, loc="upper center", bbox_to_anchor=place_of_keys, ncols=3)
+    canvas.legend(keys, 1120 / 2, 0, 3)
     return canvas.picture()
 
 
@@ -184,12 +183,10 @@ def drive_levels(drive_v: NDArray[np.float64]) -> Picture:
     rms = np.sqrt(np.mean(drive_v**2, axis=1))
     top = float(rms.max())
     canvas = Canvas("drive", 1120, 250)
-    axes = canvas.axes(62, 30, 1040, 170)
+    axes = canvas.plot(62, 30, 1040, 170, xlabel="actuator", ylabel="relative rms", ylim=(0.0, 1.05))
     axes.bar(np.arange(rms.size), rms / top if top > 0.0 else rms, color=SCAN, width=0.75)
-    axes.set(xlabel="actuator", ylabel="relative rms", ylim=(0.0, 1.05))
     axes.set_xticks(np.arange(0, rms.size, math.ceil(rms.size / 20)))
     axes.margins(x=0.01)
-    axes.spines[["top", "right"]].set_visible(False)
     factor, unit = scaled_unit(top, "V")
     axes.set_title(f"1.0 is {factor * top:.3g} {unit} rms over the whole drive", loc="left")
     return canvas.picture()
@@ -236,21 +233,9 @@ def _single_map(name: str, surface: Surface) -> tuple[Canvas, Axes]:
     return canvas, axes
 
 
-def _label_outer(axes: Axes, *, left: bool, bottom: bool) -> None:
-    if left:
-        axes.set_ylabel("y (mm)")
-    else:
-        axes.set_yticks([])
-    if bottom:
-        axes.set_xlabel("x (mm)")
-    else:
-        axes.set_xticks([])
-
-
 VERDICT_COLOURS = {"steady": "#0b3c5d", "warn": "#e69f00", "stop": "#d55e00"}
-WARN, STOP = VERDICT_COLOURS["warn"], VERDICT_COLOURS["stop"]
-# Steady figures fill the middle of the picture; limits far beyond them would press them flat.
 ROOM = 1.35
+"""Steady figures fill the middle of the picture; limits far beyond them would flatten them."""
 
 
 @drawn_in_style
@@ -261,35 +246,25 @@ def drift_over_time(points: Sequence[DriftPoint], limits: DriftLimits) -> Pictur
     canvas = Canvas("drift", 1120, 470)
     # Days, as matplotlib counts them; minutes and seconds are fractions.
     days = np.array([point.at.timestamp() / 86_400.0 for point in points])
+    # Correlation as distance from 1, so that all three are zero where nothing has changed.
     rows = (
-        ("level (dB)", [point.level_db for point in points], limits.warn_level_db, limits.stop_level_db),
-        (
-            "delay (samples)",
-            [point.delay_samples for point in points],
-            limits.warn_delay_samples,
-            limits.stop_delay_samples,
-        ),
-        # As distance from 1, so that all three are zero where nothing has changed.
-        (
-            "1 - correlation",
-            [1.0 - point.correlation for point in points],
-            1.0 - limits.warn_correlation,
-            1.0 - limits.stop_correlation,
-        ),
+        ("level (dB)", "level_db", limits.warn_level_db, limits.stop_level_db),
+        ("delay (samples)", "delay_samples", limits.warn_delay_samples, limits.stop_delay_samples),
+        ("1 - correlation", "correlation", 1.0 - limits.warn_correlation, 1.0 - limits.stop_correlation),
     )
     colours = [VERDICT_COLOURS.get(point.verdict, FAINT) for point in points]
     room = max(0.02 * (days[-1] - days[0]), 600.0 / 86_400.0)
-    for row, (label, values, warn, stop) in enumerate(rows):
-        axes = canvas.axes(80, 14 + 130 * row, 1020, 112)
+    for row, (label, name, warn, stop) in enumerate(rows):
+        values = np.array([getattr(point, name) for point in points])
+        values = 1.0 - values if name == "correlation" else values
+        axes = canvas.plot(80, 14 + 130 * row, 1020, 112, ylabel=label)
         axes.plot(days, values, "-", color=FAINT, lw=0.8, zorder=2)
         axes.scatter(days, values, c=colours, s=16, zorder=3)
-        _draw_limits(axes, np.array(values), warn, stop, both_sides=row < 2)
-        axes.set_ylabel(label)
+        _draw_limits(axes, values, warn, stop, both_sides=row < 2)
         axes.set_xlim(days[0] - room, days[-1] + room)
-        axes.spines[["top", "right"]].set_visible(False)
         _label_clock(axes, points[0].at, with_labels=row == 2)
     keys = [Patch(color=colour, label=word) for word, colour in VERDICT_COLOURS.items()]
-    canvas.figure.legend(handles=keys, loc="upper center", bbox_to_anchor=canvas.legend_place(590, 440), ncols=3)
+    canvas.legend(keys, 590, 440, 3)
     return canvas.picture()
 
 
@@ -298,7 +273,7 @@ def _draw_limits(axes: Axes, values: np.ndarray, warn: float, stop: float, *, bo
     finite = np.abs(values[np.isfinite(values)])
     largest = float(finite.max(initial=0.0))
     span = ROOM * max(warn if largest <= warn else stop, largest)
-    for limit, colour in ((warn, WARN), (stop, STOP)):
+    for limit, colour in ((warn, VERDICT_COLOURS["warn"]), (stop, VERDICT_COLOURS["stop"])):
         for side in (1.0, -1.0) if both_sides else (1.0,):
             if limit < span:
                 axes.axhline(side * limit, color=colour, lw=0.8, ls="--", zorder=1)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, BinaryIO, Self
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +17,13 @@ from rendering.report.canvas import (
     FAINT,
     INK,
     STYLE,
+    TITLE_PX,
     Canvas,
+    Panel,
     Picture,
     Surface,
     draw_cells,
+    draw_maps,
     draw_surface,
     drawn_in_style,
 )
@@ -82,14 +84,7 @@ def write_movie(
         with replacement(path) as temporary, temporary.open("wb") as file:
             # The first frame has half the colours at best; the palette is that of the loudest one.
             loudest = int(np.argmax(np.einsum("ij,ij->i", frames, frames)))
-            colours = stage.draw(frames, loudest)
-            with GifStream(file, stage.draw(frames, 0), colours, plan.frame_rate_hz) as movie:
-                for frame in range(len(frames)):
-                    if frame:
-                        pixels, left, upper = stage.changing(stage.draw(frames, frame))
-                        movie.add(pixels, left, upper)
-                    if on_progress is not None:
-                        on_progress(frame + 1, len(frames))
+            _write_gif(file, stage.frames(frames, on_progress), stage.draw(frames, loudest), plan.frame_rate_hz)
     return top
 
 
@@ -116,8 +111,7 @@ class _Stage:
             axes, surface, field.position_index, np.zeros(len(field.position_index)), colours=COLOURS,
             limits=(-level, level),
         )  # fmt: skip
-        bar = canvas.axes(LEFT_PX + map_px + 12, TOP_PX, 11, height)
-        figure.colorbar(self._cells, cax=bar, label=f"y ({unit})", extend="both")
+        canvas.colour_bar(self._cells, (LEFT_PX + map_px + 12, TOP_PX, 11, height), f"y ({unit})", extend="both")
         (self._foci,) = axes.plot([], [], "o", ms=13, mfc="none", mec=INK, mew=1.3, zorder=7)
         self._time = figure.text(LEFT_PX / width_px, 1 - 20 / height_px, "", color=INK, fontsize=10)
         speed = _speed(plan.slowed)
@@ -147,11 +141,19 @@ class _Stage:
         self._figure.draw_artist(self._time)
         return np.array(self._canvas.buffer_rgba())[:, :, :3]
 
-    def changing(self, pixels: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], int, int]:
-        """The part of a frame that may differ from the one before, and its left and upper corner."""
-        right = self._size_px[0] - BAR_PX + 4
-        lower = self._size_px[1] - BOTTOM_PX + 4
-        return np.ascontiguousarray(pixels[:lower, LEFT_PX - 4 : right]), LEFT_PX - 4, 0
+    def frames(
+        self, frames: NDArray[np.float32], on_progress: OnProgress | None
+    ) -> Iterator[tuple[NDArray[np.uint8], int, int]]:
+        """Draw all frames: the first one whole, of the others the part that may differ, and its left upper corner."""
+        width, height = self._size_px
+        for frame in range(len(frames)):
+            left = LEFT_PX - 4 if frame else 0
+            pixels = self.draw(frames, frame)
+            if frame:
+                pixels = np.ascontiguousarray(pixels[: height - BOTTOM_PX + 4, left : width - BAR_PX + 4])
+            yield pixels, left, 0
+            if on_progress is not None:
+                on_progress(frame + 1, len(frames))
 
 
 @drawn_in_style
@@ -172,24 +174,18 @@ def snapshots(field: FieldRowReader, surface: Surface, drive: Drive, *, most: in
     top = colour_limit(frames, seen)
     factor, unit = scaled_unit(top, field.response_unit)
     columns = min(3, len(sample))
-    lines = math.ceil(len(sample) / columns)
-    pitch = surface.height_px(SNAPSHOT_PX) + 26
+    panels = []
+    for at, one, values in zip(sample.tolist(), focus.tolist(), frames, strict=True):
+        title = f"t = {1e3 * (field.start_s + at / field.sample_rate_hz):.1f} ms, source {foci.source[one]}"
+        panels.append(Panel(title, factor * values, surface.position_mm[[foci.position[one]]]))
+    pitch = surface.height_px(SNAPSHOT_PX) + TITLE_PX
     width = 62 + columns * (SNAPSHOT_PX + 12)
-    canvas = Canvas("snapshots", width, 58 + pitch * lines + 44)
-    for place, values in enumerate(frames):
-        column, line = place % columns, place // columns
-        axes = canvas.axes(52 + column * (SNAPSHOT_PX + 12), 58 + 26 + pitch * line, SNAPSHOT_PX, pitch - 26)
-        draw_surface(axes, surface, path=True)
-        cells = draw_cells(
-            axes, surface, field.position_index, factor * values, colours=COLOURS, limits=(-factor * top, factor * top)
-        )
-        axes.plot(*surface.position_mm[foci.position[focus[place]]], "o", ms=13, mfc="none", mec=INK, mew=1.2)
-        time_s = field.start_s + int(sample[place]) / field.sample_rate_hz
-        axes.set_title(f"t = {1e3 * time_s:.1f} ms, source {foci.source[focus[place]]}")
-        axes.tick_params(labelleft=column == 0, labelbottom=place + columns >= len(sample))
-        axes.set(ylabel="y (mm)" if column == 0 else "", xlabel="x (mm)" if place + columns >= len(sample) else "")
-    bar = canvas.axes(width / 2 - 150, 8, 300, 10)
-    canvas.figure.colorbar(cells, cax=bar, label=f"y ({unit}), all panels", orientation="horizontal", extend="both")
+    canvas = Canvas("snapshots", width, 58 + pitch * math.ceil(len(sample) / columns) + 44)
+    cells = draw_maps(
+        canvas, surface, panels, (52, 58 + TITLE_PX, SNAPSHOT_PX), columns=columns,
+        limits=(-factor * top, factor * top), colours=COLOURS, rows=field.position_index, path_colour=INK,
+    )  # fmt: skip
+    canvas.colour_bar(cells, (width / 2 - 150, 8, 300, 10), f"y ({unit}), all panels", extend="both")
     return canvas.picture()
 
 
@@ -199,63 +195,27 @@ def _speed(slowed: float) -> str:
     return f"{slowed:.3g} times slower" if slowed > 1 else f"{1 / slowed:.3g} times faster"
 
 
-GIF_COLOURS = 256
-CENTISECONDS = 100
+def _write_gif(
+    file: BinaryIO,
+    frames: Iterator[tuple[NDArray[np.uint8], int, int]],
+    palette_of: NDArray[np.uint8],
+    frame_rate_hz: float,
+) -> None:
+    """Write an endless GIF frame by frame (Pillow would hold all of them).
 
-
-class GifStream:
-    """Writes an endless GIF; a context manager.
-
-    All frames have the first one's palette, and parts of a frame replace what was there.
-
-    Parameters
-    ----------
-    file : BinaryIO
-        Output, from its present place.
-    first : uint8 array, shape (height, width, 3)
-        The first frame, and what the others are drawn upon.
-    palette_of : uint8 array, shape (height, width, 3)
-        A picture that has all the colours that will be needed.
-    frame_rate_hz : float
-        Frames a second; GIF counts in hundredths of a second, at least 2.
+    Each frame is its pixels and their left and upper corner; it replaces that part of the picture, which has the size
+    and the palette of `palette_of`. GIF counts in hundredths of a second, at least 2.
     """
+    from PIL import GifImagePlugin, Image
 
-    def __init__(
-        self,
-        file: BinaryIO,
-        first: NDArray[np.uint8],
-        palette_of: NDArray[np.uint8],
-        frame_rate_hz: float,
-    ) -> None:
-        from PIL import Image
-
-        self._file = file
-        self._delay = max(2, round(CENTISECONDS / frame_rate_hz))
-        self._palette = Image.fromarray(palette_of).quantize(GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
-        colours = bytes(self._palette.getpalette() or b"").ljust(3 * GIF_COLOURS, b"\0")
-        height, width = first.shape[:2]
-        file.write(b"GIF89a" + struct.pack("<HHBBB", width, height, 0b1111_0111, 0, 0) + colours)
-        file.write(b"\x21\xff\x0bNETSCAPE2.0\x03\x01" + struct.pack("<H", 0) + b"\0")
-        self.add(first)
-
-    def add(self, pixels: NDArray[np.uint8], left: int = 0, top: int = 0) -> None:
-        """Add a frame that changes a part of the picture."""
-        from PIL import GifImagePlugin, Image
-
-        part = Image.fromarray(pixels).quantize(palette=self._palette, dither=Image.Dither.NONE)
-        milliseconds = 1000 // CENTISECONDS * self._delay
+    palette = Image.fromarray(palette_of).quantize(256, method=Image.Quantize.MEDIANCUT)
+    colours = bytes(palette.getpalette() or b"").ljust(3 * 256, b"\0")
+    height, width = palette_of.shape[:2]
+    file.write(b"GIF89a" + struct.pack("<HHBBB", width, height, 0b1111_0111, 0, 0) + colours)
+    file.write(b"\x21\xff\x0bNETSCAPE2.0\x03\x01" + struct.pack("<H", 0) + b"\0")
+    milliseconds = 10 * max(2, round(100 / frame_rate_hz))
+    for pixels, left, top in frames:
+        part = Image.fromarray(pixels).quantize(palette=palette, dither=Image.Dither.NONE)
         for data in GifImagePlugin.getdata(part, (left, top), duration=milliseconds, disposal=1):
-            self._file.write(data)
-
-    @property
-    def frame_rate_hz(self) -> float:
-        """The rate that the hundredths of a second come to."""
-        return CENTISECONDS / self._delay
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.write(b";")
+            file.write(data)
+    file.write(b";")

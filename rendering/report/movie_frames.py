@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.field.focus_figures import evenly
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.field_file import FieldRowReader
@@ -165,7 +166,7 @@ class Seen:
     def some(self, most: int) -> Seen:
         """Some of them, evenly chosen in time."""
         order = np.argsort(self.sample, kind="stable")
-        chosen = order[np.unique(np.linspace(0, len(order) - 1, most).round().astype(int))]
+        chosen = order[evenly(len(order), most)]
         return Seen(self.focus[chosen], self.sample[chosen], self.peak[chosen])
 
 

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from acquisition.quality.limits import DriftLimits, DriftPoint
 from rendering.field import metrics
+from rendering.field.focus_figures import evenly
 from rendering.greens.regularisation import focus_gain_map
 from rendering.report import figures as report_figures
 from rendering.report.canvas import Picture, Surface
 from rendering.report.figures import drift_over_time
 from rendering.report.waves import wave_figures, waves_of, waves_picture
 from rendering.report.words import figure_lines, number, precise, remarks
-from rendering.verify.record import REPORT_NAME, Figure
+from rendering.verify.record import REPORT_NAME
 from rendering.verify.verdict import Verification
 from storage.output_files import write_whole
 
@@ -67,14 +68,16 @@ def build_report(
     environment = Environment(
         loader=PackageLoader("rendering"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
+    environment.filters |= {
+        "number": number,
+        "precise": precise,
+        "base64": lambda png: base64.b64encode(png).decode("ascii"),
+    }
     html = environment.get_template("report.html.jinja").render(
         scene_name=scene.name,
-        passed=verification.passed,
-        summary=verification.summary,
-        checks=[_check_row(check) for check in verification.checks],
+        verification=verification,
         remarks=remarks(verification, drive, scan),
-        pictures={name: _embedded(one) for name, one in pictures.items()},
-        instants=len(verification.fields.instant),
+        pictures=pictures,
         figures=[
             *figure_lines(verification, metrics.range_db(gain)),
             *wave_figures(waves, scene, verification.fields.band_hz),
@@ -119,7 +122,7 @@ def _pictures(
     fields = verification.fields
     every_row = np.arange(len(surface.position_mm))
     has_foci = len(fields.instant) > 0 and bool(np.any(fields.predicted_snapshot))
-    chosen = np.unique(np.linspace(0, len(fields.instant) - 1, MOST_SNAPSHOTS).round().astype(np.int64))
+    chosen = evenly(len(fields.instant), MOST_SNAPSHOTS)
     snr_rows, snr_db, snr_caption = _signal_to_noise(verification, bank, every_row)
     with np.errstate(divide="ignore", invalid="ignore"):
         error_db = 20.0 * np.log10(fields.position_error)
@@ -141,9 +144,8 @@ def _pictures(
         "positions_caption": "Status of each position in the bank"
         + (f"; crosses: the {excluded.size} scanned position(s) that were not compared." if excluded.size else "."),
         "snr_caption": snr_caption,
-        "gain_caption": "Normalisation factor n(x) of equation 15: how much louder the drive must be for "
-        "an equal "
-        f"focus. Range {number(metrics.range_db(gain), 'dB')} (20 lg of largest over smallest).",
+        "gain_caption": "Normalisation factor n(x) of equation 15: how much louder the drive must be for an equal"
+        f" focus. Range {number(metrics.range_db(gain), 'dB')} (20 lg of largest over smallest).",
         "drive_caption": "Rms of each actuator's drive over its whole length, relative to the largest. "
         f"Peak {number(float(np.max(np.abs(drive.drive_v), initial=0.0)), drive.drive_unit)} at any actuator.",
     }
@@ -164,32 +166,6 @@ def _signal_to_noise(
     fields = verification.fields
     caption = "Signal-to-noise ratio of the scan at each position, within the band."
     return fields.position_index, fields.position_snr_db, caption
-
-
-def _check_row(check: Figure) -> dict[str, str]:
-    word, style = {True: ("✓ pass", "pass"), False: ("✗ fail", "fail"), None: ("not judged", "open")}[check.passed]
-    relation = "≤" if check.relation == "at most" else "≥"
-    text = precise(check.value) if check.name == "correlation" else number(check.value, check.unit)
-    return {
-        "name": check.name,
-        "predicted": number(check.predicted, check.unit),
-        "scanned": number(check.scanned, check.unit),
-        "value": text,
-        "limit": f"{relation} {number(check.limit, check.unit)}",
-        "word": word,
-        "style": style,
-        "definition": check.definition,
-    }
-
-
-def _embedded(one: Picture | None) -> dict[str, object] | None:
-    if one is None:
-        return None
-    return {
-        "base64": base64.b64encode(one.png).decode("ascii"),
-        "width_px": one.width_px,
-        "height_px": one.height_px,
-    }
 
 
 def _facts(
@@ -216,7 +192,7 @@ def _facts(
     actuators, samples = drive.drive_v.shape
     facts += [
         ("drive", f"{drive.method}, {actuators} actuators, {samples / drive.sample_rate_hz:.3g} s"),
-        ("foci", f"{len(drive.focus_sample):,}, of which {len(verification.fields.instant)} were looked at"),
+        ("foci", f"{len(drive.focus_sample):,}, of which {len(verification.fields.instant)} were compared"),
         ("positions predicted", f"{len(prediction.position_index):,}"),
         ("positions scanned", f"{len(scan.position_index):,}"),
         ("positions compared", f"{len(verification.fields.position_index):,}"),

@@ -79,15 +79,12 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
     moved = "snapped by" if scene.output.interpolation == "nearest" else f"{scene.output.interpolation}; nearest within"
     right.set_title(f"{places}, {moved} up to {largest_mm:.2g} mm".replace("within up to", "within"))
     cells, label = _draw_snapped(right, surface, sources, rows, scene, bank)
-    bar = canvas.axes(52 + 2 * MAP_PX + 30, TOP_PX + 0.08 * height, 10, 0.84 * height)
     known = cells.get_array()
     # One value alone needs no scale.
     ticks = [float(known[0])] if known is not None and np.ptp(known) < 1e-9 else None
-    canvas.figure.colorbar(cells, cax=bar, label=label, ticks=ticks)
-    canvas.figure.legend(
-        handles=_keys(sources), loc="upper center", ncols=2,
-        bbox_to_anchor=canvas.legend_place(52 + MAP_PX + 10, TOP_PX + height + 42),
-    )  # fmt: skip
+    place_px = (52 + 2 * MAP_PX + 30, TOP_PX + 0.08 * height, 10, 0.84 * height)
+    canvas.colour_bar(cells, place_px, label, ticks=ticks)
+    canvas.legend(_keys(sources), 52 + MAP_PX + 10, TOP_PX + height + 42, 2)
     return canvas.picture()
 
 

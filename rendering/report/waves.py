@@ -16,6 +16,7 @@ from rendering.field.impulse_travel import IMPULSE_BAND_HZ, SPAN_MM, ImpulseTrav
 from rendering.field.path_spectrum import PathSpectrum, path_spectrum
 from rendering.greens.source import usable
 from rendering.report.canvas import FAINT, Canvas, Picture, drawn_in_style
+from rendering.report.figures import PREDICTION, SCAN
 from rendering.report.words import FigureLine, number
 from storage.errors import InputError
 
@@ -44,16 +45,7 @@ MARKERS = ("o", "s", "^", "D")
 class Waves:
     """Figures of the waves from a bank and a comparison; None where they cannot be found.
 
-    Parameters
-    ----------
-    travel : ImpulseTravel, optional
-        Group velocity and attenuation.
-    correlation : DistanceCorrelation, optional
-        Of Green's functions over distance.
-    crosstalk : CrosstalkTable, optional
-        Over speed and path sample distance, along a line of the grid.
-    predicted, scanned : PathSpectrum, optional
-        Spectra at path points, one row for each focus instant whose waveform is kept.
+    `predicted` and `scanned` are spectra at path points, one row for each focus instant whose waveform is kept.
     """
 
     travel: ImpulseTravel | None
@@ -104,103 +96,91 @@ def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None
     """Lines of the report's table."""
     low, high = IMPULSE_BAND_HZ
     pairs = f"Green's functions limited to {low:g} to {high:g} Hz, over pairs {SPAN_MM[0]:g} to {SPAN_MM[1]:g} mm apart"
-    lines = []
-    travel = waves.travel
-    if travel is not None:
-        velocity = FigureLine(
-            "Group velocity",
-            _with_error(travel.group_velocity_m_s, travel.velocity_error_m_s, "m/s"),
-            f"Inverse slope over distance of the centroid of energy of {pairs}, with an offset for each actuator; ±"
-            " its standard error.",
+    velocity = attenuation = "-"
+    why_velocity = why = "Not found: too few positions and actuators of known place lie that far apart."
+    if (travel := waves.travel) is not None:
+        attenuation = _with_error(travel.attenuation_db_per_cm, travel.attenuation_error_db_per_cm, "dB/cm")
+        why = (
+            f"Slope over distance r of 10 lg(r E), E the energy of {pairs}, with an offset for each actuator; ± its"
+            " standard error."
         )
-        if not travel.is_sure:
-            why = f"Not found: arrivals do not follow distances (correlation {travel.correlation:.2f}), as in a room."
-            velocity = FigureLine("Group velocity", "-", why)
-        lines += [
-            velocity,
-            FigureLine(
-                "Attenuation",
-                _with_error(travel.attenuation_db_per_cm, travel.attenuation_error_db_per_cm, "dB/cm"),
-                f"Slope over distance r of 10 lg(r E), E the energy of {pairs}, with an offset for each actuator; ± its"
-                " standard error.",
-            ),
-        ]
-    else:
-        why = "Not found: too few positions and actuators of known place lie that far apart."
-        lines += [FigureLine(name, "-", why) for name in ("Group velocity", "Attenuation")]
-    if waves.correlation is not None:
-        lines.append(
-            FigureLine(
-                "Correlation of neighbours",
-                f"{waves.correlation.mean[0]:.2f} at {number(waves.correlation.distance_mm[0], 'mm')}",
-                "Coefficient at lag 0 of the Green's functions of two positions, means not removed: mean over actuators"
-                " and over pairs at the smallest distance.",
+        if travel.is_sure:
+            velocity = _with_error(travel.group_velocity_m_s, travel.velocity_error_m_s, "m/s")
+            why_velocity = (
+                f"Inverse slope over distance of the centroid of energy of {pairs}, with an offset for each actuator; ±"
+                " its standard error."
             )
+        else:
+            why_velocity = (
+                f"Not found: arrivals do not follow distances (correlation {travel.correlation:.2f}), as in a room."
+            )
+    lines = [("Group velocity", velocity, why_velocity), ("Attenuation", attenuation, why)]
+    if waves.correlation is not None:
+        value = f"{waves.correlation.mean[0]:.2f} at {number(waves.correlation.distance_mm[0], 'mm')}"
+        definition = (
+            "Coefficient at lag 0 of the Green's functions of two positions, means not removed: mean over actuators and"
+            " over pairs at the smallest distance."
         )
-    if waves.crosstalk is not None:
-        table = waves.crosstalk
-        speed = _own_speed(scene)
-        row = int(np.argmin(np.abs(np.log(table.speed_mm_s / speed))))
+        lines.append(("Correlation of neighbours", value, definition))
+    if (table := waves.crosstalk) is not None:
+        row = int(np.argmin(np.abs(np.log(table.speed_mm_s / _own_speed(scene)))))
         definition = (
             "Energy that all other points' foci together make at a path point over that of its own, in a window one"
             " emission period long about its focus instant, pooled over the points; impulses along a line of the"
             " grid, with this scene's regularisation."
         )
-        lines += [
-            FigureLine(
-                f"Crosstalk at {table.speed_mm_s[row] / 10:g} cm/s, d = {step:g} mm", number(100.0 * ratio, "%"), text
-            )
-            for step, ratio, text in zip(
-                table.step_mm, table.energy_ratio[row], (definition, "The same.", "The same."), strict=True
-            )
-        ]
+        for step, ratio in zip(table.step_mm, table.energy_ratio[row], strict=True):
+            name = f"Crosstalk at {table.speed_mm_s[row] / 10:g} cm/s, d = {step:g} mm"
+            lines.append((name, number(100.0 * ratio, "%"), definition))
+            definition = "The same."
     if waves.scanned is not None:
         definition = (
             "Centroid of the scan's energy over frequency at the path points whose waveforms are shown, from"
             f" {1e3 * BEFORE_S:g} ms before each focus instant to {1e3 * AFTER_S:g} ms after it."
         )
-        lines.append(FigureLine("Spectrum at path points", number(_centroid(waves.scanned), "Hz"), definition))
+        lines.append(("Spectrum at path points", number(waves.scanned.centroid_hz, "Hz"), definition))
         if band_hz is not None:
             middle = (band_hz[0] + band_hz[1]) / 2
             share = number(100.0 * waves.scanned.share_within((band_hz[0], middle)), "%")
-            lines.append(
-                FigureLine(f"of which below {middle:g} Hz", share, "Share of that energy in the band's lower half.")
-            )
-    return lines
+            lines.append((f"of which below {middle:g} Hz", share, "Share of that energy in the band's lower half."))
+    return [FigureLine(*line) for line in lines]
 
 
 @drawn_in_style
 def waves_picture(waves: Waves, band_hz: tuple[float, float] | None) -> Picture:
     """Crosstalk over speed, correlation over distance, spectra at path points."""
     canvas = Canvas("waves", 1120, 330)
-    axes = canvas.axes(70, 30, 280, 236)
-    axes.set(title="crosstalk along a line", xlabel="speed v (cm/s)", ylabel="energy ratio (%)")
+    axes = canvas.plot(
+        70, 30, 280, 236, title="crosstalk along a line", xlabel="speed v (cm/s)", ylabel="energy ratio (%)"
+    )
     if waves.crosstalk is None:
         _say(axes, "no line of positions")
     else:
         draw_crosstalk(axes, waves.crosstalk, 200.0)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes = canvas.axes(70 + 370, 30, 280, 236)
-    axes.set(title="correlation of Green's functions", xlabel="distance (mm)", ylabel="coefficient at lag 0")
+    axes = canvas.plot(
+        440, 30, 280, 236, title="correlation of Green's functions", xlabel="distance (mm)",
+        ylabel="coefficient at lag 0",
+    )  # fmt: skip
     if waves.correlation is None:
         _say(axes, "too few positions")
     else:
         draw_correlation(axes, waves.correlation, (-1.0, 1.05))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes = canvas.axes(70 + 740, 30, 280, 236)
-    axes.set(title="spectrum at path points", xlabel="frequency (Hz)", ylabel="mean magnitude, relative")
+    axes = canvas.plot(
+        810, 30, 280, 236, title="spectrum at path points", xlabel="frequency (Hz)",
+        ylabel="mean magnitude, relative",
+    )  # fmt: skip
     if waves.predicted is None or waves.scanned is None:
         _say(axes, "no waveforms")
-    else:
-        top = float(waves.predicted.mean.max()) or 1.0
-        most_hz = 1.2 * band_hz[1] if band_hz is not None else float(waves.predicted.frequency_hz[-1])
-        shown = waves.predicted.frequency_hz <= most_hz
-        frequency_hz = waves.predicted.frequency_hz[shown]
-        axes.plot(frequency_hz, waves.predicted.mean[shown] / top, color="#f0b440", lw=3.0, label="predicted")
-        axes.plot(frequency_hz, waves.scanned.mean[shown] / top, color="#0b3c5d", lw=1.0, label="scan")
-        axes.set(xlim=(0.0, most_hz), ylim=(0.0, 1.25))
-        axes.legend(loc="upper right", ncols=2)
-    axes.spines[["top", "right"]].set_visible(False)
+        return canvas.picture()
+    top = float(waves.predicted.mean.max()) or 1.0
+    most_hz = 1.2 * band_hz[1] if band_hz is not None else float(waves.predicted.frequency_hz[-1])
+    shown = waves.predicted.frequency_hz <= most_hz
+    for spectrum, colour, width, label in (
+        (waves.predicted, PREDICTION, 3.0, "predicted"), (waves.scanned, SCAN, 1.0, "scan"),
+    ):  # fmt: skip
+        axes.plot(spectrum.frequency_hz[shown], spectrum.mean[shown] / top, color=colour, lw=width, label=label)
+    axes.set(xlim=(0.0, most_hz), ylim=(0.0, 1.25))
+    axes.legend(loc="upper right", ncols=2)
     return canvas.picture()
 
 
@@ -242,12 +222,6 @@ def _spectrum(fields: FieldComparison, waveforms: NDArray[np.float32]) -> PathSp
     first = np.array([one.sample - lead for one in kept], dtype=np.int64)
     responses = waveforms[[place[one.row] for one in kept]]
     return path_spectrum(responses, rate_hz, first, round((BEFORE_S + AFTER_S) * rate_hz))
-
-
-def _centroid(spectrum: PathSpectrum) -> float:
-    energy = np.square(spectrum.magnitude).sum(axis=0)
-    total = float(energy.sum())
-    return float(energy @ spectrum.frequency_hz) / total if total > 0 else float("nan")
 
 
 def _own_speed(scene: Scene) -> float:

@@ -1,4 +1,4 @@
-"""Text of the report: numbers, lines of figures, remarks on what to do."""
+"""Text of the report: numbers, lines of figures, remarks with advice."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from storage.drive_file import Drive
     from storage.field_file import Field
 
-# Deviations below these are not worth a sentence.
+# Smaller deviations get no remark.
 NOTED_LEVEL_DB = 0.2
 NOTED_DELAY_SAMPLES = 0.1
 NOTED_GAIN = 0.01
+NOISE_SHARE = 0.7
+"""Share of the error above which noise is named as its cause."""
 
 REMEDIES = {
     "the scan failed": "look at the instruments' messages and scan these positions again",
@@ -43,8 +45,8 @@ def figure_lines(verification: Verification, gain_range_db: float) -> list[Figur
     misfit = FigureLine(
         "misfit",
         percent(verification.misfit),
-        "what the noise does not explain of the normalised error, as the root of the difference of squares: errors of"
-        " the bank (its own noise too), of gains and clocks, nonlinearity, and changes since the bank was measured",
+        "the normalised error without the noise's part, as the root of the difference of squares: errors of the bank"
+        " (its own noise too), of gains and clocks, nonlinearity, and changes since the bank was measured",
     )
     gain_range = FigureLine(
         "range of n(x)",
@@ -68,79 +70,77 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
 
     fields = verification.fields
     failed = {check.name for check in verification.checks if check.passed is False}
-    found: list[str] = []
+    not_judged = [check.name for check in verification.checks if check.passed is None]
     noise = verification.noise_error
-    if "normalised error" in failed and noise is not None and noise > 0.7 * fields.error:
-        found.append(
-            "Most of the error is the vibrometer's noise. Play louder (a larger limit_v or amplitude), "
-            "focus the "
-            "laser, or put retro-reflective tape on the surface; the bank itself may be sound."
-        )
-    if abs(fields.level_db) > NOTED_LEVEL_DB:
-        louder = "louder" if fields.level_db > 0 else "quieter"
-        found.append(
-            f"The scan is {number(abs(fields.level_db), 'dB')} {louder} than predicted. Check that amplifier "
-            "volume and vibrometer sensitivity are those of the night in which the bank was measured."
-        )
-    if abs(fields.delay_samples) > NOTED_DELAY_SAMPLES:
-        delay_us = 1e6 * abs(fields.delay_samples) / fields.sample_rate_hz
-        later = "later" if fields.delay_samples > 0 else "earlier"
-        found.append(
-            f"The scan comes {number(delay_us, chr(0xB5) + 's')} {later} than predicted. Check "
-            f"inter_channel_delay_s "
-            "in the rig file and that the recorder's rate is that of the bank."
-        )
-    explained = noise is not None and noise > 0.7 * fields.error
-    if failed & {"normalised error", "correlation"} and not explained:
-        found.append(
-            "The error is not explained by noise. Look at the error map: an area of its own points to the "
-            "surface "
-            "or the grid, the whole map to a gain, a dead actuator, or a surface that has warmed up or "
-            "dried since "
-            'the bank was measured. Measure a few positions anew with "wavefocus remeasure" and compare.'
-        )
-    if failed & {"focus to path point", "focus to predicted focus"}:
-        found.append(
-            "The focus is not where it should be. If all foci are displaced alike, check the mirror map; "
-            "if they "
-            "scatter, the positions around them are noisy or the path leaves the measured grid."
-        )
-    for reason, count in Counter(reason for _, reason in fields.excluded).most_common():
-        remedy = REMEDIES.get(reason, "scan them again")
-        found.append(f"{count} scanned position(s) were not compared because {reason}: {remedy}.")
-    open_checks = [check.name for check in verification.checks if check.passed is None]
-    if open_checks:
-        found.append(
-            f"Not judged: {', '.join(open_checks)}. The positions around the path points were not all "
-            f"scanned, or "
-            "no focal spot lies wholly within them; scan every position within "
-            f"{FOCUS_RADIUS_MM:g} mm of the path."
-        )
-    if isinstance(scan, Scan) and np.isfinite(scan.playback_gain).any():
-        gain = float(np.nanmedian(scan.playback_gain))
-        if abs(gain - 1.0) > NOTED_GAIN:
-            found.append(
-                f"The loopback carried {number(gain)} times the volts asked for. Calibrate the player's "
-                f"full-scale "
-                "voltage (full_scale_v) or reference_gain in the rig file."
+    from_noise = noise is not None and noise > NOISE_SHARE * fields.error
+    delay_us = 1e6 * abs(fields.delay_samples) / fields.sample_rate_hz
+    gains = scan.playback_gain if isinstance(scan, Scan) else np.full(1, np.nan)
+    gain = float(np.nanmedian(gains)) if np.isfinite(gains).any() else 1.0
+    artefact_db = median_or_none(verification.focus.scanned_artefact_db)
+    excluded = Counter(reason for _, reason in fields.excluded).most_common()
+    found: list[tuple[bool, str]] = [
+        (
+            "normalised error" in failed and from_noise,
+            "Most of the error is the vibrometer's noise. Play louder (a larger limit_v or amplitude), focus the laser,"
+            " or put retro-reflective tape on the surface; the bank itself may be sound.",
+        ),
+        (
+            abs(fields.level_db) > NOTED_LEVEL_DB,
+            f"The scan is {number(abs(fields.level_db), 'dB')} {'louder' if fields.level_db > 0 else 'quieter'} than"
+            " predicted. Check that amplifier volume and vibrometer sensitivity are those of the night in which the"
+            " bank was measured.",
+        ),
+        (
+            abs(fields.delay_samples) > NOTED_DELAY_SAMPLES,
+            f"The scan comes {number(delay_us, chr(0xB5) + 's')} {'later' if fields.delay_samples > 0 else 'earlier'}"
+            " than predicted. Check inter_channel_delay_s in the rig file and that the recorder's rate is that of the"
+            " bank.",
+        ),
+        (
+            bool(failed & {"normalised error", "correlation"}) and not from_noise,
+            "The error is not explained by noise. Look at the error map: errors in one area point to the surface or the"
+            " grid, errors everywhere to a gain, a dead actuator, or a surface that has warmed up or dried since the"
+            ' bank was measured. Measure a few positions anew with "wavefocus remeasure" and compare.',
+        ),
+        (
+            bool(failed & {"focus to path point", "focus to predicted focus"}),
+            "The focus is not where it should be. If all foci are displaced alike, check the mirror map; if they"
+            " scatter, the positions around them are noisy or the path leaves the measured grid.",
+        ),
+        *(
+            (
+                True,
+                f"{count} scanned position(s) were not compared because {reason}:"
+                f" {REMEDIES.get(reason, 'scan them again')}.",
             )
-    artefact = median_or_none(verification.focus.scanned_artefact_db)
-    if artefact is not None and artefact > 0.0:
-        found.append(
-            f"Beyond {FOCUS_RADIUS_MM:g} mm from the focus the surface moves more than in it (by "
-            f"{number(artefact, 'dB')} at the median focus instant), mostly next to the actuators. "
-            f"Saturation in the "
-            "scene's [regularisation] spreads the drive over more actuators."
-        )
-    if drive.scale < 1.0:
-        found.append(
-            f"The drive was scaled by {number(drive.scale)} to keep to limit_v, and prediction and scan with it."
-        )
-    if drive.omitted_bound > 0.0:
-        found.append(
-            f"The renderer left out parts of the drive; their relative error is at most {percent(drive.omitted_bound)}."
-        )
-    return found
+            for reason, count in excluded
+        ),
+        (
+            bool(not_judged),
+            f"Not judged: {', '.join(not_judged)}. The positions around the path points were not all scanned, or no"
+            f" focal spot lies wholly within them; scan every position within {FOCUS_RADIUS_MM:g} mm of the path.",
+        ),
+        (
+            abs(gain - 1.0) > NOTED_GAIN,
+            f"The loopback carried {number(gain)} times the requested voltage. Calibrate the player's full-scale"
+            " voltage (full_scale_v) or reference_gain in the rig file.",
+        ),
+        (
+            artefact_db is not None and artefact_db > 0.0,
+            f"Beyond {FOCUS_RADIUS_MM:g} mm from the focus the surface moves more than in it (by"
+            f" {number(artefact_db, 'dB')} at the median focus instant), mostly next to the actuators. Saturation in"
+            " the scene's [regularisation] spreads the drive over more actuators.",
+        ),
+        (
+            drive.scale < 1.0,
+            f"The drive was scaled by {number(drive.scale)} to keep to limit_v, and prediction and scan with it.",
+        ),
+        (
+            drive.omitted_bound > 0.0,
+            f"The renderer left out parts of the drive; the relative error is at most {percent(drive.omitted_bound)}.",
+        ),
+    ]
+    return [text for applies, text in found if applies]
 
 
 def number(value: float | None, unit: str = "") -> str:
@@ -150,7 +150,7 @@ def number(value: float | None, unit: str = "") -> str:
     if math.isinf(value):
         text = "\N{INFINITY}" if value > 0 else "\N{MINUS SIGN}\N{INFINITY}"
     else:
-        # A hundredth of a millimetre and of a decibel is as far as any of these figures can be trusted.
+        # None of these figures is more certain than a hundredth of a millimetre or of a decibel.
         digits = ".2f" if unit in ("mm", "dB") and abs(value) < 10 else ".3g"
         text = f"{value:{digits}}" if abs(value) < 1000 else f"{value:,.0f}"
         text = text.removeprefix("-") if not text.strip("-0.") else text

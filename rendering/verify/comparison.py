@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.field.band_limit import MOST_DELAY_S, BandLimit
-from rendering.field.focus_figures import FocusInstant, emission_windows, focus_instants
+from rendering.field.focus_figures import FocusInstant, emission_windows, evenly, focus_instants
 from rendering.field.metrics import RealArray, level_db
 from rendering.verify.scan import Scan
 from storage.errors import InputError
@@ -124,7 +124,8 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
         )
     instants = focus_instants(tuple(windows), at_foci, first_sample)
     columns = np.array([one.sample - first_sample for one in instants], np.int64)
-    waveform_index = _evenly(np.unique([one.row for one in instants if one.row in rows]).astype(np.int64))
+    focused = np.unique([one.row for one in instants if one.row in rows]).astype(np.int64)
+    waveform_index = focused[evenly(len(focused), MOST_WAVEFORMS)]
 
     scanned_energy, predicted_energy, product, error_energy = np.zeros((4, rows.size))
     raw_error = raw_scanned = 0.0
@@ -224,11 +225,6 @@ def _compared_rows(
 
 def _energy(signals: RealArray) -> NDArray[np.float64]:
     return np.asarray(np.einsum("ps,ps->p", signals, signals, dtype=np.float64))
-
-
-def _evenly(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    chosen = np.unique(np.linspace(0, rows.size - 1, min(rows.size, MOST_WAVEFORMS)).round().astype(int))
-    return rows[chosen] if rows.size else rows
 
 
 def _ratio(numerator: float, denominator: float) -> float:

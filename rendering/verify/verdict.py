@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -197,72 +197,60 @@ def _checks(
     spacing = math.nan if spacing_mm is None else spacing_mm
     compared = len(fields.position_index)
     band = "all frequencies" if fields.band_hz is None else f"{fields.band_hz[0]:g} to {fields.band_hz[1]:g} Hz"
+    error = 100.0 * fields.error
     predicted_mm = median_or_none(np.asarray(np.hypot(*(focus.predicted_mm - focus.intended_mm).T)))
     scanned_mm = median_or_none(focus.from_intended_mm)
-    error = Figure(
-        "normalised error",
-        "%",
-        "norm of (scan - prediction) over norm of the scan, all compared positions and samples; both fields are limited"
-        f" to the bank's band, {band}, with edges a quarter of an octave wide",
-        difference=100.0 * fields.error,
-        value=100.0 * fields.error,
-    )
-    correlation = Figure(
-        "correlation",
-        "",
-        "zero-lag correlation of scan and prediction over all compared positions and samples",
-        value=fields.correlation,
-    )
-    to_path = Figure(
-        "focus to path point",
-        "mm",
-        "median over focus instants of the distance from the path point to the scan's largest "
-        f"magnitude within {FOCUS_RADIUS_MM:g} mm, refined by a quadratic fit",
-        predicted=predicted_mm,
-        scanned=scanned_mm,
-        difference=None if predicted_mm is None or scanned_mm is None else scanned_mm - predicted_mm,
-        value=scanned_mm,
-    )
     apart_mm = median_or_none(focus.from_prediction_mm)
-    to_predicted = Figure(
-        "focus to predicted focus",
-        "mm",
-        "the same distance, from the prediction's largest magnitude",
-        difference=apart_mm,
-        value=apart_mm,
-    )
     wider_mm = median_or_none(np.abs(focus.width_difference_mm))
-    width = Figure(
-        "focal width against prediction",
-        "mm",
-        "median over focus instants of the difference between scanned and predicted full width at half maximum:"
-        " diameter of the disk of equal area to the connected region around the peak where y has the peak's sign and"
-        " exceeds half of it (field interpolated between positions)",
-        predicted=median_or_none(focus.predicted_width_mm),
-        scanned=median_or_none(focus.scanned_width_mm),
-        difference=wider_mm,
-        value=wider_mm,
-    )
-    usable = Figure(
-        "usable positions",
-        "%",
-        "scanned positions with a sound record and a valid row in the bank",
-        value=100.0 * compared / (compared + len(fields.excluded)),
-    )
     return (
-        _judged(error, "at most", 100.0 * tolerances.normalised_error),
-        _judged(correlation, "at least", tolerances.correlation),
-        _judged(to_path, "at most", tolerances.focus_offset_spacings * spacing),
-        _judged(to_predicted, "at most", tolerances.prediction_offset_spacings * spacing),
-        _judged(width, "at most", tolerances.focal_width_mm),
-        _judged(usable, "at least", 100.0 * tolerances.usable_share),
-    )
+        _judged(
+            "normalised error", "%",
+            "norm of (scan - prediction) over norm of the scan, all compared positions and samples; both fields are"
+            f" limited to the bank's band, {band}, with edges a quarter of an octave wide",
+            error, "at most", 100.0 * tolerances.normalised_error, difference=error,
+        ),
+        _judged(
+            "correlation", "", "zero-lag correlation of scan and prediction over all compared positions and samples",
+            fields.correlation, "at least", tolerances.correlation,
+        ),
+        _judged(
+            "focus to path point", "mm",
+            "median over focus instants of the distance from the path point to the scan's largest magnitude within"
+            f" {FOCUS_RADIUS_MM:g} mm, refined by a quadratic fit",
+            scanned_mm, "at most", tolerances.focus_offset_spacings * spacing,
+            predicted=predicted_mm, scanned=scanned_mm,
+            difference=None if predicted_mm is None or scanned_mm is None else scanned_mm - predicted_mm,
+        ),
+        _judged(
+            "focus to predicted focus", "mm", "the same distance, from the prediction's largest magnitude",
+            apart_mm, "at most", tolerances.prediction_offset_spacings * spacing, difference=apart_mm,
+        ),
+        _judged(
+            "focal width against prediction", "mm",
+            "median over focus instants of the difference between scanned and predicted full width at half maximum:"
+            " diameter of the disk of equal area to the connected region around the peak where y has the peak's sign"
+            " and exceeds half of it (field interpolated between positions)",
+            wider_mm, "at most", tolerances.focal_width_mm, predicted=median_or_none(focus.predicted_width_mm),
+            scanned=median_or_none(focus.scanned_width_mm), difference=wider_mm,
+        ),
+        _judged(
+            "usable positions", "%", "scanned positions with a sound record and a valid row in the bank",
+            100.0 * compared / (compared + len(fields.excluded)), "at least", 100.0 * tolerances.usable_share,
+        ),
+    )  # fmt: skip
 
 
-def _judged(figure: Figure, relation: Literal["at most", "at least"], limit: float) -> Figure:
-    value = figure.value
+def _judged(
+    name: str,
+    unit: str,
+    definition: str,
+    value: float | None,
+    relation: Literal["at most", "at least"],
+    limit: float,
+    **sides: float | None,
+) -> Figure:
     passed = None if value is None else value <= limit if relation == "at most" else value >= limit
-    return replace(figure, relation=relation, limit=limit, passed=passed)
+    return Figure(name, unit, definition, **sides, value=value, limit=limit, relation=relation, passed=passed)
 
 
 def _unlimited(fields: FieldComparison, focus: FocusTable, noise_error: float | None) -> tuple[Figure, ...]:

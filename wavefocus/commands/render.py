@@ -18,7 +18,7 @@ from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictes
 from rendering.drive.rendering import render_with_report
 from rendering.drive.streamed_drive import StreamedDrive
 from rendering.drive.wav import stream_wav, write_wav
-from rendering.field.focus_peak import predicted_focus_peak
+from rendering.field.prediction import predicted_focus_peak
 from rendering.report.render_report import RenderReport
 from rendering.scene.loading import load_scene
 from rendering.scene.model import Regularisation, Scene

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from gui.scene.results.instants import between
 from gui.scene.results.messages import FocusFigures
 from rendering.field.crosstalk import PathResponses
-from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, focus_instants
-from rendering.field.metrics import artefact_level_db, focal_width_mm, focus_peak, grid_spacing_mm
+from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, evenly, focus_instants
+from rendering.field.metrics import focus_spot, grid_spacing_mm
 from rendering.field.prediction import Prediction
 from rendering.scene.model import Scene
 from storage.bank.reading import Bank
@@ -82,9 +82,7 @@ class Snapshots:
     @classmethod
     def of(cls, looked: LookedAt, drive: Drive, field: Float32Array, field_rate_hz: float) -> Snapshots:
         """Take snapshots of a field, shape (samples, positions)."""
-        count = len(looked.instants)
-        chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_FIGURES)).round().astype(int))
-        instants = [looked.instants[index] for index in chosen]
+        instants = [looked.instants[index] for index in evenly(len(looked.instants), MOST_FIGURES)]
         time_s = np.array([one.sample for one in instants]) / drive.sample_rate_hz
         values = np.full((len(instants), field.shape[1]), np.nan, np.float32)
         for index, place in enumerate(((time_s - drive.start_s) * field_rate_hz).tolist()):
@@ -105,16 +103,9 @@ def focus_figures(
     for index, one in enumerate(snapshots.instants):
         check()
         field, point = snapshots.values[index], position_mm[one.row]
-        near_mm = (float(point[0]), float(point[1]))
-        found = focus_peak(there, field, near_mm, FOCUS_RADIUS_MM) if np.isfinite(field).all() else None
-        if found is None:
-            continue
-        peak[index] = abs(found.value)
-        off_mm[index] = math.hypot(found.at_mm[0] - point[0], found.at_mm[1] - point[1])
-        artefact_db[index] = artefact_level_db(there, field, near_mm, FOCUS_RADIUS_MM)
-        if spacing_mm is not None:
-            width = focal_width_mm(there, field, found.row, spacing_mm)
-            width_mm[index] = math.nan if width is None else width
+        if np.isfinite(field).all() and (found := focus_spot(there, field, point, FOCUS_RADIUS_MM, spacing_mm)):
+            peak[index], off_mm[index] = abs(found.value), found.off_mm
+            width_mm[index], artefact_db[index] = found.width_mm, found.artefact_db
     crosstalk = []
     for source in range(min(len(scene.sources), MOST_CROSSTALK_SOURCES)):
         check()
