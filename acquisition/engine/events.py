@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import logging
-import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from enum import StrEnum
 
+from config.messages.codec import Message, MessageError, message_of, to_record
 from drivers.errors import InstrumentError
 from storage.errors import FileLostError, WavefocusError
 
@@ -28,11 +30,22 @@ class State(StrEnum):
     FAILED = "failed"
 
 
+_KINDS: dict[str, type[Event]] = {}
+
+
 @dataclass(frozen=True, slots=True)
-class Event:
-    """Something that happened, at `time_s` seconds on the rig's clock since the session began."""
+class Event(Message):
+    """Something that happened, at `time_s` seconds on the rig's clock since the session began.
+
+    The key ``event`` of its JSON object is the name of its class in snake case.
+    """
 
     time_s: float
+
+    def __init_subclass__(cls) -> None:
+        name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        cls.tag = {"event": name}
+        _KINDS[name] = cls
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,17 +253,28 @@ class SessionEnded(Event):
 Subscriber = Callable[[Event], None]
 
 
-def event_record(event: Event) -> dict[str, object]:
-    """One event as a JSON-ready mapping, ``event`` naming its kind in snake case.
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """An event of a log, and when it was written by the wall's clock."""
 
-    Figures that are not finite become ``None``: JSON has no NaN.
-    """
-    kind = re.sub(r"(?<!^)(?=[A-Z])", "_", type(event).__name__).lower()
-    fields = {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in asdict(event).items()
-    }
-    return {"event": kind, **fields}
+    at: datetime
+    event: Event
+
+
+def event_line(event: Event) -> str:
+    """An event as a line of JSON with the wall's clock time, and its end."""
+    return json.dumps({"at": datetime.now(UTC).isoformat(timespec="milliseconds"), **to_record(event)}) + "\n"
+
+
+def read_event(line: bytes) -> Logged | None:
+    """The event of a line; None for a torn line, and for an event of another version that is not understood."""
+    try:
+        record = json.loads(line)
+        at, kind = datetime.fromisoformat(record["at"]), _KINDS[record["event"]]
+        event = message_of(record, (kind,))
+    except (KeyError, TypeError, ValueError, RecursionError, MessageError):
+        return None
+    return None if event is None or at.tzinfo is None else Logged(at, event)
 
 
 LOG = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
-from acquisition.engine.events import Drift, Event, State, event_record
+from acquisition.engine.events import Drift, Event, State, event_line
 from acquisition.quality.limits import DriftPoint
 from acquisition.schedule.row_ranges import row_ranges
 from storage.sidecar_files import Log, create, is_replaceable
@@ -75,11 +75,6 @@ def read_whole(path: Path) -> dict[str, object] | None:
     return content if isinstance(content, dict) else None
 
 
-def event_line(event: Event) -> str:
-    """One event as a JSON line with the wall's clock time, without the line end."""
-    return json.dumps({"at": datetime.now(UTC).isoformat(timespec="milliseconds"), **event_record(event)})
-
-
 class EventLines:
     """Writes events as JSON lines; a subscriber that a full disk or a closed pipe cannot turn against the campaign."""
 
@@ -89,7 +84,7 @@ class EventLines:
 
     def __call__(self, event: Event) -> None:
         """Write one event; after a failure the campaign goes on without these lines."""
-        self.write(event_line(event) + "\n")
+        self.write(event_line(event))
 
     def write(self, line: str) -> None:
         """Write a line with its end; after a failure nothing more."""

@@ -1,0 +1,1 @@
+"""Messages between processes: typed, written and read as JSON lines."""
