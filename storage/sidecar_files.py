@@ -12,12 +12,13 @@ from pathlib import Path
 _NOT_THROUGH_LINKS = getattr(os, "O_NOFOLLOW", 0)
 _NOT_WAITING = getattr(os, "O_NONBLOCK", 0)
 _BINARY = getattr(os, "O_BINARY", 0)
+_SECTOR_BYTES = 512
 
 
 def is_replaceable(path: Path) -> bool:
     """Whether a name is free, a link, or a file that begins as this program's own do: with an object of JSON.
 
-    A file may be empty or begin with zeros, as a power cut leaves it.
+    A power cut may leave it empty, with zeros at its beginning, or as one sector of garbage.
     """
     try:
         mode = path.lstat().st_mode
@@ -88,6 +89,12 @@ class Log:
 def _begins_as_ours(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            return file.read(1) in (b"", b"{", b"\0")
-    except FileNotFoundError:  # taken away since
+            begin = file.read(_SECTOR_BYTES + 1)
+        if begin[:1] in (b"", b"{", b"\0"):
+            return True
+        begin.decode()
+    except FileNotFoundError:  # removed since
         return True
+    except UnicodeDecodeError:
+        return len(begin) <= _SECTOR_BYTES
+    return False

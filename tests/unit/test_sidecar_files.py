@@ -112,3 +112,18 @@ def test_given_a_file_called_new_then_naming_a_calibration_leaves_it(victim: Pat
     name_calibration(rig, "calibration.toml")
     assert rig.with_name("rig.toml.new").read_bytes() == PRECIOUS
     assert "calibration.toml" in rig.read_text(encoding="utf-8")
+
+
+def test_given_a_sector_of_garbage_after_a_power_cut_then_the_owner_s_name_is_written_and_removed(
+    tmp_path: Path,
+) -> None:
+    bank = tmp_path / "plate.h5"
+    owner_path(bank).write_bytes(b"\xff\xa5" * 256)
+    write_owner(bank)
+    assert json.loads(owner_path(bank).read_text())["pid"] == os.getpid()
+    owner_path(bank).write_bytes(b"\xff\xa5" * 200)
+    remove_owner(bank)
+    assert not owner_path(bank).exists()
+    owner_path(bank).write_bytes(b"\xff\xa5" * 257)  # more than a power cut leaves
+    remove_owner(bank)
+    assert owner_path(bank).exists()
