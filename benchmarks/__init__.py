@@ -1,6 +1,6 @@
 """Benchmarks: error against run time, with other programs in the same run.
 
-A benchmark is a module here with ``run(out, quick=...)`` that prints tables and returns figures, and an entry of
+A benchmark is a module here with ``run(out, quick=...)`` that returns `benchmarks.harness.Findings`, and an entry of
 `BENCHMARKS`.
 """
 
@@ -11,16 +11,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """A benchmark of ``wavefocus bench``.
+    """A benchmark of ``wavefocus bench``, with the names of the pictures that it draws.
 
-    Parameters
-    ----------
-    title : str
-        Its subject.
-    on_request : bool
-        It is not part of ``all``: it takes minutes, or needs an audio server.
-    pictures : tuple of str
-        Names of the pictures that it draws.
+    One that takes minutes, or needs an audio server, runs `on_request` and is not part of ``all``.
     """
 
     title: str

@@ -9,12 +9,11 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from benchmarks.harness import Findings, Mark, Point, Timing
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank
@@ -25,31 +24,31 @@ ACTUATORS, TAPS = 20, 2000
 SHA = "0" * 64
 
 
-def run(out: Path | None = None, *, quick: bool = False) -> dict[str, Any]:
-    """Measure, print the table, return the figures."""
+def run(out: Path | None = None, *, quick: bool = False) -> Findings:
+    """Commit, write and read."""
     positions = 40 if quick else 1500
     with tempfile.TemporaryDirectory(dir=out) as folder:
-        ours_ms, plain_ms = commits_ms(Path(folder), positions)
-        open_ms = _ms(_read_all, Path(folder) / "bank.h5")
-    figures: dict[str, Any] = {
-        "positions": positions,
-        "commit_ms": {"median": float(np.median(ours_ms)), "worst": float(ours_ms.max()), "mark": MARK_COMMIT_MS},
-        "h5py_flush_ms": {"median": float(np.median(plain_ms)), "worst": float(plain_ms.max())},
-        "open_and_verify_ms": open_ms,
-    }
-    print(f"{positions} positions of {ACTUATORS} x {TAPS} float32")
-    print(f"{'':44}{'median':>10}{'99 %':>10}{'worst':>10}")
-    for words, values in (
-        ("commit: row, sync, ledger, sync; ms", ours_ms),
-        ("h5py: row, flush (lost in a power cut); ms", plain_ms),
-    ):
-        print(f"{words:44}{np.median(values):10.3g}{np.percentile(values, 99):10.3g}{values.max():10.3g}")
-    print(f"opening the bank, every row's checksum verified: {open_ms:.0f} ms")
-    return figures
+        ours_s, plain_s = commits_s(Path(folder), positions)
+        open_s = _seconds(_read_all, Path(folder) / "bank.h5")
+    work = f"{positions} positions of {ACTUATORS} x {TAPS} float32"
+    mark = Mark("median_ms", MARK_COMMIT_MS, at_most=True)
+    return Findings(
+        [
+            Point(work=work, method="commit: row, sync, ledger, sync", figures=_figures(ours_s), marks=(mark,)),
+            Point(work=work, method="h5py: row, flush (lost in a power cut)", figures=_figures(plain_s)),
+            Point(work="opening the bank, every row's checksum verified", method="all rows read",
+                  timing=Timing(open_s, open_s)),
+        ]
+    )  # fmt: skip
 
 
-def commits_ms(folder: Path, positions: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Milliseconds of each commit and of each write and flush through plain h5py, turn by turn."""
+def _figures(seconds: list[float]) -> dict[str, float]:
+    median, most, worst = np.percentile(1e3 * np.array(seconds), [50, 99, 100]).tolist()
+    return {"median_ms": median, "99_%_ms": most, "worst_ms": worst}
+
+
+def commits_s(folder: Path, positions: int) -> tuple[list[float], list[float]]:
+    """Seconds of each commit and of each write and flush through plain h5py, turn by turn."""
     generator = np.random.default_rng(1)
     position_mm = np.column_stack([np.arange(positions, dtype=np.float64), np.zeros(positions)])
     actuator_mm = np.column_stack([np.arange(ACTUATORS, dtype=np.float64), np.ones(ACTUATORS)])
@@ -57,24 +56,20 @@ def commits_ms(folder: Path, positions: int) -> tuple[NDArray[np.float64], NDArr
     create_bank(folder / "bank.h5", header)
     quality = np.zeros(ACTUATORS, dtype=np.float32)
     record = PointRecord(1, 1, quality, quality, quality, quality)
-    ours, plain = np.zeros(positions), np.zeros(positions)
-    with (
-        BankWriter.open(folder / "bank.h5", plan_sha256=SHA) as writer,
-        h5py.File(folder / "plain.h5", "w") as file,
-    ):
-        dataset = file.create_dataset(
-            "green", (positions, ACTUATORS, TAPS), np.float32, chunks=(1, ACTUATORS, TAPS)
-        )  # fmt: skip
+    ours, plain = [], []
+    with BankWriter.open(folder / "bank.h5", plan_sha256=SHA) as writer, h5py.File(folder / "plain.h5", "w") as file:
+        shape = (positions, ACTUATORS, TAPS)
+        dataset = file.create_dataset("green", shape, np.float32, chunks=(1, ACTUATORS, TAPS))
+
+        def write_and_flush() -> None:
+            dataset[row] = green
+            file.flush()
+
         for row in range(positions):
             green = generator.standard_normal((ACTUATORS, TAPS), dtype=np.float32)
-            ours[row] = _ms(writer.commit, row, green, record)
-            plain[row] = _ms(_plain, file, dataset, row, green)
+            ours.append(_seconds(writer.commit, row, green, record))
+            plain.append(_seconds(write_and_flush))
     return ours, plain
-
-
-def _plain(file: h5py.File, dataset: h5py.Dataset, row: int, green: NDArray[np.float32]) -> None:
-    dataset[row] = green
-    file.flush()
 
 
 def _read_all(path: Path) -> None:
@@ -84,7 +79,7 @@ def _read_all(path: Path) -> None:
             view.green(row)
 
 
-def _ms(work: Callable[..., object], *arguments: object) -> float:
+def _seconds(work: Callable[..., object], *arguments: object) -> float:
     began = time.perf_counter()
     work(*arguments)
-    return 1e3 * (time.perf_counter() - began)
+    return time.perf_counter() - began

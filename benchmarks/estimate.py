@@ -9,9 +9,9 @@ linear sweep of 3 s at 10 kHz with 0.5 s of silence, three times; 40 dB signal-t
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ import scipy.signal
 from numpy.typing import NDArray
 
 from benchmarks import nights
+from benchmarks.harness import Findings, Mark, Point, measure
 from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
 
@@ -56,70 +57,43 @@ class Workload:
         return np.asarray(10 * np.log10((np.abs(wrong) ** 2).sum(axis=1) / (np.abs(right) ** 2).sum(axis=1)))
 
 
-def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
-    """Time every estimator in turns on one thread and print the table.
-
-    Returns, per method, seconds per record, speed relative to pyfar's deconvolution, median and worst error in dB;
-    `limit_db`, the noise's own limit; the figures of nights and audio rates; `marks`, wanted and whether reached.
-    """
+def run(out: Path, *, quick: bool = False) -> Findings:
+    """Time every estimator in turns on one thread; then nights, streams and audio rates."""
     work = make_workload(records=8 if quick else 20)
+    records = len(work.truth)
     estimator = Estimator(work.excitation, TAPS)
-
-    def ours(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
-        return estimator.estimate(reference, response, range_v=(10.0, 1e3)).green
-
     methods: dict[str, Method] = {
-        "wavefocus": ours,
+        "wavefocus": lambda x, y: estimator.estimate(x, y, range_v=(10.0, 1e3)).green,
         "plain H1, band mask, cut at 0": _plain_h1(work.excitation),
+        "scipy csd / welch H1": _welch_h1(work.excitation),
     }
-    methods["scipy csd / welch H1"] = _welch_h1(work.excitation)
-    note = ""
+    notes = [f"The noise's own limit is {np.median(_limit_db(work, estimator)):.1f} dB."]
     try:
         methods |= _pyfar_methods(work.excitation)
     except ImportError:
-        note = "pyfar is not installed; 'pip install wavefocus[bench]' adds the comparison"
-    seconds: dict[str, list[float]] = {name: [] for name in methods}
-    errors: dict[str, NDArray[np.float64]] = {}
-    for turn in range(3 if quick else 7):
-        for name, method in methods.items():
-            # Once untimed: else each would pay for the caches and the heap as the one before left them.
-            method(work.reference, work.response)
-            began = time.perf_counter()
-            green = method(work.reference, work.response)
-            seconds[name].append(time.perf_counter() - began)
-            if turn == 0:
-                errors[name] = work.error_db(green)
-    limit = np.median(_limit_db(work, estimator))
-    per_record = {name: float(np.median(turns)) / work.truth.shape[0] for name, turns in seconds.items()}
-    base = per_record.get(PYFAR)
-    table = {
-        name: {
-            "seconds_per_record": per_record[name],
-            "relative_speed": base / per_record[name] if base else None,
-            "median_error_db": float(np.median(errors[name])),
-            "worst_error_db": float(errors[name].max()),
-        }
-        for name in methods
-    }
-    speed, error = table["wavefocus"]["relative_speed"], table["wavefocus"]["median_error_db"]
-    marks = {
-        f"at least {MARK_SPEED:g} times pyfar's deconvolve": None if speed is None else speed >= MARK_SPEED,
-        f"median error at most {MARK_ERROR_DB:g} dB": error is not None and error <= MARK_ERROR_DB,
-    }
-    others: dict[str, Any] = {}
+        notes.append("pyfar is not installed; 'pip install wavefocus[bench]' adds the comparison.")
+    actions = {name: partial(method, work.reference, work.response) for name, method in methods.items()}
+    found = measure(actions, 3 if quick else 7, warm=True)
+    points = []
+    for name, timing in found.items():
+        error_db = work.error_db(timing.result)
+        point = Point(
+            work=f"estimating {records} records on one thread",
+            method=name,
+            timing=timing,
+            figures={
+                "ms_a_record": 1e3 * timing.wall_s / records,
+                "median_db": float(np.median(error_db)),
+                "worst_db": float(error_db.max()),
+            },
+            marks=(Mark("times", MARK_SPEED), Mark("median_db", MARK_ERROR_DB, at_most=True))
+            if name == "wavefocus"
+            else (),
+        )
+        points.append(point.against(found[PYFAR]) if PYFAR in found else point)
     for more in (nights.compare_nights, nights.stream_recordings, nights.estimate_audio):
-        found = more(quick=quick)
-        marks |= found.pop("marks")
-        others |= found
-    result: dict[str, Any] = {
-        "methods": table,
-        "limit_db": float(limit),
-        "marks": marks,
-        "note": note,
-        **others,
-    }
-    _print(result)
-    return result
+        points += more(quick=quick)
+    return Findings(points, "the plate's true Green's functions, relative L2 in band", notes)
 
 
 def make_workload(records: int, seed: int = 0) -> Workload:
@@ -148,7 +122,7 @@ def make_workload(records: int, seed: int = 0) -> Workload:
 
 
 def _limit_db(work: Workload, estimator: Estimator) -> NDArray[np.float64]:
-    """Error that white noise alone must leave: least squares from a noise-free reference, in expectation.
+    """Error that white noise alone leaves: least squares from a noise-free reference, in expectation.
 
     The trace of the estimate's covariance over the band, by the fit's own unbiased in-band projection: noise
     of `rank` out of all directions of the band stays, each with the variance of its bin.
@@ -229,18 +203,3 @@ def _pyfar_methods(excitation: Excitation) -> dict[str, Method]:
             averaged(x), averaged(y), wide, regu_inside=1e-10, regu_outside=1e-4
         ),
     }
-
-
-def _print(result: dict[str, Any]) -> None:
-    print(f"{'method':42}{'ms/record':>10}{'speed':>8}{'median':>9}{'worst':>9}   (error in dB)")
-    for name, row in result["methods"].items():
-        speed = f"{row['relative_speed']:.2f}" if row["relative_speed"] else "-"
-        print(
-            f"{name:42}{1e3 * row['seconds_per_record']:10.3f}{speed:>8}"
-            f"{row['median_error_db']:9.1f}{row['worst_error_db']:9.1f}"
-        )
-    print(f"the noise's own limit: {result['limit_db']:.1f} dB")
-    for mark, reached in result["marks"].items():
-        print(f"{mark}: {'not compared' if reached is None else 'yes' if reached else 'NO'}")
-    if result["note"]:
-        print(result["note"])

@@ -18,9 +18,8 @@ from __future__ import annotations
 import json
 import math
 import tempfile
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -32,8 +31,9 @@ from acquisition.measuring.raw_keeping import keep_recordings, raw_header
 from acquisition.measuring.record import point_at, take_record
 from acquisition.schedule.plan import Plan
 from acquisition.schedule.trial import check_position, run_trial
+from benchmarks.harness import Mark, Point, Timing
+from benchmarks.machine import run_command
 from benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure, rig_setup, sweep_plan
-from benchmarks.timing import run_command
 from drivers.protocols import Recording, Take
 from mocks.virtual.rig import VirtualRig, VirtualSettings
 from storage.bank.reading import open_bank
@@ -46,7 +46,6 @@ Float64Array = NDArray[np.float64]
 NIGHT = 1500
 MARK_HOURS = 2.2
 MARK_ERROR_DB = -61.0
-MARK_SKEW_DB = 1.0
 SKEW_PPM = 100.0
 # With the converter's rounding this leaves sequential capture at the -60 dB of the comparison.
 NOISE_V = 1.2e-4
@@ -63,55 +62,39 @@ DIFFERENT = 4
 PRELOADED = ("scipy.optimize", "scipy.signal", "wavefocus.commands.estimate", "wavefocus.campaign.blueprint")
 
 
-@dataclass(frozen=True, slots=True)
-class Night:
-    """Hours of 1500 positions; relative L2 errors in band over all pairs: median, and where the worst tenth begins."""
-
-    hours: float
-    median_db: float
-    worst_tenth_db: float
-    positions: int
-
-
-def compare_nights(*, quick: bool = False) -> dict[str, Any]:
-    """Measure, compare and print.
-
-    Returns `nights`, `trials` and `marks`.
-    """
+def compare_nights(*, quick: bool = False) -> list[Point]:
+    """Hours and errors of nights, and the trial before a night on three plates."""
     positions = 6 if quick else 60
     plain = VirtualSettings(dropout_probability=0.0, noise_v=NOISE_V)
     cubic = _cubic_per_v2(VirtualRig(plain))
-    nights = {
-        "sequential 3 x 1 s": _night(plain, positions, staggered=False),
-        "staggered 240 ms, one period": _night(plain, positions, staggered=True),
-        f"staggered, {SKEW_PPM:g} ppm clock skew": _night(
-            replace(plain, clock_ppm=SKEW_PPM), positions, staggered=True
+    still = _night(replace(plain, clock_ppm=0.0), positions, staggered=True)
+    skewed = _night(replace(plain, clock_ppm=SKEW_PPM), positions, staggered=True)
+    beyond_db = abs(float(skewed["median_db"]) - float(still["median_db"]))
+    marks = (Mark("hours", MARK_HOURS, at_most=True), Mark("median_db", MARK_ERROR_DB, at_most=True))
+    night = f"a night of {NIGHT} x 20, {positions} positions of it measured"
+    points = [
+        Point(work=night, method="sequential 3 x 1 s", figures=_night(plain, positions, staggered=False)),
+        Point(
+            work=night, method="staggered 240 ms, one period", figures=_night(plain, positions, staggered=True),
+            marks=marks,
         ),
-        "staggered, no clock skew": _night(replace(plain, clock_ppm=0.0), positions, staggered=True),
-    }
-    trials = {
-        "additive noise": _trial(plain),
-        f"cubic plate, {100 * CUBIC:g} % ({cubic:.3f} u^3 / V^2)": _trial(replace(plain, cubic_per_v2=cubic)),
-        "noise that grows with the response (1 %)": _trial(replace(plain, noise_per_response=GROWING)),
-    }
-    staggered, skewed = nights["staggered 240 ms, one period"], nights[f"staggered, {SKEW_PPM:g} ppm clock skew"]
-    still = nights["staggered, no clock skew"]
-    marks = {
-        f"a staggered night of at most {MARK_HOURS:g} h": staggered.hours <= MARK_HOURS,
-        f"its median error at most {MARK_ERROR_DB:g} dB": staggered.median_db <= MARK_ERROR_DB,
-        f"within {MARK_SKEW_DB:g} dB at {SKEW_PPM:g} ppm": abs(skewed.median_db - still.median_db) <= MARK_SKEW_DB,
-    }
-    _print_nights(nights, trials)
-
-    return {
-        "nights": {name: asdict(night) for name, night in nights.items()},
-        "trials": trials,
-        "marks": marks,
-    }
+        Point(
+            work=night, method=f"staggered, {SKEW_PPM:g} ppm clock skew",
+            figures={**skewed, "beyond_no_skew_db": beyond_db}, marks=(Mark("beyond_no_skew_db", 1.0, at_most=True),),
+        ),
+        Point(work=night, method="staggered, no clock skew", figures=still),
+    ]  # fmt: skip
+    for plate, settings in {
+        "additive noise": plain,
+        f"cubic plate, {100 * CUBIC:g} % ({cubic:.3f} u^3 / V^2)": replace(plain, cubic_per_v2=cubic),
+        "noise that grows with the response (1 %)": replace(plain, noise_per_response=GROWING),
+    }.items():
+        points += _trial(plate, settings)
+    return points
 
 
-def _night(settings: VirtualSettings, positions: int, *, staggered: bool) -> Night:
-    """Measure every so many positions of the night through the engine into a bank."""
+def _night(settings: VirtualSettings, positions: int, *, staggered: bool) -> dict[str, float]:
+    """Measure some positions of the night, evenly spread, through the engine into a bank."""
     rig = VirtualRig(settings)
     rows = np.linspace(0, NIGHT - 1, positions).round().astype(np.int64)
     plan = sweep_plan(default_grid(rig)[rows], rig, staggered=staggered)
@@ -124,9 +107,10 @@ def _night(settings: VirtualSettings, positions: int, *, staggered: bool) -> Nig
         with open_bank(path) as bank:
             green = np.stack([bank.green(row) for row in range(positions)])
     error_db = _errors_db(rig, plan, green)
-    # What the rig's clock does not see: commits and other overhead, as the plan reckons with them.
-    reckoned_s = max(took_s / positions, plan.position_s(setup))
-    return Night(NIGHT * reckoned_s / 3600, float(np.median(error_db)), float(np.percentile(error_db, 90)), positions)
+    # Commits and other overhead that the rig's clock does not see, as the plan estimates them.
+    planned_s = max(took_s / positions, plan.position_s(setup))
+    median_db, worst_tenth_db = np.percentile(error_db, [50, 90]).tolist()
+    return {"hours": NIGHT * planned_s / 3600, "median_db": median_db, "worst_tenth_db": worst_tenth_db}
 
 
 def _errors_db(rig: VirtualRig, plan: Plan, green: NDArray[np.generic]) -> Float64Array:
@@ -152,50 +136,32 @@ def _cubic_per_v2(rig: VirtualRig) -> float:
     return CUBIC / (math.sqrt(15) * power)
 
 
-def _trial(settings: VirtualSettings) -> dict[str, Any]:
-    """Verdict of the trial before a night on a plate, and the errors of each schedule there."""
+def _trial(plate: str, settings: VirtualSettings) -> list[Point]:
+    """Schedules as the trial before a night on a plate estimates them, and its choice."""
     rig = VirtualRig(settings)
-    plan = sweep_plan(default_grid(rig), rig, staggered=True)
-    trial = run_trial(plan, rig_setup(rig), 3.0)
-    return {
-        "reason": trial.verdict.reason,
-        "chosen": trial.verdict.chosen.name,
-        "hours": trial.verdict.chosen.campaign_s / 3600,
-        "candidates": {one.name: [one.campaign_s / 3600, one.error_db] for one in trial.candidates},
-    }
+    trial = run_trial(sweep_plan(default_grid(rig), rig, staggered=True), rig_setup(rig), 3.0)
+    chosen = trial.verdict.chosen.name
+    return [
+        Point(
+            work=f"trial at one position: {plate}",
+            method=one.name,
+            figures={"hours": one.campaign_s / 3600, "error_db": one.error_db, "chosen": one.name == chosen},
+            remark=trial.verdict.reason if one.name == chosen else "",
+        )
+        for one in trial.candidates
+    ]
 
 
-def _print_nights(nights: dict[str, Night], trials: dict[str, dict[str, Any]]) -> None:
-    print(f"\n{'a night of 1500 x 20':42}{'hours':>8}{'median':>9}{'worst tenth':>13}{'measured':>10}   (error in dB)")
-    for name, night in nights.items():
-        print(f"{name:42}{night.hours:8.2f}{night.median_db:9.1f}{night.worst_tenth_db:13.1f}{night.positions:10d}")
-    for plate, trial in trials.items():
-        print(f"\n{plate}, as the trial at one position sees it: {trial['reason']}")
-        for name, (hours, error_db) in trial["candidates"].items():
-            print(f"  {name:46}{hours:8.2f} h{error_db:9.1f} dB{'   <- taken' if name == trial['chosen'] else ''}")
-
-
-def stream_recordings(*, quick: bool = False) -> dict[str, Any]:
-    """Record, stream and print.
-
-    Returns per schedule: Green's functions a second by the clock on the wall and on two free cores, milliseconds of
-    processor per Green's function, peak memory in MB, sizes of the sample and of the night; `marks`.
-    """
-    rows: dict[str, dict[str, float]] = {}
+def stream_recordings(*, quick: bool = False) -> list[Point]:
+    """Record samples of nights and stream them into banks."""
+    points = []
     with tempfile.TemporaryDirectory() as folder:
         for name, positions in (("sequential 3 x 1 s", 4 if quick else 50), ("staggered 240 ms", 20 if quick else 300)):
-            raw = Path(folder) / f"{len(rows)}.raw.h5"
+            raw = Path(folder) / f"{positions}.raw.h5"
             record_sample(raw, positions, staggered=name.startswith("staggered"))
-            rows[name] = _streamed(raw, positions)
+            points.append(_streamed(name, raw, positions))
             raw.unlink()
-    marks = {
-        f"{name}: at least {MARK_PER_S:g} a second on two cores, at most {MARK_MB:g} MB": bool(
-            row["per_s_two_cores"] >= MARK_PER_S and row["peak_mb"] <= MARK_MB
-        )
-        for name, row in rows.items()
-    }
-    _print_streams(rows)
-    return {"streams": rows, "marks": marks}
+    return points
 
 
 def record_sample(path: Path, positions: int, *, staggered: bool) -> None:
@@ -220,50 +186,37 @@ def record_sample(path: Path, positions: int, *, staggered: bool) -> None:
             keep_recordings(raw, position, taken[position % len(taken)])
 
 
-def _streamed(raw: Path, positions: int) -> dict[str, float]:
-    """Run the command."""
+def _streamed(name: str, raw: Path, positions: int) -> Point:
     bank = raw.with_suffix(".bank.h5")
     done = run_command("estimate", raw, "--bank", bank, "--json", preload=PRELOADED)
     facts = json.loads(done.stdout.splitlines()[-1])
-    signals = positions * 20
-    per_s = float(facts["green_functions_per_s"])
-    processor_ms = 1e3 * done.processor_s / signals
-    size = raw.stat().st_size
+    processor_ms = 1e3 * done.processor_s / (positions * 20)
     bank.unlink()
-    return {
-        "per_s": per_s,
-        "per_s_two_cores": 2e3 / processor_ms,
-        "processor_ms": processor_ms,
-        "peak_mb": done.peak_bytes / 1e6,
-        "sample_gb": size / 1e9,
-        "night_gb": size / 1e9 * NIGHT / positions,
-        "night_minutes": NIGHT * 20 * processor_ms / 2e3 / 60,
-    }
-
-
-def _print_streams(rows: dict[str, dict[str, float]]) -> None:
-    print(
-        f"\n{'recordings into a bank':24}{'a second':>10}{'2 free cores':>14}{'ms of processor':>17}"
-        f"{'peak MB':>9}{'sample GB':>11}{'night GB':>10}{'night takes':>13}"
+    size_gb = raw.stat().st_size / 1e9
+    return Point(
+        work="recordings into a bank, Green's functions a second",
+        method=name,
+        timing=Timing(done.wall_s, done.processor_s),
+        peak_mb=done.peak_bytes / 1e6,
+        figures={
+            "per_s": float(facts["green_functions_per_s"]),
+            "per_s_two_free_cores": 2e3 / processor_ms,
+            "sample_gb": size_gb,
+            "night_gb": size_gb * NIGHT / positions,
+            "night_minutes": NIGHT * 20 * processor_ms / 2e3 / 60,
+        },
+        marks=(Mark("per_s_two_free_cores", MARK_PER_S), Mark("peak_mb", MARK_MB, at_most=True)),
     )
-    for name, row in rows.items():
-        print(
-            f"{name:24}{row['per_s']:10.0f}{row['per_s_two_cores']:14.0f}{row['processor_ms']:17.2f}{row['peak_mb']:9.0f}{row['sample_gb']:11.2f}"
-            f"{row['night_gb']:10.1f}{row['night_minutes']:9.1f} min"
-        )
 
 
 AUDIO_HZ, AUDIO_BAND_HZ, SWEEP_S, PPM = 48_000.0, (20.0, 20_000.0), 3.0, 37.0
 START_S, TAIL_S = 0.03, 0.28
 ECHOES, SNR_DB = 40, 40.0
-MARK_S, MARK_MB = 20.0, 500.0
+MARK_S = 20.0
 
 
-def estimate_audio(*, quick: bool = False) -> dict[str, Any]:
-    """Record, estimate and print.
-
-    Returns `audio_rate`: processor seconds, megabytes, worst error and the noise's limit in dB; `marks`.
-    """
+def estimate_audio(*, quick: bool = False) -> list[Point]:
+    """Record and estimate long responses at audio rates."""
     records, taps = (2, 2_000) if quick else (10, 12_000)
     with tempfile.TemporaryDirectory() as folder:
         raw, bank = Path(folder) / "audio.raw.h5", Path(folder) / "bank.h5"
@@ -271,26 +224,17 @@ def estimate_audio(*, quick: bool = False) -> dict[str, Any]:
         done = run_command("estimate", raw, "--bank", bank)
         with open_bank(bank) as view:
             green = view.green(0).astype(np.float64)
-    error_db = _error_db(green, truth)
     limit_db = -SNR_DB + 10 * np.log10(taps / samples * (AUDIO_BAND_HZ[1] - AUDIO_BAND_HZ[0]) / (AUDIO_HZ / 2))
-    figures = {
-        "records": records,
-        "taps": taps,
-        "processor_s": done.processor_s,
-        "peak_mb": done.peak_bytes / 1e6,
-        "worst_error_db": float(error_db.max()),
-        "noise_limit_db": float(limit_db),
-    }
-    print(
-        f"{records} records at {AUDIO_HZ:g} Hz, {taps} taps: {done.processor_s:.1f} s of processor time, "
-        f"{figures['peak_mb']:.0f} MB, worst error {figures['worst_error_db']:.1f} dB "
-        f"(the noise alone {limit_db:.1f} dB)"
-    )
-    marks = {
-        f"48 kHz, {taps} taps, {records} records: at most {MARK_S:g} s": done.processor_s <= MARK_S,
-        f"48 kHz, {taps} taps, {records} records: at most {MARK_MB:g} MB": done.peak_bytes <= 1e6 * MARK_MB,
-    }
-    return {"audio_rate": figures, "marks": marks}
+    return [
+        Point(
+            work=f"{records} records at {AUDIO_HZ:g} Hz, {taps} taps",
+            method="wavefocus estimate",
+            timing=Timing(done.wall_s, done.processor_s),
+            peak_mb=done.peak_bytes / 1e6,
+            figures={"worst_db": float(_error_db(green, truth).max()), "noise_limit_db": float(limit_db)},
+            marks=(Mark("cpu_s", MARK_S, at_most=True), Mark("peak_mb", MARK_MB, at_most=True)),
+        )
+    ]
 
 
 def _sweep(time_s: NDArray[np.float64]) -> NDArray[np.float64]:

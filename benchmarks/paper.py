@@ -1,21 +1,20 @@
 """The paper's figures on the virtual rig, with a table of its numbers and ours, misses included.
 
-The plate is a soft plate fitted to the paper's group velocity and
-attenuation (`mocks.plates.soft`), without the reflections of a real one's rim; the actuators lie on the rim.
+The plate is a soft plate fitted to the paper's group velocity and attenuation (`mocks.plates.soft`), without the
+reflections of a real one's rim; the actuators lie on the rim.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import paper_figures as draw
+from benchmarks.harness import Findings, Point, measure
 from benchmarks.paper_measures import (
     CLEAR_MM,
     SATURATION,
@@ -36,77 +35,29 @@ from benchmarks.rig_bank import BAND_HZ, PaperBank, paper_bank
 from mocks.virtual.geometry import stadium_rim
 from rendering.field import metrics
 from rendering.field.crosstalk import CrosstalkTable
+from rendering.field.focus_figures import FOCUS_RADIUS_MM
 from rendering.field.green_correlation import correlation_over_distance
 from rendering.field.impulse_travel import impulse_travel
 from rendering.field.model import predict
 from rendering.greens.regularisation import focus_gain_map
-from rendering.report.canvas import Picture, Surface
+from rendering.report.canvas import Panel, Picture, Surface
 from rendering.scene.signals import Impulse
 from storage.output_files import write_whole
 
 FOCI, QUICK_FOCI = 120, 24
 SEEDS, QUICK_SEEDS = 8, 2
-
-
-def run(out: Path, *, quick: bool = False) -> dict[str, Any]:
-    """Draw the figures into a folder, print and write the table.
-
-    Returns ``rows``, the table; ``bank``, where it comes from; ``seconds`` per figure.
-    """
-    out.mkdir(parents=True, exist_ok=True)
-    watch = _Stopwatch(out)
-    source = watch.time("bank", lambda: paper_bank(out, quick=quick))
-    surface = surface_of(source)
-    rows = travel(source)
-    watch.draw(lambda: figure_3a(source, surface))
-    rows += watch.draw_with_rows(lambda: figure_3b(source, surface))
-    rows += watch.draw_with_rows(lambda: figure_3c(source, surface))
-    rows += watch.time("foci", lambda: foci(source, QUICK_FOCI if quick else FOCI))
-    rows += watch.draw_with_rows(lambda: figure_3d(source, surface, quick=quick))
-    rows += watch.draw_with_rows(lambda: figure_4a(source, surface))
-    watch.draw(lambda: figure_4b(source, surface))
-    rows += watch.draw_with_rows(lambda: figure_4c(source, surface, QUICK_SEEDS if quick else SEEDS))
-    rows += watch.draw_with_rows(lambda: figure_4d(source))
-    table = table_of(rows, source.how)
-    write_whole(out / "paper.md", table)
-    print(table)
-    return {"quick": quick, "bank": source.how, "rows": [asdict(row) for row in rows], "seconds": watch.seconds}
-
-
-class _Stopwatch:
-    """Times the parts and keeps the pictures."""
-
-    def __init__(self, out: Path) -> None:
-        self.seconds: dict[str, float] = {}
-        self._out = out
-
-    def time(self, name: str, work: Callable[[], Any]) -> Any:
-        began = time.perf_counter()
-        result = work()
-        self.seconds[name] = round(time.perf_counter() - began, 3)
-        return result
-
-    def draw(self, work: Callable[[], Picture]) -> None:
-        self.draw_with_rows(lambda: (work(), []))
-
-    def draw_with_rows(self, work: Callable[[], tuple[Picture, list[Row]]]) -> list[Row]:
-        began = time.perf_counter()
-        picture, rows = work()
-        write_whole(self._out / f"{picture.name}.png", picture.png)
-        self.seconds[picture.name] = round(time.perf_counter() - began, 3)
-        return rows
-
-
-Float64Array = NDArray[np.float64]
-
 AROUND_MS = (-12.0, -6.0, -3.0, 0.0, 3.0, 6.0, 12.0, 24.0)
 PEAK_V = 0.5
 """Largest drive of the scanned focus."""
+NEGLIGIBLE = 0.01
+"""Crosstalk (energy ratio) that we call negligible; the paper does not say."""
+
+Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure of the paper and ours."""
+    """A number of the paper and ours; `met` is None where the paper states none."""
 
     what: str
     paper: str
@@ -115,21 +66,41 @@ class Row:
     definition: str
 
 
-def table_of(rows: list[Row], how: str) -> str:
-    """The table in Markdown; `how` is the origin of the bank."""
-    lines = [
-        "# The paper's figures on the virtual rig",
-        "",
-        f"Bank: {how}.",
-        "",
-        "| figure | paper | ours | | definition of ours |",
-        "|---|---|---|---|---|",
+def run(out: Path, *, quick: bool = False) -> Findings:
+    """Draw the figures into a folder; the points are the paper's numbers and ours."""
+    out.mkdir(parents=True, exist_ok=True)
+    source = paper_bank(out, quick=quick)
+    surface = surface_of(source)
+    parts: dict[str, Callable[[], tuple[Picture | None, list[Row]]]] = {
+        "travel": lambda: (None, travel(source)),
+        "3A": lambda: (figure_3a(source, surface), []),
+        "3B": lambda: figure_3b(source, surface),
+        "3C": lambda: figure_3c(source, surface),
+        "foci": lambda: (None, foci(source, QUICK_FOCI if quick else FOCI)),
+        "3D": lambda: figure_3d(source, surface, quick=quick),
+        "4A": lambda: figure_4a(source),
+        "4B": lambda: (figure_4b(source, surface), []),
+        "4C": lambda: figure_4c(source, surface, QUICK_SEEDS if quick else SEEDS),
+        "4D": lambda: figure_4d(source),
+    }
+    rows: list[Row] = []
+    found = measure(parts, 1)
+    for timing in found.values():
+        picture, more = timing.result
+        rows += more
+        if picture is not None:
+            write_whole(out / f"{picture.name}.png", picture.png)
+    points = [
+        Point(
+            work="the paper's numbers",
+            method=row.what,
+            figures={"paper": row.paper, "ours": row.ours, "as_the_paper": row.met},
+            remark=row.definition,
+        )
+        for row in rows
     ]
-    words = {True: "as the paper", False: "**not** as the paper", None: ""}
-    for row in rows:
-        cells = (row.what, row.paper, row.ours, words[row.met], row.definition)
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(lines) + "\n"
+    points += [Point(work="time of each part", method=part, timing=timing) for part, timing in found.items()]
+    return Findings(points, notes=[f"Bank: {source.how}."])
 
 
 def surface_of(source: PaperBank, *paths_mm: Float64Array) -> Surface:
@@ -246,8 +217,9 @@ def foci(source: PaperBank, count: int) -> list[Row]:
     rng = np.random.default_rng(3)
     rows = np.sort(rng.choice(clear_rows(bank, CLEAR_MM), count, replace=False)).tolist()
     plain, saturated = (focus_figures(bank, rows, focus_fields(bank, rows, c)) for c in (None, SATURATION))
-    low, middle, high = np.nanquantile(saturated.width_mm, [0.1, 0.5, 0.9])
-    gained = float(np.nanmedian(saturated.artefact_db - plain.artefact_db))
+    low, middle, high = np.nanquantile(saturated["width_mm"], [0.1, 0.5, 0.9])
+    off_mm, artefact_db = saturated["off_mm"], saturated["artefact_db"]
+    gained = float(np.nanmedian(artefact_db - plain["artefact_db"]))
     where = f"{count} foci further than {CLEAR_MM:g} mm from every actuator"
     return [
         Row(
@@ -259,16 +231,16 @@ def foci(source: PaperBank, count: int) -> list[Row]:
             "10 to 90 %",
         ),
         Row(
-            "distance of the focus from where it is meant to be",
+            "distance of the focus from its intended place",
             "not stated",
-            f"median {np.nanmedian(saturated.off_mm):.2f} mm, worst {np.nanmax(saturated.off_mm):.1f} mm",
+            f"median {np.nanmedian(off_mm):.2f} mm, worst {np.nanmax(off_mm):.1f} mm",
             None,
             f"largest |y| within 15 mm at the focus instant, refined by a quadratic; {where}",
         ),
         Row(
             "artefact level of foci",
             "not stated",
-            f"median {np.nanmedian(saturated.artefact_db):.1f} dB; saturation changes it by {gained:+.1f} dB",
+            f"median {np.nanmedian(saturated['artefact_db']):.1f} dB; saturation changes it by {gained:+.1f} dB",
             None,
             f"largest |y(x, T)| beyond 15 mm over the largest within; {where}",
         ),
@@ -313,11 +285,7 @@ def figure_3d(source: PaperBank, surface: Surface, *, quick: bool) -> tuple[Pict
     ]
 
 
-NEGLIGIBLE = 0.01
-"""Crosstalk (energy ratio) that we call negligible; the paper does not say."""
-
-
-def figure_4a(source: PaperBank, surface: Surface) -> tuple[Picture, list[Row]]:
+def figure_4a(source: PaperBank) -> tuple[Picture, list[Row]]:
     """A source on a circle."""
     bank = source.bank
     path = figure_paths()["circle"]
@@ -330,7 +298,7 @@ def figure_4a(source: PaperBank, surface: Surface) -> tuple[Picture, list[Row]]:
     points_mm = path.point_at(4.0 * np.arange(len(fields)))
     off = []
     for field, point in zip(fields, points_mm, strict=True):
-        peak = metrics.focus_peak(bank.position_mm, field, (float(point[0]), float(point[1])), 15.0)
+        peak = metrics.focus_peak(bank.position_mm, field, point, FOCUS_RADIUS_MM)
         off.append(np.nan if peak is None else float(np.hypot(*(np.array(peak.at_mm) - point))))
     return picture, [
         Row(
@@ -351,8 +319,8 @@ def figure_4b(source: PaperBank, surface: Surface) -> Picture:
         drive = moving_drive(source.bank, path, Impulse(), 80.0, 4.0)
         fields = np.abs(fields_at(drive, source.bank, drive.focus_sample.tolist()))
         largest = fields.max(axis=0) / np.median(fields.max(axis=1))
-        panels.append((surface, largest.astype(np.float64), f"{name}, 8 cm/s"))
-    return draw.figure_4b(panels)
+        panels.append(Panel(f"{name}, 8 cm/s", largest))
+    return draw.figure_4b(surface, panels)
 
 
 def figure_4c(source: PaperBank, surface: Surface, seeds: int) -> tuple[Picture, list[Row]]:
@@ -364,8 +332,7 @@ def figure_4c(source: PaperBank, surface: Surface, seeds: int) -> tuple[Picture,
         ("10 cm/s", line_spectrum(source.bank, 100.0, 0.050, seeds)),
     ]
     share = spectra[1][1].share_within((150.0, 300.0))
-    energy = np.square(spectra[1][1].magnitude).sum(axis=0)
-    middle_hz = float(spectra[1][1].frequency_hz @ energy / energy.sum())
+    middle_hz = spectra[1][1].centroid_hz
     return draw.figure_4c(surface, fast, slow, spectra), [
         Row(
             "spectrum at the path points",

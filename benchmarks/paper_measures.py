@@ -12,6 +12,7 @@ from benchmarks.rig_bank import PaperBank, rig_setup
 from rendering.drive.rendering import render_with_report
 from rendering.field import metrics
 from rendering.field.crosstalk import CrosstalkTable, crosstalk_table
+from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
 from rendering.field.model import predict, predict_rows
 from rendering.field.path_spectrum import PathSpectrum, path_spectrum
 from rendering.greens.regularisation import row_weights, saturation_threshold
@@ -30,7 +31,6 @@ FloatArray = NDArray[np.float32] | NDArray[np.float64]
 SATURATION = 0.3
 """C of eq. (14) over the bank's median rms; the paper does not say its own."""
 CLEAR_MM = 20.0
-NEAR_MM = 15.0
 SPEEDS_CM_S = (4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 100.0)
 STEPS = (1, 2, 4, 6)
 LINE = Line((-58.0, 0.0), (62.0, 0.0))
@@ -67,41 +67,28 @@ def focus_fields(bank: GreenArray, rows: Sequence[int], saturation: float | None
     return fields
 
 
-@dataclass(frozen=True, slots=True)
-class FocusFigures:
-    """Figures of single foci, (foci,) each; NaN where a spot reaches beyond the positions."""
-
-    width_mm: Float64Array
-    off_mm: Float64Array
-    artefact_db: Float64Array
-    at_focus: Float64Array
-
-
 def focus_figures(
     bank: GreenArray, rows: Sequence[int], fields: FloatArray, together: Sequence[Int64Array] | None = None
-) -> FocusFigures:
-    """Width, distance of the peak from its place, artefact level and response of each focus.
+) -> dict[str, Float64Array]:
+    """Width, distance of the peak from its place, artefact level and response of each focus, (foci,) each.
 
-    Artefacts are further than 15 mm from every focus of that instant, `together`, by default from the focus alone.
+    Artefacts are further than 15 mm from every focus of that instant, `together`, by default from the focus alone. NaN
+    where a spot reaches beyond the positions.
     """
     spacing_mm = metrics.grid_spacing_mm(bank.position_mm)
     figures = np.full((4, len(rows)), np.nan)
     for place, (row, field) in enumerate(zip(rows, fields, strict=True)):
-        x, y = (float(value) for value in bank.position_mm[row])
-        peak = metrics.focus_peak(bank.position_mm, field, (x, y), NEAR_MM)
-        if peak is None:
-            continue
-        width = metrics.focal_width_mm(bank.position_mm, field, peak.row, spacing_mm)
-        foci_mm = bank.position_mm[[row] if together is None else together[place]]
-        gap_mm = np.hypot(*(bank.position_mm[:, None] - foci_mm).transpose(2, 0, 1)).min(axis=1)
-        near = np.hypot(*(bank.position_mm - (x, y)).T) <= NEAR_MM
-        figures[:, place] = (
-            np.nan if width is None else width,
-            np.hypot(peak.at_mm[0] - x, peak.at_mm[1] - y),
-            metrics.level_db(float(np.abs(field[gap_mm > NEAR_MM]).max() / np.abs(field[near]).max())),
-            field[row],
-        )
-    return FocusFigures(*figures)
+        others_mm = None if together is None else bank.position_mm[together[place]]
+        at_mm = bank.position_mm[row]
+        spot = metrics.focus_spot(bank.position_mm, field, at_mm, FOCUS_RADIUS_MM, spacing_mm, others_mm)
+        if spot is not None:
+            figures[:, place] = spot.width_mm, spot.off_mm, spot.artefact_db, field[row]
+    return dict(zip(("width_mm", "off_mm", "artefact_db", "at_focus"), figures, strict=True))
+
+
+def medians(figures: dict[str, Float64Array]) -> dict[str, float | None]:
+    """Median of each figure over the foci that have it; None where none has."""
+    return {name: median_or_none(values) for name, values in figures.items()}
 
 
 def fields_at(drive: Drive, bank: GreenArray, samples: Sequence[int]) -> Float32Array:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.special
 
+from benchmarks.harness import Point, measure, relative_error
 from benchmarks.render_workloads import (
     ACTUATORS,
     RATE_HZ,
@@ -19,7 +20,6 @@ from benchmarks.render_workloads import (
     noise,
     sum_directly,
 )
-from benchmarks.timing import best_of, relative_error
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Output, Scene, Source
@@ -49,15 +49,6 @@ STYLES: dict[str, tuple[str, str, tuple[tuple[int, int], ...]]] = {
 """Colours for the colour-blind, markers, and places of the labels at the two ends of a line, if any."""
 
 
-@dataclass(frozen=True, slots=True)
-class Point:
-    """One way of rendering the scene."""
-
-    method: str
-    step_mm: float | None = None
-    tolerance_db: float | None = None
-
-
 def smooth_bank(columns: int, rows: int) -> GreenArray:
     """Waves of an ideal medium from actuators on a rim, 20 to 500 Hz: neighbouring positions have like responses."""
     x, y = np.meshgrid(4.0 * (np.arange(columns) - columns / 2), 4.0 * (np.arange(rows) - rows / 2))
@@ -78,13 +69,11 @@ def smooth_bank(columns: int, rows: int) -> GreenArray:
     return GreenArray(values, position_mm, RATE_HZ, band_hz=(20, 500))
 
 
-def draw_precision(out: Path, *, quick: bool) -> list[dict[str, Any]]:
+def precision_points(out: Path, *, quick: bool) -> list[Point]:
     """Measure all methods against direct summation of eq. (9) and draw `render-precision.png`.
 
     All of them take the bank at any place by bilinear interpolation, so that the error is that of the path's
-    sampling and of what is left out alone; gpuRIR's method takes the nearest row, as it knows no other.
-
-    Returns ``method``, ``step_mm`` (of a sampled path) or ``tolerance_db``, ``wall_s``, ``cpu_s``, ``error``.
+    sampling and of the parts left out alone; gpuRIR's method has the nearest row only.
     """
     bank = smooth_bank(16, 16) if quick else smooth_bank(24, 24)
     seconds, repeats = (0.5, 1) if quick else (4.0, 3)
@@ -94,34 +83,32 @@ def draw_precision(out: Path, *, quick: bool) -> list[dict[str, Any]]:
     def load(step_mm: float) -> Workload:
         return Workload("", bank, Source(path, noise(seconds), 0.0, SPEED_MM_S, step_mm))
 
-    def scene(step_mm: float) -> Scene:
-        return Scene("precision", (load(step_mm).source,), output=Output("bilinear"))
+    def ours(method: Literal["exact", "sampled"], step_mm: float, db: float | None = None) -> Callable[[], Any]:
+        scene = Scene("precision", (load(step_mm).source,), output=Output("bilinear"))
+        return partial(render_with_report, scene, bank, method=method, tolerance_db=db)
 
-    actions: dict[Point, Any] = {Point(DIRECT): lambda: sum_directly(load(0.1), samples)}
-    actions[Point(EXACT)] = partial(render_with_report, scene(0.1), bank, method="exact")
-    for db in TOLERANCES_DB:
-        actions[Point(LOOSE, tolerance_db=db)] = partial(
-            render_with_report, scene(0.1), bank, method="exact", tolerance_db=db
-        )
-    for step_mm in STEPS_MM:
-        actions[Point(SAMPLED, step_mm)] = partial(render_with_report, scene(step_mm), bank, method="sampled")
-        actions[Point(SAMPLED_LOOSE, step_mm)] = partial(
-            render_with_report, scene(step_mm), bank, method="sampled", tolerance_db=SAMPLED_TOLERANCE_DB
-        )
-        actions[Point(PEER, step_mm)] = partial(convolve_and_overlap_add, load(step_mm))
-    found = best_of({str(number): action for number, action in enumerate(actions.values())}, repeats, once=("0",))
+    work = f"one moving source, {seconds:g} s at {SPEED_MM_S / 10:g} cm/s"
+    actions: list[tuple[str, dict[str, float], Callable[[], Any]]] = [
+        (DIRECT, {}, lambda: sum_directly(load(0.1), samples)),
+        (EXACT, {}, ours("exact", 0.1)),
+        *((LOOSE, {"tolerance_db": db}, ours("exact", 0.1, db)) for db in TOLERANCES_DB),
+        *((SAMPLED, {"step_mm": step}, ours("sampled", step)) for step in STEPS_MM),
+        *((SAMPLED_LOOSE, {"step_mm": step}, ours("sampled", step, SAMPLED_TOLERANCE_DB)) for step in STEPS_MM),
+        *((PEER, {"step_mm": step}, partial(convolve_and_overlap_add, load(step))) for step in STEPS_MM),
+    ]
+    found = measure({str(number): action for number, (_, _, action) in enumerate(actions)}, repeats, once=("0",))
     truth = found["0"].result
     points = []
-    for point, timing in zip(actions, found.values(), strict=True):
+    for (method, parameters, _), timing in zip(actions, found.values(), strict=True):
         drive_v = timing.result if isinstance(timing.result, np.ndarray) else timing.result[0].drive_v
         # A sampled path may emit a little longer: up to here, nothing emitted after the last sample has come.
-        error = 0.0 if point.method == DIRECT else relative_error(drive_v[:, :samples], truth[:, :samples])
-        points.append(asdict(point) | {"wall_s": timing.wall_s, "cpu_s": timing.cpu_s, "error": error})
-    draw(out / "render-precision.png", points, f"One moving source, {seconds:g} s at {SPEED_MM_S / 10:g} cm/s")
+        error = None if method == DIRECT else relative_error(drive_v[:, :samples], truth[:, :samples])
+        points.append(Point(work=work, method=method, parameters=parameters, timing=timing, error=error))
+    draw(out / "render-precision.png", points, work)
     return points
 
 
-def draw(path: Path, points: list[dict[str, Any]], title: str) -> None:
+def draw(path: Path, points: list[Point], title: str) -> None:
     """Draw error over the path's sample distance, and over run time, on one scale of errors."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -130,39 +117,38 @@ def draw(path: Path, points: list[dict[str, Any]], title: str) -> None:
     FigureCanvasAgg(figure)
     over_step, over_time = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.35))
     for method, (colour, marker, shifts) in STYLES.items():
-        mine = [point for point in points if point["method"] == method]
-        error = [max(point["error"], FLOOR) for point in mine]
+        mine = [point for point in points if point.method == method]
+        error = [max(point.error or 0.0, FLOOR) for point in mine]
+        cpu_s = [point.timing.cpu_s for point in mine if point.timing is not None]
         style = {"color": colour, "marker": marker, "markersize": 6, "linewidth": 1.4}
-        if mine and mine[0]["step_mm"] is not None:
-            over_step.plot([point["step_mm"] for point in mine], error, **style)
-        else:
-            for height, point in zip(error, mine, strict=True):
-                over_step.axhline(height, color=colour, linewidth=1.0, linestyle=(0, (4, 3)))
-                if point["tolerance_db"] is not None:
-                    place = (STEPS_MM[-1], height)
-                    label = {"ha": "right", "va": "bottom", "fontsize": 8, "color": colour}
-                    over_step.annotate(f"asked for {point['tolerance_db']:g} dB", place, **label)
-        over_time.plot([point["cpu_s"] for point in mine], error, label=method, **style)
+        steps = [float(point.parameters["step_mm"] or 0) for point in mine if "step_mm" in point.parameters]
+        if steps:
+            over_step.plot(steps, error, **style)
+        for height, point in zip(error, mine if not steps else [], strict=False):
+            over_step.axhline(height, color=colour, linewidth=1.0, linestyle=(0, (4, 3)))
+            if point.parameters:
+                label = {"ha": "right", "va": "bottom", "fontsize": 8, "color": colour}
+                text = f"tolerance {point.parameters['tolerance_db']:g} dB"
+                over_step.annotate(text, (STEPS_MM[-1], height), **label)
+        over_time.plot(cpu_s, error, label=method, **style)
         # Labels at its ends show the direction of a line; the steps between are those of the other panel.
-        ends = [(mine[0], error[0]), (mine[-1], error[-1])] if mine else []
-        for (point, height), shift in zip(ends, shifts, strict=False):
-            value = point["step_mm"] if point["step_mm"] is not None else point["tolerance_db"]
-            unit = "mm" if point["step_mm"] is not None else "dB"
+        for place, shift in zip((0, -1), shifts, strict=False):
+            ((name, value),) = mine[place].parameters.items()
             over_time.annotate(
-                f"{value:g} {unit}", (point["cpu_s"], height), shift, textcoords="offset points", fontsize=8,
-                color=colour, ha="left" if shift[0] >= 0 else "right", va="center",
+                f"{value:g} {'mm' if name == 'step_mm' else 'dB'}", (cpu_s[place], error[place]), shift,
+                textcoords="offset points", fontsize=8, color=colour, va="center",
+                ha="left" if shift[0] >= 0 else "right",
             )  # fmt: skip
     over_step.set(xscale="log", yscale="log", xlabel="sample distance d of the path in mm", ylim=(FLOOR / 3, 5.0))
     over_step.set_xticks(STEPS_MM, [f"{step:g}" for step in STEPS_MM])
     over_step.minorticks_off()
-    over_step.set_ylabel(f"relative L2 error of the drives ({FLOOR:g}: that or less)")
+    over_step.set_ylabel(f"relative L2 error of the drives (at {FLOOR:g}: that or less)")
     over_time.set(xscale="log", xlabel="CPU time in s")
     for axes in (over_step, over_time):
         axes.grid(visible=True, which="major", alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(f"{title}: error against the continuous path, over d and over run time")
-    figure.legend(
-        *over_time.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9, frameon=False
-    )
+    figure.suptitle(f"Error against the continuous path, over d and over run time: {title}")
+    labels = over_time.get_legend_handles_labels()
+    figure.legend(*labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
     with replacement(path) as temporary:
         figure.savefig(temporary, dpi=130)

@@ -1,7 +1,7 @@
 """Production drivers on emulated wires: what a position costs beyond its records, and how well clocks are recovered.
 
-The far sides (serial mirror, gRPC Device Server, JACK server on a dummy driver)
-run in processes of their own; everything is in real time.
+The far sides (serial mirror, gRPC Device Server, JACK server on a dummy driver) run in processes of their own, all in
+real time.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from acquisition.engine.events import Event, Fault, PositionCommitted, PositionS
 from acquisition.measuring.record import record_samples, take_record
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import Plan
+from benchmarks.harness import Findings, Mark, Point
 from benchmarks.rig_bank import RATE_HZ, TAPS, measure
 from calibration.clock.timing import ClockFitter
 from calibration.excitation.sweeps import Excitation
@@ -61,18 +62,7 @@ def settings() -> VirtualSettings:
 
 def excitation(sweep_s: float, averages: int) -> Excitation:
     """Signal of each record."""
-    return Excitation(
-        sample_rate_hz=RATE_HZ,
-        start_hz=20.0,
-        stop_hz=500.0,
-        duration_s=sweep_s,
-        decay_s=0.2,
-        amplitude_v=SWEEP_V,
-        averages=averages,
-    )
-
-
-# -- the far sides ------------------------------------------------------------------------------------------------
+    return Excitation(RATE_HZ, 20.0, 500.0, sweep_s, 0.2, SWEEP_V, averages)
 
 
 def serve_far_sides(period_frames: int) -> None:
@@ -176,9 +166,6 @@ def opened(sides: FarSides, post_roll_s: float = POST_ROLL_S) -> Iterator[Setup]
         setup.close()
 
 
-# -- what is measured ---------------------------------------------------------------------------------------------
-
-
 def overheads_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArray[np.float64], int]:
     """Seconds from one position's start to the next beyond their records, and how many records were repeated."""
     position_s, disturbed = positions_s(setup, positions, sweep)
@@ -249,44 +236,36 @@ def clock_errors(setup: Setup, sides: FarSides, records: int, sweep: Excitation)
     return np.array(ratio_ppm), np.array(offset)
 
 
-def run(out: Path | None = None, *, quick: bool = False) -> dict[str, object]:
-    """Measure, print the table, return the figures."""
+def run(out: Path | None = None, *, quick: bool = False) -> Findings:
+    """Measure positions, clocks and wall time on the wires."""
     positions, records, averages, sweep_s = (3, 2, 1, 0.3) if quick else (13, 12, 3, 1.0)
     with closing(FarSides()) as sides, opened(sides) as setup:
         beyond_s, repeated = overheads_s(setup, positions, excitation(0.3, 1))
         ratio_ppm, offset = clock_errors(setup, sides, records, excitation(sweep_s, averages))
     sounding = wall_over_sounding(3 if quick else 5, excitation(sweep_s, averages))
-    figures: dict[str, object] = {
-        "wall_over_sounding": {"values": sounding.tolist(), "mark": MARK_WALL_OVER_SOUNDING},
-        "overhead_s": {"median": float(np.median(beyond_s)), "worst": float(beyond_s.max()), "mark": MARK_OVERHEAD_S},
-        "positions_with_a_repeated_record": repeated,
-        "clock_ratio_ppm": {"rms": _rms(ratio_ppm), "worst": float(np.abs(ratio_ppm).max()), "mark": MARK_RATIO_PPM},
-        "start_offset_samples": {
-            "rms": _rms(offset),
-            "worst": float(np.abs(offset).max()),
-            "mark": MARK_OFFSET_SAMPLES,
-        },
-    }
-    print(
-        f"production drivers on emulated wires, {positions} positions x {len(ACTUATOR_MM)} actuators, {records} records"
+    return Findings(
+        [
+            _point("a position beyond its records", "median_s", beyond_s, MARK_OVERHEAD_S),
+            _point("wall over sounding time", "median", sounding, MARK_WALL_OVER_SOUNDING),
+            _point("clock ratio, reference at 60 dB", "rms_ppm", ratio_ppm, MARK_RATIO_PPM),
+            _point("start offset, reference at 60 dB", "rms_samples", offset, MARK_OFFSET_SAMPLES),
+        ],
+        "the clocks of the emulated far sides",
+        [
+            f"{positions} positions x {len(ACTUATOR_MM)} actuators, {records} records, {averages} x {sweep_s:g} s"
+            f" sweeps; positions of which a record was repeated (the audio server ran dry): {repeated}."
+        ],
     )
-    print(f"{'':44}{'measured':>12}{'worst':>12}{'mark':>10}")
-    for words, scale, values, mark in (
-        ("a position beyond its records, median, ms", 1e3, beyond_s, MARK_OVERHEAD_S),
-        ("clock ratio at 60 dB, rms error, ppm", 1.0, ratio_ppm, MARK_RATIO_PPM),
-        ("start offset at 60 dB, rms error, samples", 1.0, offset, MARK_OFFSET_SAMPLES),
-    ):
-        typical = float(np.median(values)) if "median" in words else _rms(values)
-        print(f"{words:44}{scale * typical:12.4g}{scale * float(np.abs(values).max()):12.4g}{scale * mark:10.4g}")
-    shown = f"{np.median(sounding):12.4g}{sounding.max():12.4g}" if len(sounding) else f"{'disturbed':>24}"
-    words = f"wall over sounding time, {averages} x {sweep_s:g} s sweeps, median"
-    print(f"{words:44}{shown}{MARK_WALL_OVER_SOUNDING:10.4g}")
-    print(f"positions of which a record was repeated (the audio server ran dry): {repeated}")
-    return figures
 
 
-def _rms(values: Float64Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def _point(method: str, figure: str, values: Float64Array, limit: float) -> Point:
+    """Median or rms of some values and the worst of them; none where every position was disturbed."""
+    figures: dict[str, float] = {}
+    if len(values):
+        typical = np.median(values) if figure.startswith("median") else np.sqrt(np.mean(values**2))
+        figures = {figure: float(typical), "worst": float(np.abs(values).max())}
+    marks = (Mark(figure, limit, at_most=True),)
+    return Point(work="production drivers on emulated wires", method=method, figures=figures, marks=marks)
 
 
 if __name__ == "__main__":

@@ -192,6 +192,7 @@ def draw_crosstalk(axes: Axes, table: CrosstalkTable, top_percent: float) -> Non
     axes.set(xscale="log", yscale="log", ylim=(1e-3, top_percent))
     axes.set_xticks(table.speed_mm_s / 10, [f"{speed / 10:g}" for speed in table.speed_mm_s])
     axes.minorticks_off()
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.axhline(1.0, color=FAINT, lw=0.8, ls=":")
     axes.legend(loc="upper left")
 

@@ -209,11 +209,9 @@ def test_given_an_attribute_of_no_meaning_then_exit_2(tmp_path, said):
     assert run(["estimate", str(raw), "--bank", str(tmp_path / "bank.h5")]) == 2
 
 
-def test_the_benchmark_at_audio_rates_reaches_the_noise_s_limit(capsys):
-    figures = nights.estimate_audio(quick=True)
-    assert len(figures["marks"]) == 2
-    assert figures["audio_rate"]["worst_error_db"] < figures["audio_rate"]["noise_limit_db"] + 1.5
-    assert "48000 Hz" in capsys.readouterr().out
+def test_the_benchmark_at_audio_rates_reaches_the_noise_s_limit():
+    (point,) = nights.estimate_audio(quick=True)
+    assert point.figures["worst_db"] < point.figures["noise_limit_db"] + 1.5
 
 
 def test_given_more_than_memory_holds_then_it_is_refused_before_a_sample_is_read(tmp_path):

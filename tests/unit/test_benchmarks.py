@@ -1,20 +1,22 @@
-"""Benchmarks: conditions of a run, and a registry of modules that exist."""
+"""Benchmarks: harness, conditions of a run, and a registry of modules that exist."""
 
 from __future__ import annotations
 
+import csv
 import json
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks import BENCHMARKS
-from benchmarks.timing import conditions, load
+from benchmarks.harness import Findings, Mark, Point, Timing, measure
+from benchmarks.machine import conditions, load
 
 
-@pytest.mark.parametrize("name", BENCHMARKS)
-def test_a_registered_benchmark_is_a_module(name: str) -> None:
-    assert find_spec(f"benchmarks.{name}") is not None
+def test_every_registered_benchmark_is_a_module() -> None:
+    assert all(find_spec(f"benchmarks.{name}") is not None for name in BENCHMARKS)
 
 
 def test_conditions_are_plain_and_name_no_place_of_this_machine() -> None:
@@ -25,3 +27,42 @@ def test_conditions_are_plain_and_name_no_place_of_this_machine() -> None:
     assert found["cores"] >= 1
     assert "numpy" in found["packages"]
     assert load() is None or load() >= 0
+
+
+def test_actions_take_turns_and_those_named_once_run_once() -> None:
+    calls: list[str] = []
+    found = measure({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3, once=("b",))
+    assert calls == ["a", "b", "a", "a"]
+    assert found["a"].spread_s is not None
+    assert found["b"].spread_s is None
+
+
+def test_a_peer_counts_no_more_than_its_cpu_time() -> None:
+    point = Point(work="w", method="m", timing=Timing(0.5, 0.5)).against(Timing(10.0, 2.0))
+    assert (point.row["times"], point.row["cpu_times"]) == (4.0, 4.0)
+
+
+def test_points_are_written_as_json_csv_and_tables_with_their_marks(tmp_path: Path) -> None:
+    marks = (Mark("error", 1e-3, at_most=True), Mark("times", 5.0))
+    points = [
+        Point(work="w", method="peer", timing=Timing(2.0, 2.0)),
+        Point(work="w", method="ours", parameters={"step_mm": 4.0}, error=1e-4, timing=Timing(1.0, 1.0), marks=marks)
+        .against(Timing(2.0, 2.0)),
+    ]  # fmt: skip
+    findings = Findings(points, "the truth")
+    written = json.loads(findings.write(tmp_path, "some", {"quick": False}).read_text(encoding="utf-8"))
+    assert [one["met"] for one in written["marks"]] == [True, False]
+    assert written["points"][1]["step_mm"] == 4.0
+    with (tmp_path / "some.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["method"] for row in rows] == ["peer", "ours"]
+    assert np.isclose(float(rows[1]["error"]), 1e-4)
+    assert any("**not met**" in line for line in findings.lines())
+    assert not any("met" in line.split("|")[-2] for line in findings.lines(judged=False) if line.startswith("| ours"))
+    assert points[1].met is False
+
+
+@pytest.mark.parametrize("value", [None, 3.0])
+def test_a_mark_of_a_figure_that_was_not_measured_is_not_judged(value: float | None) -> None:
+    point = Point(work="w", method="m", figures={"hours": value}, marks=(Mark("hours", 2.0, at_most=True),))
+    assert point.judged(point.marks[0]) is (None if value is None else False)

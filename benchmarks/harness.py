@@ -1,0 +1,256 @@
+"""Harness of all benchmarks: points measured in turns, with their marks, as JSON, CSV and tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+import tracemalloc
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.output_files import write_whole
+
+Plain = float | str | bool | None
+UNITS = {"cpu": "CPU", "db": "dB", "mb": "MB", "gb": "GB", "hz": "Hz", "khz": "kHz"}
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Some runs of one action.
+
+    Parameters
+    ----------
+    wall_s, cpu_s : float
+        Medians over the runs of the time on the wall and of the CPU time of all threads together.
+    spread_s : float, optional
+        Difference of the quartiles of the time on the wall; None for a single run.
+    result : object
+        Returned by the last run.
+    """
+
+    wall_s: float
+    cpu_s: float
+    spread_s: float | None = None
+    result: Any = None
+
+    def times(self, factor: float) -> Timing:
+        """The time of so much more of the same work."""
+        spread_s = None if self.spread_s is None else self.spread_s * factor
+        return replace(self, wall_s=self.wall_s * factor, cpu_s=self.cpu_s * factor, spread_s=spread_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Target of a figure of a point: at least `limit`, or at most."""
+
+    figure: str
+    limit: float
+    at_most: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """One line of a benchmark: one method at one setting.
+
+    Parameters
+    ----------
+    work : str
+        The task; points of one work are compared with each other and make one table.
+    method : str
+        Name of the method.
+    parameters : mapping
+        Its settings, by name with the unit at the end.
+    error : float, optional
+        Against the truth that the benchmark states; None for the truth itself, and where there is none.
+    timing : Timing, optional
+        Its time.
+    peak_mb : float, optional
+        Peak memory.
+    figures : mapping
+        All else, by name with the unit at the end.
+    marks : tuple of Mark
+        Targets of figures.
+    remark : str
+        Note for the reader.
+    """
+
+    work: str
+    method: str
+    parameters: Mapping[str, Plain] = field(default_factory=dict)
+    error: float | None = None
+    timing: Timing | None = None
+    peak_mb: float | None = None
+    figures: Mapping[str, Plain] = field(default_factory=dict)
+    marks: tuple[Mark, ...] = ()
+    remark: str = ""
+
+    @property
+    def row(self) -> dict[str, Plain]:
+        """All that is known of it, by column."""
+        timing = {} if self.timing is None else asdict(replace(self.timing, result=None))
+        timing.pop("result", None)
+        known = {**self.parameters, "error": self.error, **timing, "peak_mb": self.peak_mb, **self.figures}
+        return {"method": self.method, **{name: one for name, one in known.items() if one is not None}}
+
+    def judged(self, mark: Mark) -> bool | None:
+        """The figure keeps to the mark; None where it was not measured."""
+        value = self.row.get(mark.figure)
+        if not isinstance(value, float | int):
+            return None
+        return bool(value <= mark.limit if mark.at_most else value >= mark.limit)
+
+    @property
+    def met(self) -> bool:
+        """Every mark is kept."""
+        return all(self.judged(mark) for mark in self.marks)
+
+    def against(self, peer: Timing) -> Point:
+        """The same with its speed over a peer's, by time on the wall (`times`) and by CPU time (`cpu_times`).
+
+        A peer that other programs kept from the cores was not slow: it counts no more than its CPU time.
+        """
+        assert self.timing is not None
+        times = min(peer.wall_s, peer.cpu_s) / self.timing.wall_s
+        cpu_times = peer.cpu_s / max(self.timing.cpu_s, 1e-9)
+        return replace(self, figures={"times": times, "cpu_times": cpu_times, **self.figures})
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """Points of one benchmark, what their errors are relative to, and notes."""
+
+    points: Sequence[Point]
+    truth: str = ""
+    notes: Sequence[str] = ()
+
+    def lines(self, *, judged: bool = True) -> list[str]:
+        """Notes and tables in Markdown; marks where `judged`."""
+        lines = [*([f"Errors are relative to {self.truth}."] if self.truth else []), *self.notes]
+        for work, points in groupby(self.points, lambda point: point.work):
+            lines += ["", f"**{work}**", "", *table(list(points), judged=judged)]
+        return lines
+
+    def write(self, out: Path, name: str, made: Mapping[str, Any]) -> Path:
+        """Write ``NAME.json`` and ``NAME.csv`` into a folder; `made` holds the conditions. Returns the former."""
+        points = [{"work": one.work, **one.row, "remark": one.remark} for one in self.points]
+        marks = [
+            {"work": one.work, "method": one.method, **asdict(mark), "met": one.judged(mark)}
+            for one in self.points
+            for mark in one.marks
+        ]
+        content = {"truth": self.truth, "notes": list(self.notes), "points": points, "marks": marks, **made}
+        write_whole(out / f"{name}.csv", _csv(points))
+        write_whole(out / f"{name}.json", json.dumps(content | {"lines": self.lines()}, indent=2) + "\n")
+        return out / f"{name}.json"
+
+
+def measure(
+    actions: Mapping[str, Callable[[], Any]],
+    repeats: int,
+    *,
+    once: Sequence[str] = (),
+    slow_s: float = 2.0,
+    warm: bool = False,
+) -> dict[str, Timing]:
+    """Run actions in turns, so that other load of the machine meets all of them.
+
+    Those named in `once` run once, those slower than `slow_s` in every third turn. `warm` runs each once untimed before
+    each timed run, so that none pays for the caches as the one before left them.
+    """
+    walls: dict[str, list[float]] = {name: [] for name in actions}
+    cpus: dict[str, list[float]] = {name: [] for name in actions}
+    results: dict[str, Any] = {}
+    for turn in range(repeats):
+        for name, action in actions.items():
+            if walls[name] and (name in once or (min(walls[name]) > slow_s and turn % 3)):
+                continue
+            if warm:
+                action()
+            wall, cpu = time.perf_counter(), time.process_time()
+            results[name] = action()
+            cpus[name].append(time.process_time() - cpu)
+            walls[name].append(time.perf_counter() - wall)
+    return {
+        name: Timing(
+            float(np.median(walls[name])),
+            float(np.median(cpus[name])),
+            float(np.subtract(*np.percentile(walls[name], [75, 25]))) if len(walls[name]) > 1 else None,
+            results[name],
+        )
+        for name in actions
+    }
+
+
+def peak_mb(action: Callable[[], object]) -> float:
+    """Peak of the memory that an action allocates."""
+    tracemalloc.start()
+    try:
+        action()
+        return tracemalloc.get_traced_memory()[1] / 1e6
+    finally:
+        tracemalloc.stop()
+
+
+def relative_error(found: NDArray[Any], expected: NDArray[Any]) -> float:
+    """Relative L2 error."""
+    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
+def table(points: Sequence[Point], *, judged: bool = True) -> list[str]:
+    """Lines of a table in Markdown, its columns aligned for a console."""
+    parameters = [name for point in points for name in point.parameters]
+    columns = list(dict.fromkeys(["method", *parameters, *(name for point in points for name in point.row)]))
+    rows = [[_heading(name) for name in columns]]
+    rows += [[cell(name, point.row.get(name)) for name in columns] for point in points]
+    for heading, cells in (
+        ("mark", ["; ".join(_words(point, mark) for mark in point.marks) if judged else "" for point in points]),
+        ("remark", [point.remark for point in points]),
+    ):
+        if any(cells):
+            rows = [[*row, one] for row, one in zip(rows, [heading, *cells], strict=True)]
+    return markdown(rows)
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table in Markdown; the first row is the heading."""
+    clean = [[one.replace("|", "\\|") for one in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*clean, strict=True)]
+    lines = ["| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in clean]
+    return [lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]]
+
+
+def cell(name: str, value: Plain) -> str:
+    """A value as tables show it."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if name.endswith("error"):
+        return f"{value:.1e}"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _heading(name: str) -> str:
+    return " ".join(UNITS.get(word, word) for word in name.split("_"))
+
+
+def _words(point: Point, mark: Mark) -> str:
+    met = {True: "met", False: "**not met**", None: "not measured"}[point.judged(mark)]
+    return f"{_heading(mark.figure)} at {'most' if mark.at_most else 'least'} {mark.limit:g}: {met}"
+
+
+def _csv(rows: Iterable[Mapping[str, Plain]]) -> str:
+    rows = list(rows)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
