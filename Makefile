@@ -78,12 +78,11 @@ screenshots: ## Take pictures of the window, light, dark and scaled; writes docs
 	@tools/system-packages.sh $(WINDOW_PACKAGES)
 	@tools/set-up.sh
 	$(PY) tools/screenshots.py docs/pictures $(ARGS)
-	$(PY) tools/rig_pictures.py docs/pictures
 
 window-figures: ## Measure how soon the window is up and what it costs
 	@tools/system-packages.sh $(WINDOW_PACKAGES)
 	@tools/set-up.sh
-	$(PY) tools/window_figures.py $(ARGS)
+	$(PY) -m tools.window_figures $(ARGS)
 
 clean: ## Remove .venv, caches and what demo and bench wrote
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .coverage .coverage.* \

@@ -13,9 +13,10 @@ import argparse
 import io
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import h5py
@@ -53,19 +54,7 @@ ALWAYS = 99
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One class of fault at one level.
-
-    Parameters
-    ----------
-    kind : str
-        As of `mocks.virtual.faults.Fault`.
-    level_db : float
-        Its level.
-    schedule : str
-        ``"sequential"`` or ``"staggered"``.
-    always : bool
-        In every attempt at the position; else in the first one only.
-    """
+    """A kind of fault at a level, as of `mocks.virtual.faults.Fault`, in every attempt or in the first alone."""
 
     kind: str
     level_db: float
@@ -79,14 +68,10 @@ class Outcome:
 
     Parameters
     ----------
-    faulty : int
-        Positions with the fault.
-    valid : int
-        Of these, how many ended valid.
-    wrong : int
-        Of the valid ones, how many are wrong.
+    faulty, valid, wrong : int
+        Positions with the fault; those of them that ended valid; those of the valid ones that are wrong.
     aside : int
-        Of the valid ones, how many say that they were measured beside their position.
+        Of the valid ones, how many were measured next to their position and say so.
     worst : float
         Largest relative error of a Green's function of a valid position with the fault; NaN where none is.
     alarms : int
@@ -102,19 +87,7 @@ class Outcome:
 
 
 class Plate:
-    """A small plate that is measured again and again.
-
-    Parameters
-    ----------
-    folder : Path
-        Where its files go.
-    columns, rows : int
-        Positions along x and y.
-    faulty : int
-        How many of them show the fault, anywhere.
-    spacing_mm : float
-        From one to the next.
-    """
+    """A small plate that is measured again and again, with `faulty` positions anywhere that show the fault."""
 
     def __init__(
         self, folder: Path, columns: int = 12, rows: int = 9, faulty: int = 10, spacing_mm: float = SPACING_MM
@@ -178,11 +151,11 @@ class Plate:
             f"decay_s = 0.1\ntaps = {TAPS}\n[virtual]\nseed = {SEED}\n{virtual}",
             encoding="utf-8",
         )
-        bank, told = folder / "plate.h5", io.StringIO()
-        with redirect_stdout(told), redirect_stderr(told):
+        bank, output = folder / "plate.h5", io.StringIO()
+        with redirect_stdout(output), redirect_stderr(output):
             code = run(["capture", str(folder / "run.toml"), "--bank", str(bank)])
         if not bank.exists():
-            raise RuntimeError(f"capture ended with {code}: {told.getvalue()}")
+            raise RuntimeError(f"capture ended with {code}: {output.getvalue()}")
         return bank
 
     def _errors(self, bank: Path) -> NDArray[np.float64]:
@@ -201,15 +174,6 @@ def _green(bank: Path) -> NDArray[np.complex128]:
         return np.stack([in_band(row, RATE_HZ, BAND_HZ) for row in file["green"][...]])
 
 
-def cases(kinds: Sequence[str], schedules: Sequence[str]) -> Iterator[Case]:
-    """All levels of some kinds of fault, once and always."""
-    for kind in kinds:
-        for level_db in CLASSES[kind]:
-            for schedule in schedules:
-                for always in (False, True):
-                    yield Case(kind, level_db, schedule, always)
-
-
 def main() -> int:
     """Print a line per case; 1 if a position ended wrong and valid, or a clean one not valid."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -218,13 +182,16 @@ def main() -> int:
     parser.add_argument("--coarse", action="store_true", help="7 x 4 positions 25 mm apart, which no neighbour judges")
     asked = parser.parse_args()
     if unknown := set(asked.kinds) - set(CLASSES):
-        parser.error(f"{', '.join(sorted(unknown))}: not known; allowed: {', '.join(CLASSES)}")
+        parser.error(f"{', '.join(sorted(unknown))}: no such kind; allowed: {', '.join(CLASSES)}")
     schedules = (asked.schedule,) if asked.schedule else ("sequential", "staggered")
     bad = False
     print("fault                level  schedule   attempts     valid wrong aside   worst alarms")
     with tempfile.TemporaryDirectory() as folder:
         plate = Plate(Path(folder), 7, 4, spacing_mm=COARSE_MM) if asked.coarse else Plate(Path(folder))
-        for case in cases(asked.kinds or list(CLASSES), schedules):
+        kinds = asked.kinds or list(CLASSES)
+        levels = [(kind, level_db) for kind in kinds for level_db in CLASSES[kind]]
+        for (kind, level_db), schedule, always in product(levels, schedules, (False, True)):
+            case = Case(kind, level_db, schedule, always)
             found = plate.outcome(case)
             bad |= bool(found.wrong or found.alarms)
             print(

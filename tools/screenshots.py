@@ -1,7 +1,7 @@
 """Pictures of the window for the documentation: light and dark, at 1280 x 800 and at 200 %.
 
-Run it with: make screenshots. A campaign on the virtual rig, with faults on order, is measured first; the pictures are
-of that campaign while it runs and when it is over.
+Run it with: make screenshots. A campaign on the virtual rig, with planned faults, is measured; the pictures are of it
+while it runs and when it is over, of a scene and a verification over its bank, and of an emulated rig.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from gui.shell.window import Window
+    from gui.rig.tab import RigTab
 
+Tab = TypeVar("Tab")
 RUN = """
 rig = "rig.toml"
 
@@ -63,7 +64,21 @@ saturation = 0.5
 [output]
 limit_v = 1.0
 """
-SIZE = (1280, 800)
+MIRROR_MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))
+EMULATED_RIG = f"""
+[rig]
+name = "plate"
+
+[player]
+limit_v = 4.0
+
+[emulation]
+dead_actuators = [7]
+output_gain_spread_db = 2.0
+mirror_map = {[list(row) for row in MIRROR_MAP]}
+"""
+MARK_ERROR_MM = 0.15
+"""Rms error in x and in y of the person who brings the beam onto the marks."""
 # Name of the picture, theme, what the map is coloured by, page of the details, how Green's functions are shown.
 OVER = (
     ("campaign-light", "light", 0, 0, 0),
@@ -73,136 +88,192 @@ OVER = (
     ("recordings", "dark", 0, 3, 0),
     ("drift", "light", 5, 4, 0),
 )
-Look = tuple[str, str]
+PARTS = {"running": 1, "over": 1, "scaled": 2, "rig": 1}
+"""Scaling of each part; that of a process is fixed at its start, so each has one of its own."""
 
 
 def main() -> None:
-    """Take the pictures; the scaling of a process is fixed at its start, so each has one of its own."""
-    out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("docs/pictures")
+    """Make the files and take the pictures of each part, in processes whose home is a folder of their own."""
+    out = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/pictures").absolute()
     if len(sys.argv) > 3:
-        take(out, Path(sys.argv[2]), sys.argv[3])
+        pictures = Pictures(out, Path(sys.argv[2]))
+        pictures.take_rig() if sys.argv[3] == "rig" else pictures.take_campaign(sys.argv[3])
+        print(f"{sys.argv[3]}: pictures in {out}")
         return
+    out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        run_file = _lab(Path(folder) / "lab")
-        out.mkdir(parents=True, exist_ok=True)
-        for what, scale in (("running", "1"), ("over", "1"), ("scaled", "2")):
+        lab, bench = Path(folder) / "lab", Path(folder) / "bench"
+        lab.mkdir()
+        bench.mkdir()
+        faults = "".join(f"\n[[virtual.fault_plan]]\n{fault}\n" for fault in FAULTS)
+        for file, content in {
+            lab / "scene.toml": SCENE, lab / "rig.toml": '[rig]\nname = "plate"\n', lab / "run.toml": RUN + faults,
+            bench / "rig.toml": EMULATED_RIG,
+        }.items():  # fmt: skip
+            file.write_text(content, encoding="utf-8")
+        for part, scale in PARTS.items():
             environment = {
-                **os.environ, "QT_QPA_PLATFORM": "offscreen", "QT_FONT_DPI": "96", "QT_SCALE_FACTOR": scale,
-                "QT_SCALE_FACTOR_ROUNDING_POLICY": "Round", "XDG_RUNTIME_DIR": folder,
-                "HOME": folder,  # whose machine it is, is nobody's business
+                **os.environ, "QT_QPA_PLATFORM": "offscreen", "QT_FONT_DPI": "96", "QT_SCALE_FACTOR": str(scale),
+                "QT_SCALE_FACTOR_ROUNDING_POLICY": "Round", "XDG_RUNTIME_DIR": folder, "HOME": folder,
             }  # fmt: skip
-            command = [sys.executable, __file__, str(out), str(run_file), what]
+            file = bench / "rig.toml" if part == "rig" else lab / "run.toml"
+            command = [sys.executable, __file__, str(out), str(file), part]
             subprocess.run(command, env=environment, check=True, stderr=subprocess.DEVNULL)
 
 
-def take(out: Path, run_file: Path, what: str) -> None:
-    """Take the pictures of one scaling."""
-    from PyQt5.QtCore import QSettings
+class Pictures:
+    """A window with an open file, and the pictures that are taken of it."""
 
-    from gui.campaign.tab import CampaignTab
-    from gui.shell.application import make_application
-    from gui.shell.settings import Settings
-    from gui.shell.window import Window
-    from wavefocus.commands.gui import front_door
+    def __init__(self, out: Path, file: Path) -> None:
+        from PyQt5.QtCore import QSettings
 
-    application = make_application()
-    settings = QSettings(str(run_file.with_name("memory.ini")), QSettings.Format.IniFormat)
-    window = Window(front_door(), Settings(settings))
-    tab = window.tabs[0]
-    assert isinstance(tab, CampaignTab)
-    bank = run_file.with_name("plate.h5")
-    window.open_file(run_file)
-    window.choose_theme("light")
-    window.resize(*SIZE)
-    window.show()
+        from gui.shell.application import make_application
+        from gui.shell.settings import Settings
+        from gui.shell.window import Window
+        from wavefocus.commands.gui import front_door
 
-    def until(true: object, longest_s: float = 600.0) -> None:
+        self.out, self.file = out, file
+        self.application = make_application()
+        settings = QSettings(str(file.with_name("memory.ini")), QSettings.Format.IniFormat)
+        self.window = Window(front_door(), Settings(settings))
+        self.window.open_file(file)
+        self.window.choose_theme("light")
+        self.window.resize(1280, 800)
+        self.window.show()
+
+    def tab(self, kind: type[Tab]) -> Tab:
+        return next(one for one in self.window.tabs if isinstance(one, kind))
+
+    def until(self, true: Callable[[], object], longest_s: float = 600.0) -> None:
+        """Run the window until something is true."""
         ends_s = time.monotonic() + longest_s
-        while time.monotonic() < ends_s and not (callable(true) and true()):
-            application.processEvents()
+        while not true():
+            if time.monotonic() > ends_s:
+                raise SystemExit(f"the window did not get there; it shows {self.window.messages.sentence!r}")
+            self.application.processEvents()
             time.sleep(0.01)
 
-    def keep(name: str) -> None:
-        until(None, 0.6)
-        if not window.grab().save(str(out / f"window-{name}.png")):
-            raise SystemExit(f"{out} cannot be written")
+    def keep(self, name: str, theme: str = "") -> None:
+        """Save the picture ``window-NAME.png``."""
+        if theme:
+            self.window.choose_theme(theme)
+        drawn_s = time.monotonic() + 0.6
+        self.until(lambda: time.monotonic() > drawn_s)
+        if not self.window.grab().save(str(self.out / f"window-{name}.png")):
+            raise SystemExit(f"{self.out} cannot be written")
 
-    if what == "running":
-        until(tab.controls.buttons["start"].isEnabled)
-        tab.controls.buttons["start"].click()
-        until(lambda: tab.campaign.measured > 120)
-        tab.map_panel.map.show_position(100)
-        until(lambda: tab.position_panel.greens is not None)
-        keep("running")
-        tab.run.closing_question()
-        window.close()
-        keep("closing")
+    def take_campaign(self, part: str) -> None:
+        """A campaign while it runs or when it is over, then verification and scene."""
+        from gui.campaign.tab import CampaignTab
+
+        tab, window = self.tab(CampaignTab), self.window
+        if part == "running":
+            self.until(tab.controls.buttons["start"].isEnabled)
+            tab.controls.buttons["start"].click()
+            self.until(lambda: tab.campaign.measured > 120)
+            tab.map_panel.map.show_position(100)
+            self.until(lambda: tab.position_panel.greens is not None)
+            self.keep("running")
+            tab.run.closing_question()
+            window.close()
+            self.keep("closing")
+            window.messages.dismiss()
+            self.until(lambda: tab.run.own is None)
+        self.until(lambda: tab.campaign.state().word == "finished")
         window.messages.dismiss()
-        until(lambda: tab.run.own is None)
-    until(lambda: tab.campaign.state().word == "finished")
-    window.messages.dismiss()
-    tab.map_panel.map.show_position(71 if what == "over" else 100)
-    tab.map_panel.map.select([60, 71])
-    tab.events.weight.setCurrentIndex(2)
-    pictures = OVER if what == "over" else [("scaled-200", "dark", 1, 0, 0)] if what == "scaled" else []
-    for name, theme, colour, page, view in pictures:
-        window.choose_theme(theme)
-        tab.map_panel.colour_by.setCurrentIndex(colour)
-        tab.position_panel.setCurrentIndex(page)
-        tab.position_panel.view.setCurrentIndex(view)
-        keep(name)
-    # Theme, and the end of the name.
-    looks = {"over": (("light", "light"), ("dark", "dark")), "scaled": (("light", "scaled-200"),)}.get(what, ())
-    if looks:
-        verify(window, run_file, until, keep, looks)
-        draw(window, run_file, until, keep, looks)
-    window.close_at_once()
-    print(f"{what}: {bank.name}, pictures in {out}")
+        tab.map_panel.map.show_position(71 if part == "over" else 100)
+        tab.map_panel.map.select([60, 71])
+        tab.events.weight.setCurrentIndex(2)
+        for name, theme, colour, page, view in {"over": OVER, "scaled": [("scaled-200", "dark", 1, 0, 0)]}.get(
+            part, ()
+        ):
+            tab.map_panel.colour_by.setCurrentIndex(colour)
+            tab.position_panel.setCurrentIndex(page)
+            tab.position_panel.view.setCurrentIndex(view)
+            self.keep(name, theme)
+        # End of the name, and theme.
+        looks = {"over": {"light": "light", "dark": "dark"}, "scaled": {"scaled-200": "light"}}.get(part)
+        if looks:
+            self.take_verification(looks)
+            self.take_scene(looks)
+        window.close_at_once()
 
+    def take_verification(self, looks: dict[str, str]) -> None:
+        """A scene verified with the campaign's bank."""
+        from gui.verification.tab import VerificationTab
 
-def verify(
-    window: Window, run_file: Path, until: Callable[..., None], keep: Callable[[str], None], looks: Sequence[Look]
-) -> None:
-    """Verify a scene with the campaign's bank, and keep pictures of what was found."""
-    from gui.verification.tab import VerificationTab
+        tab = self.tab(VerificationTab)
+        self.window._pages.setCurrentWidget(tab)
+        tab.form.take_bank(self.file.with_name("plate.h5"))
+        self.until(tab.row.start.isEnabled)
+        tab.row.start.trigger()
+        self.until(lambda: tab.results is not None)
+        self.window.messages.dismiss()
+        for shown, (name, theme) in enumerate(looks.items()):
+            tab.maps.third.setCurrentIndex(shown)
+            tab.maps.time.to_mark(1)
+            self.keep(f"verification-{name}", theme)
 
-    tab = next(one for one in window.tabs if isinstance(one, VerificationTab))
-    window._pages.setCurrentWidget(tab)
-    tab.form.take_bank(run_file.with_name("plate.h5"))
-    until(tab.row.start.isEnabled)
-    tab.row.start.trigger()
-    until(lambda: tab.results is not None)
-    window.messages.dismiss()
-    for shown, (theme, name) in enumerate(looks):
-        window.choose_theme(theme)
-        tab.maps.third.setCurrentIndex(shown)
-        tab.maps.time.to_mark(1)
-        keep(f"verification-{name}")
+    def take_scene(self, looks: dict[str, str]) -> None:
+        """A scene over the campaign's bank."""
+        from gui.scene.tab import SceneTab
 
+        tab = self.tab(SceneTab)
+        self.window.open_file(self.file.with_name("scene.toml"))
+        tab.document.use_bank(self.file.with_name("plate.h5"))
+        self.until(lambda: tab.live.idle and tab.results.complete)
+        self.window.messages.dismiss()
+        for name, theme in looks.items():
+            self.keep(f"scene-{name}", theme)
 
-def draw(
-    window: Window, run_file: Path, until: Callable[..., None], keep: Callable[[str], None], looks: Sequence[Look]
-) -> None:
-    """Open a scene over the campaign's bank, and keep pictures of it."""
-    from gui.scene.tab import SceneTab
+    def take_rig(self) -> None:
+        """A rig examined, operated and calibrated."""
+        from gui.rig.tab import RigTab
 
-    tab = next(one for one in window.tabs if isinstance(one, SceneTab))
-    window.open_file(run_file.with_name("scene.toml"))
-    tab.document.use_bank(run_file.with_name("plate.h5"))
-    until(lambda: tab.live.idle and tab.results.complete)
-    window.messages.dismiss()
-    for theme, name in looks:
-        window.choose_theme(theme)
-        keep(f"scene-{name}")
+        tab = self.tab(RigTab)
+        page, hand = tab.examination, tab.manual_page
+        self.until(page.examine.isEnabled)
+        page.examine.click()
+        self.until(lambda: page.findings and not tab.examination.running)
+        page.table.setRowHidden(page.table.rowCount() - 1, True)  # the disk: it names the folder of this machine
+        self.keep("rig-examination", "light")
+        tab.pages.setCurrentWidget(hand)
+        self.until(hand.take.isEnabled)
+        hand.take.click()
+        self.until(lambda: tab.session.state == "ready" and hand.sound.sweep.isEnabled())
+        tab.session.jog_to(40.0, 25.0)
+        self.until(lambda: tab.session.spot.place_mm is not None)
+        hand.sound.sounds.click()
+        hand.sound.listen.click()
+        self.until(lambda: tab.session.levels is not None)
+        hand.sound.sweep.click()
+        self.until(lambda: tab.session.sweep is not None)
+        self.keep("rig-hand", "dark")
+        tab.pages.setCurrentWidget(tab.calibration_page)
+        self.window.choose_theme("light")
+        self.meet_marks(tab)
+        self.keep("rig-calibration", "light")
+        self.window.close_at_once()
 
+    def meet_marks(self, tab: RigTab) -> None:
+        """Bring the beam onto every mark, as a person does who sees nearly where it is."""
+        import numpy as np
 
-def _lab(folder: Path) -> Path:
-    folder.mkdir()
-    (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
-    (folder / "rig.toml").write_text('[rig]\nname = "plate"\n', encoding="utf-8")
-    faults = "".join(f"\n[[virtual.fault_plan]]\n{fault}\n" for fault in FAULTS)
-    (folder / "run.toml").write_text(RUN + faults, encoding="utf-8")
-    return folder / "run.toml"
+        from calibration.rig.mirror_map import MirrorMap
+
+        true, rng, calibration = MirrorMap(MIRROR_MAP), np.random.default_rng(1), tab.calibration
+        self.until(tab.calibration_page.options.start.isEnabled)
+        tab.calibration_page.options.start.click()
+        while True:
+            self.until(lambda: calibration.question is not None)
+            ask = calibration.question
+            place, at = (None, None) if ask is None else (ask.pair("place_mm"), ask.pair("at_mrad"))
+            if ask is None or ask.kind != "jog" or place is None or at is None:
+                return
+            x_mrad, y_mrad = true.angles_mrad(*(np.array(place) + rng.normal(0.0, MARK_ERROR_MM, 2)))
+            calibration.step(float(x_mrad) - at[0], float(y_mrad) - at[1])
+            self.until(lambda ask=ask: calibration.question is not ask)
+            calibration.answer("here")
 
 
 if __name__ == "__main__":

@@ -88,11 +88,10 @@ def main() -> int:
         mine = [test for test in cases if rows_of(test.get("name", "")) & wanted]
         passed = [test for test in mine if test.find("failure") is None and test.find("error") is None]
         wrong |= not mine or len(passed) < len(mine)
-        told = [
-            item.get("value", "") for test in mine for item in test.iter("property") if item.get("name") == "measured"
-        ]
-        figures = [text for text in told if not text.startswith("relative error")]
-        errors = [float(text.split()[-1]) for text in told if text.startswith("relative error")]
+        properties = [item for test in mine for item in test.iter("property") if item.get("name") == "measured"]
+        recorded = [item.get("value", "") for item in properties]
+        figures = [text for text in recorded if not text.startswith("relative error")]
+        errors = [float(text.split()[-1]) for text in recorded if text.startswith("relative error")]
         if errors:
             figures.append(f"relative error at most {max(errors):.1g}")
         figures.append(f"{len(passed)} of {len(mine)} tests pass" if mine else "no test")

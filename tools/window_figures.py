@@ -1,12 +1,12 @@
-"""Figures of the window with all its tabs: how soon it is up, what it costs a core, what it keeps.
+"""Figures of the window with all its tabs: time to start, processor time, memory.
 
-Run it with: make window-figures. Nothing else should be busy on the machine meanwhile; processor times tell something
-even then.
+Run it with: make window-figures, on an idle machine; processor times mean something on a busy one, too.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import subprocess
@@ -14,12 +14,18 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from benchmarks.harness import Mark, Point, table
+from storage.bank.header import BankHeader
+from storage.bank.ledger import PointRecord
+from storage.bank.writer import BankWriter, create_bank
 
 if TYPE_CHECKING:
     from gui.shell.window import Window
@@ -27,6 +33,7 @@ if TYPE_CHECKING:
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 POSITIONS, ACTUATORS, TAPS = 1500, 20, 1000
+WORK = f"the window with a bank of {POSITIONS} positions"
 SCENE = """
 [[source]]
 path = { kind = "circle", centre_mm = [98.0, 58.0], radius_mm = 40.0 }
@@ -34,233 +41,211 @@ speed_mm_s = 250.0
 step_mm = 2.0
 signal = { kind = "sine", frequency_hz = 150.0, duration_s = 1.0 }
 """
-_PATIENCE_S = 300.0
-UP_CODE = """
-import sys, time
-from wavefocus.commands.gui import front_door
-from gui.shell.application import make_application
-from gui.shell.settings import Settings
-from gui.shell.window import Window
-from PyQt5.QtCore import QSettings
-from pathlib import Path
-application = make_application()
-window = Window(front_door(), Settings(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
-window.open_file(Path(sys.argv[1]))
-window.show()
-application.processEvents()
-print(time.time(), time.process_time(), flush=True)
-window.close_at_once()
-"""
-
-FOLLOW_CODE = (
-    UP_CODE.partition("print(")[0]
-    + """
-from PyQt5.QtCore import QTimer
-def live(duration_s):
-    QTimer.singleShot(int(1000 * duration_s), application.quit)
-    application.exec_()
-live(4)
-began_s = time.process_time()
-live(20)
-print((time.process_time() - began_s) / 20)
-window.close_at_once()
-"""
-)
+PATIENCE_S = 300.0
+NIGHT_PACE_S = 5.0
 
 
 def main() -> None:
     """Measure, and print a table."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--seconds", type=float, default=20.0, help="how long to draw at 20 Hz")
-    seconds = arguments.parse_args().seconds
+    arguments.add_argument("--child", nargs=2, metavar=("BANK", "SECONDS"), help=argparse.SUPPRESS)
+    asked = arguments.parse_args()
+    if asked.child:
+        start_and_follow(Path(asked.child[0]), float(asked.child[1]))
+        return
     with tempfile.TemporaryDirectory() as folder:
         bank = make_bank(Path(folder) / "plate.h5")
-        rows = [
-            *up(bank),
-            *drawing(bank, seconds),
-            slowed(Path(folder)),
-        ]
-    for what, figure, allowed in rows:
-        print(f"{what:<62} {figure:>10}   allowed: {allowed}")
+        points = [*up(bank), *drawing(bank, asked.seconds), followed(bank, asked.seconds)]
+    print("\n".join(table(points)))
 
 
 def make_bank(path: Path) -> Path:
     """A bank of 1500 positions, all measured."""
-    from storage.bank.layout import BankHeader
-    from storage.bank.ledger import PointRecord
-    from storage.bank.writer import BankWriter, create_bank
-
     x_mm, y_mm = np.meshgrid(4.0 * np.arange(50), 4.0 * np.arange(POSITIONS // 50))
     angle = 2 * np.pi * np.arange(ACTUATORS) / ACTUATORS
-    header = BankHeader(
-        sample_rate_hz=10_000.0,
-        taps=TAPS,
-        position_mm=np.stack([x_mm.ravel(), y_mm.ravel()], axis=1),
-        actuator_mm=np.stack([98 + 130 * np.cos(angle), 58 + 90 * np.sin(angle)], axis=1),
-        band_hz=(20.0, 500.0),
-        rig_json="{}",
-        run_json="{}",
-        plan_sha256="0" * 64,
-        software="window figures",
+    position_mm = np.stack([x_mm.ravel(), y_mm.ravel()], axis=1)
+    actuator_mm = np.stack([98 + 130 * np.cos(angle), 58 + 90 * np.sin(angle)], axis=1)
+    create_bank(
+        path, BankHeader(1e4, TAPS, (20.0, 500.0), position_mm, actuator_mm, "{}", "{}", "0" * 64, "window figures")
     )
-    create_bank(path, header)
-    chance = np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     with BankWriter.open(path) as writer:
         for position in range(POSITIONS):
-            figures = (chance.normal(40.0, 5.0, ACTUATORS).astype(np.float32) for _ in range(4))
-            green = chance.normal(size=(ACTUATORS, TAPS)).astype(np.float32)
+            figures = (rng.normal(40.0, 5.0, ACTUATORS).astype(np.float32) for _ in range(4))
+            green = rng.normal(size=(ACTUATORS, TAPS)).astype(np.float32)
             writer.commit(position, green, PointRecord(1, 1, *figures))
     return path
 
 
-def up(bank: Path) -> list[tuple[str, str, str]]:
-    """From the start of a process to its window: seconds, and seconds of a processor."""
-    memory = str(bank.with_name("memory.ini"))
+class OpenWindow:
+    """A window with a bank, and the event loop that it lives in."""
+
+    def __init__(self, bank: Path) -> None:
+        from PyQt5.QtCore import QSettings
+
+        from gui.shell.application import make_application
+        from gui.shell.settings import Settings
+        from gui.shell.window import Window
+        from wavefocus.commands.gui import front_door
+
+        self.application = make_application()
+        settings = QSettings(str(bank.with_name("memory.ini")), QSettings.Format.IniFormat)
+        self.window: Window = Window(front_door(), Settings(settings))
+        self.window.resize(1280, 800)
+        self.window.open_file(bank)
+        self.window.show()
+        self.application.processEvents()
+
+    def live(self, duration_s: float) -> None:
+        """Run the event loop."""
+        from PyQt5.QtCore import QTimer
+
+        QTimer.singleShot(int(1000 * duration_s), self.application.quit)
+        self.application.exec_()
+
+    def share(self, seconds: float, *, main_thread: bool = True) -> float:
+        """Share of a core that the main thread, or the whole process, uses, in percent."""
+        clock = time.thread_time if main_thread else time.process_time
+        self.live(2.0)
+        began_s, began_cpu_s = time.monotonic(), clock()
+        self.live(seconds)
+        return 100 * (clock() - began_cpu_s) / (time.monotonic() - began_s)
+
+    def show_tab(self, title: str) -> None:
+        """Show a tab as its key does."""
+        from PyQt5.QtWidgets import QTabWidget
+
+        (tab,) = (tab for tab in self.window.tabs if tab.title == title)
+        pages = self.window.findChild(QTabWidget)
+        assert pages is not None
+        pages.setCurrentWidget(tab)
+
+    def play_field(self, scene: Path) -> None:
+        """Open a scene, wait for its field, and let it play."""
+        from gui.scene.tab import SceneTab
+
+        scene.write_text(SCENE, encoding="utf-8")
+        self.window.open_file(scene)
+        (tab,) = (tab for tab in self.window.tabs if isinstance(tab, SceneTab))
+        results, began_s = tab.results, time.monotonic()
+        while not results.complete:
+            self.live(0.5)
+            if time.monotonic() - began_s > PATIENCE_S:
+                raise SystemExit(f"the scene was not calculated: {results.problem.text() or results.stage.text()}")
+        results.pages.setCurrentWidget(results.field)
+        results.field.slider.play.setChecked(True)
+
+
+def start_and_follow(bank: Path, seconds: float) -> None:
+    """Print the time when the window is up, its processor seconds, and its share of a core from then on."""
+    opened = OpenWindow(bank)
+    print(time.time(), time.process_time(), opened.share(seconds, main_thread=False) if seconds else 0.0)
+    opened.window.close_at_once()
+
+
+def child(bank: Path, seconds: float) -> list[float]:
+    """What such a window prints in a process of its own."""
+    command = [sys.executable, "-m", "tools.window_figures", "--child", str(bank), str(seconds)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return [float(word) for word in done.stdout.split()]
+
+
+def up(bank: Path) -> list[Point]:
+    """From the start of a process to its window."""
     wall_s, cpu_s = [], []
     for _ in range(3):
         began_s = time.time()
-        command = [sys.executable, "-c", UP_CODE, str(bank), memory]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        up_s, busy_s = (float(word) for word in done.stdout.split()[-2:])
+        up_s, busy_s, _ = child(bank, 0.0)
         wall_s.append(up_s - began_s)
         cpu_s.append(busy_s)
+    figures = {"start_s": min(wall_s), "processor_s": min(cpu_s)}
     return [
-        ("window up with a bank, best of 3", f"{min(wall_s):.2f} s", "1.5 s"),
-        ("processor time of that, best of 3", f"{min(cpu_s):.2f} s", "-"),
+        Point(work=WORK, method="window up, best of 3", figures=figures, marks=(Mark("start_s", 1.5, at_most=True),))
     ]
 
 
-def drawing(bank: Path, seconds: float) -> list[tuple[str, str, str]]:
-    """Main thread's share of a core in each tab, 20 commits a second; what eight hours of events leave in memory."""
-    from PyQt5.QtCore import QSettings, QTimer
-
-    from gui.shell.application import make_application
-    from gui.shell.settings import Settings
-    from gui.shell.window import Window
-    from wavefocus.commands.gui import front_door
-
-    application = make_application()
-    window = Window(front_door(), Settings(QSettings(str(bank.with_name("memory.ini")), QSettings.Format.IniFormat)))
-    window.resize(1280, 800)
-    window.open_file(bank)
-    window.show()
-
-    def live(duration_s: float) -> None:
-        QTimer.singleShot(int(1000 * duration_s), application.quit)
-        application.exec_()
-
-    def share(what: str) -> tuple[str, str, str]:
-        live(2.0)
-        began_s, began_cpu_s = time.monotonic(), time.thread_time()
-        live(seconds)
-        used = (time.thread_time() - began_cpu_s) / (time.monotonic() - began_s)
-        return f"main thread of a core, 20 commits a second, {what}", f"{100 * used:.1f} %", "15 %"
-
-    live(3.0)
-    rows = [("memory of the window with a bank of 1500 positions", f"{_resident_bytes() / 1e6:.0f} MB", "-")]
-    night = threading.Event()
-    log = bank.with_suffix(".events.jsonl")
-    writer = threading.Thread(target=_write_events, args=(log, 0.05, night), daemon=True)
-    writer.start()
-    rows.append(share("Campaign"))
-    began_s, began_all_s = time.monotonic(), time.process_time()
-    live(seconds)
-    all_share = (time.process_time() - began_all_s) / (time.monotonic() - began_s)
-    rows.append(("whole process of a core, the same", f"{100 * all_share:.1f} %", "-"))
-    for tab in ("Rig", "Verification"):
-        show_tab(window, tab)
-        rows.append(share(tab))
-    play_field(window, bank.with_name("scene.toml"), live)
-    rows.append(share("Scene, field playing"))
-    rows.append(("memory of the window with a field as well", f"{_resident_bytes() / 1e6:.0f} MB", "-"))
-    show_tab(window, "Campaign")
-    night.set()
-    writer.join()
-    before = _resident_bytes()
-    began_lines = len(window.tabs[0].campaign.lines)  # type: ignore[attr-defined]
-    with log.open("a", encoding="utf-8") as file:
-        for number in range(8 * 3600 // 5):
-            file.writelines(_position(number))
-    live(12.0)
-    after = _resident_bytes()
-    lines = len(window.tabs[0].campaign.lines) - began_lines  # type: ignore[attr-defined]
-    window.close_at_once()
-    added = f"{(after - before) / 1e6:.1f} MB"
-    return [*rows, (f"memory that 8 h at 5 s a position add ({lines} lines)", added, "20 MB")]
+def followed(bank: Path, seconds: float) -> Point:
+    """A window that follows a run at a real night's pace."""
+    with events(bank, NIGHT_PACE_S):
+        share = child(bank, seconds)[2]
+    return Point(
+        work=WORK, method=f"follows a run, {NIGHT_PACE_S:g} s a position", figures={"process_%_of_core": share}
+    )
 
 
-def show_tab(window: Window, title: str) -> None:
-    """Show a tab as its key does."""
-    from PyQt5.QtWidgets import QTabWidget
+def drawing(bank: Path, seconds: float) -> list[Point]:
+    """Shares of a core in each tab, 20 commits a second; memory before and after eight hours of events."""
 
-    (tab,) = (tab for tab in window.tabs if tab.title == title)
-    pages = window.findChild(QTabWidget)
-    assert pages is not None
-    pages.setCurrentWidget(tab)
+    def busy(method: str, share: float) -> Point:
+        mark = Mark("main_thread_%_of_core", 15.0, at_most=True)
+        return Point(work=WORK, method=method, figures={mark.figure: share}, peak_mb=resident_mb(), marks=(mark,))
 
-
-def play_field(window: Window, scene: Path, live: Callable[[float], None]) -> None:
-    """Open a scene, wait for its field, and let it play."""
-    from gui.scene.tab import SceneTab
-
-    scene.write_text(SCENE, encoding="utf-8")
-    window.open_file(scene)
-    (tab,) = (tab for tab in window.tabs if isinstance(tab, SceneTab))
-    results, began_s = tab.results, time.monotonic()
-    while not results.complete:
-        live(0.5)
-        if time.monotonic() - began_s > _PATIENCE_S:
-            raise SystemExit(f"the scene was not calculated: {results.problem.text() or results.stage.text()}")
-    results.pages.setCurrentWidget(results.field)
-    results.field.slider.play.setChecked(True)
-
-
-def slowed(folder: Path) -> tuple[str, str, str]:
-    """Processor time that a window which follows a run takes of a core at a real night's pace (5 s a position)."""
-    bank = folder / "plate.h5"
-    code = FOLLOW_CODE
-    stop = threading.Event()
-    writer = threading.Thread(target=_write_events, args=(bank.with_suffix(".events.jsonl"), 5.0, stop), daemon=True)
-    writer.start()
-    arguments = [sys.executable, "-c", code, str(bank), str(folder / "memory.ini")]
-    done = subprocess.run(arguments, capture_output=True, text=True, check=True)
-    stop.set()
-    writer.join()
-    share = 100 * float(done.stdout.split()[-1])
-    cores = os.cpu_count() or 1
-    return f"window of a core at a night's pace ({share / cores:.2f} % of {cores} cores)", f"{share:.2f} %", "-"
+    opened = OpenWindow(bank)
+    opened.live(3.0)
+    points = [Point(work=WORK, method="at rest", peak_mb=resident_mb())]
+    with events(bank, 0.05):
+        points.append(busy("20 commits a second, Campaign", opened.share(seconds)))
+        whole = {"process_%_of_core": opened.share(seconds, main_thread=False)}
+        points.append(Point(work=WORK, method="the same, whole process", figures=whole))
+        for title in ("Rig", "Verification"):
+            opened.show_tab(title)
+            points.append(busy(f"20 commits a second, {title}", opened.share(seconds)))
+        opened.play_field(bank.with_name("scene.toml"))
+        points.append(busy("20 commits a second, Scene, field playing", opened.share(seconds)))
+        opened.show_tab("Campaign")
+    campaign = opened.window.tabs[0].campaign  # type: ignore[attr-defined]
+    before_mb, before_lines = resident_mb(), len(campaign.lines)
+    with bank.with_suffix(".events.jsonl").open("a", encoding="utf-8") as file:
+        for number in range(round(8 * 3600 / NIGHT_PACE_S)):
+            file.writelines(event_lines(number))
+    opened.live(12.0)
+    figures = {"lines": len(campaign.lines) - before_lines, "added_mb": resident_mb() - before_mb}
+    opened.window.close_at_once()
+    mark = Mark("added_mb", 20.0, at_most=True)
+    return [*points, Point(work=WORK, method="eight hours of events", figures=figures, marks=(mark,))]
 
 
-def _write_events(log: Path, every_s: float, over: threading.Event) -> None:
-    number = 0
-    with log.open("a", encoding="utf-8") as file:
-        while not over.wait(every_s):
-            file.writelines(_position(number))
-            file.flush()
-            number += 1
+@contextmanager
+def events(bank: Path, every_s: float) -> Iterator[None]:
+    """Append the events of a position to the bank's log every so many seconds."""
+    over = threading.Event()
+
+    def write() -> None:
+        with bank.with_suffix(".events.jsonl").open("a", encoding="utf-8") as file:
+            for number in range(10**9):
+                if over.wait(every_s):
+                    return
+                file.writelines(event_lines(number))
+                file.flush()
+
+    thread = threading.Thread(target=write, daemon=True)
+    thread.start()
+    yield
+    over.set()
+    thread.join()
 
 
-def _position(number: int) -> list[str]:
+def event_lines(number: int) -> list[str]:
+    """Events of one position, as in the log of a run."""
     position = number % POSITIONS
     at = datetime.now(UTC).isoformat(timespec="milliseconds")
-    status = 4 if number % 37 == 0 else 1
     records = [
         {"event": "position_started", "position": position, "attempt": 1, "x_mm": 1.0, "y_mm": 2.0},
-        {"event": "position_committed", "position": position, "status": status, "attempts": 1, "snr_db": 40.0,
-         "residual_db": -60.0, "clock_ppm": 30.0, "start_offset_samples": 300.0},
+        {"event": "position_committed", "position": position, "status": 4 if number % 37 == 0 else 1, "attempts": 1,
+         "snr_db": 40.0, "residual_db": -60.0, "clock_ppm": 30.0, "start_offset_samples": 300.0},
         {"event": "progress", "done": position, "total": POSITIONS, "elapsed_s": 5.0 * number, "remaining_s": 3600.0,
          "wall_remaining_s": 3600.0, "positions_per_hour": 720.0},
     ]  # fmt: skip
     return [json.dumps({"at": at, "time_s": 5.0 * number, **record}) + "\n" for record in records]
 
 
-def _resident_bytes() -> int:
-    import gc
-
+def resident_mb() -> float:
+    """Memory of this process."""
     gc.collect()
     for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith("VmRSS"):
-            return int(line.split()[1]) * 1024
+            return int(line.split()[1]) * 1024 / 1e6
     raise SystemExit("the memory of a process is read from /proc, which this system does not have")
 
 

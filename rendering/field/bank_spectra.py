@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -169,7 +170,8 @@ class BankSpectra:
         drive = power.mean(axis=0)
         coherent = float(power.sum() * drive.max())
         contribution = (power * drive).sum(axis=0)
-        allowed = CHOICE_SHARE * self.tolerance
+        # Responses of the actuators add up at random, bounds on their errors in phase.
+        allowed = CHOICE_SHARE * self.tolerance / math.sqrt(self.bank.actuators)
         chosen = choose_band(
             self.band.fft_samples, contribution, float(contribution.sum()), coherent, self.bank.actuators, allowed
         )
