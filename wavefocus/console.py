@@ -158,3 +158,9 @@ def _line_reporter(what: str, first: int, *, timed: bool) -> Report:
         say(f"{what}: {done} of {total}, {rate:.1f}/s, {left} {note}".rstrip())
 
     return report
+
+
+def print_line(line: str) -> None:
+    """Write a line on standard output at once."""
+    sys.stdout.write(line)
+    sys.stdout.flush()

@@ -1,4 +1,4 @@
-"""JSON lines between a program and a command: events out, orders or answers in."""
+"""Messages between a program and a command as JSON lines: events out, orders or answers in."""
 
 from __future__ import annotations
 
@@ -13,28 +13,27 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import NoReturn
 
+from config.messages.codec import Message, to_line
 from storage.errors import InputError, WavefocusError
+from wavefocus.console import print_line
 
 # No order is longer; a line without an end must not fill the memory.
 _MOST_BYTES = 1 << 16
 
 
 class LinesOut:
-    """Writes events to standard output, one JSON object per line, from any thread.
-
-    Once nobody reads them any more they are dropped: `gone` then tells whoever works for that reader.
-    """
+    """Writes messages to standard output, from any thread; `gone` once nobody reads them any more."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self.gone = False
 
-    def __call__(self, event: str, **facts: object) -> None:
-        """Tell an event."""
-        line = json.dumps({"event": event, **facts}, allow_nan=False)
+    def __call__(self, message: Message) -> None:
+        """Write a message."""
+        line = to_line(message)
         with self._lock:
             try:
-                print(line, flush=True)
+                print_line(line)
             except (OSError, ValueError):
                 self.gone = True
 

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.calibrate.operator import By, Drop, Here, JogView, Keep, MapView, Operator, Redo, To
+from acquisition.calibrate.operator import JogView, Operator
 from acquisition.calibrate.probe import NotMeasuredError
 from acquisition.measuring.setup import Setup, asking
 from calibration.rig.mirror_fit import LEAST_MARKS, MirrorFit, fit_mirror_map
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.calibrate import By, Drop, Here, Keep, MapView, Redo, To
 from storage.errors import InputError
 from storage.text_file import read_text
 

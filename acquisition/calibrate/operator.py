@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from config.messages.calibrate import By, Drop, Here, Keep, MapView, Redo, To
+
 VIBROMETER, SUM, BOTH = "vibrometer", "sum", "both"
 
 
@@ -39,74 +41,7 @@ class JogView:
     moved: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class By:
-    """Move the beam by so much from where it stands."""
-
-    x_mrad: float
-    y_mrad: float
-
-
-@dataclass(frozen=True, slots=True)
-class To:
-    """Move the beam to these angles."""
-
-    x_mrad: float
-    y_mrad: float
-
-
-@dataclass(frozen=True, slots=True)
-class Here:
-    """The spot is on the mark."""
-
-
 Jog = By | To | Here
-
-
-@dataclass(frozen=True, slots=True)
-class MapView:
-    """What a person sees when the beam was on every mark.
-
-    Parameters
-    ----------
-    place_mm : tuple of (float, float)
-        Where the marks lie.
-    off_mm : tuple of (float, float)
-        Where the map lets the beam of each mark fall, less where the mark lies; none where there is no map.
-    rms_mm, worst_mm, limit_mm : float
-        Residuals, and the largest that is allowed; NaN where there is no map.
-    suspect : int
-        The mark, from 1, that is most likely to be wrong; 0 where nothing tells.
-    problem : str
-        Why the map cannot be taken; empty for one that can.
-    """
-
-    place_mm: tuple[tuple[float, float], ...]
-    off_mm: tuple[tuple[float, float], ...]
-    rms_mm: float
-    worst_mm: float
-    limit_mm: float
-    suspect: int
-    problem: str
-
-
-@dataclass(frozen=True, slots=True)
-class Keep:
-    """Take the map, if it can be taken."""
-
-
-@dataclass(frozen=True, slots=True)
-class Redo:
-    """Bring the beam onto one mark, from 1, once more."""
-
-    number: int
-
-
-@dataclass(frozen=True, slots=True)
-class Drop:
-    """Leave the map."""
-
-
 Judged = Keep | Redo | Drop
 
 

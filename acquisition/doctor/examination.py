@@ -9,10 +9,11 @@ from typing import NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 
-from acquisition.doctor.findings import Act, Finding, Findings
+from acquisition.doctor.findings import Findings
 from acquisition.doctor.sound import check_loopback, check_response, check_silence
 from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.doctor import Act, Finding
 from drivers.errors import InstrumentLostError
 from drivers.protocols import Clock, DeviceIdentity, Instruments, Mirror, Player, Recorder
 

@@ -3,62 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import TypeVar
 
+from config.messages.doctor import Act, Finding, Verdict
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.timeouts import CallThread, HungError
 
-Verdict = Literal["ok", "warn", "fail", "skipped"]
-Action = Literal["calibrate", "edit-rig", "open-folder", "reset-usb", "run", "test-message"]
 Answer = TypeVar("Answer")
 
 HUNG_REMEDY = "unplug it and plug it in again, or switch it off and on; then run wavefocus doctor again"
-
-
-@dataclass(frozen=True, slots=True)
-class Act:
-    """The part of a remedy that a program can do, or make ready, for a person.
-
-    Parameters
-    ----------
-    do : str
-        ``"calibrate"`` a part; ``"edit-rig"``: a key of the rig file; ``"open-folder"``; ``"reset-usb"`` of a role;
-        ``"run"`` a command in a terminal; ``"test-message"``: send one to every address.
-    on : str
-        The part, the key (``"player.channels"``), the folder, the role or the command.
-    """
-
-    do: Action
-    on: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One check of one instrument.
-
-    Parameters
-    ----------
-    instrument : str
-        The role, or what else was looked at.
-    check : str
-        What was checked.
-    verdict : str
-        ``"ok"``, ``"warn"`` (it will do, but look at it), ``"fail"`` or ``"skipped"``.
-    what : str
-        What was found, or why it was skipped.
-    remedy : str
-        What to do about it; empty where there is nothing to do.
-    act : Act, optional
-        What of it a program can do.
-    """
-
-    instrument: str
-    check: str
-    verdict: Verdict
-    what: str
-    remedy: str = ""
-    act: Act | None = None
 
 
 class Findings:

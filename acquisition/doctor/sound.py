@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from acquisition.doctor.findings import Act, Finding, Verdict
 from acquisition.measuring.record import ANSWER_MARGIN_S, point_at, take_record
 from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError, fit_clock
 from calibration.excitation.sweeps import Excitation
+from config.messages.doctor import Act, Finding, Verdict
 from drivers.protocols import Recorder, Recording, RecordRequest, Take
 
 SILENCE_S = 0.5

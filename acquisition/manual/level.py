@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from acquisition.measuring.record import ANSWER_MARGIN_S, take_record
 from acquisition.measuring.setup import Setup, asking
 from calibration.excitation.sweeps import Excitation
+from config.messages.operate import ChannelLevel, InputLevels
 from drivers.errors import InstrumentError
 from drivers.protocols import DeviceIdentity, Float64Array, Player, Recording, RecordRequest, Take
 
@@ -102,38 +102,7 @@ _FADE_S = 0.005
 _BAND_HZ = (40.0, 400.0)
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelLevel:
-    """Level of one input.
-
-    Parameters
-    ----------
-    rms_v, peak_v : float
-        Without the offset, and with it, in V at the DAQ.
-    offset_v : float
-        Mean.
-    range_v : float
-        End of the input's range.
-    over_range : bool
-        Whether it was reached.
-    """
-
-    rms_v: float
-    peak_v: float
-    offset_v: float
-    range_v: float
-    over_range: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Level:
-    """Levels of both inputs over a tenth of a second."""
-
-    reference: ChannelLevel
-    response: ChannelLevel
-
-
-def level_of(recording: Recording, range_v: tuple[float, float]) -> Level:
+def level_of(recording: Recording, range_v: tuple[float, float]) -> InputLevels:
     """Levels of a record."""
     one, other = (
         ChannelLevel(
@@ -145,7 +114,7 @@ def level_of(recording: Recording, range_v: tuple[float, float]) -> Level:
         )
         for volts, end_v, reached in zip(recording.volts, range_v, recording.over_range, strict=True)
     )
-    return Level(one, other)
+    return InputLevels(one, other)
 
 
 def listen(setup: Setup, seconds: float, sample_rate_hz: float, number: int) -> Recording:
@@ -207,7 +176,7 @@ class LevelMeter:
                 self._rate_hz, *_BAND_HZ, LISTENS_S, 0.0, amplitude_v, averages=1, fade_s=_FADE_S
             ).signal_v()
 
-    def hear(self) -> Level:
+    def hear(self) -> InputLevels:
         """Levels now.
 
         Raises

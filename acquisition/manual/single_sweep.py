@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.manual.level import Level, level_of, listen
+from acquisition.manual.level import level_of, listen
 from acquisition.measuring.plays import channels_of
 from acquisition.measuring.record import record_samples, take_record
 from acquisition.measuring.setup import Setup
@@ -17,6 +17,7 @@ from calibration.blas import one_blas_thread
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
+from config.messages.operate import Defect, InputLevels, SweepFigures
 from drivers.protocols import Float32Array, Float64Array, Recording, Take
 from storage.errors import InputError
 
@@ -50,30 +51,6 @@ class SweepOrder:
     duration_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """What the estimator says of a sweep.
-
-    Parameters
-    ----------
-    snr_db, residual_db, noise_v : float
-        As of `calibration.estimator.sequential.Estimate`.
-    latency_s : float
-        From the order to play until the sweep is at the reference input.
-    clock_ppm : float
-        How much faster the recorder's clock runs than the player's.
-    defects : tuple of (name, sentence)
-        What is wrong, with what to do about it; none for a good sweep.
-    """
-
-    snr_db: float
-    residual_db: float
-    noise_v: float
-    latency_s: float
-    clock_ppm: float
-    defects: tuple[tuple[str, str], ...]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepResult:
     """A sweep as it was heard.
@@ -84,11 +61,11 @@ class SweepResult:
         Both inputs in V.
     sample_rate_hz : float
         Of the record.
-    level : Level
+    level : InputLevels
         Of the record.
     frequency_hz, response_db, noise_db : float64 array, shape (bins,)
         Spectral densities of the response with the sweep and in silence, in dB re 1 V / sqrt(Hz).
-    figures : Figures or None
+    figures : SweepFigures or None
         None where the loopback was not heard; `trouble` then says why.
     trouble : str
         Why there are no figures; else empty.
@@ -97,11 +74,11 @@ class SweepResult:
     reference_v: Float32Array
     response_v: Float32Array
     sample_rate_hz: float
-    level: Level
+    level: InputLevels
     frequency_hz: Float64Array
     response_db: Float64Array
     noise_db: Float64Array
-    figures: Figures | None
+    figures: SweepFigures | None
     trouble: str
 
 
@@ -184,7 +161,7 @@ class SingleSweeps:
             trouble=trouble,
         )
 
-    def _figures(self, actuator: int, excitation: Excitation, heard: Recording) -> Figures:
+    def _figures(self, actuator: int, excitation: Excitation, heard: Recording) -> SweepFigures:
         with one_blas_thread():
             estimate = self._estimator_of(excitation).estimate(
                 heard.volts[:1], heard.volts[1:], range_v=self._setup.range_v
@@ -192,9 +169,9 @@ class SingleSweeps:
         judgement = judge(estimate, any(heard.over_range), QualityLimits())
         # The estimator counts records; here there is one, and it is this actuator's.
         named = tuple(
-            (one.name, one.sentence.replace("actuator 0", f"actuator {actuator}")) for one in judgement.defects
+            Defect(one.name, one.sentence.replace("actuator 0", f"actuator {actuator}")) for one in judgement.defects
         )
-        return Figures(
+        return SweepFigures(
             snr_db=float(estimate.snr_db[0]),
             residual_db=float(estimate.residual_db[0]),
             noise_v=float(estimate.noise_v[0]),

@@ -22,9 +22,13 @@ class MessageError(ValueError):
 
 @dataclass(frozen=True)
 class Message:
-    """Base class of messages; keywords of a subclass are its fixed keys: ``class Muted(Message, event="muted")``."""
+    """Base class of messages; keywords of a subclass are its fixed keys: ``class Muted(Message, event="muted")``.
+
+    Of a `sparse` message the keys that are None are left out.
+    """
 
     tag: ClassVar[Mapping[str, str]] = {}
+    sparse: ClassVar[bool] = False
 
     def __init_subclass__(cls, **tag: str) -> None:
         super().__init_subclass__()
@@ -38,7 +42,10 @@ Content = TypeVar("Content")
 
 def to_record(message: Message) -> dict[str, object]:
     """A message as a JSON-ready object; figures that are not finite become None, for JSON has no NaN."""
-    return {**message.tag, **_plain_fields(message)}
+    content = _plain_fields(message)
+    if message.sparse:
+        content = {key: value for key, value in content.items() if value is not None}
+    return {**message.tag, **content}
 
 
 def to_line(message: Message) -> str:

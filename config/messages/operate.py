@@ -16,6 +16,7 @@ Numbers = tuple[float, float]
 class Order(Message):
     """Base class of orders; the `done` that ends one repeats its `id`."""
 
+    sparse = True
     id: str | int | float | None = field(default=None, kw_only=True)
 
 
@@ -240,6 +241,7 @@ class Faulted(Message, event="fault"):
 class Done(Message, event="done"):
     """An order is over; its `order` and `id` as they were given."""
 
+    sparse = True
     order: str | None = None
     id: str | int | float | None = None
     ok: bool = False

@@ -85,14 +85,14 @@ def test_given_a_dead_actuator_then_the_sweep_names_it_by_its_number() -> None:
     assert figures is not None
     assert figures.snr_db < 6
     assert figures.defects
-    assert not any("actuator 0" in sentence for _, sentence in figures.defects)
+    assert not any("actuator 0" in one.sentence for one in figures.defects)
 
 
 def test_given_a_response_that_is_cut_off_then_the_sweep_says_so() -> None:
     setup = replace(bench(), range_v=(10.0, 5e-3))
     figures = SingleSweeps(setup, RATE_HZ).take(SWEEP).figures
     assert figures is not None
-    assert "over-range" in [name for name, _ in figures.defects]
+    assert "over-range" in [one.name for one in figures.defects]
 
 
 def test_given_a_loopback_that_is_not_plugged_in_then_the_sweep_tells_that_in_place_of_figures() -> None:

@@ -10,10 +10,11 @@ import pytest
 from acquisition.calibrate.actuators import ActuatorsTask, listening_places, measure_actuators
 from acquisition.calibrate.channels import OutputFigures, OutputsTask, measure_inputs, measure_outputs
 from acquisition.calibrate.mirror import fitted_marks, read_fiducials
-from acquisition.calibrate.operator import Here, Jog, JogView
+from acquisition.calibrate.operator import Jog, JogView
 from acquisition.calibrate.probe import NotMeasuredError, Probe
 from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.calibrate import Here
 from config.stadium import default_marks_mm, inside_stadium
 from drivers.errors import InstrumentLostError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings

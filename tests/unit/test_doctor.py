@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from acquisition.doctor.examination import RigUnderTest, examine
-from acquisition.doctor.findings import Finding, Findings
+from acquisition.doctor.findings import Findings
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.doctor import Finding
 from drivers.errors import InstrumentError, TransientInstrumentError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from wavefocus.rig.instruments import Vibrometer

@@ -7,7 +7,6 @@ import glob
 import json
 import os
 import secrets
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -96,12 +95,6 @@ class EventLines:
             self._write = None
             why = getattr(failure, "strerror", None) or failure
             say(f"{self._name} cannot be written any more ({why}); the {self._work} goes on without it")
-
-
-def print_line(line: str) -> None:
-    """Write a line on standard output at once."""
-    sys.stdout.write(line)
-    sys.stdout.flush()
 
 
 class EventLog:

@@ -12,6 +12,8 @@ from acquisition.calibrate.operator import Operator
 from acquisition.manual.level import LevelMeter
 from acquisition.measuring.setup import Setup
 from config.calibration import PARTS, CalibrationRecord, name_calibration, write_calibration
+from config.messages.calibrate import Begin, CalibrationDone
+from config.messages.codec import to_record
 from drivers.errors import InstrumentError
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
@@ -21,7 +23,7 @@ from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut
 from wavefocus.rig.calibration_session import CalibrationSession, Request, marks
 from wavefocus.rig.instruments import open_rig, openers
-from wavefocus.rig.operation import SAMPLE_RATE_HZ, tell_fault
+from wavefocus.rig.operation import SAMPLE_RATE_HZ, faulted
 from wavefocus.rig.operators import LinesOperator, TerminalOperator, forget_typed
 from wavefocus.rig.setup import put_to_rest, setup_of
 
@@ -39,7 +41,7 @@ def calibrate(
     session = CalibrationSession(rig, request)
     lines = LinesOut() if as_lines else None
     if lines is not None:
-        lines("begin", parts=list(request.parts), marks_mm=marks(rig, request)[0])
+        lines(Begin(request.parts, marks(rig, request)[0]))
     with ending_at_once():
         try:
             opened = open_rig(openers(rig))
@@ -49,7 +51,7 @@ def calibrate(
                 session.carry_out(setup, operator, opened.patch_bay)
         except InstrumentError as failure:
             if lines is not None:
-                tell_fault(lines, failure)
+                lines(faulted(failure))
             raise
         finally:
             # Whatever ends a calibration, the cables plugged so far were not plugged for nothing.
@@ -59,16 +61,16 @@ def calibrate(
     for problem in session.problems:
         say(f"not good enough: {problem}")
     if as_json or lines is not None:
-        facts = {
-            "file": str(file) if session.measured else None,
-            "measured": session.measured,
-            "problems": session.problems,
-            "calibration": record.model_dump(mode="json"),
-        }
+        done = CalibrationDone(
+            file=str(file) if session.measured else None,
+            measured=tuple(session.measured),
+            problems=tuple(session.problems),
+            calibration=record.model_dump(mode="json"),
+        )
         if lines is not None:
-            lines("done", **facts)
+            lines(done)
         else:
-            print(json.dumps(facts))
+            print(json.dumps({key: value for key, value in to_record(done).items() if key not in done.tag}))
     return Exit.NOT_GOOD_ENOUGH if session.problems else Exit.DONE
 
 

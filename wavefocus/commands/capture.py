@@ -35,12 +35,11 @@ from wavefocus.campaign.sidecar_files import (
     EventLines,
     EventLog,
     log_path,
-    print_line,
     raw_path,
     read_drift,
 )
 from wavefocus.campaign.supervision import Attendance, resume_line
-from wavefocus.console import progress, say
+from wavefocus.console import print_line, progress, say
 from wavefocus.ending import stop_on_signals
 from wavefocus.exits import Exit
 from wavefocus.input_files import parse_positions

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-import json
 import math
 import platform
 import shutil
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from acquisition.doctor.examination import RigUnderTest, examine
-from acquisition.doctor.findings import Act, Finding, Findings
+from acquisition.doctor.findings import Findings
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.codec import to_line
+from config.messages.doctor import Act, Examination, Finding, FindingMade
 from config.rig import RigConfig
 from drivers.protocols import DeviceIdentity
 from storage.durable import is_network_mount
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
-from wavefocus.console import answer, people, say
+from wavefocus.console import answer, people, print_line, say
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.rig.calibration_validity import calibration_warnings
@@ -62,7 +63,7 @@ def doctor(
                 finding = replace(finding, act=Act("reset-usb", finding.instrument))
             findings.append(finding)
             if as_lines:
-                print(json.dumps({"finding": asdict(finding)}), flush=True)
+                print_line(to_line(FindingMade(finding)))
             if status is not None:
                 status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
 
@@ -73,15 +74,8 @@ def doctor(
             publish(finding)
     failed = sum(one.verdict == "fail" for one in findings)
     if as_json or as_lines:
-        facts = {
-            "rig": str(rig_file),
-            "name": rig.rig.name,
-            "good": failed == 0,
-            "counts": {word: sum(one.verdict == word for one in findings) for word in STYLES},
-            "findings": [asdict(one) for one in findings],
-            "versions": versions(),
-        }
-        print(json.dumps(facts))
+        counts = {word: sum(one.verdict == word for one in findings) for word in STYLES}
+        print_line(to_line(Examination(str(rig_file), rig.rig.name, failed == 0, counts, tuple(findings), versions())))
     else:
         _show(findings)
         answer(", ".join(f"{package} {number}" for package, number in versions().items()))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from acquisition.manual.level import GatedPlayer
 from acquisition.quality.watch import Sensor
+from config.messages.operate import Done, End, Ended, Mute, Opening, Refused
 from config.rig import RigConfig, default_rig
 from drivers.errors import InstrumentError
 from drivers.timeouts import RECONNECTING, CallThread, HungError
@@ -19,7 +20,7 @@ from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers
-from wavefocus.rig.operation import End, Mute, Operation, order_of, tell_fault
+from wavefocus.rig.operation import Operation, faulted, order_of
 from wavefocus.rig.setup import BoundedSensor, LightSensor, put_to_rest, setup_of
 
 # So often it is looked whether anybody still reads, while no order comes.
@@ -35,38 +36,38 @@ def operate(rig_file: Path) -> Exit:
     put to rest. Raises ReadingFailedError: orders cannot be read any more; the outputs are muted at once.
     """
     rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
-    tell = LinesOut()
-    tell("opening", rig=str(rig_file))
+    publish = LinesOut()
+    publish(Opening(str(rig_file)))
     try:
         with ending_at_once():
-            _operate(rig, tell)
+            _operate(rig, publish)
     except InstrumentError as failure:
-        tell_fault(tell, failure)
+        publish(faulted(failure))
         raise
     except ReadingFailedError:
-        tell("ended", muted=True, parked=True)
+        publish(Ended())
         raise
     except KeyboardInterrupt:
-        tell("ended", muted=True, parked=True)
+        publish(Ended())
         say("stopped by the user; the outputs are muted, the mirror is parked")
         return Exit.STOPPED
-    tell("ended", muted=True, parked=True)
+    publish(Ended())
     return Exit.DONE
 
 
-def _operate(rig: RigConfig, tell: LinesOut) -> None:
+def _operate(rig: RigConfig, publish: LinesOut) -> None:
     """Open the rig, obey, and put it to rest however that ends."""
     opened = open_rig(in_time(openers(rig), RECONNECTING * rig.recovery.hung_after_s))
     gate = GatedPlayer(opened.instruments.player)
     opened = replace(opened, instruments=replace(opened.instruments, player=gate))
     setup = setup_of(rig, opened)
     with put_to_rest(setup):
-        operation = Operation(rig, setup, gate, _light(rig, opened), tell)
+        operation = Operation(rig, setup, gate, _light(rig, opened), publish)
         operation.introduce()
-        _obey(operation, gate, rig, tell)
+        _obey(operation, gate, rig, publish)
 
 
-def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, tell: LinesOut) -> None:
+def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, publish: LinesOut) -> None:
     muting = CallThread("muting")
     orders = LinesIn()
 
@@ -84,7 +85,7 @@ def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, tell: LinesOu
             mute()
 
     orders.start(overtake, fails=mute)
-    while not tell.gone:
+    while not publish.gone:
         operation.look()
         due_s = operation.due_s()
         try:
@@ -92,28 +93,29 @@ def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, tell: LinesOu
         except TimeoutError:
             continue
         except InputError as wrong:
-            tell("refused", sentence=str(wrong))
+            publish(Refused(str(wrong)))
             continue
         if content is None:
             return
-        known = {key: content[key] for key in ("order", "id") if _is_simple(content.get(key))}
+        done = _done(content)
         try:
             order = order_of(content, rig)
         except InputError as wrong:
-            tell("refused", sentence=str(wrong))
+            publish(Refused(str(wrong)))
             if is_mute(content):  # silence is wanted all the same, and the gate was shut for it
                 operation.carry_out(Mute())
-            tell("done", **known, ok=False)
+            publish(done)
             continue
         ok = operation.carry_out(order)
-        tell("done", **known, ok=ok)
+        publish(replace(done, ok=ok))
         if isinstance(order, End):
             return
 
 
-def _is_simple(value: object) -> bool:
-    """Whether a value can be repeated in an answer."""
-    return isinstance(value, str | int | float)
+def _done(content: Mapping[str, object]) -> Done:
+    """The end of an order that was not carried out; repeats what can be repeated of it."""
+    word, number = content.get("order"), content.get("id")
+    return Done(word if isinstance(word, str) else None, number if isinstance(number, str | int | float) else None)
 
 
 def _light(rig: RigConfig, opened: OpenedRig) -> Sensor | None:

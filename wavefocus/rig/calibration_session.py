@@ -26,7 +26,6 @@ from acquisition.calibrate.operator import (
     Jog,
     JogView,
     Judged,
-    MapView,
     Operator,
     output,
 )
@@ -48,6 +47,7 @@ from config.calibration import (
     OutputsMeasured,
 )
 from config.fields import Table
+from config.messages.calibrate import MapView
 from config.rig import RigConfig
 from config.stadium import default_marks_mm, inside_stadium
 from storage.errors import InputError

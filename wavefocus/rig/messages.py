@@ -14,9 +14,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
-from acquisition.doctor.findings import Act, Finding
 from acquisition.durations import hours
 from acquisition.engine.events import Drift, Event, Fault, SessionEnded, State, StateChanged
+from config.messages.doctor import Act, Finding
 from config.rig import MessagesSection, RigConfig
 from storage.errors import InputError
 from wavefocus.campaign.supervision import resume_line

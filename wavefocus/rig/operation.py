@@ -1,20 +1,44 @@
-"""A rig operated by hand: orders as JSON objects, carried out one by one, their outcome told as events."""
+"""A rig operated by hand: orders are checked against the rig's limits and carried out one by one."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
-from typing import Protocol
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.manual.level import GatedPlayer, LevelMeter, ShutError
 from acquisition.manual.single_sweep import SingleSweeps, SweepOrder, SweepResult, excitation_of
 from acquisition.measuring.setup import Setup, asking, instrument_of, names_of, silence
 from acquisition.quality.watch import Sensor
+from config.messages.codec import Message, MessageError, from_record
+from config.messages.operate import (
+    ORDERS,
+    End,
+    Faulted,
+    InputLevels,
+    Jog,
+    LevelMeasured,
+    LevelsSwitched,
+    MirrorMoved,
+    Mute,
+    Muted,
+    Order,
+    Park,
+    Ready,
+    Reconnect,
+    Reconnected,
+    Refused,
+    ReportState,
+    ShowLevel,
+    SurfaceSize,
+    Sweeping,
+    SweepTaken,
+    TakeSweep,
+)
 from config.rig import RigConfig
 from drivers.errors import InstrumentError, TransientInstrumentError
 from storage.errors import InputError
@@ -22,104 +46,61 @@ from wavefocus.exits import one_line
 from wavefocus.rig.limits import largest_sine_v, safe_amplitude_v
 
 SAMPLE_RATE_HZ = 10_000.0
-BAND_HZ = (40.0, 400.0)
-DURATION_S = 0.5
+BAND_HZ = (TakeSweep.start_hz, TakeSweep.stop_hz)
 LONGEST_S = 10.0
-EVERY_S = 0.25
 # Below the least step of any converter nothing would be played.
 LEAST_LEVEL_V = 1e-6
+# No coordinate comes near it, and its square is finite.
 _LARGEST = 1e9
-ROLES = ("mirror", "recorder", "player")
+_KINDS: Mapping[object, type[Order]] = {kind.tag["order"]: kind for kind in ORDERS}
+# A vibrometer is asked for its light by a serial line, which takes longer than a record.
+_LIGHT_EVERY_S = 2.0
 
-
-@dataclass(frozen=True, slots=True)
-class Jog:
-    """Move the beam: to a place on the surface, or to angles."""
-
-    x: float
-    y: float
-    unit: str
-
-
-@dataclass(frozen=True, slots=True)
-class Park:
-    """Move the beam to the safe direction."""
-
-
-@dataclass(frozen=True, slots=True)
-class ShowLevel:
-    """Stream levels, or stop; while one actuator plays short sweeps, where one is named."""
-
-    on: bool
-    every_s: float
-    actuator: int | None
-    level_v: float
-
-
-@dataclass(frozen=True, slots=True)
-class Mute:
-    """Be silent; levels stop too."""
-
-
-@dataclass(frozen=True, slots=True)
-class TellState:
-    """Tell where everything stands."""
-
-
-@dataclass(frozen=True, slots=True)
-class Reconnect:
-    """Open an instrument afresh."""
-
-    role: str
-
-
-@dataclass(frozen=True, slots=True)
-class End:
-    """Put everything to rest and end."""
-
-
-Order = Jog | Park | ShowLevel | SweepOrder | Mute | TellState | Reconnect | End
-
-# Every key of every order, beside "order" and "id".
-KEYS: Mapping[str, tuple[str, ...]] = {
-    "jog": ("x_mm", "y_mm", "x_mrad", "y_mrad"),
-    "park": (),
-    "level": ("on", "every_s", "actuator", "level_v"),
-    "sweep": ("actuator", "level_v", "start_hz", "stop_hz", "duration_s"),
-    "mute": (),
-    "state": (),
-    "reconnect": ("instrument",),
-    "end": (),
-}
+Publish = Callable[[Message], None]
 
 
 def order_of(content: Mapping[str, object], rig: RigConfig) -> Order:
-    """Understand an order, within the rig's limits.
+    """Read an order within the rig's limits; a level that is not given becomes the default.
 
-    Raises InputError: it is not understood, or asks for more than the rig may do.
+    Raises InputError: a key or value is wrong, or the order asks for more than the rig may do.
     """
     word = content.get("order")
-    if not isinstance(word, str) or word not in KEYS:
-        raise InputError(f"order {one_line(repr(word), 60)} is not known; allowed: {', '.join(KEYS)}")
-    if not isinstance(content.get("id"), str | int | float | None):
-        raise InputError(f"{word}: id is {one_line(repr(content['id']), 60)}; allowed: text or a number")
-    for key in content:
-        if key not in ("order", "id", *KEYS[word]):
-            raise InputError(f"{word}: {one_line(key, 60)} is not known; allowed: {', '.join(KEYS[word]) or 'none'}")
-    match word:
-        case "jog":
-            return _jog(content)
-        case "level":
-            return _level(content, rig)
-        case "sweep":
-            return _sweep(content, rig)
-        case "reconnect":
-            role = content.get("instrument")
-            if not isinstance(role, str) or role not in ROLES:
-                raise InputError(f"reconnect: instrument is {one_line(repr(role), 60)}; allowed: {', '.join(ROLES)}")
-            return Reconnect(role)
-    simple: dict[str, Order] = {"park": Park(), "mute": Mute(), "state": TellState(), "end": End()}
-    return simple[word]
+    if not isinstance(word, str) or word not in _KINDS:
+        raise InputError(f"order {one_line(repr(word), 60)} is not known; allowed: {', '.join(map(str, _KINDS))}")
+    try:
+        order = from_record(_KINDS[word], content, strict=True)
+        match order:
+            case Jog():
+                _check_jog(order)
+            case ShowLevel():
+                _require("every_s", order.every_s, 0.1, 60.0)
+                order = replace(order, level_v=_level_v(order.level_v, rig))
+                if order.actuator is not None:
+                    _require("actuator", order.actuator, 0, len(rig.player.channels) - 1)
+            case TakeSweep():
+                _require("actuator", order.actuator, 0, len(rig.player.channels) - 1)
+                _require("start_hz", order.start_hz, 1.0, SAMPLE_RATE_HZ / 2)
+                _require("stop_hz", order.stop_hz, 1.0, SAMPLE_RATE_HZ / 2)
+                _require("duration_s", order.duration_s, 0.05, LONGEST_S)
+                order = replace(order, level_v=_level_v(order.level_v, rig))
+                excitation_of(_sweep_of(order), SAMPLE_RATE_HZ)  # refuses a band that no sweep has
+    except MessageError as wrong:
+        raise InputError(one_line(f"{word}: {wrong}", 300)) from None
+    return order
+
+
+def _check_jog(order: Jog) -> None:
+    given = {"mm": (order.x_mm, order.y_mm), "mrad": (order.x_mrad, order.y_mrad)}
+    units = [unit for unit, numbers in given.items() if numbers != (None, None)]
+    if len(units) != 1:
+        raise MessageError("needs x_mm and y_mm, or x_mrad and y_mrad, and not both")
+    for axis, value in zip("xy", given[units[0]], strict=True):
+        _require(f"{axis}_{units[0]}", value, -_LARGEST, _LARGEST)
+
+
+def _require(key: str, value: float | None, low: float, high: float) -> None:
+    if value is None or not low <= value <= high:
+        raise MessageError(f"{key} is {value}; allowed: {low:g} to {high:g}")
 
 
 def largest_level_v(rig: RigConfig) -> float:
@@ -128,136 +109,61 @@ def largest_level_v(rig: RigConfig) -> float:
     return min(largest_sine_v(player), player.output_full_scale_v[player.loopback_channel])
 
 
-def _jog(content: Mapping[str, object]) -> Jog:
-    for unit in ("mm", "mrad"):
-        if f"x_{unit}" in content or f"y_{unit}" in content:
-            other = "mrad" if unit == "mm" else "mm"
-            if f"x_{other}" in content or f"y_{other}" in content:
-                raise InputError("jog: give millimetres or milliradians, not both")
-            x, y = (_number(content, f"jog: {axis}_{unit}", f"{axis}_{unit}") for axis in "xy")
-            return Jog(x, y, unit)
-    raise InputError("jog: x_mm and y_mm, or x_mrad and y_mrad, are missing")
+def _default_level_v(rig: RigConfig) -> float:
+    return min(safe_amplitude_v(rig), largest_level_v(rig))
 
 
-def _level(content: Mapping[str, object], rig: RigConfig) -> ShowLevel:
-    on = content.get("on", True)
-    if not isinstance(on, bool):
-        raise InputError(f"level: on is {one_line(repr(on), 60)}; allowed: true, false")
-    every_s = _number(content, "level: every_s", "every_s", EVERY_S, 0.1, 60.0)
-    actuator = None if content.get("actuator") is None else _actuator(content, "level", rig)
-    return ShowLevel(on, every_s, actuator, _volts(content, "level", rig))
-
-
-def _sweep(content: Mapping[str, object], rig: RigConfig) -> SweepOrder:
-    order = SweepOrder(
-        actuator=_actuator(content, "sweep", rig),
-        amplitude_v=_volts(content, "sweep", rig),
-        start_hz=_number(content, "sweep: start_hz", "start_hz", BAND_HZ[0], 1.0, SAMPLE_RATE_HZ / 2),
-        stop_hz=_number(content, "sweep: stop_hz", "stop_hz", BAND_HZ[1], 1.0, SAMPLE_RATE_HZ / 2),
-        duration_s=_number(content, "sweep: duration_s", "duration_s", DURATION_S, 0.05, LONGEST_S),
-    )
-    excitation_of(order, SAMPLE_RATE_HZ)  # refuses a band that no sweep has
-    return order
-
-
-def _actuator(content: Mapping[str, object], word: str, rig: RigConfig) -> int:
-    actuator, count = content.get("actuator"), len(rig.player.channels)
-    if isinstance(actuator, bool) or not isinstance(actuator, int) or not 0 <= actuator < count:
-        raise InputError(f"{word}: actuator is {one_line(repr(actuator), 60)}; allowed: 0 to {count - 1}")
-    return actuator
-
-
-def _volts(content: Mapping[str, object], word: str, rig: RigConfig) -> float:
+def _level_v(level_v: float | None, rig: RigConfig) -> float:
     largest_v = largest_level_v(rig)
-    level_v = _number(content, f"{word}: level_v", "level_v", min(safe_amplitude_v(rig), largest_v))
+    if level_v is None:
+        return _default_level_v(rig)
     if not LEAST_LEVEL_V <= level_v <= largest_v * (1 + 1e-9):
-        raise InputError(
-            f"{word}: level_v is {level_v:g} V; allowed: {LEAST_LEVEL_V:g} V to at most {largest_v:.4g} V, what the "
+        raise MessageError(
+            f"level_v is {level_v:g} V; allowed: {LEAST_LEVEL_V:g} V to at most {largest_v:.4g} V, what the "
             "rig file lets an actuator have (player.limit_v, limit_rms_v, limit_power_w)"
         )
     return level_v
 
 
-def _number(
-    content: Mapping[str, object],
-    named: str,
-    key: str,
-    default: float | None = None,
-    low: float = -math.inf,
-    high: float = math.inf,
-) -> float:
-    value = content.get(key, default)
-    # No quantity here comes near the limit, and squares and products of what is allowed stay finite.
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST:
-        raise InputError(f"{named} is {one_line(repr(value), 60)}; allowed: a finite number, at most {_LARGEST:g}")
-    if not low <= value <= high:
-        raise InputError(f"{named} is {value:g}; allowed: {low:g} to {high:g}")
-    return float(value)
-
-
-# A vibrometer is asked for its light by a serial line, which takes longer than a record.
-_LIGHT_EVERY_S = 2.0
-
-
-class Tell(Protocol):
-    """Tells an event and its facts."""
-
-    def __call__(self, event: str, **facts: object) -> None:
-        """Tell it."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class _Stand:
-    """Where the mirror was sent; None before the first move."""
-
-    at_mrad: tuple[float, float]
-    parked: bool
+def _sweep_of(order: TakeSweep) -> SweepOrder:
+    assert order.level_v is not None
+    return SweepOrder(order.actuator, order.level_v, order.start_hz, order.stop_hz, order.duration_s)
 
 
 class Operation:
-    """Carries out orders on an open rig."""
+    """Carries out orders on an open rig, and publishes what comes of them."""
 
-    def __init__(self, rig: RigConfig, setup: Setup, gate: GatedPlayer, light: Sensor | None, tell: Tell) -> None:
-        self._rig, self._setup, self._gate, self._light, self._tell = rig, setup, gate, light, tell
+    def __init__(self, rig: RigConfig, setup: Setup, gate: GatedPlayer, light: Sensor | None, publish: Publish) -> None:
+        self._rig, self._setup, self._gate, self._light, self._publish = rig, setup, gate, light, publish
         self._meter = LevelMeter(setup, SAMPLE_RATE_HZ)
         self._sweeps = SingleSweeps(setup, SAMPLE_RATE_HZ)
-        self._stand: _Stand | None = None
+        self._spot = MirrorMoved()
         self._every_s: float | None = None
         self._due_s = 0.0
         self._level: float | None = None
         self._light_due_s = 0.0
-        self._acts: Mapping[type, Callable[..., None]] = {
-            Jog: self._jog,
-            Park: self._park,
-            ShowLevel: self._show_level,
-            SweepOrder: self._sweep,
-            Mute: self._mute,
-            TellState: self._tell_state,
-            Reconnect: self._reconnect,
-            End: self._mute,
-        }
 
     def introduce(self) -> None:
-        """Tell which rig this is and what it may do.
+        """Publish which rig this is and what it may do.
 
         Raises InstrumentError: an instrument does not say who it is.
         """
         rig, setup = self._rig, self._setup
         mirror, recorder, player = names_of(setup.instruments)
         measured = rig.calibration.measured
-        self._tell(
-            "ready",
-            name=rig.rig.name,
-            instruments={"mirror": mirror, "recorder": recorder, "player": player},
-            surface={"kind": rig.surface.kind, "length_mm": rig.surface.length_mm, "width_mm": rig.surface.width_mm},
-            actuator_mm=rig.actuator_mm.tolist(),
-            mapped=measured is not None and measured.mirror is not None,
-            limit_mrad=rig.mirror.limit_mrad,
-            level_v=min(safe_amplitude_v(rig), largest_level_v(rig)),
-            largest_level_v=largest_level_v(rig),
-            band_hz=list(BAND_HZ),
-            range_v=list(setup.range_v),
+        self._publish(
+            Ready(
+                name=rig.rig.name,
+                instruments={"mirror": mirror, "recorder": recorder, "player": player},
+                surface=SurfaceSize(rig.surface.kind, rig.surface.length_mm, rig.surface.width_mm),
+                actuator_mm=tuple((x_mm, y_mm) for x_mm, y_mm in rig.actuator_mm.tolist()),
+                mapped=measured is not None and measured.mirror is not None,
+                limit_mrad=rig.mirror.limit_mrad,
+                level_v=_default_level_v(rig),
+                largest_level_v=largest_level_v(rig),
+                band_hz=BAND_HZ,
+                range_v=setup.range_v,
+            )
         )
 
     def due_s(self) -> float | None:
@@ -265,26 +171,51 @@ class Operation:
         return None if self._every_s is None else max(0.0, self._due_s - time.monotonic())
 
     def look(self) -> None:
-        """Tell the level, where it is to be told and the time has come."""
+        """Publish the level, where it is streamed and the time has come."""
         if self._every_s is None or time.monotonic() < self._due_s:
             return
         self._due_s = time.monotonic() + self._every_s
-        with _Faults(self._tell, self._stop_levels):
-            level = self._meter.hear()
-            self._tell("level", **asdict(level), light=self._light_now())
+        self._attempt(lambda: self._publish(level_measured(self._meter.hear(), self._light_now())))
 
     def carry_out(self, order: Order) -> bool:
-        """Carry out an order; what prevents it is told. True where it was done."""
-        faults = _Faults(self._tell, self._stop_levels)
-        with faults:
-            self._acts[type(order)](order)
-        return not faults.met
+        """Carry out an order that `order_of` has checked; what prevents it is published. True where it was done."""
+        return self._attempt(lambda: self._act(order))
+
+    def _act(self, order: Order) -> None:
+        match order:
+            case Jog():
+                self._jog(order)
+            case Park():
+                with asking("mirror"):
+                    self._setup.instruments.mirror.park()
+                self._move_spot(self._rig.mirror.park_mrad, parked=True)
+            case ShowLevel():
+                self._every_s = order.every_s if order.on else None
+                self._due_s = 0.0
+                if order.on:
+                    self._meter.sound(order.actuator, order.level_v or 0.0)
+                self._publish(LevelsSwitched(order.on, order.actuator if order.on else None))
+            case TakeSweep():
+                sweep = _sweep_of(order)
+                self._publish(Sweeping(sweep.actuator, sweep.amplitude_v))
+                self._publish(_sweep_taken(sweep, self._sweeps.take(sweep)))
+            case Mute() | End():
+                self._mute()
+            case ReportState():
+                self._publish(LevelsSwitched(self._every_s is not None))
+                self._publish(self._spot)
+            case Reconnect():
+                with asking(order.instrument):
+                    instrument_of(self._setup.instruments, order.instrument).reconnect()
+                self._publish(Reconnected(order.instrument))
 
     def _jog(self, order: Jog) -> None:
-        if order.unit == "mm":
-            x_mrad, y_mrad = (float(one) for one in self._setup.mirror_map.angles_mrad(order.x, order.y))
+        if order.x_mm is not None and order.y_mm is not None:
+            x_mrad, y_mrad = (float(one) for one in self._setup.mirror_map.angles_mrad(order.x_mm, order.y_mm))
         else:
-            x_mrad, y_mrad = order.x, order.y
+            assert order.x_mrad is not None
+            assert order.y_mrad is not None
+            x_mrad, y_mrad = order.x_mrad, order.y_mrad
         limit_mrad = self._rig.mirror.limit_mrad
         if not (abs(x_mrad) <= limit_mrad * (1 + 1e-9) and abs(y_mrad) <= limit_mrad * (1 + 1e-9)):
             raise InputError(
@@ -294,57 +225,24 @@ class Operation:
         with asking("mirror"):
             mirror.move_to(x_mrad, y_mrad)
             mirror.wait_settled(self._setup.settle_timeout_s)
-        self._stand = _Stand((x_mrad, y_mrad), parked=False)
-        self._tell_mirror()
+        self._move_spot((x_mrad, y_mrad), parked=False)
 
-    def _park(self, _order: Park) -> None:
-        with asking("mirror"):
-            self._setup.instruments.mirror.park()
-        x_mrad, y_mrad = self._rig.mirror.park_mrad
-        self._stand = _Stand((x_mrad, y_mrad), parked=True)
-        self._tell_mirror()
-
-    def _show_level(self, order: ShowLevel) -> None:
-        self._every_s = order.every_s if order.on else None
-        self._due_s = 0.0
-        if order.on:
-            self._meter.sound(order.actuator, order.level_v)
-        self._tell("levels", on=order.on, actuator=order.actuator if order.on else None)
-
-    def _sweep(self, order: SweepOrder) -> None:
-        self._tell("sweeping", actuator=order.actuator, level_v=order.amplitude_v)
-        self._tell("sweep", **_sweep_facts(order, self._sweeps.take(order)))
-
-    def _mute(self, _order: Mute | End) -> None:
-        self._stop_levels()
+    def _mute(self) -> None:
+        self._every_s = None
         failures = silence(self._setup.instruments)
         self._gate.open()
-        self._tell("levels", on=False, actuator=None)
+        self._publish(LevelsSwitched(False))
         if failures:
             raise failures[0]
-        self._tell("muted")
+        self._publish(Muted())
 
-    def _tell_state(self, _order: TellState) -> None:
-        self._tell("levels", on=self._every_s is not None, actuator=None)
-        self._tell_mirror()
-
-    def _reconnect(self, order: Reconnect) -> None:
-        with asking(order.role):  # type: ignore[arg-type]
-            instrument_of(self._setup.instruments, order.role).reconnect()
-        self._tell("reconnected", instrument=order.role)
-
-    def _tell_mirror(self) -> None:
-        if self._stand is None:
-            self._tell("mirror", x_mm=None, y_mm=None, x_mrad=None, y_mrad=None, parked=False)
-            return
-        x_mrad, y_mrad = self._stand.at_mrad
+    def _move_spot(self, at_mrad: tuple[float, float], *, parked: bool) -> None:
         x_mm: float | None = None
         y_mm: float | None = None
         with suppress(InputError):  # a beam that never meets the surface has no place on it
-            x_mm, y_mm = (round(float(one), 4) for one in self._setup.mirror_map.surface_mm(x_mrad, y_mrad))
-        self._tell(
-            "mirror", x_mm=x_mm, y_mm=y_mm, x_mrad=round(x_mrad, 4), y_mrad=round(y_mrad, 4), parked=self._stand.parked
-        )
+            x_mm, y_mm = (round(float(one), 4) for one in self._setup.mirror_map.surface_mm(*at_mrad))
+        self._spot = MirrorMoved(x_mm, y_mm, round(at_mrad[0], 4), round(at_mrad[1], 4), parked)
+        self._publish(self._spot)
 
     def _light_now(self) -> float | None:
         if self._light is not None and time.monotonic() >= self._light_due_s:
@@ -355,45 +253,34 @@ class Operation:
                 self._level = None
         return self._level
 
-    def _stop_levels(self) -> None:
-        self._every_s = None
+    def _attempt(self, act: Callable[[], object]) -> bool:
+        """Publish what prevents an action, so that the next order can be carried out; defects of the program pass."""
+        try:
+            act()
+        except ShutError:
+            self._publish(Muted())
+        except InputError as wrong:
+            self._publish(Refused(str(wrong)))
+        except InstrumentError as failure:
+            if not isinstance(failure, TransientInstrumentError):
+                self._every_s = None
+            self._publish(faulted(failure))
+        except (ArithmeticError, np.linalg.LinAlgError, MemoryError) as failure:
+            self._every_s = None
+            self._publish(Refused(f"cannot be computed: {str(failure) or type(failure).__name__}"))
+        else:
+            return True
+        return False
 
 
-class _Faults:
-    """Tells what an order fails at, so that the next one can be carried out; defects of the program pass."""
-
-    def __init__(self, tell: Tell, stop_levels: Callable[[], None]) -> None:
-        self._tell, self._stop_levels = tell, stop_levels
-        self.met = False
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, failure: BaseException | None, trace: object) -> bool:
-        if failure is None:
-            return False
-        self.met = True
-        match failure:
-            case ShutError():
-                self._tell("muted")
-            case InputError():
-                self._tell("refused", sentence=str(failure))
-            case InstrumentError():
-                if not isinstance(failure, TransientInstrumentError):
-                    self._stop_levels()
-                tell_fault(self._tell, failure)
-            case ArithmeticError() | np.linalg.LinAlgError() | MemoryError():
-                self._stop_levels()
-                self._tell("refused", sentence=f"cannot be computed: {str(failure) or type(failure).__name__}")
-            case _:
-                return False
-        return True
+def level_measured(levels: InputLevels, light: float | None = None) -> LevelMeasured:
+    """Levels as a message."""
+    return LevelMeasured(levels.reference, levels.response, light)
 
 
-def tell_fault(tell: Tell, failure: InstrumentError) -> None:
-    """Tell an instrument's failure, part by part and as one sentence."""
-    tell(
-        "fault",
+def faulted(failure: InstrumentError) -> Faulted:
+    """An instrument's failure as a message."""
+    return Faulted(
         instrument=failure.role or failure.instrument.split(" ")[0],
         device=failure.instrument,
         operation=failure.operation,
@@ -404,28 +291,24 @@ def tell_fault(tell: Tell, failure: InstrumentError) -> None:
     )
 
 
-def _sweep_facts(order: SweepOrder, result: SweepResult) -> dict[str, object]:
-    """A sweep for JSON: numbers to the digits that mean something."""
-    figures = None
-    if result.figures is not None:
-        # Silence has ratios that are no numbers; JSON has none for those.
-        figures = {
-            key: (value if np.isfinite(value) else None) if isinstance(value, float) else value
-            for key, value in asdict(result.figures).items()
-        }
-        figures["defects"] = [{"name": name, "sentence": sentence} for name, sentence in result.figures.defects]
-    return {
-        "actuator": order.actuator,
-        "level_v": order.amplitude_v,
-        "start_hz": order.start_hz,
-        "stop_hz": order.stop_hz,
-        "sample_rate_hz": result.sample_rate_hz,
-        "level": asdict(result.level),
-        "figures": figures,
-        "trouble": result.trouble,
-        "reference_v": np.round(result.reference_v.astype(np.float64), 7).tolist(),
-        "response_v": np.round(result.response_v.astype(np.float64), 7).tolist(),
-        "frequency_hz": np.round(result.frequency_hz, 3).tolist(),
-        "response_db": np.round(result.response_db, 2).tolist(),
-        "noise_db": np.round(result.noise_db, 2).tolist(),
-    }
+def _sweep_taken(order: SweepOrder, result: SweepResult) -> SweepTaken:
+    """A sweep as a message, its numbers to the digits that mean something."""
+
+    def rounded(values: NDArray[np.floating], digits: int) -> tuple[float, ...]:
+        return tuple(np.round(values.astype(np.float64), digits).tolist())
+
+    return SweepTaken(
+        actuator=order.actuator,
+        level_v=order.amplitude_v,
+        start_hz=order.start_hz,
+        stop_hz=order.stop_hz,
+        sample_rate_hz=result.sample_rate_hz,
+        level=result.level,
+        figures=result.figures,
+        trouble=result.trouble,
+        reference_v=rounded(result.reference_v, 7),
+        response_v=rounded(result.response_v, 7),
+        frequency_hz=rounded(result.frequency_hz, 3),
+        response_db=rounded(result.response_db, 2),
+        noise_db=rounded(result.noise_db, 2),
+    )

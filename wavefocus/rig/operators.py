@@ -4,30 +4,34 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from collections.abc import Callable
 
-from acquisition.calibrate.operator import (
-    BOTH,
-    SUM,
-    VIBROMETER,
+from acquisition.calibrate.operator import BOTH, SUM, VIBROMETER, Jog, JogView, Judged
+from config.messages.calibrate import (
+    Again,
+    AskAgain,
+    AskConnect,
+    AskJog,
     By,
+    Cancel,
     Drop,
     Here,
-    Jog,
-    JogView,
-    Judged,
     Keep,
     MapView,
+    Plugged,
     Redo,
+    Skip,
+    Tell,
     To,
 )
-from acquisition.manual.level import Level
+from config.messages.codec import Message, MessageError, message_of
+from config.messages.operate import InputLevels, Numbers, Refused
 from drivers.errors import InstrumentError
 from storage.errors import InputError
 from wavefocus.console import say
+from wavefocus.exits import one_line
 from wavefocus.json_lines import LinesIn
-from wavefocus.rig.operation import Tell, tell_fault
+from wavefocus.rig.operation import Publish, faulted, level_measured
 
 HELP = 'two numbers move the beam by so many mrad, "= x y" moves it there, Enter alone says: the spot is on the mark'
 CABLES = {
@@ -105,118 +109,92 @@ def _two_numbers(text: str) -> tuple[float, float] | None:
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
 
-HEARS_EVERY_S = 0.25
-
-Numbers = tuple[float, float]
+LISTENS_EVERY_S = 0.25
 
 
 class LinesOperator:
-    """Implements `acquisition.calibrate.operator.Operator`."""
+    """Implements `acquisition.calibrate.operator.Operator`: asks another program, by the messages of `calibrate`."""
 
     def __init__(
         self,
         answers: LinesIn,
-        tell: Tell,
-        hear: Callable[[], Level],
+        publish: Publish,
+        hear: Callable[[], InputLevels],
         place_mm: Callable[[float, float], Numbers | None],
     ) -> None:
-        self._answers, self._tell, self._hear, self._place_mm = answers, tell, hear, place_mm
+        self._answers, self._publish, self._hear, self._place_mm = answers, publish, hear, place_mm
         self._hears = True
 
     def tell(self, line: str) -> None:
         """Read a line."""
-        self._tell("tell", line=line)
+        self._publish(Tell(line))
 
     def connect(self, source: str) -> None:
-        """Plug something into the response input; ``{"answer": "done"}``."""
-        self._tell("ask", what="connect", source=source, sentence=cable(source))
-        while self._answer("a cable was plugged", {"done": ()})["answer"] != "done":
-            pass
+        """Plug something into the response input."""
+        self._publish(AskConnect(source, cable(source)))
+        self._answer("a cable was plugged", Plugged)
 
     def jog(self, view: JogView) -> Jog:
-        """Say how the beam is to move: ``"by"`` or ``"to"`` with x_mrad and y_mrad, or ``"here"``."""
-        self._tell(
-            "ask",
-            what="jog",
-            number=view.number,
-            of=view.of,
-            place_mm=list(view.place_mm),
-            at_mrad=list(view.at_mrad),
-            at_mm=self._place_mm(*view.at_mrad),
-            note=view.note,
-        )
-        angles = ("x_mrad", "y_mrad")
-        words = {"here": (), "by": angles, "to": angles}
-        answer = self._answer(f"mark {view.number} of {view.of} was met", words, hears=True)
-        if answer["answer"] == "here":
-            return Here()
-        x_mrad, y_mrad = (float(answer[key]) for key in angles)  # type: ignore[arg-type]
-        return By(x_mrad, y_mrad) if answer["answer"] == "by" else To(x_mrad, y_mrad)
+        """Say how the beam is to move."""
+        at_mm = self._place_mm(*view.at_mrad)
+        self._publish(AskJog(view.number, view.of, view.place_mm, view.at_mrad, at_mm, view.note))
+        step = self._answer(f"mark {view.number} of {view.of} was met", Here, By, To, hears=True)
+        assert isinstance(step, Here | By | To)
+        return step
 
     def judge(self, view: MapView) -> Judged:
-        """Say what becomes of a map: ``"keep"``, ``"redo"`` with mark, or ``"drop"``."""
-        facts = {key: None if isinstance(value, float) and math.isnan(value) else value
-                 for key, value in asdict(view).items()}  # fmt: skip
+        """Say what becomes of a map."""
         while True:
-            self._tell("ask", what="map", **facts)
-            answer = self._answer("the map was judged", {"keep": (), "redo": ("mark",), "drop": ()})
-            match answer["answer"]:
-                case "keep" if view.problem:
-                    self._tell("refused", sentence=view.problem)
-                case "keep":
-                    return Keep()
-                case "drop":
-                    return Drop()
-                case _:
-                    mark = float(answer["mark"])  # type: ignore[arg-type]
-                    if mark.is_integer() and 1 <= mark <= len(view.place_mm):
-                        return Redo(int(mark))
-                    self._tell("refused", sentence=f"mark {mark:g} is not there; allowed: 1 to {len(view.place_mm)}")
+            self._publish(view)
+            judged = self._answer("the map was judged", Keep, Redo, Drop)
+            match judged:
+                case Keep() if view.problem:
+                    self._publish(Refused(view.problem))
+                case Redo(mark) if not 1 <= mark <= len(view.place_mm):
+                    self._publish(Refused(f"mark {mark} is not there; allowed: 1 to {len(view.place_mm)}"))
+                case Keep() | Redo() | Drop():
+                    return judged
 
     def again(self, problem: str) -> bool:
-        """Look for what is wrong; ``"again"`` tries once more, ``"skip"`` leaves it out."""
-        self._tell("ask", what="again", problem=problem)
-        return self._answer("this was decided", {"again": (), "skip": ()})["answer"] == "again"
+        """Look for what is wrong, and try once more or leave it out."""
+        self._publish(AskAgain(problem))
+        return isinstance(self._answer("this was decided", Again, Skip), Again)
 
-    def _answer(
-        self, before: str, words: Mapping[str, tuple[str, ...]], *, hears: bool = False
-    ) -> Mapping[str, object]:
-        """Wait for an answer that is one of some words, with the numbers that belong to it."""
+    def _answer(self, before: str, *kinds: type[Message], hears: bool = False) -> Message:
+        """Wait for an answer of one of some kinds; meanwhile report levels if `hears`."""
         while True:
             try:
-                content = self._answers.next(HEARS_EVERY_S if hears and self._hears else None)
+                content = self._answers.next(LISTENS_EVERY_S if hears and self._hears else None)
+                if content is None:
+                    raise EndedError(f"standard input: ended before {before}")
+                word = content.get("answer")
+                if word == Cancel.tag["answer"]:
+                    raise KeyboardInterrupt
+                answer = message_of(content, kinds)
+                if answer is None:
+                    allowed = ", ".join([*(kind.tag["answer"] for kind in kinds), Cancel.tag["answer"]])
+                    raise MessageError(f"answer {word!r} is not understood; allowed: {allowed}")
+                if isinstance(answer, By | To) and not (math.isfinite(answer.x_mrad) and math.isfinite(answer.y_mrad)):
+                    raise MessageError("x_mrad or y_mrad is null; allowed: a finite number")
+                return answer
             except TimeoutError:
-                self._tell_level()
-                continue
-            except InputError as wrong:
-                self._tell("refused", sentence=str(wrong))
-                continue
-            if content is None:
-                raise InputError(f"standard input: ended before {before}")
-            word = content.get("answer")
-            if word == "cancel":
-                raise KeyboardInterrupt
-            if not isinstance(word, str) or word not in words:
-                sentence = f"answer {word!r} is not understood; allowed: {', '.join((*words, 'cancel'))}"
-            elif wrong_key := next((key for key in words[word] if not _is_number(content.get(key))), ""):
-                sentence = f"{word}: {wrong_key} is {content.get(wrong_key)!r}; allowed: a finite number"
-            else:
-                return content
-            self._tell("refused", sentence=sentence)
+                self._publish_level()
+            except EndedError:
+                raise
+            except (InputError, MessageError) as wrong:
+                self._publish(Refused(one_line(str(wrong), 300)))
 
-    def _tell_level(self) -> None:
+    def _publish_level(self) -> None:
         try:
-            level = self._hear()
+            self._publish(level_measured(self._hear()))
         except InstrumentError as failure:
-            # The beam can be jogged by eye alone; what needs the inputs will say so in its turn.
+            # The beam can be jogged by eye alone; a step that needs the inputs fails by itself.
             self._hears = False
-            tell_fault(self._tell, failure)
-            return
-        self._tell("level", **asdict(level), light=None)
+            self._publish(faulted(failure))
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+class EndedError(InputError):
+    """Standard input has ended before a question was answered."""
 
 
 def forget_typed() -> None:
