@@ -141,6 +141,7 @@ class Virtual(Table):
 
     seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 1
     noise_v: NonNegative | None = None
+    plate: Literal["soft", "stadium"] = "soft"
     fault_plan: tuple[Fault, ...] = ()
     room_c: Course = ()
     light: Course = ()

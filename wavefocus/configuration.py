@@ -274,6 +274,8 @@ def _virtual_essence(rig: RigConfig, run: RunConfig) -> dict[str, object] | None
     if not rig.is_virtual:
         return None
     essence: dict[str, object] = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
+    if run.virtual and run.virtual.plate != Virtual().plate:
+        essence["plate"] = run.virtual.plate
     if not rig.emulation.is_flawless:
         essence["emulation"] = rig.emulation.truth()
     return essence

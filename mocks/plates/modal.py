@@ -1,0 +1,94 @@
+"""Plates by their modes: a response is a sum over modes of a shape times a function of frequency."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, rfft
+
+from mocks.plates import Complex64Array, Complex128Array, Plate
+from mocks.plates.soft_table import impulse_length
+
+Float64Array = NDArray[np.float64]
+
+POSITIONS_AT_ONCE = 64
+
+
+class ModalPlate(Plate):
+    """A plate whose responses are sums over modes.
+
+    What it costs is proportional to the places, actuators, modes and frequencies asked for.
+    """
+
+    def __init__(
+        self,
+        actuator_mm: Float64Array,
+        surface_mm: tuple[float, float],
+        chain: Callable[[Float64Array], Complex128Array],
+    ) -> None:
+        super().__init__(actuator_mm, surface_mm, chain)
+        self._table = lru_cache(6)(self._make_table)
+        self._cut_table = lru_cache(1)(self._make_cut_table)
+        self._mean_power = lru_cache(1)(self._find_mean_power)
+
+    @abstractmethod
+    def coefficients(self, place_mm: Float64Array) -> Float64Array:
+        """How much of every mode reaches places (n, 2) from each actuator: float64 (n, actuators, modes)."""
+
+    @abstractmethod
+    def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
+        """Velocity of every mode at frequencies >= 0 for a unit force on it: complex128 (modes, frequencies)."""
+
+    def response(
+        self, place_mm: tuple[float, float], step_hz: float, bins: int, *, single: bool
+    ) -> Complex64Array | Complex128Array:
+        part = self.coefficients(np.array([place_mm], dtype=np.float64))[0]
+        return _product(part, self._table(step_hz, bins, single))
+
+    def fir_spectra(
+        self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
+    ) -> Complex128Array:
+        table = self._cut_table(taps, sample_rate_hz, length, bins.start, bins.stop)
+        place = np.asarray(position_mm, dtype=np.float64).reshape(-1, 2)
+        spectra = np.empty((len(place), len(self._actuator_mm), table.shape[1]), dtype=np.complex128)
+        for first in range(0, len(place), POSITIONS_AT_ONCE):
+            some = slice(first, first + POSITIONS_AT_ONCE)
+            spectra[some] = _product(self.coefficients(place[some]), table)
+        return spectra
+
+    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
+        weight = self._mean_power()
+        return np.asarray(np.sqrt(weight @ np.square(np.abs(self.mode_velocities(frequency_hz)))))
+
+    def _make_table(self, step_hz: float, bins: int, single: bool) -> NDArray[np.complexfloating]:
+        frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
+        table = self.mode_velocities(frequency_hz) * self._chain(frequency_hz)
+        return table.astype(np.complex64) if single else table
+
+    def _make_cut_table(
+        self, taps: int, sample_rate_hz: float, length: int, start: int, stop: int
+    ) -> NDArray[np.complexfloating]:
+        full = impulse_length(taps, sample_rate_hz)
+        frequency_hz = sample_rate_hz / full * np.arange(full // 2 + 1, dtype=np.float64)
+        spectra = self.mode_velocities(frequency_hz) * self._chain(frequency_hz)
+        # Folded, a transform of any length has the values at its frequencies.
+        folded = np.zeros((len(spectra), -(-taps // length) * length))
+        folded[:, :taps] = irfft(spectra, full)[:, :taps]
+        return np.asarray(rfft(folded.reshape(len(spectra), -1, length).sum(axis=1))[:, start:stop])
+
+    def _find_mean_power(self) -> Float64Array:
+        """Mean square of every mode's coefficients, over places around the middle and actuators."""
+        x_mm, y_mm = np.meshgrid(*(np.linspace(-0.3, 0.3, 7) * side for side in self._surface_mm))
+        part = self.coefficients(np.column_stack([x_mm.ravel(), y_mm.ravel()]))
+        return np.asarray(np.square(part).mean(axis=(0, 1)))
+
+
+def _product(part: Float64Array, table: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+    """Real coefficients (..., modes) times complex spectra (modes, bins), as one product of real matrices."""
+    real = table.view(table.real.dtype)
+    product = part.reshape(-1, len(table)).astype(real.dtype) @ real
+    return np.asarray(product.view(table.dtype).reshape(*part.shape[:-1], table.shape[1]))

@@ -1,0 +1,74 @@
+"""Every virtual plate is captured, killed, resumed and verified like the first."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from wavefocus.__main__ import run
+
+RIG = """
+[surface]
+length_mm = 90.0
+width_mm = 60.0
+
+[actuators]
+position_mm = [[39.0, 0.0], [10.0, 24.0], [-38.0, 8.0], [-5.0, -24.0]]
+"""
+
+RUN = """
+rig = "rig.toml"
+
+[grid]
+spacing_mm = 4.0
+margin_mm = 18.0
+
+[sweep]
+duration_s = 0.3
+
+[capture]
+averages = 2
+taps = 2000
+
+[virtual]
+plate = "{plate}"
+"""
+
+SCENE = """
+[[source]]
+speed_mm_s = 80.0
+step_mm = 4.0
+path = { kind = "line", start_mm = [-16, 0], end_mm = [16, 0] }
+signal = { kind = "impulse" }
+"""
+
+
+@pytest.mark.parametrize("plate", ["soft", "stadium"])
+def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plate: str
+) -> None:
+    monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
+    for name, text in (("rig.toml", RIG), ("run.toml", RUN.replace("{plate}", plate)), ("scene.toml", SCENE)):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    quiet, bank = tmp_path / "quiet.h5", tmp_path / "plate.h5"
+    assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(quiet)]) == 0
+    start = [sys.executable, "-m", "wavefocus", "capture", str(tmp_path / "run.toml"), "--bank", str(bank), "--json"]
+    with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            event = json.loads(line)
+            if event["event"] == "progress" and event["done"] >= 3:
+                child.kill()
+                break
+    assert run(["resume", str(bank)]) == 0
+    assert bank.read_bytes() == quiet.read_bytes()
+    assert run(["check", str(bank)]) == 0
+    out = tmp_path / "verify"
+    assert run(["verify", str(tmp_path / "scene.toml"), "--bank", str(bank), "--rig", str(tmp_path / "rig.toml"),
+                "--out", str(out)]) == 0  # fmt: skip
+    percent = {figure["name"]: figure["value"] for figure in json.loads((out / "verify.json").read_text())["figures"]}
+    assert percent["normalised error"] < 1.0

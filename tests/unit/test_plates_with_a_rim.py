@@ -1,0 +1,160 @@
+"""Plates whose rim reflects waves, against closed forms of disk and rectangle, and against all their elements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import h2vp, hankel2, jv, jvp
+
+from config.run import Virtual
+from mocks.plates import PLATES
+from mocks.plates.finite_elements import Elements, ritz_modes, spacing_mm, triangulate
+from mocks.plates.outline import Outline, Segment
+from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
+from mocks.plates.stadium import StadiumPlate
+
+HIGHEST_HZ = 500.0
+SPACING_MM = spacing_mm(SOFT_PLATE, HIGHEST_HZ)
+DISK_MM = 40.0
+SOURCE_MM = np.array([[30.0, 0.0], [5.0, -8.0]])
+PLACE_MM = np.array([[-20.0, 11.0], [0.0, 24.0], [12.0, -3.0], [-33.0, -2.0]])
+STADIUM_MM = (70.0, 40.0)
+ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0], [-24.0, -5.0]])
+
+
+@pytest.fixture(scope="module")
+def disk() -> Elements:
+    return Elements(triangulate(Outline.disk(DISK_MM), SPACING_MM))
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def _mean_over_disk(k: complex) -> complex:
+    argument = k * MAGNET_RADIUS_MM / 1e3
+    return complex(2 * jv(1, argument) / argument)
+
+
+def _disk_response(k: complex, place_mm: np.ndarray, source_mm: np.ndarray, rim: complex) -> complex:
+    """The field of a small disk in a round plate with dy/dn = -rim y: a series over angle (Graf's theorem)."""
+    (place, source), radius = (np.hypot(*point) / 1e3 for point in (place_mm, source_mm)), DISK_MM / 1e3
+    angle = np.arctan2(place_mm[1], place_mm[0]) - np.arctan2(source_mm[1], source_mm[0])
+    total = 0j
+    for m in range(61):
+        away = (k * h2vp(m, k * radius) + rim * hankel2(m, k * radius)) / (
+            k * jvp(m, k * radius) + rim * jv(m, k * radius)
+        )
+        near, far = sorted((place, source))
+        term = jv(m, k * near) * (hankel2(m, k * far) - away * jv(m, k * far))
+        total += (1 if m == 0 else 2) * np.cos(m * angle) * term
+    return complex(-0.25j * total * _mean_over_disk(k))
+
+
+@pytest.mark.parametrize("admittance", [0.0, 1.0])
+@pytest.mark.parametrize("frequency_hz", [50.0, 250.0, 450.0])
+def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form(
+    disk: Elements, frequency_hz: float, admittance: float
+) -> None:
+    k = complex(SOFT_PLATE.wavenumber(frequency_hz))
+    rim = 2j * np.pi * frequency_hz * admittance / SOFT_PLATE.speed_m_s
+    solved = disk.values_at(PLACE_MM, disk.solve(SOFT_PLATE, admittance, frequency_hz, disk.forces(SOURCE_MM)))
+    exact = np.array([[_disk_response(k, place, source, rim) for source in SOURCE_MM] for place in PLACE_MM])
+    assert np.linalg.norm(solved - exact) < 5e-3 * np.linalg.norm(exact)
+
+
+def test_given_a_rectangle_then_the_elements_agree_with_its_modes() -> None:
+    length_mm, width_mm = 70.0, 46.0
+    elements = Elements(triangulate(Outline.rectangle(length_mm, width_mm), SPACING_MM))
+    k = complex(SOFT_PLATE.wavenumber(450.0))
+    across, along = np.meshgrid(np.pi * np.arange(600) / length_mm, np.pi * np.arange(600) / width_mm)
+    weight = np.where(across > 0, 2, 1) * np.where(along > 0, 2, 1) / (length_mm * width_mm * 1e-6)
+    wave = 1e3 * np.hypot(across, along)
+    argument = np.maximum(wave, 1e-9) * MAGNET_RADIUS_MM / 1e3
+    weight = weight * 2 * jv(1, argument) / argument / (wave**2 - k**2)
+
+    def shape(point_mm: np.ndarray) -> np.ndarray:
+        x, y = point_mm[0] + length_mm / 2, point_mm[1] + width_mm / 2
+        return np.cos(across * x) * np.cos(along * y)
+
+    source_mm, place_mm = np.array([[25.0, 0.0], [5.0, -15.0]]), np.array([[-20.0, 11.0], [0.0, 17.0], [-30.0, -2.0]])
+    exact = [[np.sum(weight * shape(place) * shape(source)) for source in source_mm] for place in place_mm]
+    solved = elements.values_at(place_mm, elements.solve(SOFT_PLATE, 0.0, 450.0, elements.forces(source_mm)))
+    assert np.linalg.norm(solved - exact) < 5e-3 * np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize("frequency_hz", [20.0, 123.0, 377.0, 450.0, 500.0])
+def test_given_few_modes_then_they_agree_with_all_elements(disk: Elements, frequency_hz: float) -> None:
+    modes = ritz_modes(disk, SOURCE_MM, SOFT_PLATE, 0.0, HIGHEST_HZ)
+    gap = modes.stiffness - complex(SOFT_PLATE.wavenumber(frequency_hz)) ** 2
+    few = (disk.values_at(PLACE_MM, modes.shapes) / gap) @ modes.force
+    solved = disk.values_at(PLACE_MM, disk.solve(SOFT_PLATE, 0.0, frequency_hz, disk.forces(SOURCE_MM)))
+    assert np.linalg.norm(few - solved) < 2e-3 * np.linalg.norm(solved)
+
+
+@pytest.mark.parametrize("admittance", [0.0, 0.7])
+def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Path, admittance: float) -> None:
+    plate = StadiumPlate(ACTUATOR_MM, STADIUM_MM, np.ones_like, rim_admittance=admittance)
+    elements = Elements(triangulate(Outline.stadium(*STADIUM_MM), SPACING_MM))
+    response = plate.response((-8.0, 3.0), 50.0, 11, single=False)
+    assert np.abs(response[:, 0]).max() < 1e-5 * np.abs(response).max()
+    for place in range(1, 11):
+        solved = elements.solve(SOFT_PLATE, admittance, 50.0 * place, elements.forces(ACTUATOR_MM))
+        velocity = 2j * np.pi * 50.0 * place * elements.values_at(np.array([[-8.0, 3.0]]), solved)[0]
+        assert np.linalg.norm(response[:, place] - velocity) < 3e-3 * np.linalg.norm(velocity)
+    single = plate.response((-8.0, 3.0), 50.0, 11, single=True)
+    assert single.dtype == np.complex64
+    assert np.linalg.norm(single - response) < 1e-5 * np.linalg.norm(response)
+
+
+def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache: Path) -> None:
+    plate = StadiumPlate(ACTUATOR_MM, STADIUM_MM, lambda hertz: 1 / (1 + 1j * hertz / 800.0) ** 4)
+    rate_hz, taps, length = 10_000.0, 400, 512
+    spectra = plate.fir_spectra(PLACE_MM[:2] / 2, taps, rate_hz, length, slice(3, 30))
+    full = 4 * 2700  # the plate's slowest motion decays within a second
+    for place, found in zip(PLACE_MM[:2] / 2, spectra, strict=True):
+        response = plate.response(tuple(place), rate_hz / full, full // 2 + 1, single=False)
+        wanted = np.fft.rfft(np.fft.irfft(response, full)[:, :taps], length)[:, 3:30]
+        assert np.linalg.norm(found - wanted) < 1e-6 * np.linalg.norm(wanted)
+
+
+def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(cache: Path) -> None:
+    first = StadiumPlate(ACTUATOR_MM, STADIUM_MM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
+    (file,) = cache.iterdir()
+    content = file.read_bytes()
+    second = StadiumPlate(ACTUATOR_MM, STADIUM_MM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
+    assert file.read_bytes() == content
+    file.write_bytes(content[:1000])
+    third = StadiumPlate(ACTUATOR_MM, STADIUM_MM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
+    assert len(file.read_bytes()) == len(content)
+    # The first has shapes in double precision.
+    assert np.linalg.norm(second - first) < 1e-6 * np.linalg.norm(first)
+    assert np.linalg.norm(third - first) < 1e-6 * np.linalg.norm(first)
+
+
+def test_given_outlines_then_area_and_depth_are_theirs() -> None:
+    assert Outline.stadium(250.0, 150.0).area_mm2 == pytest.approx(np.pi * 75.0**2 + 100.0 * 150.0, rel=1e-5)
+    assert Outline.disk(40.0).area_mm2 == pytest.approx(np.pi * 1600.0, rel=1e-5)
+    depth = Outline.rectangle(100.0, 50.0).depth_mm([[0, 0], [49, 0], [60, 0], [45, -24]])
+    assert depth == pytest.approx([25.0, 1.0, -10.0, 1.0], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "segments",
+    [
+        (Segment((0, 0), (1, 0)), Segment((1, 0), (0, 1))),  # open
+        (Segment((0, 0), (0, 1)), Segment((0, 1), (1, 0)), Segment((1, 0), (0, 0))),  # clockwise
+    ],
+)
+def test_given_no_outline_of_a_plate_then_it_is_refused(segments: tuple[Segment, ...]) -> None:
+    with pytest.raises(ValueError, match="outline"):
+        Outline(segments)
+
+
+def test_the_run_file_takes_every_plate() -> None:
+    for name in PLATES.all():
+        assert Virtual(plate=name).plate == name  # type: ignore[arg-type]
