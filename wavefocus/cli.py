@@ -153,7 +153,7 @@ def _plan(interpolation_error: float, wave_speed: float, attenuation: float, **r
     plan(waves=Waves(interpolation_error, wave_speed, attenuation), **rest)
 
 
-def _order(word: str) -> Callable[..., int]:
+def _order(word: Any) -> Callable[..., int]:
     def order(bank: Path, wait_s: float, *, as_json: bool) -> int:
         from wavefocus.commands.status import order as give
 

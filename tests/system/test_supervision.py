@@ -15,6 +15,7 @@ from pathlib import Path
 import h5py
 import pytest
 
+from acquisition.engine.events import PositionCommitted, SessionEnded, State, StateChanged
 from tests.system.captures import Listener, capture, empty_bank, events_of, states_of
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
@@ -277,7 +278,7 @@ def test_given_a_signal_then_exit_130_and_the_mirror_is_parked(lab: Path, number
     assert ended[-1]["event"] == "session_ended"
     assert ended[-1]["state"] == "stopped"
     if number == "SIGHUP":
-        assert any("terminal was closed" in str(one.get("reason")) for one in last_events(bank))
+        assert any("terminal was closed" in str(getattr(one.event, "reason", "")) for one in last_events(bank))
         assert any(one["event"] == "position_committed" for one in ended)  # the one under way was finished
 
 
@@ -292,8 +293,9 @@ def test_given_nobody_who_reads_what_is_told_then_the_campaign_goes_on(lab: Path
     child.stderr.close()
     # Parking fails in the end, which nobody can read: the exit code alone tells it.
     assert child.wait(timeout=60) == 3
-    newest = next(last_events(bank))
-    assert (newest["event"], newest["state"], newest["done"]) == ("session_ended", "finished", 6)
+    newest = next(last_events(bank)).event
+    assert isinstance(newest, SessionEnded)
+    assert (newest.state, newest.done) == (State.FINISHED, 6)
 
 
 @POSIX
@@ -310,7 +312,7 @@ def test_given_a_terminal_that_is_closed_then_the_position_is_finished_and_the_l
     until_s = time.monotonic() + 60.0
     told = b""
     try:
-        while not any(one["event"] == "position_committed" for one in last_events(bank)):
+        while not any(isinstance(one.event, PositionCommitted) for one in last_events(bank)):
             assert time.monotonic() < until_s, told
             if select.select([terminal], [], [], 0.1)[0]:
                 told += os.read(terminal, 65536)
@@ -318,7 +320,7 @@ def test_given_a_terminal_that_is_closed_then_the_position_is_finished_and_the_l
         os.close(terminal)
     _, how = os.waitpid(pid, 0)
     assert os.waitstatus_to_exitcode(how) == 130
-    reasons = [str(one["reason"]) for one in last_events(bank) if one["event"] == "state_changed"]
+    reasons = [one.event.reason for one in last_events(bank) if isinstance(one.event, StateChanged)]
     assert "stopped because its terminal was closed" in reasons[0]
     assert run(["resume", str(bank)]) == 0
 

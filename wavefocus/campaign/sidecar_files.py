@@ -9,14 +9,27 @@ import os
 import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
-from acquisition.engine.events import Drift, Event, State, event_line
+from acquisition.engine.events import (
+    Drift,
+    Event,
+    Fault,
+    Logged,
+    ReconnectTried,
+    SessionEnded,
+    State,
+    StateChanged,
+    event_line,
+    read_event,
+)
 from acquisition.quality.limits import DriftPoint
 from acquisition.schedule.row_ranges import row_ranges
+from config.messages.codec import Message, from_record
 from storage.sidecar_files import Log, create, is_replaceable
 from wavefocus.console import say
 
@@ -122,27 +135,20 @@ class EventLog:
 _BLOCK_BYTES = 65536
 
 
-def last_events(bank: Path) -> Iterator[dict[str, object]]:
+def last_events(bank: Path) -> Iterator[Logged]:
     """The latest events of a bank's log, newest first; nothing when there is no log.
 
-    The log is read backwards and no further than asked for. A torn last line (the machine lost
-    power) is passed over.
+    The log is read backwards and no further than asked for. Lines that are no events are passed over: the last one
+    is torn when the machine lost power.
     """
-    for line in _lines_backwards(log_path(bank)):
-        try:
-            record = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(record, dict):
-            yield record
+    return (logged for line in _lines_backwards(log_path(bank)) if (logged := read_event(line)) is not None)
 
 
 def session_failure(bank: Path, since: datetime) -> str:
     """Failure of the session that ended last, as of `SessionEnded`; empty where none ended after an instant."""
-    for event in last_events(bank):
-        if event.get("event") == "session_ended":
-            ended = datetime.fromisoformat(str(event["at"])) >= since.astimezone(UTC).replace(microsecond=0)
-            return str(event.get("failure", "")) if ended else ""
+    for logged in last_events(bank):
+        if isinstance(logged.event, SessionEnded):
+            return logged.event.failure if logged.at >= since.astimezone(UTC).replace(microsecond=0) else ""
     return ""
 
 
@@ -192,15 +198,10 @@ class DriftHistory:
 
 def read_drift(bank: Path) -> list[DriftPoint]:
     """The drift history of a bank, oldest first; empty where there is none. Torn lines are passed over."""
-    path = drift_path(bank)
-    if not path.is_file():
-        return []
     points = []
-    for line in path.read_bytes().splitlines():
-        try:
-            points.append(_point(json.loads(line)))
-        except (ValueError, TypeError, KeyError):
-            continue
+    for line in drift_path(bank).read_bytes().splitlines() if drift_path(bank).is_file() else ():
+        with suppress(ValueError, TypeError):
+            points.append(from_record(DriftPoint, json.loads(line)))
     return points
 
 
@@ -209,52 +210,53 @@ def suspect_rows(points: list[DriftPoint]) -> str:
     return row_ranges(points[-1].suspect) if points else ""
 
 
-def _point(record: Mapping[str, object]) -> DriftPoint:
-    at = datetime.fromisoformat(str(record["at"]))
-    at.utctimetuple()
-    suspect = record["suspect"]
-    return DriftPoint(
-        at,
-        level_db=float(str(record["level_db"])),
-        delay_samples=float(str(record["delay_samples"])),
-        correlation=float(str(record["correlation"])),
-        verdict=str(record["verdict"]),
-        suspect=tuple(int(row) for row in suspect) if isinstance(suspect, list) else (),
-    )
-
-
 GOING_ON = frozenset({State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING})
 
 
+@dataclass(frozen=True)
+class Recovering(Message):
+    """The instrument that a campaign waits for, and the tries to connect to it again."""
+
+    instrument: str | None = None
+    tries: int | None = None
+    outcome: str | None = None
+    next_try_s: float | None = None
+    gives_up_s: float | None = None
+
+
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """What a session's log says of its state, since when, why, and of the instrument it waits for."""
+class CampaignState:
+    """State of a session by its log, since when, why, and the instrument it waits for."""
 
     state: State
     since: str | None = None
     reason: str | None = None
-    recovering: dict[str, object] | None = None
+    recovering: Recovering | None = None
 
 
-def standing(events: Iterator[dict[str, object]]) -> Standing:
+def campaign_state(events: Iterator[Logged]) -> CampaignState:
     """The state that a running process logged last; idle while it has not begun its session."""
-    last_try: dict[str, object] | None = None
-    for event in events:
-        match event:
-            case {"event": "reconnect_tried"} if last_try is None:
-                last_try = event
-            case {"event": "state_changed", "state": State.RECOVERING, "at": str(at), "reason": str(reason)}:
-                # Before the first try has ended, the fault that came before tells which instrument it is.
-                fault = last_try or next((event for event in events if event.get("event") == "fault"), {})
-                keys = {"instrument": "instrument", "number": "tries", "outcome": "outcome",
-                        "next_try_s": "next_try_s", "gives_up_s": "gives_up_s"}  # fmt: skip
-                return Standing(State.RECOVERING, at, reason, {new: fault.get(key) for key, new in keys.items()})
-            case {"event": "state_changed", "state": str(state), "at": str(at), "reason": str(reason)} if (
-                state in GOING_ON
-            ):
-                return Standing(State(state), at, reason)
-            case {"event": "state_changed" | "session_ended"}:
+    recovering: Recovering | None = None
+    for logged in events:
+        match logged.event:
+            case ReconnectTried() as tried if recovering is None:
+                recovering = Recovering(
+                    tried.instrument, tried.number, tried.outcome, tried.next_try_s, tried.gives_up_s
+                )
+            case StateChanged(state=State.RECOVERING, reason=reason):
+                if recovering is None:  # before the first try has ended, the fault before names the instrument
+                    fault = next((one.event for one in events if isinstance(one.event, Fault)), None)
+                    recovering = Recovering() if fault is None else Recovering(fault.instrument)
+                return CampaignState(State.RECOVERING, instant(logged.at), reason, recovering)
+            case StateChanged(state=state, reason=reason) if state in GOING_ON:
+                return CampaignState(state, instant(logged.at), reason)
+            case StateChanged() | SessionEnded():
                 break
             case _:
                 pass
-    return Standing(State.IDLE)
+    return CampaignState(State.IDLE)
+
+
+def instant(at: datetime) -> str:
+    """An instant as logs have it."""
+    return at.isoformat(timespec="milliseconds")

@@ -11,10 +11,12 @@ import threading
 import time
 import uuid
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import TracebackType
+from typing import Any, Literal
 
 from acquisition.engine.events import (
     Event,
@@ -23,28 +25,22 @@ from acquisition.engine.events import (
     Progress,
     SessionEnded,
     SessionStarted,
+    State,
     StateChanged,
 )
 from acquisition.engine.stop_request import StopRequest
+from config.messages.codec import Message, MessageError, from_record, to_record
 from wavefocus.campaign.sidecar_files import read_whole, write_whole
 from wavefocus.console import say
 
-WORDS = ("pause", "go-on", "stop")
+Word = Literal["pause", "go-on", "stop"]
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
-    """One order.
+@dataclass(frozen=True)
+class Order(Message):
+    """An order to a running capture; its heartbeat repeats the number once the order was taken."""
 
-    Parameters
-    ----------
-    word : str
-        One of `WORDS`.
-    number : str
-        What the capture repeats in its heartbeat, so that the order is known to have been heard.
-    """
-
-    word: str
+    order: Word
     number: str
 
 
@@ -53,13 +49,13 @@ def orders_path(bank: Path) -> Path:
     return bank.with_name(bank.name + ".orders")
 
 
-def give_order(bank: Path, word: str) -> Order:
+def give_order(bank: Path, word: Word) -> Order:
     """Lay an order; one that was not yet taken is replaced.
 
     Raises OSError: the file cannot be written.
     """
     order = Order(word, uuid.uuid4().hex)
-    write_whole(orders_path(bank), {"order": order.word, "number": order.number}, by_many=True)
+    write_whole(orders_path(bank), to_record(order), by_many=True)
     return order
 
 
@@ -69,21 +65,22 @@ def take_order(bank: Path) -> Order | None:
     Raises OSError: it cannot be taken away.
     """
     path = orders_path(bank)
-    if not path.exists():
-        return None
-    found = _taken(path)
-    word, number = found.get("order"), found.get("number")
-    return Order(word, number) if isinstance(word, str) and word in WORDS and isinstance(number, str) else None
+    return _order(_taken(path)) if path.exists() else None
 
 
 def withdraw(bank: Path, order: Order) -> None:
     """Take an order back that nobody took."""
     path = orders_path(bank)
-    found = read_whole(path)
-    if found is not None and found.get("number") == order.number:
+    if _order(read_whole(path) or {}) == order:
         taken = _taken(path)
-        if taken.get("number") not in (None, order.number):  # another one was laid in its place meanwhile
+        if _order(taken) not in (None, order):  # another one was laid in its place meanwhile
             write_whole(path, taken, by_many=True)
+
+
+def _order(record: Mapping[str, object]) -> Order | None:
+    with suppress(MessageError):
+        return from_record(Order, record)
+    return None
 
 
 def _taken(path: Path) -> Mapping[str, object]:
@@ -109,34 +106,19 @@ def heartbeat_path(bank: Path) -> Path:
     return bank.with_name(bank.name + ".heartbeat")
 
 
-@dataclass(frozen=True, slots=True)
-class Heartbeat:
-    """What a capture says of itself.
+@dataclass(frozen=True)
+class Heartbeat(Message):
+    """State of a running capture, written every second.
 
-    Parameters
-    ----------
-    at : datetime
-        When.
-    pid, host : int, str
-        Who.
-    state, reason, since : str, str, datetime
-        Where it stands, why, and since when.
-    position : int, optional
-        What it measures.
-    done, total : int
-        Positions.
-    remaining_s : float, optional
-        On the wall's clock; None before the first position.
-    fault : str
-        The latest fault in words; empty where there was none.
-    order : str
-        Number of the latest order that it took; empty where there was none.
+    `since` is when it entered its state, `position` the one being measured, `remaining_s` by the wall's clock (None
+    before the first position), `fault` the latest in words and `order` the number of the latest order taken, both
+    empty where there was none.
     """
 
     at: datetime
     pid: int
     host: str
-    state: str = "idle"
+    state: State = State.IDLE
     reason: str = ""
     since: datetime | None = None
     position: int | None = None
@@ -157,67 +139,59 @@ class Heartbeat:
 
 
 class Pulse:
-    """Gathers from a campaign's events what the next beat will say.
-
-    The attributes are replaced one by one; a beat between two of them is right a second later.
-    """
+    """Gathers a campaign's events for the next heartbeat."""
 
     def __init__(self) -> None:
-        self._said: dict[str, object] = {}
+        self._beat = Heartbeat(datetime.now(UTC), os.getpid(), socket.gethostname())
+        self._lock = threading.Lock()  # events come from the campaign's thread, orders from the attendance's
 
     def note(self, event: Event) -> bool:
-        """Take an event up; tells whether it is worth a beat at once."""
+        """Take an event; True where a heartbeat is due at once."""
         match event:
             case SessionStarted():
-                self._said |= {"done": event.done, "total": event.positions}
+                self._set(done=event.done, total=event.positions)
             case StateChanged():
-                self._said |= {"state": str(event.state), "reason": event.reason, "since": datetime.now(UTC)}
-                return True
+                self._set(state=event.state, reason=event.reason, since=datetime.now(UTC))
             case PositionStarted():
-                self._said["position"] = event.position
+                self._set(position=event.position)
             case Progress():
-                self._said |= {"done": event.done, "total": event.total, "remaining_s": event.wall_remaining_s}
+                self._set(done=event.done, total=event.total, remaining_s=event.wall_remaining_s)
             case Fault():
-                self._said["fault"] = f"{event.instrument}: {event.operation}: {event.cause}"
+                self._set(fault=f"{event.instrument}: {event.operation}: {event.cause}")
             case SessionEnded():
-                self._said |= {"done": event.done, "position": None}
-                return True
+                self._set(done=event.done, position=None)
             case _:
                 pass
-        return False
+        return isinstance(event, StateChanged | SessionEnded)
 
     def took(self, order: Order) -> None:
-        """Let the next beat acknowledge an order."""
-        self._said["order"] = order.number
+        """Let the next heartbeat acknowledge an order."""
+        self._set(order=order.number)
 
     def beat(self) -> Heartbeat:
-        """What there is to say now."""
-        return Heartbeat(datetime.now(UTC), os.getpid(), socket.gethostname(), **dict(self._said))  # type: ignore[arg-type]
+        """The heartbeat now."""
+        return replace(self._beat, at=datetime.now(UTC))
+
+    def _set(self, **facts: Any) -> None:
+        with self._lock:
+            self._beat = replace(self._beat, **facts)
 
 
 def write_heartbeat(bank: Path, beat: Heartbeat) -> None:
-    """Write a beat.
+    """Write a heartbeat.
 
     Raises OSError: it cannot be written.
     """
-    content = {key: value.isoformat() if isinstance(value, datetime) else value for key, value in asdict(beat).items()}
     finish = beat.finish_at
-    write_whole(heartbeat_path(bank), {**content, "finish_at": finish.isoformat() if finish else None})
+    content = {**to_record(beat), "finish_at": None if finish is None else finish.isoformat()}
+    write_whole(heartbeat_path(bank), content)
 
 
 def read_heartbeat(bank: Path) -> Heartbeat | None:
-    """The latest beat; None where there is none that can be read."""
-    found = read_whole(heartbeat_path(bank))
-    if found is None:
-        return None
-    found.pop("finish_at", None)
-    try:
-        at, since = datetime.fromisoformat(str(found.pop("at"))), found.pop("since", None)
-        beat = Heartbeat(at, since=None if since is None else datetime.fromisoformat(str(since)), **found)  # type: ignore[arg-type]
-        _ = beat.age_s()  # only an instant with a time zone has one
-    except (TypeError, ValueError, KeyError):
-        return None
-    return beat
+    """The latest heartbeat; None where there is none that can be read."""
+    with suppress(MessageError):
+        return from_record(Heartbeat, read_whole(heartbeat_path(bank)) or {})
+    return None
 
 
 LISTENS_EVERY_S = 0.2
@@ -271,12 +245,7 @@ class Attendance:
         self._beat()
 
     def _obey(self, order: Order) -> None:
-        if order.word == "pause":
-            self._stop.pause()
-        elif order.word == "go-on":
-            self._stop.go_on()
-        else:
-            self._stop.finish_position()
+        {"pause": self._stop.pause, "go-on": self._stop.go_on, "stop": self._stop.finish_position}[order.order]()
         self._pulse.took(order)
 
     def _take(self) -> Order | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,16 +12,41 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from acquisition.durations import a_while, hours
-from acquisition.engine.events import Progress, State
+from acquisition.engine.events import (
+    PositionKept,
+    PositionStarted,
+    Progress,
+    RecordTaken,
+    SessionEnded,
+    SessionStarted,
+    State,
+)
 from acquisition.schedule.row_ranges import row_ranges
+from config.messages.codec import to_record
 from storage.bank.reading import open_bank
 from storage.errors import InputError
 from storage.ledger.owner import Owner, bank_owner
 from storage.output_files import require_outputs, write_whole
 from storage.point_status import median_snr_db, status_counts
 from wavefocus.campaign.campaign_view import remaining
-from wavefocus.campaign.sidecar_files import Standing, drift_path, last_events, read_drift, standing, suspect_rows
-from wavefocus.campaign.supervision import SILENT_AFTER_S, Heartbeat, give_order, read_heartbeat, resume_line, withdraw
+from wavefocus.campaign.sidecar_files import (
+    CampaignState,
+    campaign_state,
+    drift_path,
+    instant,
+    last_events,
+    read_drift,
+    suspect_rows,
+)
+from wavefocus.campaign.supervision import (
+    SILENT_AFTER_S,
+    Heartbeat,
+    Word,
+    give_order,
+    read_heartbeat,
+    resume_line,
+    withdraw,
+)
 from wavefocus.console import answer, say
 from wavefocus.exits import Exit
 
@@ -52,11 +77,12 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
     owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
     pace = _pace(bank) if owner else _Pace()
+    progress = pace.progress
     kept = _kept(bank)
-    stands = standing(last_events(bank)) if owner else Standing(State.IDLE)
+    stands = campaign_state(last_events(bank)) if owner else CampaignState(State.IDLE)
     if stands.state is State.IDLE and owner is not None and beat is not None and beat.pid == owner.pid:
         # The log is the quicker of the two, but a full disk may have ended it.
-        stands = Standing(State(beat.state), beat.since.isoformat() if beat.since else None, beat.reason)
+        stands = CampaignState(beat.state, beat.since.isoformat() if beat.since else None, beat.reason)
     if plot is not None:
         _draw(bank, drift, plot)
     facts: dict[str, object] = {
@@ -69,16 +95,18 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         "state": stands.state,
         "state_since": stands.since,
         "state_reason": stands.reason,
-        "recovering": stands.recovering,
+        "recovering": None if stands.recovering is None else to_record(stands.recovering),
         "owner": {"host": owner.host, "pid": owner.pid} if owner else None,
         "last_sign_of_life": _life_facts(beat),
         "silent": owner is not None and _is_silent(beat),
-        "positions_per_hour": pace.progress.get("positions_per_hour"),
-        "remaining_s": pace.progress.get("remaining_s", pace.planned_s),
-        "wall_positions_per_hour": pace.progress.get("wall_positions_per_hour"),
-        "wall_remaining_s": pace.progress.get("wall_remaining_s"),
-        "record": pace.record,
-        "last_event_at": next((event.get("at") for event in last_events(bank)), None),
+        "positions_per_hour": progress and progress.positions_per_hour,
+        "remaining_s": progress.remaining_s if progress else pace.planned_s,
+        "wall_positions_per_hour": progress and progress.wall_positions_per_hour,
+        "wall_remaining_s": progress and progress.wall_remaining_s,
+        "record": None
+        if pace.record is None
+        else {"position": pace.record.position, "number": pace.record.record, "of": pace.record.records},
+        "last_event_at": next((instant(logged.at) for logged in last_events(bank)), None),
         "suspect_positions": suspect_rows(drift),
         "moved_positions": moved,
         "kept_positions": [{"position": position, "reason": reason} for position, reason in kept.items()],
@@ -122,11 +150,11 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
 def _kept(bank: Path) -> dict[int, str]:
     """Positions that the latest session measured and left as they were, and why."""
     kept: dict[int, str] = {}
-    for event in last_events(bank):
-        if event.get("event") == "session_started":
+    for logged in last_events(bank):
+        if isinstance(logged.event, SessionStarted):
             break
-        if event.get("event") == "position_kept":
-            kept[int(str(event["position"]))] = str(event["reason"])
+        if isinstance(logged.event, PositionKept):
+            kept[logged.event.position] = logged.event.reason
     return dict(sorted(kept.items()))
 
 
@@ -141,51 +169,53 @@ def _names_rig_file(run_json: str | None) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Pace:
-    """What the log of the session under way says of its pace: its latest progress, its plan, its latest record."""
+    """Latest progress of the session under way and when it was logged, its plan, and its latest record."""
 
-    progress: dict[str, object] = field(default_factory=dict)
-    planned_s: object = None
-    record: dict[str, object] | None = None
+    progress: Progress | None = None
+    at: datetime | None = None
+    planned_s: float | None = None
+    record: RecordTaken | None = None
 
 
 def _pace(bank: Path) -> _Pace:
-    progress: dict[str, object] = {}
-    record: dict[str, object] | None = None
+    progress: Progress | None = None
+    at: datetime | None = None
+    record: RecordTaken | None = None
     under_way = True
-    for event in last_events(bank):
-        match event.get("event"):
-            case "record_taken" if under_way and record is None:
-                record = {"position": event.get("position"), "number": event.get("record"), "of": event.get("records")}
-            case "position_started" | "session_ended":
+    for logged in last_events(bank):
+        match logged.event:
+            case RecordTaken() as taken if under_way and record is None:
+                record = taken
+            case PositionStarted() | SessionEnded():
                 under_way = False
-            case "progress" if not progress:
-                progress = event
-            case "session_started":  # what came before was another session's
-                return _Pace(progress, None if progress else event.get("planned_s"), record)
+            case Progress() as made if progress is None:
+                progress, at = made, logged.at
+            case SessionStarted() as session:  # what came before was another session's
+                return _Pace(progress, at, None if progress else session.planned_s, record)
             case _:
                 pass
         if progress and (record is not None or not under_way):
             break
-    return _Pace(progress, None, record)
+    return _Pace(progress, at, None, record)
 
 
 def _tell_pace(pace: _Pace, state: State, to_go: int) -> None:
-    """Tell what is left, all by one clock; a finish only where the session goes on."""
-    if not pace.progress:
-        if isinstance(pace.planned_s, int | float):
+    """Report the time left; a finish only where the session goes on."""
+    progress = pace.progress
+    if progress is None or pace.at is None:
+        if pace.planned_s is not None:
             answer(f"{to_go} positions to go, {a_while(pace.planned_s)} as planned")
         return
-    wall_s, rig_s = (float(str(pace.progress.get(key, 0.0))) for key in ("wall_remaining_s", "remaining_s"))
-    told = Progress(0.0, 0, 0, 0.0, rig_s, wall_s, 0.0)
-    at = datetime.fromisoformat(str(pace.progress["at"])).astimezone()
+    at = pace.at.astimezone()
     if state in (State.RUNNING, State.STOPPING):
-        per_hour = float(str(pace.progress.get("wall_positions_per_hour") or pace.progress["positions_per_hour"]))
-        answer(f"{per_hour:.0f} positions an hour, {remaining(told)} (last position {at:%H:%M:%S})")
+        per_hour = progress.wall_positions_per_hour or progress.positions_per_hour
+        answer(f"{per_hour:.0f} positions an hour, {remaining(progress)} (last position {at:%H:%M:%S})")
     else:
-        answer(f"{to_go} positions to go, about {a_while(wall_s)} once it goes on (last position {at:%H:%M:%S})")
+        wall = a_while(progress.wall_remaining_s)
+        answer(f"{to_go} positions to go, about {wall} once it goes on (last position {at:%H:%M:%S})")
 
 
-def _tell_running(owner: Owner, stands: Standing, beat: Heartbeat | None, pace: _Pace, to_go: int) -> None:
+def _tell_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, pace: _Pace, to_go: int) -> None:
     who = f"process {owner.pid} on {owner.host}"
     if _is_silent(beat) and beat is not None:
         answer(
@@ -195,7 +225,7 @@ def _tell_running(owner: Owner, stands: Standing, beat: Heartbeat | None, pace: 
         return
     if stands.state is State.RECOVERING:
         since = datetime.fromisoformat(str(stands.since)).astimezone()
-        tries = (stands.recovering or {}).get("tries") or "no"
+        tries = (stands.recovering and stands.recovering.tries) or "no"
         answer(
             f"{who} is recovering since {since:%H:%M:%S}: {stands.reason} "
             f"({tries} tries so far); it goes on by itself when the instrument is back"
@@ -206,8 +236,8 @@ def _tell_running(owner: Owner, stands: Standing, beat: Heartbeat | None, pace: 
         answer(f"{who} is {stands.state}: {stands.reason}")
     if beat is not None:
         at = "" if beat.position is None else f", at position {beat.position}"
-        if pace.record is not None and beat.position == pace.record["position"]:
-            at += f", record {pace.record['number']} of {pace.record['of']}"
+        if pace.record is not None and beat.position == pace.record.position:
+            at += f", record {pace.record.record} of {pace.record.records}"
         answer(f"last sign of life {hours(beat.age_s())} ago{at}")
         if beat.fault:
             answer(f"last fault: {beat.fault}")
@@ -251,7 +281,7 @@ CARRIED_OUT = {"pause": ("paused",), "go-on": ("running",), "stop": ("stopped", 
 LOOKS_EVERY_S = 0.1
 
 
-def order(bank: Path, word: str, wait_s: float, *, as_json: bool) -> Exit:
+def order(bank: Path, word: Word, wait_s: float, *, as_json: bool) -> Exit:
     """Give an order and wait until it is carried out, or at least heard.
 
     Raises InputError: no process owns the bank.
