@@ -13,17 +13,7 @@ MOST_DELAY_S = 0.02
 
 
 class BandLimit:
-    """Limits chunks of signals to a bank's band; without one, leaves them as they are.
-
-    Parameters
-    ----------
-    samples : int
-        Length of the signals.
-    sample_rate_hz : float
-        Their rate.
-    band_hz : tuple of float or None
-        The band.
-    """
+    """Limits chunks of signals to a bank's band; without one, leaves them as they are."""
 
     def __init__(self, samples: int, sample_rate_hz: float, band_hz: tuple[float, float] | None) -> None:
         silence_s = MOST_DELAY_S if band_hz is None else 2.0 / band_hz[0]

@@ -35,7 +35,6 @@ class RowsSpectra:
     Parameters
     ----------
     kept : complex array of the device, shape (kept bins, rows, actuators)
-        The bins computed.
     exponents : int64 array, shape (rows,)
         The rows are these times two to such a power.
     magnitude : float64 array, shape (rows, bins), or None
@@ -55,23 +54,7 @@ class RowsSpectra:
 def transform_rows(
     reader: RowReader, positions: Sequence[int], band: Band, bins: int, device: Device, *, bounded: bool
 ) -> RowsSpectra:
-    """Read some rows and transform them.
-
-    Parameters
-    ----------
-    reader : RowReader
-        Reads the rows.
-    positions : sequence of int
-        Which.
-    band : Band
-        Transform length, bins kept and precision.
-    bins : int
-        Bins of which magnitudes are needed, at least those kept.
-    device : Device
-        Where to compute.
-    bounded : bool
-        Whether magnitudes are needed.
-    """
+    """Read some rows and transform them; magnitudes, where `bounded`, are of so many `bins`, at least those kept."""
     rows = [reader.read(position, single=band.single) for position in positions]
     green = device.xp.asarray(np.stack([row.values for row in rows]))
     # Bin by bin, as matrix products need them: the transform gathers at no cost.
@@ -89,20 +72,15 @@ class BankSpectra:
 
     Parameters
     ----------
-    bank : GreenSource
-        The bank.
     positions : sequence of int
-        Its rows that will be asked for, measured.
+        Rows that will be predicted, measured.
     rate_hz : float, optional
         Rate of the fields, an integer fraction of the bank's.
     tolerance_db : float, optional
         Allows to keep only the bins that matter to within this relative L2 error, < 0. The error of each field is
         bounded, and one that has more in the other bins is computed from the bank instead.
 
-    Raises
-    ------
-    InputError
-        The rate is not such a fraction, the tolerance is not below 0, or the spectra do not fit into memory.
+    Raises InputError: a parameter is not as stated, or the spectra do not fit into memory.
     """
 
     decimation: Decimation
@@ -162,7 +140,7 @@ class BankSpectra:
         return self._made.rows(place)
 
     def _choose(self, rows: Int64Array) -> Band:
-        """Bins that matter for drives that are made from the bank, by a look at some rows."""
+        """Bins that matter for drives that are made from the bank, from a few rows."""
         looked_at = rows[np.unique(np.linspace(0, len(rows) - 1, LOOKED_AT_ROWS).astype(int))].tolist()
         magnitude = transform_rows(self._reader, looked_at, self.band, self.bins, host_device(), bounded=True).magnitude
         assert magnitude is not None

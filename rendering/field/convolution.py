@@ -38,16 +38,7 @@ PLAIN_EXPONENT = 40
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """Responses at some positions.
-
-    Parameters
-    ----------
-    field : float32 or float64 array, shape (positions, samples)
-    error : float
-        Bound on the norm of all their error from leaving out.
-    energy : float
-        Their energy, where such a bound is asked for.
-    """
+    """Responses (positions, samples), the bound on the norm of their error from leaving out, and their energy."""
 
     field: RealArray
     error: float
@@ -55,21 +46,7 @@ class Response:
 
 
 class DriveSpectra:
-    """Spectra of a drive's blocks.
-
-    Parameters
-    ----------
-    drive_v : float64 array, shape (actuators, samples)
-        The drive, finite.
-    taps : int
-        Length of a Green's function.
-    fft_samples : int
-        Transform length, a multiple of the decimation's factor.
-    decimation : Decimation
-        How the rate is lowered.
-    device : Device
-        Where to compute.
-    """
+    """Spectra of the blocks of a finite drive; the transform length is a multiple of the decimation's factor."""
 
     def __init__(
         self, drive_v: Float64Array, taps: int, fft_samples: int, decimation: Decimation, device: Device
@@ -106,40 +83,26 @@ class DriveSpectra:
         np.ldexp(part, -self.exponent, out=cut[:, : part.shape[1]])
         xp = self._device.xp
         cut = xp.asarray(cut.reshape(len(self._drive), len(group), self.hop))
-        spectra = self._device.fft(single=False).rfft(xp.moveaxis(cut, 2, 0), n=self.fft_samples, axis=0)[
-            : self.bins, :, :
-        ]
+        whole = self._device.fft(single=False).rfft(xp.moveaxis(cut, 2, 0), n=self.fft_samples, axis=0)
+        spectra = whole[: self.bins, :, :]
         return spectra if self._weights is None else spectra * xp.asarray(self._weights)[:, None, None]
 
 
 class Convolution:
-    """Convolves rows of a bank with one drive.
-
-    `respond` may be called by several threads.
+    """Convolves rows of a bank with one drive; `respond` may be called by several threads.
 
     Parameters
     ----------
-    drive_v : float64 array, shape (actuators, samples)
-        The drive.
-    reader : RowReader
-        Reads the rows.
     dtype : dtype
         float32 or float64: of samples, and of the spectra's parts where nothing is left out.
     positions : int64 array
-        Rows that will be asked for.
-    decimation : Decimation
-        How the rate is lowered.
-    device : Device
-        Where to compute.
+        Rows that `respond` will be asked for.
     tolerance : float
-        Relative magnitude of what may be left out of each part of the field; 0: nothing is.
+        Relative magnitude that may be left out of each part of the field; 0: nothing is.
     kept : BankSpectra, optional
         Spectra of the rows, kept from earlier; then `tolerance` is theirs.
 
-    Raises
-    ------
-    InputError
-        The drive holds NaN or infinity.
+    Raises InputError: the drive holds NaN or infinity.
     """
 
     def __init__(
@@ -182,13 +145,7 @@ class Convolution:
         return int(max(1, most_bytes // row_bytes))
 
     def respond(self, positions: Int64Array) -> Response:
-        """Responses at some positions.
-
-        Raises
-        ------
-        InputError
-            A row cannot be used, or a response does not fit into the field's type.
-        """
+        """Responses at some positions; raises InputError where a row cannot be used or a response does not fit."""
         rows = self._rows(positions, self.band) if self._kept is None else self._kept.rows(positions)
         response = self._convolved(positions, rows, self._drive, self.band)
         if relative_bound(response.error, math.sqrt(response.energy)) <= self._tolerance:

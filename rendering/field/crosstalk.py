@@ -23,15 +23,9 @@ RESPONSE_BYTES = 2**29
 
 @dataclass(frozen=True, slots=True)
 class CrosstalkTable:
-    """Crosstalk over speed and path sample distance.
+    """Crosstalk over speed, (speeds,), and path sample distance d, (steps,).
 
-    Parameters
-    ----------
-    speed_mm_s : float64 array, shape (speeds,)
-    step_mm : float64 array, shape (steps,)
-        Path sample distance d.
-    energy_ratio : float64 array, shape (speeds, steps)
-        See `PathResponses.energy_ratio`; NaN where the path has fewer than two points.
+    `energy_ratio`, (speeds, steps), is that of `PathResponses`; NaN where the path has fewer than two points.
     """
 
     speed_mm_s: Float64Array
@@ -45,23 +39,18 @@ class CrosstalkTable:
 
 
 class PathResponses:
-    """What the focus at each of some rows makes heard at each of them.
+    """Response at each of some rows to the focus at each of them.
 
     Parameters
     ----------
-    bank : GreenSource
-        The bank.
     rows : sequence of int
         Rows of the path's points, at most some dozens.
     signal : float64 array, shape (samples,)
-        What every focus emits, at the bank's rate; an impulse where it is one sample long.
+        Emitted by every focus, at the bank's rate; by default an impulse.
     regularisation : Regularisation, optional
         Saturation and normalisation; by default normalised, without saturation.
 
-    Raises
-    ------
-    InputError
-        A row is not measured, or the responses do not fit into memory.
+    Raises InputError: a row is not measured, or the responses do not fit into memory.
     """
 
     def __init__(
@@ -79,11 +68,9 @@ class PathResponses:
         length = fast_length(2 * bank.taps - 1 + len(emitted) - 1)
         if 8 * len(rows) ** 2 * length > RESPONSE_BYTES:
             raise InputError(f"{len(rows)} path points are too many for a crosstalk table; choose fewer")
-        keep = (
-            np.ones(length // 2 + 1)
-            if bank.band_hz is None
-            else band_weights(length, bank.sample_rate_hz, bank.band_hz)
-        )
+        keep = np.ones(length // 2 + 1)
+        if bank.band_hz is not None:
+            keep = band_weights(length, bank.sample_rate_hz, bank.band_hz).astype(np.float64)
         bins = np.flatnonzero(keep)
         threshold = saturation_threshold(regularisation, bank)
         greens = np.empty((len(rows), bank.actuators, len(bins)), dtype=np.complex128)
@@ -98,36 +85,22 @@ class PathResponses:
             greens[place] = np.ldexp(1.0, scaled.exponent) * spectrum
             gain = np.ldexp(weights.gain, weights.gain_exponent + scaled.exponent)
             driven[place] = gain * sigma[:, None] * spectrum.conj()
-        heard = np.einsum("mib,nib->mnb", greens, driven, optimize=True)
-        heard *= keep[bins] * np.fft.rfft(emitted, length)[bins]
+        responses = np.einsum("mib,nib->mnb", greens, driven, optimize=True)
+        responses *= keep[bins] * np.fft.rfft(emitted, length)[bins]
         # Lags from -(taps - 1) on: the focus instant is at `lead`.
-        heard *= np.exp(-2j * np.pi * bins * self.lead / length)
+        responses *= np.exp(-2j * np.pi * bins * self.lead / length)
         whole = np.zeros((len(rows), len(rows), length // 2 + 1), dtype=np.complex128)
-        whole[..., bins] = heard
+        whole[..., bins] = responses
         self.values: Float64Array = np.fft.irfft(whole, length, axis=2)
 
     def energy_ratio(self, speed_mm_s: float, step_mm: float, every: int = 1) -> float:
-        """Crosstalk ratio of a source that moves from point to point.
+        """Crosstalk ratio of a source that moves from point to point; NaN with fewer than two points.
 
-        Point m emits at ``n_m = round(m d / v)`` samples. Over a window as long as the emissions are apart, its
-        middle that of point m's emission (a focus converges as long as it diverges), the energy of what all
-        other points' foci together make heard at point m is divided by that of its own focus; energies are
-        summed over the points before they are divided. The paper (section IV.C) names the ratio of these
-        energies and no window.
-
-        Parameters
-        ----------
-        speed_mm_s : float
-            v, > 0.
-        step_mm : float
-            Distance of the points that are used, > 0.
-        every : int
-            Use every so many of the rows.
-
-        Returns
-        -------
-        float
-            NaN with fewer than two points.
+        Point m emits at ``n_m = round(m d / v)`` samples, d being `step_mm` > 0, the distance of the points that are
+        used (`every` so many of the rows), and v the speed > 0. Over a window as long as the emissions are apart, its
+        middle that of point m's emission (a focus converges as long as it diverges), the energy that all other points'
+        foci together cause at point m is divided by that of its own focus; energies are summed over the points before
+        they are divided. The paper (section IV.C) names the ratio of these energies and no window.
         """
         values = self.values[::every, ::every]
         points, length = values.shape[0], values.shape[2]
@@ -159,22 +132,9 @@ def crosstalk_table(
     signal: Float64Array | None = None,
     regularisation: Regularisation | None = None,
 ) -> CrosstalkTable:
-    """Crosstalk along one line of rows, over speeds and path sample distances.
+    """Crosstalk along one line of `rows` that are `row_step_mm` apart, over speeds and path sample distances.
 
-    Parameters
-    ----------
-    bank : GreenSource
-        The bank.
-    rows : sequence of int
-        Rows along a line, equally far apart.
-    row_step_mm : float
-        Their distance, > 0.
-    speeds_mm_s : sequence of float
-        Speeds, > 0.
-    every : sequence of int
-        Path sample distances, in steps of the rows.
-    signal, regularisation
-        See `PathResponses`.
+    The latter are `every`, in steps of the rows; for `signal` and `regularisation` see `PathResponses`.
     """
     responses = PathResponses(bank, rows, signal, regularisation)
     ratio = np.array(

@@ -19,25 +19,15 @@ LARGEST_FACTOR = 64
 class Decimation:
     """Low-passes signals (a windowed sinc, symmetrical about each sample) and keeps every D-th sample.
 
-    What lies between `passed_hz` and half the lower rate is weakened, what lies above is left out.
+    Frequencies between `passed_hz` and half the lower rate are attenuated, those above are left out.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Rate of the signals.
-    lower_hz : float
-        Rate wanted, an integer fraction of theirs.
-
-    Raises
-    ------
-    InputError
-        The rate wanted is not such a fraction.
+    Raises InputError: `lower_hz` is not an integer fraction of `rate_hz`.
     """
 
     factor: int
     """D."""
     passed_hz: float
-    """What is passed to one part in ten thousand."""
+    """Frequencies up to this are passed to one part in ten thousand."""
     half: int
     """Samples at the lower rate that the low-pass reaches on either side."""
 
@@ -64,6 +54,6 @@ class Decimation:
         return len(self._kernel)
 
     def weights(self, fft_samples: int) -> Complex128Array:
-        """What spectra of `fft_samples` are multiplied with, up to half the lower rate; it delays by `half`."""
+        """Factors of spectra of `fft_samples`, up to half the lower rate; they delay by `half`."""
         spectrum: Complex128Array = np.fft.rfft(self._kernel, fft_samples)[: fft_samples // self.factor // 2 + 1]
         return spectrum / self.factor

@@ -20,14 +20,8 @@ MOST_ROWS = 256
 class DistanceCorrelation:
     """Correlation coefficients by distance.
 
-    Parameters
-    ----------
-    distance_mm : float64 array, shape (bins,)
-        Mean distance of the pairs in each bin.
-    mean, low, high : float64 array, shape (bins,)
-        Mean, 10 % and 90 % quantile over pairs of positions and over actuators.
-    pairs : int64 array, shape (bins,)
-        Pairs of positions.
+    All have one element per bin: mean distance of its pairs; mean, 10 % and 90 % quantile over pairs of positions and
+    over actuators; pairs of positions.
     """
 
     distance_mm: Float64Array
@@ -47,17 +41,12 @@ def correlation_over_distance(
 
     Parameters
     ----------
-    bank : GreenSource
-        The bank.
     edges_mm : sequence of float
         Ascending edges of the bins; pairs at an edge count above it.
     rows : sequence of int, optional
         Positions to pair; by default at most 256 measured ones, evenly chosen.
 
-    Raises
-    ------
-    InputError
-        There are no two measured positions, or fewer than two edges.
+    Raises InputError: there are no two measured positions, or fewer than two edges.
     """
     chosen = np.flatnonzero(usable(bank)) if rows is None else np.asarray(rows, dtype=np.int64)
     if rows is None:

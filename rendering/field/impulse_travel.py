@@ -53,7 +53,7 @@ class ImpulseTravel:
 
     @property
     def is_sure(self) -> bool:
-        """Whether arrivals follow distances well enough for a velocity; in a room, for one, they do not."""
+        """Arrivals follow distances well enough for a velocity; in a room they do not."""
         return self.correlation >= LEAST_CORRELATION and 3.0 * self.velocity_error_m_s <= self.group_velocity_m_s
 
 
@@ -72,8 +72,6 @@ def impulse_travel(
 
     Parameters
     ----------
-    bank : GreenSource
-        With known actuator positions.
     band_hz : tuple of float, optional
         Band of the impulse; None: the Green's functions as they are.
     span_mm : tuple of float
@@ -81,10 +79,7 @@ def impulse_travel(
     rows : sequence of int, optional
         Rows to choose from; by default all usable ones.
 
-    Raises
-    ------
-    InputError
-        Too few pairs of a measured position and an actuator of known place are that far apart.
+    Raises InputError: too few pairs of a measured position and an actuator of known place are that far apart.
     """
     allowed = np.flatnonzero(usable(bank)) if rows is None else np.asarray(rows, dtype=np.int64)
     allowed = allowed[np.unique(np.linspace(0, len(allowed) - 1, min(MOST_ROWS, len(allowed))).astype(np.int64))]
@@ -100,16 +95,16 @@ def impulse_travel(
         green = scaled.values[near]
         energy = np.square(green if band_hz is None else band_limited(green, bank.sample_rate_hz, band_hz))
         total = energy.sum(axis=1)
-        heard = total > 0
-        distance.append(apart_mm[near][heard])
-        arrival.append((energy[heard] @ time_s) / total[heard])
-        level.append(10.0 * np.log10(apart_mm[near][heard] * total[heard]) + 20.0 * np.log10(2.0) * scaled.exponent)
-        actuator.append(near[heard])
+        driven = total > 0
+        distance.append(apart_mm[near][driven])
+        arrival.append((energy[driven] @ time_s) / total[driven])
+        level.append(10.0 * np.log10(apart_mm[near][driven] * total[driven]) + 20.0 * np.log10(2.0) * scaled.exponent)
+        actuator.append(near[driven])
     pairs = sum(map(len, distance))
     if pairs < FEWEST_PAIRS:
         raise InputError(
             f"only {pairs} pairs of a measured position and an actuator of known place lie {span_mm[0]:g} to"
-            f" {span_mm[1]:g} mm apart; at least {FEWEST_PAIRS} are needed to tell how impulses travel"
+            f" {span_mm[1]:g} mm apart; at least {FEWEST_PAIRS} are needed for a velocity"
         )
     of = np.concatenate(actuator)
     arrivals = _fit(np.concatenate(distance), np.concatenate(arrival), of)

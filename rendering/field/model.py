@@ -34,31 +34,15 @@ def predict(
     Parameters
     ----------
     drive : Drive
-        The drives, at the bank's rate.
-    bank : GreenSource
-        Measured Green's functions.
+        The drives, at the bank's rate; the field starts with them.
     positions : sequence of int, optional
-        Bank rows in the order wanted; by default all that `measured_positions` gives.
-    dtype : {float64, float32}
-        float64: to 1e-12 of direct evaluation. float32: spectra in complex64, about twice as fast, 1e-6 of
-        each position's largest response.
-    tolerance_db : float, optional
-        Allows leaving out frequency bins, and computing at a lower rate, as long as the proved bound on the
-        relative L2 error of the field stays below it, < 0.
-    rate_hz : float, optional
-        Rate of the field, an integer fraction of the bank's; `Prediction` tells what is lost.
+        Bank rows in any order; by default all that `measured_positions` gives.
+    dtype, tolerance_db, rate_hz
+        See `Prediction`.
     on_progress : callable, optional
-        Told positions done and positions in all.
+        Called with positions done and positions in all.
 
-    Returns
-    -------
-    Field
-        Starts with the drive.
-
-    Raises
-    ------
-    InputError
-        Drive and bank do not fit, a position asked for was not measured, or another parameter is not as stated.
+    Raises InputError: drive and bank do not fit, a position was not measured, or another parameter is not as stated.
     """
     index = chosen_positions(drive, bank, positions)
     prediction = Prediction(drive, bank, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz)
@@ -81,7 +65,7 @@ def predict_rows(
 
 
 def measured_positions(bank: GreenSource) -> tuple[Int64Array, Int64Array]:
-    """Which rows a field has where none are asked for, and which are left out as not measured."""
+    """Rows of a field by default, and rows left out as not measured."""
     allowed = usable(bank)
     return np.flatnonzero(allowed).astype(np.int64), np.flatnonzero(~allowed).astype(np.int64)
 
@@ -92,12 +76,9 @@ def field_unit(bank: GreenSource) -> str:
 
 
 def chosen_positions(drive: Drive, bank: GreenSource, positions: Sequence[int] | None) -> Int64Array:
-    """Settle which bank rows to predict.
+    """Bank rows to predict.
 
-    Raises
-    ------
-    InputError
-        Drive and bank do not fit, a position does not exist or was not measured, or none is left.
+    Raises InputError: drive and bank do not fit, a position does not exist or was not measured, or none is left.
     """
     if len(drive.drive_v) != bank.actuators:
         raise InputError(f"the drive has {len(drive.drive_v)} actuators, the bank {bank.actuators}; they must agree")

@@ -17,14 +17,7 @@ Int64Array = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class PathSpectrum:
-    """Magnitude spectra at path points.
-
-    Parameters
-    ----------
-    frequency_hz : float64 array, shape (bins,)
-    magnitude : float64 array, shape (points, bins)
-        Magnitude of the Fourier transform, in the responses' unit times seconds.
-    """
+    """Magnitudes (points, bins) of the Fourier transform at path points, in the responses' unit times seconds."""
 
     frequency_hz: Float64Array
     magnitude: Float64Array
@@ -61,20 +54,14 @@ def path_spectrum(
     Parameters
     ----------
     responses : float array, shape (points, samples of the field)
-        Response at each path point.
-    sample_rate_hz : float
-        Their rate, > 0.
     first_sample : int64 array, shape (points,)
-        Where each window begins; what lies outside the field counts as silence.
+        Begin of each window; outside the field there is silence.
     samples : int
         Length of the windows, >= 1; rectangular.
     resolution_hz : float
         Spacing of the bins is at most this, by zeros appended.
 
-    Raises
-    ------
-    InputError
-        There is no point, or a figure is out of range.
+    Raises InputError: there is no point, or a figure is out of range.
     """
     if responses.ndim != 2 or not len(responses) or len(first_sample) != len(responses):
         raise InputError(f"responses of shape {responses.shape} do not go with {len(first_sample)} windows")

@@ -36,17 +36,7 @@ MOST_FOCI = 16
 
 @dataclass(frozen=True, slots=True)
 class FieldRows:
-    """Some rows of a predicted field.
-
-    Parameters
-    ----------
-    first : int
-        Index of the first of them in the field.
-    position_index : int64 array, shape (k,)
-        Their bank rows.
-    field : float32 or float64 array, shape (k, samples)
-        Their responses.
-    """
+    """Rows of a predicted field from index `first` on: their bank rows (k,), and their responses (k, samples)."""
 
     first: int
     position_index: Int64Array
@@ -58,10 +48,9 @@ class Prediction:
 
     Parameters
     ----------
-    drive : Drive
-        The drives, at the bank's rate.
     bank : GreenSource or BankSpectra
-        Measured Green's functions; or their spectra, kept for many predictions, which then settle rate and tolerance.
+        Measured Green's functions, at the drive's rate; or their spectra, kept for many predictions, which then set
+        rate and tolerance.
     positions : int64 array
         Bank rows, measured.
     dtype : {float32, float64}
@@ -73,12 +62,9 @@ class Prediction:
     rate_hz : float, optional
         Rate of the field, an integer fraction of the bank's; the field is low-passed to it.
     device : Device, optional
-        Where to compute, by default on this processor.
+        By default this processor.
 
-    Raises
-    ------
-    InputError
-        A parameter is not as stated here, or the drive is not finite.
+    Raises InputError: a parameter is not as stated here, or the drive is not finite.
     """
 
     position_index: Int64Array
@@ -91,7 +77,7 @@ class Prediction:
     passed_hz: float
     """Frequencies up to this are in the field as they are, to one part in ten thousand."""
     low_pass: LowPass | None
-    """What the field loses to a rate below the bank's; None where its rate is the bank's."""
+    """The low-pass of a rate below the bank's; None where the field's rate is the bank's."""
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 
 The drive is cut into sine windows that overlap by half, whose squares add up to 1; each one's spectrum goes through the
 rows' spectra, and the squares are added up (P. D. Welch, IEEE Trans. Audio Electroacoust. 15, 70-73, 1967, with the
-window on the drive). Transforms hold a window and a Green's function, so that all that it sets off is there.
+window on the drive). Transforms hold a window and a Green's function, so that its whole response is in it.
 """
 
 from __future__ import annotations
@@ -39,14 +39,11 @@ class ResponseSpectra:
     Parameters
     ----------
     frequency_hz : float64 array, shape (bins,)
-        Frequencies.
     energy_density : float64 array, shape (positions, bins)
         Per position, the response's energy (sum of squares over the rate, so unit squared times seconds) per hertz;
         its sum times the bins' distance is the energy of the response.
     position_index : int64 array, shape (positions,)
         Bank rows.
-    response_unit : str
-        Unit of the responses.
     """
 
     frequency_hz: Float64Array
@@ -69,21 +66,9 @@ def predict_spectra(
 
     In complex64 (one part in a million). The windows smooth the spectrum over about three of their bins, rate / window
     length apart: a sum over a band much wider than that comes within a few percent of the field's own, less narrow
-    ones within what neighbouring frequencies differ by.
+    ones within what neighbouring frequencies differ by. Kept spectra give the bins that were kept.
 
-    Parameters
-    ----------
-    drive : Drive
-        The drives, at the bank's rate.
-    bank : GreenSource or BankSpectra
-        Measured Green's functions, or their spectra, at the full rate and in all the bins that were kept.
-    positions : sequence of int
-        Bank rows, measured.
-
-    Raises
-    ------
-    InputError
-        The drive is not finite, or the spectra are at another rate.
+    Raises InputError: the drive is not finite, or the spectra are at another rate.
     """
     index = np.asarray(positions, dtype=np.int64)
     if not np.isfinite(drive.drive_v).all():
@@ -92,11 +77,8 @@ def predict_spectra(
     source: GreenSource = bank.bank if isinstance(bank, BankSpectra) else bank
     if spectra is not None and spectra.decimation.factor > 1:
         raise InputError("the spectra of a bank at a lower rate do not fit the drive's; make them at the full rate")
-    if spectra is not None:
-        band = spectra.band
-    else:
-        length = fast_length(int((1.0 + WINDOW_TAPS) * source.taps))
-        band = Band.whole(length, single=True)
+    length = fast_length(int((1.0 + WINDOW_TAPS) * source.taps))
+    band = Band.whole(length, single=True) if spectra is None else spectra.band
     fft_samples = band.fft_samples
     exponent = int(np.frexp(float(np.abs(drive.drive_v).max(initial=0.0)))[1])
     blocks = _windowed(np.ldexp(drive.drive_v, -exponent), max(2, min(fft_samples - source.taps + 1, 2 * source.taps)))
@@ -117,13 +99,9 @@ def predict_spectra(
                 squares = (np.square(response.real) + np.square(response.imag)).sum(axis=2, dtype=np.float64)
                 power[begin : begin + len(some)] += np.ldexp(squares.T, 2 * (rows.exponents + exponent)[:, None])
     rate_hz = float(drive.sample_rate_hz)
-    # Parseval: two bins each but for the first and, of an even length, the last.
-    twice = np.full(fft_samples // 2 + 1, 2.0)
-    twice[0] = 1.0
-    if fft_samples % 2 == 0:
-        twice[-1] = 1.0
-    power *= twice[: band.kept] / rate_hz**2
     frequency_hz: Float64Array = np.fft.rfftfreq(fft_samples, 1.0 / rate_hz)[: band.kept].astype(np.float64)
+    # Parseval: two bins each but for 0 and half the rate.
+    power *= np.where((frequency_hz == 0) | (frequency_hz == rate_hz / 2), 1.0, 2.0) / rate_hz**2
     return ResponseSpectra(frequency_hz, power, index, response_unit(source.response_unit, drive_unit(source)))
 
 

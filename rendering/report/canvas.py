@@ -12,9 +12,13 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.greens.interpolation.position_grid import PositionGrid
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import PolyCollection
+
+    from rendering.greens.source import GreenSource
 
 # CSS pixels per inch of figure, and pixels per CSS pixel.
 CSS_PPI = 96
@@ -126,20 +130,10 @@ def drawn_in_style(draw: Callable[Parameters, Picture]) -> Callable[Parameters, 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Content of every map.
+    """Content of every map; places have shape (number, 2).
 
-    Parameters
-    ----------
-    position_mm : float64 array, shape (positions, 2)
-        The bank's grid.
-    spacing_mm : float
-        Side of a grid cell.
-    actuator_mm : float64 array, shape (actuators, 2)
-        NaN where unknown.
-    paths_mm : tuple of float64 array, shape (points, 2)
-        Path of each source.
-    outline_mm : float64 array, shape (points, 2), or None
-        Rim of the surface, closed.
+    The bank's positions and the side of a grid cell, actuators (NaN where unknown), the path of each source, and the
+    rim of the surface, closed.
     """
 
     position_mm: NDArray[np.float64]
@@ -147,6 +141,18 @@ class Surface:
     actuator_mm: NDArray[np.float64]
     paths_mm: tuple[NDArray[np.float64], ...]
     outline_mm: NDArray[np.float64] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        bank: GreenSource,
+        paths_mm: Sequence[NDArray[np.float64]] = (),
+        outline_mm: NDArray[np.float64] | None = None,
+    ) -> Surface:
+        """The surface of a bank."""
+        position_mm = np.asarray(bank.position_mm, np.float64)
+        spacing_mm = PositionGrid(position_mm).spacing_mm or 1.0
+        return cls(position_mm, spacing_mm, np.asarray(bank.actuator_mm, np.float64), tuple(paths_mm), outline_mm)
 
     @property
     def extent_mm(self) -> tuple[float, float, float, float]:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 PREDICTION = "#f0b440"
 SCAN = "#0b3c5d"
 MAP_TOP_PX = 8
-# Okabe & Ito's colours, for the colour-blind; the darker ones carry the faults.
+# Okabe & Ito's colours, for the colour-blind; the darker ones are for faults.
 STATUS_COLOURS = {
     "valid": "#56b4e9",
     "not-measured": "#d9d9d9",
@@ -152,7 +152,7 @@ def waveforms(surface: Surface, fields: FieldComparison) -> Picture:
         row, window = fields.waveform_index[index], windows[index]
         predicted, scanned = fields.predicted_waveform[index], fields.scanned_waveform[index]
         start_ms, stop_ms = 1e3 * window.start_sample / rate_hz, 1e3 * window.stop_sample / rate_hz
-        # The window, what gathers before it and what rings after it, but never a blur of seconds.
+        # The window, 40 ms before it and after it, but not more than can be resolved.
         first_ms = start_ms - 40.0
         last_ms = min(stop_ms + 40.0, first_ms + 180.0)
         shown = (time_ms >= first_ms) & (time_ms <= last_ms)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource
 from rendering.report.canvas import (
     FAINT,
@@ -48,13 +47,11 @@ SNAPSHOT_PX, MOST_SNAPSHOTS = 346, 6
 
 def surface_of(bank: GreenSource, drive: Drive | None, outline_mm: Float64Array | None) -> Surface:
     """The surface as movies show it: a path is the line through the positions of a source's foci."""
-    position_mm = np.asarray(bank.position_mm)
-    paths = []
+    paths_mm = []
     if drive is not None:
         for source in np.unique(drive.focus_source):
-            paths.append(position_mm[drive.focus_position[drive.focus_source == source]])
-    spacing_mm = PositionGrid(position_mm).spacing_mm or 1.0
-    return Surface(position_mm, spacing_mm, np.asarray(bank.actuator_mm), tuple(paths), outline_mm)
+            paths_mm.append(np.asarray(bank.position_mm)[drive.focus_position[drive.focus_source == source]])
+    return Surface.of(bank, paths_mm, outline_mm)
 
 
 def write_movie(

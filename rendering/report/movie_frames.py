@@ -25,17 +25,7 @@ TOP_SHARE = 0.999
 
 @dataclass(frozen=True, slots=True)
 class FramePlan:
-    """Instants at even distances.
-
-    Parameters
-    ----------
-    sample : int64 array, shape (frames,)
-        Samples of the field.
-    step_s : float
-        From frame to frame, in the field's time.
-    frame_rate_hz : float
-        Frames a second of the movie.
-    """
+    """Samples of the field, (frames,), at even distances of `step_s`, and the movie's frames a second."""
 
     sample: Int64Array
     step_s: float
@@ -89,14 +79,9 @@ def plan_frames(
 
 @dataclass(frozen=True, slots=True)
 class Foci:
-    """Instants and positions of a drive's foci, in the samples of a field.
+    """Instants and positions of a drive's foci, all of shape (foci,).
 
-    Parameters
-    ----------
-    start_s, stop_s : float64 array, shape (foci,)
-        Each focus counts from its instant to the next one of its source; the last as long as the one before it.
-    position, source : int64 array, shape (foci,)
-        Bank row and source of each.
+    Each focus counts from its instant to the next one of its source; the last as long as the one before it.
     """
 
     start_s: NDArray[np.float64]
@@ -137,26 +122,16 @@ class Foci:
                 for focus, first, last in windows.get(row, ()):
                     magnitude = np.abs(values[row - start, first:last])
                     found[focus] = (first + int(np.argmax(magnitude)), float(magnitude.max()))
-        focus_index = np.array(sorted(found), dtype=np.int64)
-        return Seen(
-            focus_index,
-            np.array([found[int(one)][0] for one in focus_index], dtype=np.int64),
-            np.array([found[int(one)][1] for one in focus_index]),
-        )
+        held = sorted(found)
+        sample = np.array([found[one][0] for one in held], dtype=np.int64)
+        return Seen(np.array(held, dtype=np.int64), sample, np.array([found[one][1] for one in held]))
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Foci as a field has them.
+    """Indices of the drive's foci that a field holds, all of shape (n,).
 
-    Parameters
-    ----------
-    focus : int64 array, shape (n,)
-        Indices of foci of the drive.
-    sample : int64 array, shape (n,)
-        Sample at which the response at the focus is largest between its instant and the next.
-    peak : float64 array, shape (n,)
-        Its magnitude there.
+    With the sample at which the response at the focus is largest between its instant and the next, and its magnitude.
     """
 
     focus: Int64Array
@@ -179,7 +154,7 @@ def read_frames(field: FieldRowReader, sample: Int64Array) -> Float32Array:
 
 
 def colour_limit(frames: Float32Array, seen: Seen | None) -> float:
-    """Magnitude that a colour scale ends at, > 0: the largest response at a focus, if any is seen.
+    """Magnitude at the end of the colour scale, > 0: the largest response at a focus, if the field holds any.
 
     Next to an actuator the surface may move far more; a scale for that would hide the focus. Without foci it holds all
     but the outermost thousandth.

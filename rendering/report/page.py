@@ -57,7 +57,7 @@ def build_report(
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    surface = _surface(scene, bank, verification.spacing_mm, outline_mm)
+    surface = Surface.of(bank, _paths(scene), outline_mm)
     saturation = scene.regularisation.saturation
     gain = focus_gain_map(bank, saturation)
     pictures, captions = _pictures(surface, verification, drive, bank, gain)
@@ -95,21 +95,12 @@ def build_report(
     return report
 
 
-def _surface(
-    scene: Scene, bank: GreenSource, spacing_mm: float | None, outline_mm: NDArray[np.float64] | None
-) -> Surface:
-    paths = []
-    for source in scene.sources:
-        length = source.path.length_mm
-        arc_mm = np.linspace(0.0, length, PATH_POINTS if length > 0.0 else 1)
-        paths.append(np.asarray(source.path.point_at(arc_mm), np.float64))
-    return Surface(
-        position_mm=np.asarray(bank.position_mm, np.float64),
-        spacing_mm=1.0 if spacing_mm is None else spacing_mm,
-        actuator_mm=np.asarray(bank.actuator_mm, np.float64),
-        paths_mm=tuple(paths),
-        outline_mm=outline_mm,
-    )
+def _paths(scene: Scene) -> list[NDArray[np.float64]]:
+    lengths = [(source.path, source.path.length_mm) for source in scene.sources]
+    return [
+        np.asarray(path.point_at(np.linspace(0.0, length_mm, PATH_POINTS if length_mm > 0.0 else 1)), np.float64)
+        for path, length_mm in lengths
+    ]
 
 
 def _pictures(

@@ -33,7 +33,7 @@ LEAST_OWN_SAMPLES = 2**13
 
 
 class RenderWarning(UserWarning):
-    """The drive is right, but something about it is worth knowing."""
+    """A remark about a drive that is right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +44,8 @@ class RenderReport:
     ----------
     warnings : tuple of str
         One sentence each.
-    points : int
-        Path points of all sources.
-    snapped_points : int
-        Those that do not lie on a position.
+    points, snapped_points : int
+        Path points of all sources, and those that do not lie on a position.
     largest_snap_mm : float
         Largest distance of a path point from its nearest position.
     rows : tuple of int
@@ -57,21 +55,18 @@ class RenderReport:
     relative_rms_drive : float64 array, shape (actuators,)
         RMS of each actuator's drive relative to the largest (the paper's figure 3B, right).
     out_of_band : tuple of float or None
-        Per source, the share of the emitted windows' energy outside the bank's band; None where it is
-        unknown.
+        Per source, the share of the emitted windows' energy outside the bank's band; None where it is unknown.
     omitted_bound : float
         Proved bound on the relative error of the drives.
-    bins : int
+    bins, kept_bins : int
         Frequency bins of all sources' blocks, and how many of them were computed.
-    kept_bins : int
-        See `bins`.
     pairs : int
-        (Block, row) pairs that were multiplied: what the render cost.
+        (Block, row) pairs that were multiplied: the cost of the render.
     interpolation_errors : InterpolationErrors or None
-        Estimated error of the Green's functions between the bank's positions, by band; None where the paths
-        keep to the positions, or the bank has too few of them.
+        Estimated error of the Green's functions between the bank's positions, by band; None where the paths keep to the
+        positions, or the bank has too few of them.
     tail : ResponseTail or None
-        The ends of some of the Green's functions, and what may lie beyond them.
+        Ends of some of the Green's functions, and an estimate of the response beyond them.
     """
 
     warnings: tuple[str, ...]
@@ -154,8 +149,7 @@ def report_render(
 
 
 def _silent(rows: BankRows) -> list[str]:
-    silent = rows.silent_actuators
-    if not silent:
+    if not (silent := rows.silent_actuators):
         return []
     return [f"actuator {_listed(silent)}: all Green's functions on the path are zero, so the drive is zero there"]
 
@@ -178,18 +172,16 @@ def _too_fast(scene: Scene, rows: BankRows) -> list[str]:
         return []
     wave, error = travel.group_velocity_m_s, travel.velocity_error_m_s
     return [
-        f"source {index} moves at {speed / 1000:.3g} m/s, faster than the waves (about {wave:.2g}"
-        f" m/s, give or take {error:.1g} m/s, by their arrival times); the focus is"
-        " rendered, but waves pile up along the path"
+        f"source {index} moves at {speed / 1000:.3g} m/s, faster than the waves (about {wave:.2g} m/s, give or take"
+        f" {error:.1g} m/s, by their arrival times); the focus is rendered, but waves pile up along the path"
         for index, speed in enumerate(speeds)
         if travel.is_sure and speed > 1000 * wave
     ]
 
 
 def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> list[str]:
-    if share is None or bank.band_hz is None or not isinstance(source.emission, ContinuousEmission):
-        return []
-    if share <= SPREAD_SHARE:
+    moves = isinstance(source.emission, ContinuousEmission)
+    if share is None or bank.band_hz is None or not moves or share <= SPREAD_SHARE:
         return []
     # In single precision, which does for a share; about 1 it neither over- nor underflows.
     samples = fast_length(max(len(source.signal), LEAST_OWN_SAMPLES))
@@ -203,10 +195,8 @@ def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> li
     if share - own <= SPREAD_SHARE:
         return []
     return [
-        f"source {source.index}: moving from row to row cuts its signal so short that {100 * share:.0f} %"
-        " of its energy"
-        f" lies outside the bank's band ({100 * own:.0f} % of the signal's own does); lower the speed or"
-        " use a finer"
+        f"source {source.index}: moving from row to row cuts its signal so short that {100 * share:.0f} % of its energy"
+        f" lies outside the bank's band ({100 * own:.0f} % of the signal's own does); lower the speed or use a finer"
         " interpolation"
     ]
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenSource, read_row, refusal, usable
 from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
@@ -54,14 +53,7 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
     Raises InputError: a path leaves the bank's positions, or a source is not as stated.
     """
     sources = _sources(scene, bank)
-    grid = PositionGrid(bank.position_mm)
-    surface = Surface(
-        position_mm=np.asarray(bank.position_mm),
-        spacing_mm=grid.spacing_mm or 1.0,
-        actuator_mm=np.asarray(bank.actuator_mm),
-        paths_mm=tuple(one.line_mm for one in sources),
-        outline_mm=outline_mm,
-    )
+    surface = Surface.of(bank, [one.line_mm for one in sources], outline_mm)
     height = surface.height_px(MAP_PX)
     lines = -(-min(len(sources), MOST_NAMED) // 2)
     canvas = Canvas("scene", 2 * MAP_PX + 152, TOP_PX + height + 66 + 16 * lines)

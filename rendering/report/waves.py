@@ -226,7 +226,7 @@ def _spectrum(fields: FieldComparison, waveforms: NDArray[np.float32]) -> PathSp
 
 
 def _own_speed(scene: Scene) -> float:
-    """The fastest source's, 80 mm/s where all stand still."""
+    """Speed of the fastest source, 80 mm/s where all stand still."""
     speeds = [source.speed_mm_s for source in scene.sources if source.path.length_mm > 0 and source.speed_mm_s > 0]
     return max(speeds, default=80.0)
 

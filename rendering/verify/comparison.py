@@ -28,43 +28,30 @@ MOST_WAVEFORMS = 6
 
 @dataclass(frozen=True, slots=True)
 class FieldComparison:
-    """A predicted and a measured field side by side.
-
-    Everything but `error_all_frequencies` is of the fields within `band_hz`.
+    """A predicted and a measured field, compared within `band_hz` (None: not limited).
 
     Parameters
     ----------
-    band_hz : tuple of float or None
-        The bank's band, to which both fields were limited; None: not limited.
-    sample_rate_hz, start_s, response_unit
-        Of both fields.
-    error : float
-        ``||scan - prediction|| / ||scan||`` over all compared positions and samples.
-    error_all_frequencies : float
-        The same without limiting the band.
+    error, error_all_frequencies : float
+        ``||scan - prediction|| / ||scan||`` over all compared positions and samples; without limiting the band.
     correlation : float
         Zero-lag correlation over all compared positions and samples.
     level_db : float
         Gain that fits the prediction best to the scan, ``<scan, prediction> / ||prediction||**2``.
     delay_samples : float
-        Delay of the scan: the peak, within 20 ms, of the cross-correlation summed
-        over positions.
+        Delay of the scan: the peak, within 20 ms, of the cross-correlation summed over positions.
     position_index : int64 array, shape (P,)
         Compared bank rows, ascending.
     position_error, position_correlation : float64 array, shape (P,)
-        Error and correlation at each position; NaN where the scan is silent.
+        NaN where the scan is silent.
     position_scanned, position_noise : float64 array, shape (P,)
         Norm over samples of the scan and of its noise; NaN noise where unknown.
     excluded : tuple of (int, str)
         Scanned bank rows that were not compared, and why.
-    instant : tuple of FocusInstant, length K
-        The focus instants.
-    predicted_snapshot, scanned_snapshot : float32 array, shape (K, P)
+    predicted_snapshot, scanned_snapshot : float32 array, shape (focus instants, P)
         The fields at those instants.
     waveform_index : int64 array, shape (W,)
-        Bank rows of path points whose waveforms are kept.
-    predicted_waveform, scanned_waveform : float32 array, shape (W, samples)
-        The fields there.
+        Bank rows of path points whose waveforms, (W, samples) each, are kept.
     """
 
     band_hz: tuple[float, float] | None

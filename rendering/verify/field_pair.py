@@ -12,32 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.field.band_limit import BandLimit
-from rendering.field.metrics import level_db
+from rendering.field.metrics import correlation, level_db, normalised_error
 from storage.errors import InputError
 from storage.field_file import FieldRowReader
 
 Float32Array = NDArray[np.float32]
 
-# A few very loud positions, mostly next to actuators, must not make all others pale.
 LOUDEST_SHARE = 0.999
+"""A few very loud positions, mostly next to actuators, do not count for colour scales."""
 
 
 class CancelledError(Exception):
-    """Reading was given up because reading was cancelled."""
+    """Reading was cancelled."""
 
 
 @dataclass(frozen=True, slots=True)
 class PositionFigures:
     """Agreement of prediction and scan at one position, within the band; NaN where a field is silent.
 
-    Parameters
-    ----------
-    error : float
-        ``||scan - prediction|| / ||scan||``.
-    correlation : float
-        Zero-lag correlation.
-    level_db : float
-        Norm of the scan over norm of the prediction.
+    `level_db` is the norm of the scan over that of the prediction.
     """
 
     error: float
@@ -48,7 +41,7 @@ class PositionFigures:
 class FieldPair:
     """Two fields of equal positions, rate, start and length, limited to one band.
 
-    They lie in temporary files without names, which the system gives back when the pair is deleted.
+    They are in temporary files without names, which the system deletes with the pair.
 
     Parameters
     ----------
@@ -97,24 +90,22 @@ class FieldPair:
         if not (norms[0] > 0.0 and norms[1] > 0.0):
             return PositionFigures(math.nan, math.nan, math.nan)
         return PositionFigures(
-            float(np.linalg.norm(scanned - predicted)) / norms[1],
-            float(scanned @ predicted) / (norms[0] * norms[1]),
-            level_db(norms[1] / norms[0]),
+            normalised_error(scanned, predicted), correlation(scanned, predicted), level_db(norms[1] / norms[0])
         )
 
     def loudest(self, samples: NDArray[np.int64], compared: NDArray[np.bool_]) -> tuple[float, float]:
         """Magnitude that all but a thousandth of both fields, and of their difference, keep to."""
-        fields, differences = [], []
+        fields, differences = [np.zeros(0)], [np.zeros(0)]
         for sample in samples:
             predicted, scanned = (one[compared] for one in self.at_sample(int(sample)))
             fields.append(np.maximum(np.abs(predicted), np.abs(np.nan_to_num(scanned))))
             differences.append(np.abs(scanned - predicted))
-        if not fields:
-            return 0.0, 0.0
-        far = [np.concatenate(one) for one in (fields, differences)]
-        known = [one[np.isfinite(one)] for one in far]
-        both = [float(np.quantile(one, LOUDEST_SHARE)) if one.size else 0.0 for one in known]
-        return both[0], both[1]
+        return _loud(np.concatenate(fields)), _loud(np.concatenate(differences))
+
+
+def _loud(magnitude: NDArray[np.floating]) -> float:
+    known = magnitude[np.isfinite(magnitude)]
+    return float(np.quantile(known, LOUDEST_SHARE)) if known.size else 0.0
 
 
 def read_pair(

@@ -41,28 +41,17 @@ LOG_NAME = "verify.events.jsonl"
 STOP_NAME = "verify.stop"
 """A file of this name ends the verification: outputs muted, mirror parked."""
 
-# Enough for a path that looks smooth on any screen, and for finding where a source is.
 PATH_POINTS = 401
+"""Points of a recorded path: it looks smooth on any screen."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
     """One figure of a verification.
 
-    Parameters
-    ----------
-    name, unit, definition : str
-        Its meaning.
-    predicted, scanned, difference : float or None
-        Of the prediction, of the scan, and between them; None where a figure has no such side.
-    value : float or None
-        The value held against the limit, or that would be; None where the positions needed were not scanned.
-    limit : float or None
-        None for a figure that is not judged.
-    relation : str
-        ``"at most"`` or ``"at least"``; empty without a limit.
-    passed : bool or None
-        It keeps to the limit; None where nothing was judged.
+    Of the prediction, of the scan, and between them: None where it has no such side. `value` is what the limit is for,
+    None where the positions needed were not scanned. `relation` is "at most" or "at least", empty without a limit;
+    `passed` is None where nothing was judged.
     """
 
     name: str
@@ -106,34 +95,22 @@ class VerificationRecord:
 
     Parameters
     ----------
-    path : Path
-        The file.
-    made : datetime
-        With a time zone.
     scene, scene_file, bank, rig : str
         Names of what was verified.
     passed : bool
         No figure is beyond its limit.
-    summary : str
-        The verdict in a sentence or two.
-    response_unit : str
-        Of the fields.
     band_hz : tuple of float or None
         To which both fields were limited.
     figures : tuple of Figure
         Those with a limit first.
     focus_s : float64 array (foci,)
-        Instants at which foci were looked at.
-    sources : tuple of RecordedSource
-        Of the scene.
+        Focus instants that were compared.
     outline_mm : float64 array (points, 2) or None
         Rim of the surface.
     actuator_mm : float64 array (actuators, 2)
         NaN where unknown.
-    position_index : int64 array (positions,)
-        Bank rows of the predicted positions.
-    position_mm : float64 array (positions, 2)
-        Their places.
+    position_index, position_mm : arrays (positions,) and (positions, 2)
+        Bank rows of the predicted positions, and their places.
     position_error, position_correlation : float64 array (positions,)
         NaN where nothing was compared.
     excluded : mapping of int to str
@@ -184,7 +161,7 @@ def write_record(
 ) -> Path:
     """Write ``verify.json`` into the verification's folder; an older one is replaced when the new one is whole.
 
-    `names` are those of scene file, bank and rig as people gave them; `outline_mm` is the rim of the surface, closed.
+    `names` are those of scene file, bank and rig on the command line; `outline_mm` is the rim of the surface, closed.
     """
     compared = verification.fields
     rows = np.asarray(prediction.position_index, np.int64)
@@ -235,7 +212,7 @@ def finite(value: float | None) -> float | None:
 
 def _plain_figure(figure: Figure) -> dict[str, object]:
     plain = asdict(figure)
-    return {**plain, **{name: finite(plain[name]) for name in _NUMBERS}, "relation": figure.relation or None}
+    return plain | {name: finite(plain[name]) for name in _NUMBERS} | {"relation": figure.relation or None}
 
 
 def _plain_source(source: Source) -> dict[str, object]:

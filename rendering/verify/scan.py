@@ -31,30 +31,28 @@ if TYPE_CHECKING:
     from storage.drive_file import Drive
     from storage.field_file import Field
 
-# So many positions given up one after the other mean that the rig, and not a position, is at fault.
 GIVE_UP_POSITIONS = 5
+"""So many positions given up one after the other mean that the rig, and not a position, is at fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """A measured field, with what its records were worth.
+    """A measured field, and the quality of its records; arrays have one element or row per position.
 
     Parameters
     ----------
     field : float32 array, shape (positions, drive samples + taps - 1)
         Response on the playback clock; rows of failed positions are zero.
-    position_index : int64 array, shape (positions,)
+    position_index : int64 array
         Bank rows, ascending.
-    sample_rate_hz, start_s, response_unit
-        As of the drive and the bank.
-    status : uint8 array, shape (positions,)
+    status : uint8 array
         Status bits as in the bank: valid, over-range, poor signal (the vibrometer lost it) or failed.
-    attempts : int64 array, shape (positions,)
-        Records taken at each position.
-    noise_rms : float64 array, shape (positions,)
+    attempts : int64 array
+        Records taken.
+    noise_rms : float64 array
         Rms of the response while nothing played, in response units; NaN where unknown.
-    clock_ratio, playback_gain : float64 array, shape (positions,)
-        DAQ rate over playback rate, and volts found on the loopback per volt asked for.
+    clock_ratio, playback_gain : float64 array
+        DAQ rate over playback rate, and measured over requested voltage of the loopback.
     faults : tuple of (int, str)
         Bank row and cause of each failed position.
     """
@@ -87,16 +85,10 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class ScanPlan:
-    """Positions that a scan visits.
+    """Bank rows that a scan visits, in this order, none twice, and records at each before it is given up, >= 1.
 
-    Parameters
-    ----------
-    position : tuple of int
-        Bank rows in the order in which the mirror visits them, none twice.
-    attempts : int
-        Records at a position before it is given up, >= 1. A record that reached the end of
-        the input range is repeated once: more of the same drive would clip again. A record in
-        which the vibrometer lost the signal is repeated, and the last one kept as poor.
+    A record that reached the end of the input range is repeated once: more of the same drive would clip again. A record
+    in which the vibrometer lost the signal is repeated, and the last one kept as poor.
     """
 
     position: tuple[int, ...]
@@ -128,30 +120,19 @@ def scan(
 ) -> Scan:
     """Play a drive on the rig and record its field at the planned positions.
 
-    A marker sweep plays on the loopback channel with the drive; from it follow the start of the drive in each
-    record and the ratio of the two clocks. While a record is taken, one
-    worker thread brings the previous one to the playback clock. A lost instrument is waited
-    for, as in a campaign. The caller closes `setup`, which mutes the player and parks the mirror.
+    A marker sweep plays on the loopback channel with the drive; from it follow the start of the drive in each record
+    and the ratio of the two clocks. While a record is taken, one worker thread brings the previous one to the playback
+    clock. A lost instrument is waited for, as in a campaign. The caller closes `setup`, which mutes the player and
+    parks the mirror.
 
     Parameters
     ----------
-    plan : ScanPlan
-        Positions and their order.
-    setup : Setup
-        The rig.
-    drive : Drive
-        Played, within the player's full scale.
-    bank : GreenSource
-        Positions, taps and response unit.
     on_progress : callable, optional
         Called with the positions done and the positions planned.
     publish : callable, optional
         Receives the events of faults and of waiting for a lost instrument.
 
-    Returns
-    -------
-    Scan
-        On the samples of ``predict(drive, bank)``.
+    Returns the field on the samples of ``predict(drive, bank)``.
 
     Raises
     ------
@@ -168,7 +149,7 @@ def scan(
 
 
 class _ScanRun:
-    """One scan under way: what is still to visit, and what was found."""
+    """One scan: positions still to visit, and results."""
 
     def __init__(
         self,
@@ -252,8 +233,7 @@ class _ScanRun:
             status = Status.POOR_SIGNAL
         index = self._place[visit.row]
         self._scan.field[index] = aligned.response
-        self._scan.noise_rms[index] = aligned.noise_rms
-        self._scan.clock_ratio[index] = aligned.clock_ratio
+        self._scan.noise_rms[index], self._scan.clock_ratio[index] = aligned.noise_rms, aligned.clock_ratio
         self._scan.playback_gain[index] = aligned.playback_gain
         self._given_up_in_a_row = 0
         self._finish(visit, status)

@@ -19,17 +19,16 @@ if TYPE_CHECKING:
     from storage.drive_file import Drive
 
 MARKER_START_HZ = 20.0
-# Low, for the fewer bins the marker fills the less a fit costs; at 60 dB it still gives the clock ratio to 0.1 ppm.
-MARKER_STOP_HZ = 1000.0
+MARKER_STOP_HZ = 1000.0  # the fewer bins it fills the less a fit costs; at 60 dB it gives the clock ratio to 0.1 ppm
 MARKER_FADE_S = 0.02
-# The least silence that says what the noise is, and what is kept clear before the drive, in samples.
+# Shortest silence from which noise is measured, and the part before the drive that is not used, in samples.
 LEAST_SILENCE_SAMPLES = 50
 SILENCE_GUARD_SAMPLES = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """A response on the playback clock, and what its record says about noise and clocks."""
+    """A response on the playback clock, with noise and clock ratio of its record."""
 
     response: NDArray[np.float32]
     noise_rms: float
@@ -75,18 +74,8 @@ def scan_signals(setup: Setup, drive: Drive, samples: int) -> dict[int, Float64A
 class Alignment:
     """Brings the responses of one scan to the playback clock, in response units.
 
-    Safe to share between threads; a result depends on its recording alone.
-
-    Parameters
-    ----------
-    setup : Setup
-        The rig.
-    signals_v : mapping from player channel to float64 array, shape (samples,)
-        Signals of every record, from `scan_signals`.
-    rate_hz : float
-        Rate of signals and records.
-    band_hz : tuple of float, optional
-        The bank's band.
+    Safe to share between threads; a result depends on its recording alone. `signals_v` are those of every record, from
+    `scan_signals`, `rate_hz` their rate, `band_hz` the bank's band.
     """
 
     def __init__(
@@ -145,14 +134,7 @@ LEAST_WINDOWS = 8
 class DropoutCheck:
     """Looks for bursts of noise in responses to one drive, above all that the drive can excite.
 
-    Parameters
-    ----------
-    drive_v : sequence of float64 array, shape (samples,)
-        Drives of the actuators.
-    rate_hz : float
-        Their rate, and about that of the responses.
-    band_hz : tuple of float, optional
-        The bank's band; twice its upper end is left to the signal in any case.
+    Frequencies up to twice the bank's band belong to the signal in any case.
     """
 
     def __init__(self, drive_v: Sequence[Float64Array], rate_hz: float, band_hz: tuple[float, float] | None) -> None:

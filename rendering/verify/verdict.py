@@ -27,14 +27,10 @@ class Tolerances:
 
     Parameters
     ----------
-    normalised_error : float
-        Largest relative L2 error.
-    correlation : float
-        Least zero-lag correlation.
-    focus_offset_spacings : float
-        Largest median distance from path point to scanned focus, in grid spacings.
-    prediction_offset_spacings : float
-        Largest median distance from predicted to scanned focus, in grid spacings.
+    normalised_error, correlation : float
+        Largest relative L2 error, least zero-lag correlation.
+    focus_offset_spacings, prediction_offset_spacings : float
+        Largest median distance of the scanned focus from path point and predicted focus, in grid spacings.
     focal_width_mm : float
         Largest median difference between scanned and predicted focal width.
     usable_share : float
@@ -55,16 +51,11 @@ class Verification:
 
     Parameters
     ----------
-    fields : FieldComparison
-        Errors, correlations and the fields at the focus instants.
-    focus : FocusTable
-        Places and widths of the foci.
     spacing_mm : float or None
         Grid spacing of the bank; None for a bank of one position.
     noise_error : float or None
-        Part of the vibrometer's noise in the normalised error: the rms of
-        each record's silent lead-in, taken as white, over all compared samples and within the
-        band, divided by ``||scan||``. None when the scan does not know its noise.
+        Part of the vibrometer's noise in the normalised error: the rms of each record's silent lead-in, taken as white,
+        over all compared samples and within the band, divided by ``||scan||``. None where the noise was not measured.
     figures : tuple of Figure
         Those that have a limit, then the others.
     """
@@ -146,25 +137,11 @@ def compare(
 ) -> Verification:
     """Compare a predicted with a measured field.
 
-    Positions are compared where both have them, the scan has a sound record and the bank's
-    row is valid. Both fields are limited to the bank's band, when it has one: outside
-    it the Green's functions were not measured.
+    Both are fields of one drive, of equal rate, start and length; any positions, in any order. Positions are compared
+    where both have them, the scan has a sound record and the bank's row is valid. Both fields are limited to the bank's
+    band, when it has one: outside it the Green's functions were not measured.
 
-    Parameters
-    ----------
-    prediction, scan : Field or Scan
-        Fields of one drive, of equal rate, start and length; any positions, in any order.
-    drive : Drive
-        The foci.
-    bank : GreenSource
-        Positions, status and band.
-    tolerances : Tolerances, optional
-        The limits of the checks.
-
-    Raises
-    ------
-    InputError
-        The fields do not belong together, or no position can be compared.
+    Raises InputError: the fields do not belong together, or no position can be compared.
     """
     fields = compare_fields(prediction, scan, drive, bank)
     position_mm = np.asarray(bank.position_mm, np.float64)
