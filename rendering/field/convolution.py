@@ -101,8 +101,6 @@ class Convolution:
         Relative magnitude that may be left out of each part of the field; 0: nothing is.
     kept : BankSpectra, optional
         Spectra of the rows, kept from earlier; then `tolerance` is theirs.
-
-    Raises InputError: the drive holds NaN or infinity.
     """
 
     def __init__(
@@ -116,8 +114,6 @@ class Convolution:
         tolerance: float = 0.0,
         kept: BankSpectra | None = None,
     ) -> None:
-        if not np.isfinite(drive_v).all():
-            raise InputError("the drive holds NaN or infinity; render it again")
         self._reader, self._dtype, self._device = reader, dtype, device
         self._decimation, self._tolerance, self._kept = decimation, tolerance, kept
         self.samples = -(-(drive_v.shape[1] + reader.taps - 1) // decimation.factor)

@@ -64,7 +64,7 @@ class Prediction:
     device : Device, optional
         By default this processor.
 
-    Raises InputError: a parameter is not as stated here, or the drive is not finite.
+    Raises InputError: a parameter is not as stated here.
     """
 
     position_index: Int64Array

@@ -68,11 +68,9 @@ def predict_spectra(
     length apart: a sum over a band much wider than that comes within a few percent of the field's own, less narrow
     ones within what neighbouring frequencies differ by. Kept spectra give the bins that were kept.
 
-    Raises InputError: the drive is not finite, or the spectra are at another rate.
+    Raises InputError: the spectra are at another rate.
     """
     index = np.asarray(positions, dtype=np.int64)
-    if not np.isfinite(drive.drive_v).all():
-        raise InputError("the drive holds NaN or infinity; render it again")
     spectra = bank if isinstance(bank, BankSpectra) else None
     source: GreenSource = bank.bank if isinstance(bank, BankSpectra) else bank
     if spectra is not None and spectra.decimation.factor > 1:

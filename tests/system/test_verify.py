@@ -24,10 +24,10 @@ def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_say
 ) -> None:
     capsys.readouterr()
     assert _verify(lab, bank) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["passed"] is True
-    assert told["error"] < 0.02
-    assert told["correlation"] > 0.999
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["passed"] is True
+    assert printed["error"] < 0.02
+    assert printed["correlation"] > 0.999
     report = (lab / "verify" / "report.html").read_text(encoding="utf-8")
     assert "<script" not in report
     assert "https://" not in report
@@ -85,9 +85,9 @@ def test_given_a_scan_with_a_lost_player_then_exit_3(lab: Path, capsys: pytest.C
     assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
     capsys.readouterr()
     assert _verify(lab, bank) == 3
-    told = capsys.readouterr().err
-    assert "player" in told.splitlines()[-1]
-    assert "on the way out: virtual player" in told
+    printed = capsys.readouterr().err
+    assert "player" in printed.splitlines()[-1]
+    assert "on the way out: virtual player" in printed
 
 
 def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(lab: Path, bank: Path) -> None:

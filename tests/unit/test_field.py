@@ -51,12 +51,17 @@ def relative_error(found, expected):
     actuators=st.integers(1, 4),
     taps=st.integers(1, 200),
     samples=st.sampled_from([1, 7, 500, 9000, 20000]),
+    scale=st.sampled_from([1.0, 2.0**-100, 2.0**100]),
+    silent=st.booleans(),
 )
-@settings(max_examples=20, deadline=None)
-def test_a_field_is_the_full_convolution(seed, positions, actuators, taps, samples):
+@settings(max_examples=25, deadline=None)
+def test_a_field_is_the_full_convolution_in_any_unit(seed, positions, actuators, taps, samples, scale, silent):
     rng = np.random.default_rng(seed)
-    bank = make_bank(rng.standard_normal((positions, actuators, taps)))
-    drive = make_drive(rng.standard_normal((actuators, samples)))
+    bank = make_bank(rng.standard_normal((positions, actuators, taps)) * scale)
+    volts = rng.standard_normal((actuators, samples)) / scale
+    if silent and actuators > 1:
+        volts[0] = 0.0
+    drive = make_drive(volts)
     expected = convolved(bank, drive, range(positions))
     assert relative_error(predict(drive, bank).field, expected) < 1e-12
     single = predict(drive, bank, dtype=np.float32)
@@ -90,74 +95,54 @@ def test_positions_are_predicted_in_the_order_asked_for():
     assert relative_error(field.field, convolved(bank, drive, [3, 0, 3])) < 1e-12
 
 
-def test_unmeasured_positions_are_left_out_and_can_be_listed():
+def test_unmeasured_positions_are_left_out_and_refused_where_they_are_asked_for():
     bank = make_bank(np.ones((5, 1, 3)), status=np.array([1, 0, 4, 16, 8], np.uint8))
     assert predict(make_drive([[1.0]]), bank).position_index.tolist() == [0, 2]
     assert [rows.tolist() for rows in measured_positions(bank)] == [[0, 2], [1, 3, 4]]
-
-
-def test_an_unmeasured_position_that_is_asked_for_is_refused_by_name():
-    bank = make_bank(np.ones((5, 1, 3)), status=np.array([1, 0, 4, 16, 8], np.uint8))
     with pytest.raises(InputError, match="positions holds 1, 3: not measured"):
         predict(make_drive([[1.0]]), bank, [0, 1, 3])
-
-
-def test_silent_actuators_add_nothing():
-    rng = np.random.default_rng(0)
-    bank = make_bank(rng.standard_normal((2, 3, 30)))
-    volts = rng.standard_normal((3, 50))
-    volts[1] = 0
-    drive = make_drive(volts)
-    assert relative_error(predict(drive, bank).field, convolved(bank, drive, range(2))) < 1e-12
-    assert not predict(make_drive(np.zeros((3, 50))), bank).field.any()
-
-
-def test_rows_come_as_a_stream_with_progress():
-    rng = np.random.default_rng(0)
-    bank = make_bank(rng.standard_normal((200, 2, 30)))
-    drive = make_drive(rng.standard_normal((2, 50_000)))
-    told, rows = [], []
-    for part in predict_rows(drive, bank, dtype=np.float64, on_progress=lambda *count: told.append(count)):
-        assert part.first == len(rows)
-        rows.extend(part.field)
-    assert told[-1] == (200, 200)
-    assert len(told) > 1
-    np.testing.assert_array_equal(rows, predict(drive, bank).field)
-
-
-@pytest.mark.parametrize("scale", [2.0**-100, 2.0**100])
-def test_single_precision_holds_any_unit(scale):
-    rng = np.random.default_rng(0)
-    bank = make_bank(rng.standard_normal((2, 2, 30)) * scale)
-    drive = make_drive(rng.standard_normal((2, 50)) / scale)
-    field = predict(drive, bank, dtype=np.float32)
-    assert relative_error(field.field, convolved(bank, drive, range(2))) < 2e-6
-
-
-@pytest.mark.parametrize(
-    ("drive", "positions", "message"),
-    [
-        (make_drive(np.ones((2, 5))), None, "the drive has 2 actuators, the bank 1"),
-        (make_drive([[1.0]], rate_hz=2000.0), None, "the drive is at 2000 Hz"),
-        (make_drive([[1.0]]), [], "positions is empty"),
-        (make_drive([[1.0]]), [0, 7], "positions holds 7; allowed are 0 to 1"),
-        (make_drive([[1.0]]), [-1], "positions holds -1"),
-        (make_drive([[1e300]]), None, "does not fit into float64"),
-    ],
-)
-def test_what_does_not_fit_the_bank_is_refused(drive, positions, message):
-    with pytest.raises(InputError, match=message):
-        predict(drive, make_bank(np.full((2, 1, 3), 1e100)), positions)
-
-
-def test_a_bank_without_a_measured_row_is_refused():
     with pytest.raises(InputError, match="no measured position"):
         predict(make_drive([[1.0]]), make_bank(np.ones((2, 1, 3)), status=np.zeros(2, np.uint8)))
 
 
-def test_another_precision_is_refused():
-    with pytest.raises(InputError, match="dtype is float16"):
-        predict(make_drive([[1.0]]), make_bank(np.ones((2, 1, 3))), dtype=np.float16)
+def test_a_silent_drive_gives_a_silent_field():
+    assert not predict(make_drive(np.zeros((3, 50))), make_bank(np.ones((2, 3, 30)))).field.any()
+
+
+def test_rows_come_as_a_stream_with_progress_in_the_calling_thread():
+    rng = np.random.default_rng(0)
+    bank = make_bank(rng.standard_normal((200, 2, 30)))
+    drive = make_drive(rng.standard_normal((2, 50_000)))
+    reported, rows = [], []
+
+    def report(*count):
+        reported.append((*count, threading.get_ident()))
+
+    for part in predict_rows(drive, bank, dtype=np.float64, on_progress=report):
+        assert part.first == len(rows)
+        rows.extend(part.field)
+    assert reported[-1] == (200, 200, threading.get_ident())
+    assert len(reported) > 1
+    assert reported == sorted(reported)
+    np.testing.assert_array_equal(rows, predict(drive, bank).field)
+
+
+@pytest.mark.parametrize(
+    ("drive", "options", "message"),
+    [
+        (make_drive(np.ones((2, 5))), {}, "the drive has 2 actuators, the bank 1"),
+        (make_drive([[1.0]], rate_hz=2000.0), {}, "the drive is at 2000 Hz"),
+        (make_drive([[1.0]]), {"positions": []}, "positions is empty"),
+        (make_drive([[1.0]]), {"positions": [0, 7]}, "positions holds 7; allowed are 0 to 1"),
+        (make_drive([[1.0]]), {"positions": [-1]}, "positions holds -1"),
+        (make_drive([[1e300]]), {}, "does not fit into float64"),
+        (make_drive([[1.0]]), {"dtype": np.float16}, "dtype is float16"),
+        (make_drive([[1.0]]), {"rate_hz": 300.0}, "whole number"),
+    ],
+)
+def test_parameters_that_do_not_fit_the_bank_are_refused(drive, options, message):
+    with pytest.raises(InputError, match=message):
+        predict(drive, make_bank(np.full((2, 1, 3), 1e100)), **options)
 
 
 def band_limited(rng, shape, share=0.25):
@@ -174,15 +159,18 @@ def band_limited(rng, shape, share=0.25):
     samples=st.sampled_from([50, 700, 5000]),
     tolerance_db=st.sampled_from([-20.0, -40.0, -60.0]),
     white=st.booleans(),
+    alone=st.booleans(),
     scale=st.sampled_from([1.0, 1e-25]),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_with_kept_spectra_the_bound_holds_and_the_tolerance_too(
-    seed, positions, actuators, taps, samples, tolerance_db, white, scale
+    seed, positions, actuators, taps, samples, tolerance_db, white, alone, scale
 ):
     rng = np.random.default_rng(seed)
     bank = make_bank(band_limited(rng, (positions, actuators, taps)) * scale)
     volts = rng.standard_normal((actuators, samples)) if white else band_limited(rng, (actuators, samples))
+    if alone:
+        volts[1:] = 0.0
     drive = make_drive(volts)
     spectra = BankSpectra(bank, range(positions), tolerance_db=tolerance_db)
     prediction = Prediction(drive, spectra, range(positions))
@@ -204,15 +192,15 @@ def test_kept_spectra_give_the_positions_asked_for_in_any_order():
         Prediction(drive, spectra, [1, 2]).field()
 
 
-def test_a_silent_actuator_and_a_silent_drive_go_with_kept_spectra():
+def test_the_bins_that_are_kept_suffice_for_drives_made_of_the_bank():
     rng = np.random.default_rng(2)
-    bank = make_bank(rng.standard_normal((3, 3, 50)))
-    volts = rng.standard_normal((3, 400))
-    volts[1] = 0
-    spectra = BankSpectra(bank, range(3), tolerance_db=-60.0)
-    drive = make_drive(volts)
-    assert relative_error(Prediction(drive, spectra, range(3)).field().field, convolved(bank, drive, range(3))) < 1e-3
-    assert not Prediction(make_drive(np.zeros((3, 400))), spectra, range(3)).field().field.any()
+    bank = make_bank(band_limited(rng, (6, 20, 300), 0.15) * np.blackman(300))
+    drive = make_drive(np.stack([np.convolve(rng.standard_normal(4000), one[::-1]) for one in bank.values[0]]))
+    prediction = Prediction(drive, BankSpectra(bank, range(6), tolerance_db=-60.0), range(6))
+    prediction.field()
+    # Computed anew from the bank, it would be exact.
+    assert 1e-9 < prediction.omitted_bound <= 1e-3
+    assert prediction.kept_share < 0.6
 
 
 @pytest.mark.parametrize("kept", [False, True])
@@ -232,49 +220,22 @@ def test_a_field_at_a_lower_rate_is_the_field_without_what_lies_above(kept):
     assert prediction.lost_share() < 1e-4
 
 
-def test_drives_are_told_by_all_their_samples():
+def test_energy_between_the_samples_looked_at_first_counts():
     rng = np.random.default_rng(5)
     bank = make_bank(band_limited(rng, (3, 3, 200)))
-    spectra = BankSpectra(bank, range(3), tolerance_db=-60.0)
     volts = band_limited(rng, (3, 3000))
-    # What lies between the samples that are looked at first: all there is of one actuator, and most of another.
+    # All there is of one actuator, and most of another.
     volts[1] = 0
     volts[1, 100:120] = 1e-3
     volts[2, 1001] = 1e30
     drive = make_drive(volts)
-    prediction = Prediction(drive, spectra, range(3))
+    prediction = Prediction(drive, BankSpectra(bank, range(3), tolerance_db=-60.0), range(3))
     error = relative_error(prediction.field().field, convolved(bank, drive, range(3)))
     assert error <= max(prediction.omitted_bound, 3e-6)
     assert error < 1e-3
-    for bad in (np.nan, np.inf):
-        drive.drive_v[2, 1001] = bad
-        with pytest.raises(InputError, match="NaN or infinity"):
-            Prediction(drive, spectra, range(3))
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_drive_that_is_not_finite_is_refused_at_a_lower_rate_too(bad):
-    drive = make_drive(np.ones((2, 900)))
-    drive.drive_v[1, 417] = bad
-    bank = make_bank(np.ones((2, 2, 60)))
-    with pytest.raises(InputError, match="NaN or infinity"):
-        Prediction(drive, bank, range(2), rate_hz=250.0)
-
-
-@pytest.mark.parametrize("tolerance_db", [-40.0, -60.0])
-def test_one_actuator_alone_goes_with_kept_spectra_of_all(tolerance_db):
-    rng = np.random.default_rng(6)
-    bank = make_bank(band_limited(rng, (4, 6, 250)))
-    volts = np.zeros((6, 2500))
-    volts[3] = band_limited(rng, (1, 2500))
-    drive = make_drive(volts)
-    prediction = Prediction(drive, BankSpectra(bank, range(4), tolerance_db=tolerance_db), range(4))
-    error = relative_error(prediction.field().field, convolved(bank, drive, range(4)))
-    assert error <= max(prediction.omitted_bound, 3e-6)
-    assert prediction.omitted_bound <= 10 ** (tolerance_db / 20)
-
-
-@pytest.mark.parametrize("taps", [1, 3, 7, 20])
+@pytest.mark.parametrize("taps", [1, 7])
 def test_the_shortest_of_rows_can_be_kept_within_a_tolerance(taps):
     rng = np.random.default_rng(7)
     bank = make_bank(rng.standard_normal((2, 2, taps)) * np.hanning(taps + 2)[1:-1])
@@ -283,27 +244,8 @@ def test_the_shortest_of_rows_can_be_kept_within_a_tolerance(taps):
     assert relative_error(found.field, convolved(bank, drive, range(2))) < 0.1
 
 
-def test_a_whole_field_tells_its_progress_from_the_calling_thread():
-    rng = np.random.default_rng(8)
-    bank = make_bank(rng.standard_normal((200, 2, 30)))
-    drive = make_drive(rng.standard_normal((2, 50_000)))
-    told = []
-    predict(drive, bank, on_progress=lambda *count: told.append((*count, threading.get_ident())))
-    assert {ident for _, _, ident in told} == {threading.get_ident()}
-    assert [count for count, _, _ in told] == sorted(count for count, _, _ in told)
-    assert told[-1][:2] == (200, 200)
-    assert len(told) > 1
-
-
-def test_a_rate_that_is_no_fraction_of_the_banks_is_refused():
-    bank = make_bank(np.ones((1, 1, 30)))
-    with pytest.raises(InputError, match="whole number"):
-        Prediction(make_drive(np.ones((1, 20))), bank, [0], rate_hz=300.0)
-
-
-@pytest.mark.parametrize("kept", [False, True])
-@pytest.mark.parametrize("scale", [1.0, 1e-30])
-def test_energy_spectra_tell_the_fields_energy_by_band(kept, scale):
+@pytest.mark.parametrize(("kept", "scale"), [(False, 1.0), (True, 1e-30)])
+def test_energy_spectra_have_the_fields_energy_by_band(kept, scale):
     rng = np.random.default_rng(4)
     bank = make_bank(rng.standard_normal((3, 2, 80)) * np.exp(-np.arange(80) / 15) * scale)
     drive = make_drive(rng.standard_normal((2, 6000)))

@@ -67,15 +67,11 @@ def test_given_two_spots_then_the_one_within_the_radius_is_found_and_measured_al
     assert metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM) == pytest.approx(9.0, rel=0.04)
 
 
-def test_given_a_spot_cut_off_by_the_rim_of_the_grid_then_it_has_no_width():
+def test_given_a_spot_at_the_rim_or_too_few_positions_then_it_has_no_width():
     field = gaussian((40.0, 0.0), 10.0)
     assert metrics.focal_width_mm(GRID_MM, field, int(np.argmax(field)), SPACING_MM) is None
-
-
-@pytest.mark.parametrize("rows", [[220], [220, 221, 222, 223], [200, 201, 220, 221, 222, 240, 241]])
-def test_given_too_few_positions_around_the_peak_then_there_is_no_width(rows):
-    field = gaussian((0.0, 0.0), 10.0)
-    assert metrics.focal_width_mm(GRID_MM[rows], field[rows], 0, SPACING_MM) is None
+    few = [200, 201, 220, 221, 222, 240, 241]
+    assert metrics.focal_width_mm(GRID_MM[few], gaussian((0.0, 0.0), 10.0)[few], 0, SPACING_MM) is None
 
 
 def test_given_positions_on_one_line_then_there_is_a_peak_on_the_grid_and_no_width():
@@ -85,10 +81,6 @@ def test_given_positions_on_one_line_then_there_is_a_peak_on_the_grid_and_no_wid
     assert peak is not None
     assert peak.at_mm == (0.0, 0.0)
     assert metrics.focal_width_mm(line, field, peak.row, SPACING_MM) is None
-
-
-def test_given_no_position_within_the_radius_then_there_is_no_peak():
-    assert metrics.focus_peak(GRID_MM, np.ones(len(GRID_MM)), (200.0, 0.0), 15.0) is None
 
 
 def test_given_fields_that_differ_by_a_tenth_then_the_error_is_a_tenth_and_the_correlation_one():
@@ -122,10 +114,17 @@ def test_given_a_shuffled_grid_with_gaps_then_the_spacing_is_still_four_millimet
         metrics.grid_spacing_mm(GRID_MM[:1])
 
 
-def test_given_a_side_spot_of_a_tenth_then_the_artefact_level_is_minus_20_db():
+def test_given_a_side_spot_of_a_tenth_then_the_artefact_level_is_minus_20_db_unless_it_is_a_focus():
     field = gaussian((0.0, 0.0), 9.0) - 0.1 * gaussian((32.0, 0.0), 9.0)
-    assert metrics.artefact_level_db(GRID_MM, field, (0.0, 0.0), 15.0) == pytest.approx(-20.0, abs=0.1)
+    spot = metrics.focus_spot(GRID_MM, field, (0.0, 0.0), 15.0, SPACING_MM)
+    assert spot is not None
+    assert spot.artefact_db == pytest.approx(-20.0, abs=0.1)
+    assert (spot.value, spot.off_mm) == (pytest.approx(1.0), pytest.approx(0.0, abs=0.01))
+    assert spot.width_mm == pytest.approx(9.0, rel=0.045)
+    other_mm = np.array([[32.0, 0.0]])
+    assert metrics.artefact_level_db(GRID_MM, field, (0.0, 0.0), 15.0, other_mm) < -50.0
     assert math.isnan(metrics.artefact_level_db(GRID_MM, field, (0.0, 0.0), 500.0))
+    assert metrics.focus_spot(GRID_MM, field, (200.0, 0.0), 15.0, SPACING_MM) is None
 
 
 @pytest.mark.parametrize(("frequency_hz", "kept"), [(5.0, 0.0), (100.0, 1.0), (480.0, 1.0), (900.0, 0.0)])

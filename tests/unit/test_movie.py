@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from rendering.greens.source import GreenArray
 from rendering.report.movie import snapshots, surface_of, write_movie
@@ -85,21 +85,16 @@ def test_given_an_instant_then_each_source_is_at_its_last_focus_as_long_as_it_la
     ]  # fmt: skip
 
 
-def test_given_a_movie_then_the_gif_has_its_frames_and_colours(field_file: Path, tmp_path: Path) -> None:
+def test_given_a_movie_then_the_gif_has_its_frames(field_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "field.gif"
     with FieldRowReader(field_file) as field:
-        surface = surface_of(bank(), drive(), None)
         plan = plan_frames(field, drive(), from_s=0.0, to_s=0.1, slow=10.0, frame_rate_hz=20.0)
-        limit = write_movie(out, field, surface, drive(), plan, width_px=400)
+        limit = write_movie(out, field, surface_of(bank(), drive(), None), drive(), plan, width_px=400)
     assert limit == 100.0
     with Image.open(out) as gif:
         assert (gif.n_frames, gif.width, gif.info["duration"], gif.info["loop"]) == (21, 400, 50, 0)
-        pictures = []
-        for frame in range(gif.n_frames):
-            gif.seek(frame)
-            pictures.append(np.asarray(gif.convert("RGB"), dtype=int))
-    # Row 4 has its trough in sample 117, which no frame shows: all the map is nearly white, but labels move on.
-    assert all(np.any(one != other) for one, other in itertools.pairwise(pictures))
+        frames = [np.asarray(frame.convert("RGB"), dtype=int) for frame in ImageSequence.Iterator(gif)]
+    assert all(np.any(one != other) for one, other in itertools.pairwise(frames))  # the time in the title
 
 
 def test_given_a_peak_then_its_cell_is_red_and_a_trough_blue(field_file: Path, tmp_path: Path) -> None:
@@ -130,9 +125,3 @@ def test_given_snapshots_then_the_picture_is_drawn_and_a_field_without_foci_is_r
     write_field(tmp_path / "other.h5", Field(values()[:2], np.arange(2), RATE_HZ, START_S, "m/s"))
     with FieldRowReader(tmp_path / "other.h5") as field, pytest.raises(InputError, match="holds no focus"):
         snapshots(field, surface_of(bank(), drive(), None), drive())
-
-
-def test_given_a_file_that_is_no_field_then_it_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "no.h5").write_text("nothing", encoding="utf-8")
-    with pytest.raises(InputError, match=r"no\.h5"), FieldRowReader(tmp_path / "no.h5"):
-        pass

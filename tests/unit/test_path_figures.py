@@ -32,7 +32,7 @@ def decaying_bank(points, ratio=0.9, taps=400):
     return GreenArray(np.tile(green, (points, 1, 1)), line_mm(points), RATE_HZ)
 
 
-@pytest.mark.parametrize("period", [1, 4, 7, 20])
+@pytest.mark.parametrize("period", [1, 7, 20])
 def test_crosstalk_of_equal_decaying_responses_is_their_sum_over_the_window(period):
     points, ratio = 9, 0.9
     responses = PathResponses(decaying_bank(points, ratio), range(points))
@@ -46,7 +46,7 @@ def test_crosstalk_of_equal_decaying_responses_is_their_sum_over_the_window(peri
     assert found == pytest.approx(others / own, rel=1e-9)
 
 
-def test_points_with_actuators_of_their_own_do_not_talk_across():
+def test_points_with_actuators_of_their_own_have_no_crosstalk():
     greens = np.zeros((5, 5, 60))
     for point in range(5):
         greens[point, point] = RNG.standard_normal(60)
@@ -54,7 +54,7 @@ def test_points_with_actuators_of_their_own_do_not_talk_across():
     assert PathResponses(bank, range(5)).energy_ratio(4.0 * RATE_HZ / 3, 4.0) == pytest.approx(0.0, abs=1e-20)
 
 
-def test_slow_sources_do_not_talk_across_and_faster_ones_do_more():
+def test_crosstalk_grows_with_speed():
     bank = decaying_bank(12, 0.8)
     table = crosstalk_table(bank, range(12), 4.0, [100.0, 1000.0, 4000.0, 20_000.0], [1, 2, 3])
     assert table.energy_ratio.shape == (4, 3)
@@ -85,12 +85,9 @@ def test_the_responses_are_those_of_the_equations_with_saturation():
     assert found.values[1, 1][found.lead] == pytest.approx(1.0)
 
 
-def test_one_point_alone_has_no_crosstalk_to_speak_of():
-    assert np.isnan(PathResponses(decaying_bank(1), [0]).energy_ratio(10.0, 4.0))
-
-
-def test_a_row_that_was_not_measured_is_refused():
+def test_one_point_alone_has_no_crosstalk_and_a_row_that_was_not_measured_is_refused():
     bank = decaying_bank(3)
+    assert np.isnan(PathResponses(bank, [0]).energy_ratio(10.0, 4.0))
     bank.values[1] = 0.0
     with pytest.raises(InputError, match="position 1 is all zeros"):
         PathResponses(bank, range(3))
@@ -157,18 +154,15 @@ def test_gains_and_delays_of_the_actuators_do_not_change_how_impulses_travel():
 
 
 def room_bank(seed):
-    """Sound of 343 m/s that a room answers for tenths of a second, as at a few microphones close together."""
-    rng = np.random.default_rng(seed)
-    position_mm = np.stack(np.meshgrid(np.arange(0, 80, 8.0), np.arange(0, 40, 8.0)), axis=-1).reshape(-1, 2)
-    actuator_mm = np.array([[-25.0, 5.0], [100.0, 10.0], [30.0, 62.0]])
-    radius_mm = np.hypot(*(position_mm[:, None] - actuator_mm).transpose(2, 0, 1))
-    tail = rng.standard_normal((*radius_mm.shape, 3000)) * np.exp(-np.arange(3000) / 600.0)
-    greens = band_limited(tail.reshape(-1, 3000), RATE_HZ, (50.0, 450.0)).reshape(tail.shape)
-    return GreenArray(greens, position_mm, RATE_HZ, actuator_mm=actuator_mm)
+    """Sound that a room answers for tenths of a second, as at a few microphones close together."""
+    like = plane_wave_bank(SOFT_PLATE, taps=3000)
+    tail = np.random.default_rng(seed).standard_normal(like.values.shape) * np.exp(-np.arange(3000) / 600.0)
+    greens = band_limited(tail, RATE_HZ, (50.0, 450.0))
+    return GreenArray(greens, like.position_mm, RATE_HZ, actuator_mm=like.actuator_mm)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_arrivals_that_do_not_follow_distances_tell_no_velocity(seed):
+@pytest.mark.parametrize("seed", range(2))
+def test_arrivals_that_do_not_follow_distances_give_no_velocity(seed):
     assert not impulse_travel(room_bank(seed)).is_sure
 
 

@@ -1,4 +1,4 @@
-"""What the report says of the waves: the line that crosstalk is told of, and banks that tell less."""
+"""Waves in the report: the line along which crosstalk is computed, and banks that lack figures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_gap_ends_a_line_and_a_longer_one_beside_the_middle_is_found():
 
 
 @pytest.mark.parametrize("path", [Line((0, 0), (20, 0)), Point((4, 4))])
-def test_a_bank_that_tells_little_still_gives_lines_and_a_picture(path):
+def test_a_bank_without_most_figures_still_gives_lines_and_a_picture(path):
     position_mm = grid(3, 2)
     bank = GreenArray(np.random.default_rng(1).standard_normal((6, 2, 30)), position_mm, 1000.0)
     scene = Scene("s", (Source(path, Impulse(), 0.0, 80.0, 4.0),))
@@ -62,7 +62,7 @@ def test_a_bank_that_tells_little_still_gives_lines_and_a_picture(path):
     assert waves_picture(waves, None).png.startswith(b"\x89PNG")
 
 
-def test_a_bank_of_one_wave_everywhere_is_alike_everywhere_and_told_so():
+def test_a_bank_of_one_wave_everywhere_correlates_everywhere():
     green = np.tile(np.random.default_rng(1).standard_normal(30), (40, 2, 1))
     bank = GreenArray(green, grid(20, 2), 1000.0)
     scene = Scene("s", (Source(Line((0, 0), (20, 0)), Impulse(), 0.0, 300.0, 4.0),))

@@ -47,17 +47,8 @@ def impulse_drive() -> Drive:
     """Time-reversed Green's functions of the centre: an impulse source at rest there."""
     reversed_v = bank().green(CENTRE)[:, ::-1]
     one = np.ones(1, np.int64)
-    return Drive(
-        drive_v=reversed_v / np.abs(reversed_v).max(),
-        sample_rate_hz=RATE_HZ,
-        start_s=-(TAPS - 1) / RATE_HZ,
-        method="sampled",
-        scale=1.0,
-        omitted_bound=0.0,
-        focus_sample=0 * one,
-        focus_position=CENTRE * one,
-        focus_source=0 * one,
-    )
+    drive_v, start_s = reversed_v / np.abs(reversed_v).max(), -(TAPS - 1) / RATE_HZ
+    return Drive(drive_v, RATE_HZ, start_s, "sampled", 1.0, 0.0, 0 * one, CENTRE * one, 0 * one)
 
 
 def setup_of(rig: VirtualRig) -> Setup:
@@ -124,40 +115,44 @@ def test_given_a_wrong_channel_delay_then_the_comparison_names_it():
     assert outcome.fields.delay_samples == pytest.approx(-0.5, abs=0.01)
 
 
-def test_given_underflows_then_the_position_is_repeated_and_the_scan_complete():
-    fault = Fault("player", "wait", "underflow", position=49, count=2)
+@pytest.mark.parametrize(
+    ("fault", "attempts"),
+    [
+        (Fault("player", "wait", "underflow", position=49, count=2), 3),
+        (Fault("recorder", "read", "missing_reference", position=49), 2),
+        (Fault("recorder", "read", "dropout", position=49, purpose="scan"), 2),
+    ],
+    ids=["underflow", "missing reference", "dropout"],
+)
+def test_given_a_fault_that_passes_then_the_position_is_repeated_and_the_scan_complete(fault, attempts):
     found = scanned(ScanPlan((48, 49, 50)), fault)
-    assert found.attempts.tolist() == [1, 3, 1]
+    assert found.attempts.tolist() == [1, attempts, 1]
     assert found.status.tolist() == [1, 1, 1]
     assert compare(prediction(), found, impulse_drive(), bank()).fields.error < 0.005
 
 
-def test_given_a_reference_that_is_missing_once_then_the_position_is_repeated():
-    found = scanned(ScanPlan((48, 49, 50)), Fault("recorder", "read", "missing_reference", position=48))
-    assert found.attempts.tolist() == [2, 1, 1]
-    assert np.all(found.status == 1)
-
-
-def test_given_a_position_that_never_succeeds_then_it_is_marked_and_left_out():
-    fault = Fault("recorder", "read", "short_read", position=49, count=9)
+@pytest.mark.parametrize(
+    ("kind", "status", "attempts", "reason"),
+    [
+        ("short_read", 8, 3, "the scan failed"),
+        ("over_range", 2, 2, "the scan reached the end of the input range"),
+        ("dropout", 4, 3, "the vibrometer lost the signal in the scan"),
+    ],
+)
+def test_given_a_fault_that_stays_then_the_position_is_marked_and_left_out(kind, status, attempts, reason):
+    fault = Fault("recorder", "read", kind, position=49, purpose="scan", count=9)
     progress: list[tuple[int, int]] = []
     rig = VirtualRig(dataclasses.replace(SETTINGS, fault_plan=(fault,)))
     plan = ScanPlan((50, 49, 48))
     found = scan(plan, setup_of(rig), impulse_drive(), bank(), on_progress=lambda *at: progress.append(at))
-    assert found.status.tolist() == [1, 8, 1]
-    assert [row for row, _ in found.faults] == [49]
+    assert found.status.tolist() == [1, status, 1]
+    assert found.attempts[1] == attempts
     assert progress == [(1, 3), (2, 3), (3, 3)]
-    assert found.as_field().position_index.tolist() == [48, 50]
+    assert [row for row, _ in found.faults] == ([49] if status == 8 else [])
+    assert found.as_field().position_index.tolist() == ([48, 49, 50] if status == 2 else [48, 50])
     outcome = compare(prediction(), found, impulse_drive(), bank())
-    assert outcome.fields.excluded == ((49, "the scan failed"),)
-    assert not outcome.passed
-
-
-def test_given_a_record_over_range_then_it_is_repeated_once_and_marked():
-    fault = Fault("recorder", "read", "over_range", position=49, count=9)
-    found = scanned(ScanPlan((48, 49)), fault)
-    assert found.status.tolist() == [1, 2]
-    assert found.attempts.tolist() == [1, 2]
+    assert outcome.fields.excluded == ((49, reason),)
+    assert not outcome.passed  # too few positions are usable
 
 
 def test_given_a_recorder_that_is_lost_then_the_error_passes_on():
@@ -207,12 +202,11 @@ def test_given_white_noise_of_known_level_then_error_and_noise_are_that_level_an
     assert outcome.passed
 
 
-def test_given_a_louder_and_later_scan_then_level_and_delay_are_found_and_the_verdict_is_no():
-    late = 1.12 * np.roll(prediction().field, 3, axis=1)
-    outcome = compare(prediction(), as_scan(late), impulse_drive(), bank())
-    assert outcome.fields.delay_samples == pytest.approx(3.0, abs=0.01)
-    assert outcome.noise_error is None
-    assert not outcome.passed
+def test_given_a_louder_or_later_scan_then_level_and_delay_are_found_and_the_verdict_is_no():
+    late = compare(prediction(), as_scan(np.roll(prediction().field, 3, axis=1)), impulse_drive(), bank())
+    assert late.fields.delay_samples == pytest.approx(3.0, abs=0.01)
+    assert late.noise_error is None
+    assert not late.passed
     louder = compare(prediction(), as_scan(1.12 * prediction().field), impulse_drive(), bank())
     assert louder.fields.level_db == pytest.approx(20.0 * math.log10(1.12), abs=1e-3)
     assert louder.fields.error == pytest.approx(0.12 / 1.12, rel=1e-3)
@@ -247,12 +241,6 @@ def test_given_positions_in_another_order_then_the_outcome_is_the_same():
     assert second.as_dict() == first.as_dict()
 
 
-def test_given_a_prediction_at_a_lower_rate_then_it_is_refused_by_what_it_lacks():
-    low = dataclasses.replace(prediction(), low_pass=LowPass(100.0, 4))
-    with pytest.raises(InputError, match="4 times lower than the bank's, low-passed above 100 Hz"):
-        compare(low, as_scan(prediction().field), impulse_drive(), bank())
-
-
 def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():
     few = Field(prediction().field[[0, 60, 90]], np.array([0, 60, 90]), RATE_HZ, prediction().start_s, "m/s")
     outcome = compare(few, as_scan(prediction().field), impulse_drive(), bank())
@@ -284,21 +272,6 @@ def test_given_fields_of_different_drives_or_nothing_in_common_then_the_message_
     failed = as_scan(prediction().field, status=np.full(len(GRID_MM), 8, np.uint8))
     with pytest.raises(InputError, match="no position in common"):
         compare(prediction(), failed, impulse_drive(), bank())
-
-
-def test_given_a_dropout_then_the_record_is_repeated():
-    found = scanned(ScanPlan((48, 49, 50)), Fault("recorder", "read", "dropout", position=49, purpose="scan"))
-    assert found.attempts.tolist() == [1, 2, 1]
-    assert found.status.tolist() == [1, 1, 1]
-    assert compare(prediction(), found, impulse_drive(), bank()).fields.error < 0.005
-
-
-def test_given_dropouts_in_every_record_then_the_position_is_poor_and_left_out():
-    fault = Fault("recorder", "read", "dropout", position=49, purpose="scan", count=9)
-    found = scanned(ScanPlan((48, 49, 50)), fault)
-    assert found.attempts.tolist() == [1, 3, 1]
-    assert found.status.tolist() == [1, 4, 1]
-    assert found.as_field().position_index.tolist() == [48, 50]
-    outcome = compare(prediction(), found, impulse_drive(), bank())
-    assert outcome.fields.excluded == ((49, "the vibrometer lost the signal in the scan"),)
-    assert outcome.fields.error < 0.005
+    low = dataclasses.replace(prediction(), low_pass=LowPass(100.0, 4))
+    with pytest.raises(InputError, match="4 times lower than the bank's, low-passed above 100 Hz"):
+        compare(low, as_scan(prediction().field), impulse_drive(), bank())

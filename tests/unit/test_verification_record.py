@@ -92,30 +92,17 @@ def test_given_a_moving_source_then_it_is_where_its_speed_takes_it(record_file: 
     np.testing.assert_array_equal(rest.at_mm(0.5), (3.0, 4.0))
 
 
-def _without(*keys: str) -> Callable[[dict], object]:
-    def spoil(content: dict) -> object:
-        for key in keys[:-1]:
-            content = content[key]
-        del content[keys[-1]]
-        return None
-
-    return spoil
-
-
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
         (lambda content: content.update(format="other"), "is not the record of a verification"),
         (lambda content: content.update(format_version=2), "a newer wavefocus wrote it"),
         (lambda content: content.update(made="yesterday"), "yesterday"),
-        (lambda content: content.update(figures=3), "damaged"),
         (lambda content: content["figures"][0].update(value="much"), "'much' is no number"),
         (lambda content: content["positions"].update(error=[1.0]), "positions.error"),
-        (lambda content: content["positions"].update(index=[]), "positions.index"),
         (lambda content: content["positions"].update(at_mm=[[0.0, 0.0]]), "positions.at_mm"),
         (lambda content: content["sources"][0].update(path_mm=[["a", "b"]]), "damaged"),
-        (_without("positions", "correlation"), "correlation is missing"),
-        (_without("passed"), "passed is missing"),
+        (lambda content: content["positions"].pop("correlation"), "correlation is missing"),
     ],
 )
 def test_given_a_spoilt_record_then_one_sentence_says_what(
@@ -124,13 +111,13 @@ def test_given_a_spoilt_record_then_one_sentence_says_what(
     content = json.loads(record_file.read_text(encoding="utf-8"))
     spoil(content)
     record_file.write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(InputError, match="verify") as told:
+    with pytest.raises(InputError, match="verify") as refusal:
         read_record(record_file)
-    assert words in str(told.value)
-    assert "\n" not in str(told.value)
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "[]", "\x00"])
+@pytest.mark.parametrize("text", ["{", "[" * 100_000, "[]"])
 def test_given_no_json_then_one_sentence(record_file: Path, text: str) -> None:
     record_file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="verify"):
@@ -140,10 +127,10 @@ def test_given_no_json_then_one_sentence(record_file: Path, text: str) -> None:
 def test_given_both_fields_then_the_pair_gives_them_within_the_band(record_file: Path) -> None:
     prediction, _, verification = fields()
     folder = record_file.parent
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     compared = verification.fields
-    pair = read_pair(folder / "prediction.h5", folder / "scan.h5", compared.band_hz, lambda *at: told.append(at))
-    assert told[-1] == (2 * len(GRID_MM) - 1, 2 * len(GRID_MM) - 1)
+    pair = read_pair(folder / "prediction.h5", folder / "scan.h5", compared.band_hz, lambda *at: reported.append(at))
+    assert reported[-1] == (2 * len(GRID_MM) - 1, 2 * len(GRID_MM) - 1)
     for number, instant in enumerate(compared.instant):
         predicted, scanned = pair.at_sample(pair.sample_at(instant.sample / RATE_HZ))
         np.testing.assert_allclose(predicted[compared.position_index], compared.predicted_snapshot[number], atol=1e-5)
@@ -174,7 +161,7 @@ def test_given_fields_of_two_verifications_then_they_are_refused(record_file: Pa
         read_pair(folder / "prediction.h5", folder / "other.h5", None)
 
 
-def test_given_a_reading_that_nobody_wants_any_more_then_it_ends(record_file: Path) -> None:
+def test_given_a_reading_that_is_cancelled_then_it_ends(record_file: Path) -> None:
     folder = record_file.parent
     with pytest.raises(CancelledError):
         read_pair(folder / "prediction.h5", folder / "scan.h5", None, wanted=lambda: False)
