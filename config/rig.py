@@ -18,8 +18,11 @@ from config.stadium import inside_stadium, stadium_rim
 class CalibrationSection(Table):
     """Which calibration file holds, and for how long it is trusted without a word."""
 
-    file: Text | None = None
-    stale_after_days: Positive = 90.0
+    file: Text | None = Field(
+        default=None,
+        description="File of wavefocus calibrate; what it has measured wins",
+    )
+    stale_after_days: Positive = Field(default=90.0, description="Age from which a calibration is warned of")
     measured: CalibrationRecord | None = None
     """What the file holds; filled in on loading, so that a bank needs no other file."""
 
@@ -27,17 +30,24 @@ class CalibrationSection(Table):
 class RecoverySection(Table):
     """How long a lost instrument is waited for, and when a call to one counts as hung."""
 
-    give_up_after_s: Annotated[NonNegative, Field(le=7 * 86_400)] = 600.0
-    hung_after_s: Annotated[Positive, Field(le=3600)] = 20.0
+    give_up_after_s: Annotated[NonNegative, Field(le=7 * 86_400)] = Field(
+        default=600.0, description="Longest wait for a lost instrument; then the campaign ends"
+    )
+    hung_after_s: Annotated[Positive, Field(le=3600)] = Field(
+        default=20.0,
+        description="Time beyond the operation's own after which a call counts as hung, its instrument as lost",
+    )
 
 
 class UsbDevice(Table):
     """A device that should be plugged in."""
 
-    role: Literal["mirror", "recorder", "player", "vibrometer"]
-    vendor_id: Annotated[Whole, Field(ge=0, le=0xFFFF)]
-    product_id: Annotated[Whole, Field(ge=0, le=0xFFFF)]
-    serial_number: Text | None = None
+    role: Literal["mirror", "recorder", "player", "vibrometer"] = Field(description="Role of the device")
+    vendor_id: Annotated[Whole, Field(ge=0, le=0xFFFF)] = Field(description="Vendor")
+    product_id: Annotated[Whole, Field(ge=0, le=0xFFFF)] = Field(description="Product")
+    serial_number: Text | None = Field(
+        default=None, description="Serial number; needed where two devices have the same ids"
+    )
 
 
 About = Literal["finished", "failed", "stopped", "suspended", "drift"]
@@ -50,9 +60,14 @@ class MessagesSection(Table):
     The addresses are secrets: they are left out wherever a rig is written, so a bank never holds them.
     """
 
-    urls: Annotated[tuple[Text, ...], Field(max_length=64, exclude=True, repr=False)] = ()
-    about: tuple[About, ...] = ABOUT
-    suspended_after_min: Annotated[NonNegative, Field(le=10_000)] = 10.0
+    urls: Annotated[tuple[Text, ...], Field(max_length=64, exclude=True, repr=False)] = Field(
+        default=(),
+        description="Addresses as apprise has them (pip install 'wavefocus[notify]'); secrets, in no bank or log",
+    )
+    about: tuple[About, ...] = Field(default=ABOUT, description='Events that send a message; also "stopped"')
+    suspended_after_min: Annotated[NonNegative, Field(le=10_000)] = Field(
+        default=10.0, description="Wait, suspended or for a lost instrument, after which a message is sent"
+    )
 
 
 Actuator = Annotated[Whole, Field(ge=0, le=1023)]
@@ -76,23 +91,46 @@ class Emulation(Table):
     What is left out is as the rig's own tables say, and without a flaw.
     """
 
-    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 1
-    noise_v: NonNegative | None = None
-    reference_noise_v: NonNegative | None = None
-    noise_per_response: NonNegative = 0.0
-    cubic_per_v2: Finite = 0.0
-    clock_ppm: Annotated[Finite, Field(ge=-1000, le=1000)] = 30.0
-    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)] | None = None
-    mirror_map: Matrix | None = None
-    output_latency_spread_s: Annotated[NonNegative, Field(le=0.001)] = 0.0
-    output_gain_spread_db: Annotated[NonNegative, Field(le=20)] = 0.0
-    reversed_outputs: tuple[Actuator, ...] = ()
-    dead_actuators: tuple[Actuator, ...] = ()
-    weak_actuators: tuple[Actuator, ...] = ()
-    reversed_actuators: tuple[Actuator, ...] = ()
-    period_frames: Annotated[Whole, Field(ge=16, le=65_536)] = 4096
-    ni_product: Text = "USB-6211"
-    fault_plan: tuple[WireFaultTable, ...] = ()
+    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = Field(
+        default=1,
+        description="Seed of the rig's flaws; the run file's virtual.seed is stronger for the noise of records",
+    )
+    noise_v: NonNegative | None = Field(
+        default=None, description="Rms noise of the vibrometer; the run file's virtual.noise_v is stronger"
+    )
+    reference_noise_v: NonNegative | None = Field(default=None, description="Rms noise of the reference input")
+    noise_per_response: NonNegative = Field(
+        default=0.0, description="Rms noise that grows with the response, in V per V"
+    )
+    cubic_per_v2: Finite = Field(
+        default=0.0,
+        description="Distortion of the plate: u V come out as u + cubic_per_v2 u^3, in 1/V^2; virtual rigs only",
+    )
+    clock_ppm: Annotated[Finite, Field(ge=-1000, le=1000)] = Field(
+        default=30.0, description="Rate of the recorder's clock beyond the player's"
+    )
+    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)] | None = Field(
+        default=None, description="True delay between the inputs; virtual rigs only, and by default the recorder's"
+    )
+    mirror_map: Matrix | None = Field(default=None, description="True map of the mirror; by default the mirror's")
+    output_latency_spread_s: Annotated[NonNegative, Field(le=0.001)] = Field(
+        default=0.0, description="Largest deviation of an output's latency"
+    )
+    output_gain_spread_db: Annotated[NonNegative, Field(le=20)] = Field(
+        default=0.0, description="Largest deviation of an output's level"
+    )
+    reversed_outputs: tuple[Actuator, ...] = Field(default=(), description="Outputs whose wires are crossed")
+    dead_actuators: tuple[Actuator, ...] = Field(default=(), description="Actuators, from 0, that do nothing")
+    weak_actuators: tuple[Actuator, ...] = Field(default=(), description="Actuators that move a quarter as much")
+    reversed_actuators: tuple[Actuator, ...] = Field(default=(), description="Actuators that move the other way")
+    period_frames: Annotated[Whole, Field(ge=16, le=65_536)] = Field(
+        default=4096, description="Frames per period of the emulated audio server"
+    )
+    ni_product: Text = Field(default="USB-6211", description="NI box that is emulated")
+    fault_plan: tuple[WireFaultTable, ...] = Field(
+        default=(),
+        description="Faults of the emulated wires: tables with role, kind, operation, at_call or at_s, count, seconds",
+    )
 
     @property
     def is_flawless(self) -> bool:
@@ -134,11 +172,20 @@ INSIDE = 0.1
 class BandSection(Table):
     """Where a value must stay, and within which thresholds it is back."""
 
-    leaves_below: Finite | None = None
-    leaves_above: Finite | None = None
-    returns_above: Finite | None = None
-    returns_below: Finite | None = None
-    settle_s: Annotated[NonNegative, Field(le=86_400)] = 60.0
+    leaves_below: Finite | None = Field(
+        default=None,
+        description="Below this the condition has left its band; a band needs leaves_below or leaves_above",
+    )
+    leaves_above: Finite | None = Field(default=None, description="Above this the condition has left its band")
+    returns_above: Finite | None = Field(
+        default=None, description="Above this it is back; by default a tenth inside leaves_below"
+    )
+    returns_below: Finite | None = Field(
+        default=None, description="Below this it is back; by default a tenth inside leaves_above"
+    )
+    settle_s: Annotated[NonNegative, Field(le=86_400)] = Field(
+        default=60.0, description="Time for which it must have been back"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -172,20 +219,35 @@ class BandSection(Table):
 class RoomSection(BandSection):
     """Room temperature: a transmitter's voltage at an input of the recorder's box."""
 
-    input: AnalogInput = "ai2"
-    celsius_per_v: Finite = 100.0
-    celsius_at_0_v: Finite = 0.0
+    input: AnalogInput = Field(
+        default="ai2", description="Input of the recorder's box that the transmitter is wired to"
+    )
+    celsius_per_v: Finite = Field(default=100.0, description="Scale of the transmitter")
+    celsius_at_0_v: Finite = Field(default=0.0, description="Temperature at 0 V, in degrees Celsius")
 
 
 class WatchSection(Table):
     """What is watched while a campaign is under way; nothing, if absent."""
 
-    probe_every_s: Annotated[Positive, Field(le=86_400)] = 30.0
-    give_up_after_s: Annotated[NonNegative, Field(le=7 * 86_400)] = 7200.0
-    reference: BandSection | None = None
-    noise: BandSection | None = None
-    light: BandSection | None = None
-    room: RoomSection | None = None
+    probe_every_s: Annotated[Positive, Field(le=86_400)] = Field(
+        default=30.0, description="Interval of the checks whether all conditions are back"
+    )
+    give_up_after_s: Annotated[NonNegative, Field(le=7 * 86_400)] = Field(
+        default=7200.0, description="Longest suspension; then the campaign ends with exit 3"
+    )
+    reference: BandSection | None = Field(
+        default=None,
+        description="Band: energy of the loopback relative to the drive's, in dB; of the record farthest out of it",
+    )
+    noise: BandSection | None = Field(
+        default=None, description="Band: response above 1.5 times the sweep's end, as rms of white noise in V"
+    )
+    light: BandSection | None = Field(
+        default=None, description="Band: signal level of a polytec-ofv5000, 0 to 1; read after each position"
+    )
+    room: RoomSection | None = Field(
+        default=None, description="Band: room temperature in degrees Celsius; read after each position"
+    )
 
 
 DEFAULT_ACTUATORS = 20
@@ -195,15 +257,19 @@ DEFAULT_INSET_MM = 6.0
 class RigSection(Table):
     """What the rig is called."""
 
-    name: Text = "virtual"
+    name: Text = Field(default="virtual", description="Name for messages and reports")
 
 
 class Surface(Table):
     """The outline of the plate, centred on the origin, long side along x."""
 
-    kind: Literal["stadium"] = "stadium"
-    length_mm: Annotated[Positive, Field(le=100_000)] = 250.0
-    width_mm: Annotated[Positive, Field(le=100_000)] = 150.0
+    kind: Literal["stadium"] = Field(
+        default="stadium", description="A rectangle with a half disk at either end, centred on the origin"
+    )
+    length_mm: Annotated[Positive, Field(le=100_000)] = Field(default=250.0, description="Length along x")
+    width_mm: Annotated[Positive, Field(le=100_000)] = Field(
+        default=150.0, description="Width along y, at most length_mm"
+    )
 
     @model_validator(mode="after")
     def _longer_than_wide(self) -> Surface:
@@ -215,7 +281,9 @@ class Surface(Table):
 class Actuators(Table):
     """Where the actuators touch the plate; their order is the bank's."""
 
-    position_mm: Annotated[tuple[PointMm, ...], Field(min_length=1, max_length=1024)]
+    position_mm: Annotated[tuple[PointMm, ...], Field(min_length=1, max_length=1024)] = Field(
+        description="[x, y] of each actuator, on the surface; their order is the bank's"
+    )
 
 
 class RigConfig(Table):

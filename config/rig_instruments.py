@@ -29,14 +29,29 @@ class MirrorSection(DriverTable):
         "identity": "",
     }
 
-    port: Text | None = None
-    baud: Annotated[Whole, Field(ge=300, le=10_000_000)] | None = None
-    identity: Text | None = None
-    distance_mm: Positive = DEFAULT_DISTANCE_MM
-    map: Matrix | None = None
-    settle_s: NonNegative = 0.005
-    limit_mrad: Annotated[Positive, Field(lt=1000 * math.pi / 2)] = 250.0
-    park_mrad: tuple[Finite, Finite] = (-240.0, -240.0)
+    port: Text | None = Field(
+        default=None,
+        description='"/dev/ttyUSB0", "COM3", "socket://HOST:PORT" or "serial-number:ABC123" (of its USB adapter)',
+    )
+    baud: Annotated[Whole, Field(ge=300, le=10_000_000)] | None = Field(
+        default=None, description="Bits per second; by default the driver's own"
+    )
+    identity: Text | None = Field(default=None, description="Text that the device's own identification must contain")
+    distance_mm: Positive = Field(
+        default=DEFAULT_DISTANCE_MM,
+        description="Distance from the mirror to the surface's centre, the beam square to it",
+    )
+    map: Matrix | None = Field(
+        default=None, description="In place of distance_mm: H of (tan x, tan y, 1) ~ H (x_mm, y_mm, 1)"
+    )
+    settle_s: NonNegative = Field(default=0.005, description="Time that the beam swings after a move")
+    limit_mrad: Annotated[Positive, Field(lt=1000 * math.pi / 2)] = Field(
+        default=250.0, description="Largest optical angle on either axis"
+    )
+    park_mrad: tuple[Finite, Finite] = Field(
+        default=(-240.0, -240.0),
+        description="Safe direction, within limit_mrad: off the plate, and where no eye can be",
+    )
 
     @property
     def matrix(self) -> Matrix:
@@ -84,13 +99,22 @@ AnalogInput = Annotated[Text, like(*ANALOG_INPUT)]
 class RecorderSection(DriverTable):
     """The two-channel DAQ: reference (loopback) and response (vibrometer)."""
 
-    reference_range_v: Positive = 10.0
-    response_range_v: Positive = 10.0
-    response_ranges_v: tuple[Positive, ...] | None = None
-    reference_gain: Positive = 1.0
-    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)] = 5e-6
-    pre_roll_s: Annotated[NonNegative, Field(le=10)] = 0.02
-    post_roll_s: Annotated[NonNegative, Field(le=10)] = 0.1
+    reference_range_v: Positive = Field(default=10.0, description="Input range of the loopback")
+    response_range_v: Positive = Field(default=10.0, description="Input range of the vibrometer")
+    response_ranges_v: tuple[Positive, ...] | None = Field(
+        default=None,
+        description="Larger ranges for a position that was over response_range_v; by default all that the device has",
+    )
+    reference_gain: Positive = Field(default=1.0, description="Volts at the reference input per volt of drive")
+    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)] = Field(
+        default=5e-6, description="Delay of the response's sampling after the reference's; from calibrate"
+    )
+    pre_roll_s: Annotated[NonNegative, Field(le=10)] = Field(
+        default=0.02, description="Recorded before the player starts"
+    )
+    post_roll_s: Annotated[NonNegative, Field(le=10)] = Field(
+        default=0.1, description="Recorded after the player should have ended; covers its latency"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -109,11 +133,21 @@ class VibrometerSection(DriverTable):
     }
 
     driver: str = "fixed"
-    port: Text | None = None
-    baud: Annotated[Whole, Field(ge=300, le=10_000_000)] | None = None
-    identity: Text | None = None
-    sensitivity_m_s_per_v: Positive | None = None
-    latency_s: Annotated[NonNegative, Field(le=0.001)] | None = None
+    port: Text | None = Field(default=None, description="As of the mirror")
+    baud: Annotated[Whole, Field(ge=300, le=10_000_000)] | None = Field(
+        default=None, description="Bits per second; by default the driver's own"
+    )
+    identity: Text | None = Field(
+        default=None, description="Text that the name of the device or of its decoder must contain"
+    )
+    sensitivity_m_s_per_v: Positive | None = Field(
+        default=None,
+        description="m/s per volt at the DAQ; optional for polytec-ofv5000, and must then agree with the device",
+    )
+    latency_s: Annotated[NonNegative, Field(le=0.001)] | None = Field(
+        default=None,
+        description="Delay of the voltage after the velocity; by default 0, or read from a polytec-ofv5000",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -139,15 +173,24 @@ Channel = Annotated[Whole, Field(ge=0, le=4095)]
 class PlayerSection(DriverTable):
     """The multichannel audio interface that drives the actuators."""
 
-    channels: tuple[Channel, ...]
-    loopback_channel: Channel
-    interface_rate_hz: Annotated[Whole, Field(ge=8_000, le=768_000)] = 48_000
-    full_scale_v: Positive = 5.0
-    channel_full_scale_v: tuple[Positive, ...] | None = None
-    limit_v: Positive = 5.0
-    limit_rms_v: Positive | None = None
-    coil_resistance_ohm: Positive | None = None
-    limit_power_w: Positive | None = None
+    channels: tuple[Channel, ...] = Field(description="Output of each actuator, from 0, in the order of position_mm")
+    loopback_channel: Channel = Field(description="Spare output that is wired to the reference input")
+    interface_rate_hz: Annotated[Whole, Field(ge=8_000, le=768_000)] = Field(
+        default=48_000, description="Rate of the audio interface"
+    )
+    full_scale_v: Positive = Field(default=5.0, description="Volts at full scale, all outputs")
+    channel_full_scale_v: tuple[Positive, ...] | None = Field(
+        default=None, description="Volts at full scale of each output from 0 to the highest used; from calibrate"
+    )
+    limit_v: Positive = Field(default=5.0, description="Largest voltage of an actuator, at most full_scale_v")
+    limit_rms_v: Positive | None = Field(default=None, description="Largest rms voltage of an actuator over any second")
+    coil_resistance_ohm: Positive | None = Field(
+        default=None, description="Resistance of an actuator's coil; needed for limit_power_w"
+    )
+    limit_power_w: Positive | None = Field(
+        default=None,
+        description="Largest mean power of a coil over any second; the stricter of it and limit_rms_v counts",
+    )
 
     @property
     def outputs(self) -> int:

@@ -21,19 +21,30 @@ SHORTEST_SWEEP_S = 0.05
 class Grid(Table):
     """Where to measure: a grid inside the surface, or a list of positions in its place."""
 
-    lattice: Literal["square", "hexagonal"] = "square"
-    spacing_mm: Positive = 4.0
-    margin_mm: NonNegative = 14.3
-    positions_file: Text | None = None
+    lattice: Literal["square", "hexagonal"] = Field(
+        default="square",
+        description='Arrangement of the positions; hexagonal needs fewer, and interpolation "nearest" or "kernel"',
+    )
+    spacing_mm: Positive = Field(default=4.0, description="Distance of neighbouring positions")
+    margin_mm: NonNegative = Field(
+        default=14.3, description="Distance kept from the outline, less than half the surface's width"
+    )
+    positions_file: Text | None = Field(
+        default=None, description="CSV file with the header x_mm,y_mm, in place of a lattice"
+    )
 
 
 class Sweep(Table):
     """The linear sweep that drives each actuator."""
 
-    start_hz: Positive = 20.0
-    stop_hz: Positive = 500.0
-    duration_s: Annotated[Finite, Field(ge=SHORTEST_SWEEP_S, le=3600)] = 1.0
-    amplitude_v: Positive = 1.0
+    start_hz: Positive = Field(default=20.0, description="Start of the linear sweep")
+    stop_hz: Positive = Field(
+        default=500.0, description="End of the sweep, above start_hz and below half of sample_rate_hz"
+    )
+    duration_s: Annotated[Finite, Field(ge=SHORTEST_SWEEP_S, le=3600)] = Field(
+        default=1.0, description="Duration of one sweep"
+    )
+    amplitude_v: Positive = Field(default=1.0, description="Peak of the sweep, at most the rig's player.limit_v")
 
     @model_validator(mode="after")
     def _upwards(self) -> Sweep:
@@ -45,18 +56,35 @@ class Sweep(Table):
 class Capture(Table):
     """How each position is recorded."""
 
-    averages: Annotated[Whole, Field(ge=1, le=1000)] = 3
-    decay_s: Annotated[Positive, Field(le=3600)] = 0.2
-    excitation: Literal["sequential", "staggered"] = "sequential"
-    taps: Annotated[Whole, Field(ge=1, le=10_000_000)] = 2000
-    sample_rate_hz: Annotated[Positive, Field(le=10_000_000)] = 10_000.0
-    stagger_s: Positive
-    groups: Annotated[Whole, Field(ge=1, le=1024)] = 1
-    periods: Annotated[Whole, Field(ge=1, le=1000)] = 1
-    level_db: Annotated[Finite, Field(ge=-40, le=0)] = 0.0
-    when_staggered_does_not_pay: Literal["choose", "refuse", "keep"] = "choose"
-    allowed_loss_db: NonNegative = 3.0
-    keep_raw: Switch = False
+    averages: Annotated[Whole, Field(ge=1, le=1000)] = Field(default=3, description="Sweeps per actuator and position")
+    decay_s: Annotated[Positive, Field(le=3600)] = Field(
+        default=0.2, description="Silence after each sweep; the response must be over by then"
+    )
+    excitation: Literal["sequential", "staggered"] = Field(
+        default="sequential", description="One actuator after another, or all at once"
+    )
+    taps: Annotated[Whole, Field(ge=1, le=10_000_000)] = Field(
+        default=2000, description="Length of a Green's function in samples, at most decay_s * sample_rate_hz"
+    )
+    sample_rate_hz: Annotated[Positive, Field(le=10_000_000)] = Field(
+        default=10_000.0, description="Rate of the recordings and of the bank"
+    )
+    stagger_s: Positive = Field(
+        description="Staggered: from one actuator's start to the next one's, at least 1.2 taps / sample_rate_hz"
+    )
+    groups: Annotated[Whole, Field(ge=1, le=1024)] = Field(
+        default=1, description="Staggered: records per position, the actuators divided among them"
+    )
+    periods: Annotated[Whole, Field(ge=1, le=1000)] = Field(default=1, description="Staggered: periods of a record")
+    level_db: Annotated[Finite, Field(ge=-40, le=0)] = Field(default=0.0, description="Drive relative to amplitude_v")
+    when_staggered_does_not_pay: Literal["choose", "refuse", "keep"] = Field(
+        default="choose",
+        description="After the trial at one position: choose the schedule that pays, refuse, or keep it (no trial)",
+    )
+    allowed_loss_db: NonNegative = Field(
+        default=3.0, description="Error that staggered capture may have beyond that of sequential capture and still pay"
+    )
+    keep_raw: Switch = Field(default=False, description="Keep the recordings in BANK.raw.h5, for wavefocus estimate")
 
     @property
     def stagger_samples(self) -> int:
@@ -139,12 +167,23 @@ Course = Annotated[tuple[tuple[NonNegative, Finite], ...], AfterValidator(_risin
 class Virtual(Table):
     """Settings of the virtual rig."""
 
-    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 1
-    noise_v: NonNegative | None = None
-    plate: Literal["soft", "stadium"] = "soft"
-    fault_plan: tuple[Fault, ...] = ()
-    room_c: Course = ()
-    light: Course = ()
+    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = Field(
+        default=1, description="The same seed gives the same bytes"
+    )
+    noise_v: NonNegative | None = Field(default=None, description="Rms noise at the vibrometer's output")
+    plate: Literal["soft", "stadium"] = Field(
+        default="soft",
+        description="A gel without a rim, or one whose rim reflects waves (pip install 'wavefocus[plates]')",
+    )
+    fault_plan: tuple[Fault, ...] = Field(
+        default=(), description="Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
+    )
+    room_c: Course = Field(
+        default=(), description="Temperature of the room: pairs of seconds, rising, and degrees Celsius"
+    )
+    light: Course = Field(
+        default=(), description="Share of light that comes back to the vibrometer: pairs of seconds, rising, and 0 to 1"
+    )
 
 
 def _second_look(value: object) -> object:
@@ -155,28 +194,53 @@ def _second_look(value: object) -> object:
 class Quality(Table):
     """When a measured position is good enough."""
 
-    poor_residual_db: Annotated[Finite, Field(le=0)] = -50.0
-    excess_noise_db: Positive = 8.0
-    poor_snr_db: Finite = 20.0
-    max_attempts: Annotated[Whole, Field(ge=1, le=100)] = 3
-    poor_harmonic_db: Annotated[Finite, Field(le=0)] = -42.0
-    speckle_step_mm: Annotated[NonNegative, Field(le=2)] = 0.1
-    remeasure_pass: Annotated[Whole, Field(ge=0, le=10)] = 1
-    second_look: Annotated[Literal["auto", "never"], BeforeValidator(_second_look)] = "auto"
-    reference_db: Annotated[Positive, Field(le=20)] = 0.1
+    poor_residual_db: Annotated[Finite, Field(le=0)] = Field(
+        default=-50.0, description="A record is suspect when its fit leaves more than this unexplained"
+    )
+    excess_noise_db: Positive = Field(
+        default=8.0,
+        description="A suspect record makes its position poor when it is this much above the quietest record",
+    )
+    poor_snr_db: Finite = Field(
+        default=20.0, description="A position is poor when even its best record has less signal-to-noise ratio"
+    )
+    max_attempts: Annotated[Whole, Field(ge=1, le=100)] = Field(default=3, description="Attempts at a position")
+    poor_harmonic_db: Annotated[Finite, Field(le=0)] = Field(
+        default=-42.0, description="A record is clipped when its third harmonic at the loudest moment is above this"
+    )
+    speckle_step_mm: Annotated[NonNegative, Field(le=2)] = Field(
+        default=0.1, description="Distance that the laser moves aside to find light when speckle dims it"
+    )
+    remeasure_pass: Annotated[Whole, Field(ge=0, le=10)] = Field(
+        default=1, description="Rounds at the end over all positions that are not valid"
+    )
+    second_look: Annotated[Literal["auto", "never"], BeforeValidator(_second_look)] = Field(
+        default="auto",
+        description="Measure twice the positions that no neighbour can judge (coarse grids), or leave them valid",
+    )
+    reference_db: Annotated[Positive, Field(le=20)] = Field(
+        default=0.1,
+        description="Largest deviation of the reference's level; from its calibration 2.5 times that",
+    )
 
 
 class Drift(Table):
     """How often the sentinel position is measured again, and how far it may be from its first measurement."""
 
-    every_positions: Annotated[Whole, Field(ge=1)] = 50
-    every_s: Positive = 3600.0
-    warn_level_db: Positive = 0.5
-    stop_level_db: Positive = 3.0
-    warn_delay_samples: Positive = 0.5
-    stop_delay_samples: Positive = 5.0
-    warn_correlation: Annotated[Finite, Field(gt=0, lt=1)] = 0.98
-    stop_correlation: Annotated[Finite, Field(gt=0, lt=1)] = 0.9
+    every_positions: Annotated[Whole, Field(ge=1)] = Field(
+        default=50, description="Positions after which the sentinel position is measured again"
+    )
+    every_s: Positive = Field(default=3600.0, description="Time after which it is measured again, if that comes first")
+    warn_level_db: Positive = Field(default=0.5, description="Largest change of level before a warning")
+    stop_level_db: Positive = Field(default=3.0, description="Largest change of level before the campaign stops")
+    warn_delay_samples: Positive = Field(default=0.5, description="Largest shift in time before a warning")
+    stop_delay_samples: Positive = Field(default=5.0, description="Largest shift in time before the campaign stops")
+    warn_correlation: Annotated[Finite, Field(gt=0, lt=1)] = Field(
+        default=0.98, description="Smallest correlation with the first measurement before a warning"
+    )
+    stop_correlation: Annotated[Finite, Field(gt=0, lt=1)] = Field(
+        default=0.9, description="Smallest correlation before the campaign stops"
+    )
 
     @model_validator(mode="after")
     def _warned_first(self) -> Drift:
@@ -193,15 +257,19 @@ class Drift(Table):
 class Tolerance(Table):
     """When a scan agrees with its prediction."""
 
-    normalised_error: Positive = 0.05
-    correlation: Annotated[Finite, Field(gt=0, le=1)] = 0.99
-    focus_error_mm: Positive = 4.0
+    normalised_error: Positive = Field(default=0.05, description="Norm of scan minus prediction over norm of the scan")
+    correlation: Annotated[Finite, Field(gt=0, le=1)] = Field(
+        default=0.99, description="Correlation of scan and prediction"
+    )
+    focus_error_mm: Positive = Field(default=4.0, description="Distance of the measured from the intended focus")
 
 
 class RunConfig(Table):
     """A validated run file."""
 
-    rig: Text = "virtual"
+    rig: Text = Field(
+        default="virtual", description='The rig file, relative to this file; "virtual" is the built-in virtual rig'
+    )
     grid: Grid = Grid()
     sweep: Sweep = Sweep()
     capture: Capture

@@ -3,12 +3,12 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import get_args
 
 import pytest
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from config.explanation import explanation, fields_of, with_explanations
 from config.rig import RigConfig, default_rig
 from config.run import RunConfig, Virtual, default_run
 from config.scene import SceneConfig
@@ -94,36 +94,49 @@ def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path: Path) -> None:
         write_templates(tmp_path / "file", "virtual")
 
 
-def models_of(annotation: object) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for inner in get_args(annotation) for model in models_of(inner)]
+TABLES = {
+    (RunConfig, "run"): ("grid", "sweep", "capture", "quality", "drift", "tolerance", "virtual"),
+    (RigConfig, "rig"): ("rig", "surface", "actuators", "mirror", "recorder", "player", "vibrometer", "recovery",
+                         "watch", "watch.room", "messages", "calibration", "usb", "emulation"),
+    (SceneConfig, "scene"): ("scene", "source", "regularisation", "output"),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("model", "page"), [(RigConfig, "rig"), (RunConfig, "run"), (SceneConfig, "scene")])
-def test_every_key_of_a_file_is_in_its_reference_page(model: type[BaseModel], page: str) -> None:
+@pytest.mark.parametrize(
+    ("model", "page", "table"), [(*file, table) for file, tables in TABLES.items() for table in tables]
+)
+def test_every_key_of_a_table_is_in_the_reference_page_as_its_field_explains_it(
+    model: type[BaseModel], page: str, table: str
+) -> None:
     text = (Path(__file__).parents[2] / "docs" / "reference" / f"{page}-file.md").read_text(encoding="utf-8")
-    for name, field in model.model_fields.items():
-        if name == "settled":  # of a bank alone
+    heading = "`[watch.noise]`" if table == "watch.room" else f"[{table}]"
+    section = text.split(heading, 1)[1].split("\n## ")[0].split("\nA fault:")[0]
+    rows = {}
+    for line in section.splitlines():
+        if key := re.match(r"\| `(\w+)`", line):
+            rows.setdefault(key[1], line)
+    for key, field in fields_of(model, table).items():
+        if key in ("measured", "path", "signal"):  # of a bank alone; tables of their own
             continue
-        assert f"[{name}]" in text or f"`{name}`" in text
-        left = models_of(field.annotation)
-        while left:
-            table = left.pop()
-            for key, one in table.model_fields.items():
-                assert f"`{key}`" in text or (name, key) in (("calibration", "measured"), ("source", "kind")), key
-                left += [] if key == "measured" else models_of(one.annotation)
+        if field.description:
+            assert rows[key].endswith(f" {explanation(key, field)} |"), (key, explanation(key, field))
+        else:
+            assert f"`{key}`" in section, key
+        if field.default not in (PydanticUndefined, None, ()) and (page, table) != ("rig", "watch.room"):
+            assert key == "park_mrad" or json.dumps(field.default) in rows.get(key, section), key
 
 
-def test_every_default_of_the_run_file_is_in_its_reference_page() -> None:
+def test_every_kind_of_fault_is_in_the_reference_page_of_the_run_file() -> None:
     page = (Path(__file__).parents[2] / "docs" / "reference" / "run-file.md").read_text(encoding="utf-8")
-    for name, field in RunConfig.model_fields.items():
-        if name in {"rig", "settled"}:  # no table of the file
-            continue
-        section = page.split(f"## [{name}]")[1].split("A fault:")[0].split("\n## ")[0]
-        lines = [line for line in section.splitlines() if line.startswith("|")]
-        rows = {key: line for line in lines for key in re.findall(r"`(\w+)`", line.split("|")[1])}
-        for key, one in models_of(field.annotation)[0].model_fields.items():
-            if one.default is not PydanticUndefined and one.default not in (None, ()):
-                assert json.dumps(one.default) in rows[key], f"{name}.{key}"
     assert all(f'"{kind}"' in page for kind in (*ANYWHERE, *CORRUPTING))
+
+
+def test_given_a_key_without_a_comment_then_it_is_explained_and_others_stay() -> None:
+    text = "a = 1\n[sweep]\nstart_hz = 20.0\n# duration_s = 0.5\nduration_s = 1  # mine\n"
+    assert with_explanations(text, RunConfig).splitlines() == [
+        "a = 1",
+        "[sweep]",
+        "start_hz = 20.0                # Start of the linear sweep (Hz, above 0)",
+        "# duration_s = 0.5             # Duration of one sweep (s, 0.05 to 3600)",
+        "duration_s = 1  # mine",
+    ]

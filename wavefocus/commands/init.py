@@ -6,7 +6,12 @@ import os
 from importlib.resources import files
 from pathlib import Path
 
+from config.explanation import with_explanations
+from config.fields import Table
 from config.loading import printable
+from config.rig import RigConfig
+from config.run import RunConfig
+from config.scene import SceneConfig
 from storage.errors import InputError
 from storage.output_files import replacement
 from wavefocus.console import say
@@ -31,6 +36,7 @@ def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
     Returns the files written. Raises InputError: one of the files is there already, or the folder cannot be written to.
     """
     templates = files("wavefocus") / "templates"
+    models: dict[str, type[Table]] = {"rig.toml": RigConfig, "run.toml": RunConfig, "scene.toml": SceneConfig}
     named = {"rig.toml": f"rig-{rig}.toml", "run.toml": "run.toml", "scene.toml": "scene.toml"}
     for name in named:
         if os.path.lexists(folder / name):
@@ -39,7 +45,7 @@ def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, template in named.items():
-            text = (templates / template).read_text(encoding="utf-8")
+            text = with_explanations((templates / template).read_text(encoding="utf-8"), models[name])
             # Real instruments, emulated or not, take no orders from a run's [virtual] table.
             with replacement(folder / name, new=True) as temporary:
                 temporary.write_bytes((text if rig == "virtual" else text.partition("\n[virtual]")[0]).encode())
