@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.rig_bank import PaperBank, rig_setup
+from benchmarks.rig_bank import PaperBank
+from mocks.virtual.geometry import stadium_rim
 from rendering.drive.rendering import render_with_report
 from rendering.field import metrics
-from rendering.field.crosstalk import CrosstalkTable, crosstalk_table
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
 from rendering.field.model import predict, predict_rows
 from rendering.field.path_spectrum import PathSpectrum, path_spectrum
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenArray, read_row, usable
+from rendering.report.canvas import Surface
 from rendering.scene.model import Output, Regularisation, Scene, Source
-from rendering.scene.paths import Circle, Line, Path, Point, Strokes, TextPath
+from rendering.scene.paths import Line, Path, Point, Strokes
 from rendering.scene.signals import Impulse, Noise
-from rendering.verify.scan import Scan, ScanPlan, scan
 from storage.drive_file import Drive
 
 Float32Array = NDArray[np.float32]
@@ -31,10 +31,27 @@ FloatArray = NDArray[np.float32] | NDArray[np.float64]
 SATURATION = 0.3
 """C of eq. (14) over the bank's median rms; the paper does not say its own."""
 CLEAR_MM = 20.0
-SPEEDS_CM_S = (4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 100.0)
-STEPS = (1, 2, 4, 6)
 LINE = Line((-58.0, 0.0), (62.0, 0.0))
 """Six points 24 mm apart, each on a position."""
+
+
+@dataclass(slots=True)
+class Paper:
+    """Bank and rig of the figures, and our numbers: text, and whether it is as the paper's (None: it states none)."""
+
+    source: PaperBank
+    quick: bool
+    found: dict[str, tuple[str, bool | None]] = field(default_factory=dict)
+
+    @property
+    def bank(self) -> GreenArray:
+        """The bank."""
+        return self.source.bank
+
+    def surface(self, *paths_mm: Float64Array) -> Surface:
+        """Content of every map."""
+        rim = np.array(stadium_rim(400, *self.source.rig.settings.surface_mm))
+        return Surface.of(self.bank, paths_mm, np.concatenate([rim, rim[:1]]))
 
 
 def row_at(bank: GreenArray, x_mm: float, y_mm: float) -> int:
@@ -77,12 +94,12 @@ def focus_figures(
     """
     spacing_mm = metrics.grid_spacing_mm(bank.position_mm)
     figures = np.full((4, len(rows)), np.nan)
-    for place, (row, field) in enumerate(zip(rows, fields, strict=True)):
+    for place, (row, values) in enumerate(zip(rows, fields, strict=True)):
         others_mm = None if together is None else bank.position_mm[together[place]]
         at_mm = bank.position_mm[row]
-        spot = metrics.focus_spot(bank.position_mm, field, at_mm, FOCUS_RADIUS_MM, spacing_mm, others_mm)
+        spot = metrics.focus_spot(bank.position_mm, values, at_mm, FOCUS_RADIUS_MM, spacing_mm, others_mm)
         if spot is not None:
-            figures[:, place] = spot.width_mm, spot.off_mm, spot.artefact_db, field[row]
+            figures[:, place] = spot.width_mm, spot.off_mm, spot.artefact_db, values[row]
     return dict(zip(("width_mm", "off_mm", "artefact_db", "at_focus"), figures, strict=True))
 
 
@@ -126,27 +143,12 @@ def moving_drive(
 def smiling_face(radius_mm: float) -> Strokes:
     """An emoji: a circle, two eyes and a mouth."""
 
-    def arc(centre: tuple[float, float], radius: float, start_deg: float, stop_deg: float) -> Float64Array:
+    def arc(x: float, y: float, radius: float, start_deg: float, stop_deg: float) -> Float64Array:
         angle = np.radians(np.linspace(start_deg, stop_deg, 97))
-        return np.asarray(np.array(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        return radius_mm * (np.array((x, y)) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
-    return Strokes(
-        [
-            arc((0.0, 0.0), radius_mm, 90.0, 450.0),
-            arc((-0.38 * radius_mm, 0.32 * radius_mm), 0.13 * radius_mm, 90.0, 450.0),
-            arc((0.38 * radius_mm, 0.32 * radius_mm), 0.13 * radius_mm, 90.0, 450.0),
-            arc((0.0, 0.0), 0.6 * radius_mm, 205.0, 335.0),
-        ]
-    )
-
-
-def figure_paths() -> dict[str, Path]:
-    """The paths of figures 4A and 4B."""
-    return {
-        "circle": Circle((0.0, 0.0), 30.0, 1.0),
-        "letters": TextPath("TR", 44.0, (0.0, 0.0)),
-        "emoji": smiling_face(30.0),
-    }
+    eyes = [arc(side * 0.38, 0.32, 0.13, 90.0, 450.0) for side in (-1.0, 1.0)]
+    return Strokes([arc(0.0, 0.0, 1.0, 90.0, 450.0), *eyes, arc(0.0, 0.0, 0.6, 205.0, 335.0)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,16 +186,3 @@ def _bursts(bank: GreenArray, speed_mm_s: float, burst_s: float, seed: int) -> D
 
 def _at_points(drive: Drive, bank: GreenArray) -> Float64Array:
     return np.asarray(predict(drive, bank, drive.focus_position.tolist()).field, dtype=np.float64)
-
-
-def crosstalk(bank: GreenArray) -> CrosstalkTable:
-    """Figure 4D: a line of 30 rows along x through the middle, impulses."""
-    rows = [row_at(bank, x, 0.0) for x in np.arange(-58.0, 60.0, 4.0)]
-    regularisation = Regularisation(saturation=SATURATION)
-    return crosstalk_table(bank, rows, 4.0, [10.0 * v for v in SPEEDS_CM_S], STEPS, None, regularisation)
-
-
-def play_and_scan(source: PaperBank, drive: Drive, rows: Sequence[int]) -> Scan:
-    """Play a drive on the virtual rig and scan some rows."""
-    setup = rig_setup(source.rig)
-    return scan(ScanPlan(tuple(rows)), setup, drive, source.bank)
