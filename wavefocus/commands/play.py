@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
+from config.messages.codec import to_line
+from config.messages.operate import Playing
 from config.rig import RigConfig, default_rig
 from drivers.protocols import Clock
 from drivers.timeouts import BoundedPlayer
@@ -25,9 +27,9 @@ from rendering.scene.model import Scene
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, read_drive
 from storage.errors import InputError
-from wavefocus.commands.render import RenderOptions
+from wavefocus.commands.render import RenderOptions, naming
 from wavefocus.configuration import load_rig
-from wavefocus.console import Report, progress, say
+from wavefocus.console import Report, print_line, progress, say
 from wavefocus.ending import ended_by_input, ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.input_files import name_unverified
@@ -80,7 +82,7 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
                 f" {memory}"
             )
             if watched:
-                print(json.dumps({"event": "playing", "seconds": seconds}), flush=True)
+                print_line(to_line(Playing(seconds)))
             signals_v = {
                 channel: _repeated(volts, loop)
                 for channel, volts in zip(rig.player.channels, drive.drive_v, strict=True)
@@ -217,14 +219,11 @@ def play_scene(
         rig = rig_of(rig_file, view)
         assert rig is not None  # one that is named is there
         try:
-            with ending_at_once(), ended_by_input() if watched else nullcontext():
+            with naming(scene_file, view), ending_at_once(), ended_by_input() if watched else nullcontext():
                 figures = _play(within(scene, rig), view, rig, rig_file, options, gain_db, ahead_s, watched=watched)
         except KeyboardInterrupt:
             say("stopped by the user; the outputs are muted")
             return Exit.STOPPED
-        except InputError as wrong:
-            named = str(wrong) if str(view.path) in str(wrong) else f"{scene_file}: {wrong}"
-            raise InputError(named) from None
     say(f"{scene_file}: played; the outputs are muted")
     if as_json:
         print(json.dumps({"scene": str(scene_file), "gain_db": gain_db, **figures}))
@@ -270,7 +269,7 @@ def _play(
         seconds = samples / rate_hz
         say(f"{player.identify()}: {hours(seconds)} on {actuators} actuators, at most {streamed.peak_v:.3g} V")
         if watched:
-            print(json.dumps({"event": "playing", "seconds": seconds}), flush=True)
+            print_line(to_line(Playing(seconds)))
         say(f"found the scale in {prepared_s:.1f} s; {latency}")
         pieces = rate.pieces(streamed.blocks(), actuators, samples, block_samples)
         least_s = _sounding(player, rig, pieces, ahead_s, seconds)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -44,32 +44,15 @@ if TYPE_CHECKING:
     from config.rig import RigConfig
     from rendering.drive.inverse_filter import InverseReport
 
+Float64Array = NDArray[np.float64]
 Focusing = Literal["time-reversal", "inverse"]
 
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """How a scene is rendered, as asked for on the command line.
+    """Options of the command: method of eq. (16) or (9), what may be left out (< 0 dB), largest interpolation error.
 
-    Parameters
-    ----------
-    method : {"sampled", "exact"}, optional
-        Eq. (16) or (9).
-    tolerance_db : float, optional
-        What may be left out, < 0.
-    interpolation_tolerance : float, optional
-        Largest relative error between the bank's positions, > 0.
-    focusing : {"time-reversal", "inverse"}
-        How waves are made to meet.
-    regularisation_db : float, optional
-        Of the inverse filter, < 0.
-    device : {"cpu", "cuda"}
-        Where the drives are accumulated; on a GPU all is computed.
-
-    Raises
-    ------
-    InputError
-        An option of the one way of focusing is given for the other, or one that a GPU does not know.
+    Raises InputError: an option of one way of focusing is given for the other, or one that a GPU does not support.
     """
 
     method: Literal["sampled", "exact"] | None = None
@@ -95,6 +78,47 @@ class RenderOptions:
 
 
 OUTLINE_POINTS = 400
+MOST_WHOLE_BYTES = 2 * 2**30
+"""Drives that take more are streamed without being asked: 22 minutes on 20 actuators at 10 kHz."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A scene to be rendered, and the rig whose limits or full scale count, if any."""
+
+    scene_file: Path
+    scene: Scene
+    bank: Bank
+    out: Path
+    wav: Path | None
+    rig: RigConfig | None
+    limited: bool
+    options: RenderOptions
+
+    @property
+    def wav_scale(self) -> tuple[int, float, Float64Array]:
+        """Rate and full scale of a WAV file, and the gain of each actuator, for outputs differ in full scale."""
+        if self.rig is None:
+            return DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V, np.ones(self.bank.actuators)
+        full_scale_v = self.rig.player.full_scale_v
+        return self.rig.player.interface_rate_hz, full_scale_v, full_scale_v / interface_of(self.rig).full_scale_v
+
+
+@dataclass(frozen=True, slots=True)
+class _Result:
+    """Figures of a render; `focus_peak` and `unsaturated` (relative rms without saturation) None where not computed."""
+
+    method: str
+    shape: tuple[int, int]
+    start_s: float
+    foci: int
+    peak_v: float
+    scale: float
+    omitted_bound: float
+    relative_rms: Float64Array
+    facts: RenderReport | InverseReport
+    focus_peak: float | None = None
+    unsaturated: Float64Array | None = None
 
 
 def render(
@@ -123,47 +147,146 @@ def render(
         rig = None if (rig_file, wav, picture) == (None, None, None) else rig_of(rig_file, view)
         if rig_file is not None and rig is not None:
             scene = within(scene, rig)
-        if options.focusing == "inverse":
-            if stream:
-                raise InputError("--stream is for time reversal; leave it out with --focusing inverse")
-        elif options.device != "cpu":
-            if stream:
-                raise InputError("--stream goes with --device cpu alone")
-        elif stream or too_large(scene_file, scene, view):
-            render_streamed(scene_file, scene, view, out, wav, rig, rig_file, options, as_json=as_json)
-            if picture is not None:
-                write_picture(picture, scene_file, scene, view, rig)
-            return
-        drive, facts = rendered(scene_file, scene, view, options)
-        if rig is not None and (wav is not None or rig_file is not None):
-            drive, facts = _within_full_scale(drive, facts, rig)
-        unsaturated = None
-        if options.focusing == "time-reversal" and _saturates(scene):
-            unsaturated = _unsaturated_rms(scene_file, scene, view, options)
-        if wav is not None:
-            _write_wav(wav, drive, rig)
+        if stream and options.focusing == "inverse":
+            raise InputError("--stream is for time reversal; leave it out with --focusing inverse")
+        if stream and options.device != "cpu":
+            raise InputError("--stream goes with --device cpu alone")
+        limited = rig is not None and (wav is not None or rig_file is not None)
+        job = _Job(scene_file, scene, view, out, wav, rig, limited, options)
+        whole = options.focusing == "inverse" or options.device != "cpu"
+        streamed = not whole and (stream or _too_large(job))
+        result = _render_streamed(job) if streamed else _render_whole(job)
         if picture is not None:
-            write_picture(picture, scene_file, scene, view, rig)
-        focus_peak, unit = predicted_focus_peak(drive, view), view.response_unit.removesuffix("/V")
-    write_drive(out, drive)
+            _write_picture(job, picture)
+        _report(job, result, rig_file, streamed=streamed, as_json=as_json)
+
+
+def _render_whole(job: _Job) -> _Result:
+    options = job.options
+    drive, facts = rendered(job.scene_file, job.scene, job.bank, options)
+    if job.rig is not None and job.limited:
+        drive, facts = _within_full_scale(drive, facts, job.rig)
+    unsaturated = None
+    regularisation = job.scene.regularisation
+    if options.focusing == "time-reversal" and (regularisation.saturation or regularisation.saturation_absolute):
+        plain = replace(  # limits change no ratio
+            job.scene,
+            regularisation=Regularisation(normalise=regularisation.normalise),
+            output=replace(job.scene.output, limit_v=None, limit_rms_v=None),
+        )
+        unsaturated = relative_rms(rendered(job.scene_file, plain, job.bank, options)[0].drive_v)
+    if job.wav is not None:
+        rate_hz, full_scale_v, each = job.wav_scale
+        volts = drive.drive_v * each[:, np.newaxis]
+        write_wav(job.wav, volts, drive.sample_rate_hz, interface_rate_hz=rate_hz, full_scale_v=full_scale_v)
+    focus_peak = predicted_focus_peak(drive, job.bank)
+    write_drive(job.out, drive)
+    actuators, samples = drive.drive_v.shape
+    return _Result(
+        method=drive.method,
+        shape=(actuators, samples),
+        start_s=drive.start_s,
+        foci=len(drive.focus_sample),
+        peak_v=float(max(drive.drive_v.max(initial=0.0), -drive.drive_v.min(initial=0.0))),
+        scale=drive.scale,
+        omitted_bound=drive.omitted_bound,
+        relative_rms=relative_rms(drive.drive_v),
+        facts=facts,
+        focus_peak=focus_peak,
+        unsaturated=unsaturated,
+    )
+
+
+def _render_streamed(job: _Job) -> _Result:
+    """Render in two passes, in constant memory; the predicted response would need the drives once more."""
+    bank, options = job.bank, job.options
+    rate_hz = float(bank.sample_rate_hz)
+    with naming(job.scene_file, bank):
+        streamed = StreamedDrive(
+            job.scene,
+            bank,
+            interface=interface_of(job.rig) if job.rig is not None and job.limited else None,
+            method=options.method,
+            tolerance_db=options.tolerance_db,
+            interpolation_tolerance=options.interpolation_tolerance,
+        )
+        actuators, samples = streamed.shape
+        size = size_words(8.0 * actuators * samples)
+        seconds = samples / rate_hz
+        say(f"{seconds:.4g} s of drives, {size}, in two passes: the first finds the scale, the second writes")
+        with progress("first pass", samples) as report:
+            facts = streamed.prepare(report)
+        live, foci = streamed.live, streamed.foci
+        about = DriveAbout(
+            rate_hz, live.start_s, live.method, facts.scale, facts.omitted_bound, *foci, drive_unit=bank.drive_unit
+        )
+        with (
+            drive_in_blocks(job.out, about, streamed.shape) as append,
+            progress("second pass", samples) as report,
+        ):
+            blocks = _kept(streamed.blocks(), append, report, samples)
+            if job.wav is None:
+                for _ in blocks:
+                    pass
+            else:
+                interface_hz, full_scale_v, each = job.wav_scale
+                stream_wav(
+                    job.wav,
+                    (block * each[:, np.newaxis] for block in blocks),
+                    streamed.shape,
+                    rate_hz,
+                    interface_rate_hz=interface_hz,
+                    full_scale_v=full_scale_v,
+                )
+    return _Result(
+        method=live.method,
+        shape=streamed.shape,
+        start_s=live.start_s,
+        foci=len(foci[0]),
+        peak_v=streamed.peak_v,
+        scale=facts.scale,
+        omitted_bound=facts.omitted_bound,
+        relative_rms=facts.relative_rms_drive,
+        facts=facts,
+    )
+
+
+def _kept(
+    blocks: Iterable[Float64Array],
+    append: Callable[[Float64Array], None],
+    report: Callable[[int, int], None],
+    samples: int,
+) -> Iterator[Float64Array]:
+    """The same blocks, written on their way."""
+    done = 0
+    for block in blocks:
+        append(block)
+        done += block.shape[1]
+        yield block
+        report(done, samples)
+
+
+def _report(job: _Job, result: _Result, rig_file: Path | None, *, streamed: bool, as_json: bool) -> None:
+    facts, limiting, (actuators, samples) = result.facts, result.facts.limiting, result.shape
+    unit = job.bank.response_unit.removesuffix("/V")
+    range_db = dynamic_range_db(result.relative_rms)
+    if job.wav is not None:
+        rate_hz, full_scale_v, _ = job.wav_scale
+        say(f"{job.wav}: {rate_hz} Hz, full scale {full_scale_v:g} V")
     for warning in facts.warnings:
         say(f"warning: {warning}")
-    samples = drive.drive_v.shape[1]
-    peak_v = float(max(drive.drive_v.max(initial=0.0), -drive.drive_v.min(initial=0.0)))
     say(
-        f"{out}: {drive.method}, {drive.drive_v.shape[0]} actuators, {samples / drive.sample_rate_hz:.3f} s, "
-        f"{len(drive.focus_sample)} focus points, largest drive {quantity(f'{peak_v:.3g}', drive.drive_unit)}"
+        f"{job.out}: {result.method}, {actuators} actuators, {samples / job.bank.sample_rate_hz:.3f} s, "
+        f"{result.foci} focus points, largest drive {quantity(f'{result.peak_v:.3g}', job.bank.drive_unit)}"
     )
-    if focus_peak is not None:
-        say(f"predicted response at the focus: up to {focus_peak:.3g} {unit}")
-    if facts.limiting.decided_by is not None:
-        say(limited_words(facts.limiting, rig_file))
-    if options.tolerance_db is not None:
-        words = list(facts.left_out_words) if isinstance(facts, RenderReport) else []
-        what = f": {', '.join(words)}" if words else ""
-        say(f"left out no more than {drive.omitted_bound:.3g} of the drives (relative L2, proved){what}")
-    relative = relative_rms(drive.drive_v)
-    range_db = dynamic_range_db(relative)
+    if result.focus_peak is not None:
+        say(f"predicted response at the focus: up to {result.focus_peak:.3g} {unit}")
+    if limiting.decided_by is not None:
+        say(limited_words(limiting, rig_file))
+    if job.options.tolerance_db is not None and isinstance(facts, RenderReport):
+        what = f": {', '.join(facts.left_out_words)}" if facts.left_out_words else ""
+        say(f"left out no more than {result.omitted_bound:.3g} of the drives (relative L2, proved){what}")
+    unsaturated = result.unsaturated
     without = "" if unsaturated is None else f", {dynamic_range_db(unsaturated):.1f} dB without saturation"
     say(f"rms of the drives: actuators differ by up to {range_db:.1f} dB{without}")
     if not isinstance(facts, RenderReport):
@@ -173,57 +296,73 @@ def render(
             f" to {facts.regularised_condition.max():.3g} by {facts.regularisation_db:g} dB; control points are"
             f" {100 * facts.misfit:.3g} % off"
         )
-    if as_json:
-        figures = {
-            "drive": str(out),
-            "method": drive.method,
-            "samples": samples,
-            "start_s": drive.start_s,
-            "focus_points": len(drive.focus_sample),
-            "peak_v": peak_v,
-            "scale": drive.scale,
-            "focus_peak": focus_peak,
-            "response_unit": unit,
-            "limited_by": facts.limiting.decided_by,
-            "limiting_actuator": facts.limiting.actuator,
-            "omitted_bound": drive.omitted_bound,
-            "relative_rms": relative.round(6).tolist(),
-            "relative_rms_unsaturated": None if unsaturated is None else unsaturated.round(6).tolist(),
-            "dynamic_range_db": round(range_db, 3),
-            "warnings": list(facts.warnings),
+    if not as_json:
+        return
+    figures = {
+        "drive": str(job.out),
+        "method": result.method,
+        "samples": samples,
+        "start_s": result.start_s,
+        "focus_points": result.foci,
+        "peak_v": result.peak_v,
+        "scale": result.scale,
+        "focus_peak": result.focus_peak,
+        "response_unit": unit,
+        "limited_by": limiting.decided_by,
+        "limiting_actuator": limiting.actuator,
+        "omitted_bound": result.omitted_bound,
+        "relative_rms": result.relative_rms.round(6).tolist(),
+        "relative_rms_unsaturated": None if unsaturated is None else unsaturated.round(6).tolist(),
+        "dynamic_range_db": round(range_db, 3),
+        "warnings": list(facts.warnings),
+    }
+    if streamed:
+        figures["streamed"] = True
+    if not isinstance(facts, RenderReport):
+        figures |= {
+            "control_points": facts.control_points,
+            "regularisation_db": facts.regularisation_db,
+            "condition": condition if np.isfinite(condition) else None,
+            "condition_at_hz": frequency_hz,
+            "regularised_condition": float(facts.regularised_condition.max()),
+            "misfit": facts.misfit,
+            "cut_share": facts.cut_share,
         }
-        if not isinstance(facts, RenderReport):
-            figures |= _inverse_figures(facts)
-        print(json.dumps(figures))
+    print(json.dumps(figures))
+
+
+@contextmanager
+def naming(scene_file: Path, bank: Bank) -> Iterator[None]:
+    """Name the scene file in an InputError that does not name the bank."""
+    try:
+        yield
+    except InputError as wrong:
+        raise InputError(str(wrong) if str(bank.path) in str(wrong) else f"{scene_file}: {wrong}") from None
 
 
 def rendered(
     scene_file: Path, scene: Scene, bank: Bank, options: RenderOptions | None = None
 ) -> tuple[Drive, RenderReport | InverseReport]:
-    """Render a scene with progress; what is wrong with it is told with the file's name.
+    """Render a scene with progress.
 
     Raises InputError: the scene does not fit the bank.
     """
     wanted = options or RenderOptions()
-    with progress("render", 1) as report:
-        try:
-            if wanted.focusing == "inverse":
-                from rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
+    with progress("render", 1) as report, naming(scene_file, bank):
+        if wanted.focusing == "inverse":
+            from rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
 
-                regularisation_db = REGULARISATION_DB if wanted.regularisation_db is None else wanted.regularisation_db
-                return inverse_filter(scene, bank, regularisation_db=regularisation_db)
-            return render_with_report(
-                scene,
-                bank,
-                method=wanted.method,
-                tolerance_db=wanted.tolerance_db,
-                interpolation_tolerance=wanted.interpolation_tolerance,
-                on_progress=report,
-                device=None if wanted.device == "cpu" else cuda_device(),
-            )
-        except InputError as wrong:
-            named = str(wrong) if str(bank.path) in str(wrong) else f"{scene_file}: {wrong}"
-            raise InputError(named) from None
+            regularisation_db = REGULARISATION_DB if wanted.regularisation_db is None else wanted.regularisation_db
+            return inverse_filter(scene, bank, regularisation_db=regularisation_db)
+        return render_with_report(
+            scene,
+            bank,
+            method=wanted.method,
+            tolerance_db=wanted.tolerance_db,
+            interpolation_tolerance=wanted.interpolation_tolerance,
+            on_progress=report,
+            device=None if wanted.device == "cpu" else cuda_device(),
+        )
 
 
 def _within_full_scale(
@@ -242,193 +381,22 @@ def _within_full_scale(
     return scaled, replace(facts, limiting=limiting)
 
 
-def _saturates(scene: Scene) -> bool:
-    return bool(scene.regularisation.saturation or scene.regularisation.saturation_absolute)
-
-
-def _unsaturated_rms(
-    scene_file: Path, scene: Scene, bank: Bank, options: RenderOptions
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Relative rms of each actuator's drive if the scene did not saturate; limits change no ratio."""
-    plain = replace(
-        scene,
-        regularisation=Regularisation(normalise=scene.regularisation.normalise),
-        output=replace(scene.output, limit_v=None, limit_rms_v=None),
-    )
-    drive, _ = rendered(scene_file, plain, bank, options)
-    return relative_rms(drive.drive_v)
-
-
-def _inverse_figures(facts: InverseReport) -> dict[str, object]:
-    frequency_hz, condition = facts.worst_condition
-    return {
-        "control_points": facts.control_points,
-        "regularisation_db": facts.regularisation_db,
-        "condition": condition if np.isfinite(condition) else None,
-        "condition_at_hz": frequency_hz,
-        "regularised_condition": float(facts.regularised_condition.max()),
-        "misfit": facts.misfit,
-        "cut_share": facts.cut_share,
-    }
-
-
-def _write_wav(path: Path, drive: Drive, rig: RigConfig | None) -> None:
-    """Write the drives at the interface's rate, full scale being what the rig's player is calibrated to."""
-    rate_hz, full_scale_v, drive_v = DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V, drive.drive_v
-    if rig is not None:
-        rate_hz, full_scale_v = rig.player.interface_rate_hz, rig.player.full_scale_v
-        # A file has one full scale; an output that has another gets so much more or less of it.
-        drive_v = drive_v * (full_scale_v / interface_of(rig).full_scale_v)[:, np.newaxis]
-    write_wav(path, drive_v, drive.sample_rate_hz, interface_rate_hz=rate_hz, full_scale_v=full_scale_v)
-    say(f"{path}: {rate_hz} Hz, full scale {full_scale_v:g} V")
-
-
-def write_picture(path: Path, scene_file: Path, scene: Scene, bank: Bank, rig: RigConfig | None) -> None:
-    """Draw the scene before and after snapping."""
+def _write_picture(job: _Job, path: Path) -> None:
     from rendering.report.scene_picture import scene_picture
 
     outline_mm = None
-    if rig is not None:
-        outline_mm = stadium_rim(rig.surface.length_mm, rig.surface.width_mm, 0.0, OUTLINE_POINTS)
-    try:
-        png = scene_picture(scene, bank, outline_mm=outline_mm).png
-    except InputError as wrong:
-        raise InputError(f"{scene_file}: {wrong}") from None
-    write_whole(path, png)
+    if job.rig is not None:
+        outline_mm = stadium_rim(job.rig.surface.length_mm, job.rig.surface.width_mm, 0.0, OUTLINE_POINTS)
+    with naming(job.scene_file, job.bank):
+        write_whole(path, scene_picture(job.scene, job.bank, outline_mm=outline_mm).png)
     say(f"{path}: the scene before and after snapping to the bank's positions")
 
 
-Float64Array = NDArray[np.float64]
-
-MOST_WHOLE_BYTES = 2 * 2**30
-"""Drives that take more are streamed without being asked: 22 minutes on 20 actuators at 10 kHz."""
-
-
-def too_large(scene_file: Path, scene: Scene, bank: Bank) -> bool:
-    """Whether the drives of a scene had better not be held in memory whole.
-
-    Raises InputError: the scene is larger than it is allowed to be.
-    """
-    rate_hz = float(bank.sample_rate_hz)
-    try:
-        size = check_scene_size(scene, sample_rate_hz=rate_hz, taps=bank.taps, actuators=bank.actuators)
-    except InputError as wrong:
-        raise InputError(f"{scene_file}: {wrong}") from None
+def _too_large(job: _Job) -> bool:
+    """Whether the drives are not to be held in memory whole; InputError: they are larger than allowed."""
+    bank = job.bank
+    with naming(job.scene_file, bank):
+        size = check_scene_size(
+            job.scene, sample_rate_hz=float(bank.sample_rate_hz), taps=bank.taps, actuators=bank.actuators
+        )
     return size.drive_bytes > MOST_WHOLE_BYTES
-
-
-def render_streamed(
-    scene_file: Path,
-    scene: Scene,
-    bank: Bank,
-    out: Path,
-    wav: Path | None,
-    rig: RigConfig | None,
-    rig_file: Path | None,
-    options: RenderOptions,
-    *,
-    as_json: bool,
-) -> None:
-    """Render a scene in two passes and write the drive file, and a WAV file when asked, in constant memory.
-
-    Raises InputError: the scene does not fit the bank, or a drive is beyond the interface's full scale.
-    """
-    rate_hz, full_scale_v, each = DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V, np.ones(bank.actuators)
-    fits = rig is not None and (wav is not None or rig_file is not None)
-    if rig is not None:
-        rate_hz, full_scale_v = rig.player.interface_rate_hz, rig.player.full_scale_v
-        # A file has one full scale; an output that has another gets so much more or less of it.
-        each = full_scale_v / interface_of(rig).full_scale_v
-    try:
-        streamed = StreamedDrive(
-            scene,
-            bank,
-            interface=interface_of(rig) if rig is not None and fits else None,
-            method=options.method,
-            tolerance_db=options.tolerance_db,
-            interpolation_tolerance=options.interpolation_tolerance,
-        )
-        actuators, samples = streamed.shape
-        seconds = samples / bank.sample_rate_hz
-        size = size_words(8.0 * actuators * samples)
-        say(f"{seconds:.4g} s of drives, {size}, in two passes: the first finds the scale, the second writes")
-        with progress("first pass", samples) as report:
-            facts = streamed.prepare(report)
-        about = DriveAbout(
-            float(bank.sample_rate_hz),
-            streamed.live.start_s,
-            streamed.live.method,
-            facts.scale,
-            facts.omitted_bound,
-            *streamed.foci,
-            drive_unit=bank.drive_unit,
-        )
-        with ExitStack() as stack:
-            append = stack.enter_context(drive_in_blocks(out, about, (actuators, samples)))
-            report = stack.enter_context(progress("second pass", samples))
-            blocks = _kept(streamed.blocks(), append, report, samples)
-            if wav is None:
-                for _ in blocks:
-                    pass
-            else:
-                stream_wav(
-                    wav,
-                    (block * each[:, np.newaxis] for block in blocks),
-                    (actuators, samples),
-                    float(bank.sample_rate_hz),
-                    interface_rate_hz=rate_hz,
-                    full_scale_v=full_scale_v,
-                )
-                say(f"{wav}: {rate_hz} Hz, full scale {full_scale_v:g} V")
-    except InputError as wrong:
-        named = str(wrong) if str(bank.path) in str(wrong) else f"{scene_file}: {wrong}"
-        raise InputError(named) from None
-    for warning in facts.warnings:
-        say(f"warning: {warning}")
-    foci = len(streamed.foci[0])
-    say(
-        f"{out}: {streamed.live.method}, {actuators} actuators, {seconds:.3f} s, {foci} focus points,"
-        f" largest drive {quantity(f'{streamed.peak_v:.3g}', bank.drive_unit)}"
-    )
-    if facts.limiting.decided_by is not None:
-        say(limited_words(facts.limiting, rig_file))
-    if options.tolerance_db is not None:
-        what = f": {', '.join(facts.left_out_words)}" if facts.left_out_words else ""
-        say(f"left out no more than {facts.omitted_bound:.3g} of the drives (relative L2, proved){what}")
-    say(f"rms of the drives: actuators differ by up to {facts.dynamic_range_db:.1f} dB")
-    if as_json:
-        figures = {
-            "drive": str(out),
-            "method": streamed.live.method,
-            "samples": samples,
-            "start_s": streamed.live.start_s,
-            "focus_points": foci,
-            "peak_v": streamed.peak_v,
-            "scale": facts.scale,
-            "focus_peak": None,  # needs the drives once more
-            "response_unit": bank.response_unit.removesuffix("/V"),
-            "limited_by": facts.limiting.decided_by,
-            "limiting_actuator": facts.limiting.actuator,
-            "omitted_bound": facts.omitted_bound,
-            "relative_rms": facts.relative_rms_drive.round(6).tolist(),
-            "relative_rms_unsaturated": None,
-            "dynamic_range_db": round(facts.dynamic_range_db, 3),
-            "warnings": list(facts.warnings),
-            "streamed": True,
-        }
-        print(json.dumps(figures))
-
-
-def _kept(
-    blocks: Iterable[Float64Array],
-    append: Callable[[Float64Array], None],
-    report: Callable[[int, int], None],
-    samples: int,
-) -> Iterator[Float64Array]:
-    """The same blocks, written on their way."""
-    done = 0
-    for block in blocks:
-        append(block)
-        done += block.shape[1]
-        yield block
-        report(done, samples)
