@@ -62,13 +62,9 @@ def paper_bank(out: Path, *, quick: bool) -> PaperBank:
     with open_bank(path) as view:
         values = np.stack([view.green(row) for row in range(view.positions)])
         bank = GreenArray(
-            values,
-            np.asarray(view.position_mm),
-            view.sample_rate_hz,
-            status=np.asarray(view.status),
-            actuator_mm=np.asarray(view.actuator_mm),
-            band_hz=view.band_hz,
-        )
+            values, np.asarray(view.position_mm), view.sample_rate_hz, status=np.asarray(view.status),
+            actuator_mm=np.asarray(view.actuator_mm), band_hz=view.band_hz,
+        )  # fmt: skip
     return PaperBank(bank, rig, "measured on the virtual rig, three sweeps of 1 s per actuator and position")
 
 
