@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benchmarks.harness import Findings, Mark, Point, measure
 from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from config.interpolations import INTERPOLATIONS
-from config.stadium import inside_stadium
+from config.outline import Outline
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
 from rendering.greens.interpolation.base import Interpolation, OffGridError
@@ -63,7 +63,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
 def random_points(count: int) -> Float64Array:
     """Points over the area of the default grid, its rim included."""
     points = np.random.default_rng(7).uniform((-112.0, -61.0), (112.0, 61.0), (8 * count, 2))
-    return points[inside_stadium(points, 250.0, 150.0, MARGIN_MM)][:count]
+    return points[Outline.stadium(250.0, 150.0).contains(points, MARGIN_MM)][:count]
 
 
 def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array, truth: Complex128Array) -> list[Point]:

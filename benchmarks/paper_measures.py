@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rig_bank import PaperBank
-from mocks.virtual.geometry import stadium_rim
 from rendering.drive.rendering import render_with_report
 from rendering.field import metrics
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
@@ -50,8 +49,7 @@ class Paper:
 
     def surface(self, *paths_mm: Float64Array) -> Surface:
         """Content of every map."""
-        rim = np.array(stadium_rim(400, *self.source.rig.settings.surface_mm))
-        return Surface.of(self.bank, paths_mm, np.concatenate([rim, rim[:1]]))
+        return Surface.of(self.bank, paths_mm, self.source.rig.settings.outline.line(400))
 
 
 def row_at(bank: GreenArray, x_mm: float, y_mm: float) -> int:

@@ -13,7 +13,7 @@ from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import Subscriber
 from acquisition.engine.stop_request import StopRequest
 from acquisition.measuring.setup import Setup
-from acquisition.schedule.grid import stadium_grid
+from acquisition.schedule.grid import surface_grid
 from acquisition.schedule.plan import Plan
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
@@ -122,4 +122,4 @@ def true_bank(rig: VirtualRig, position_mm: Float64Array, error_db: float | None
 
 def default_grid(rig: VirtualRig) -> Float64Array:
     """The 1500 positions of the default campaign."""
-    return stadium_grid(*rig.settings.surface_mm, MARGIN_MM, SPACING_MM)
+    return surface_grid(rig.settings.outline, MARGIN_MM, SPACING_MM)

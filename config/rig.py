@@ -11,8 +11,8 @@ from pydantic import Field, model_validator
 
 from config.calibration import CalibrationRecord, with_calibration
 from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
+from config.outline import Kind, Outline
 from config.rig_instruments import AnalogInput, Matrix, MirrorSection, PlayerSection, RecorderSection, VibrometerSection
-from config.stadium import inside_stadium, stadium_rim
 
 
 class CalibrationSection(Table):
@@ -261,20 +261,60 @@ class RigSection(Table):
 
 
 class Surface(Table):
-    """The outline of the plate, centred on the origin, long side along x."""
+    """The outline of the plate, its length along x; all but a polygon are centred on the origin."""
 
-    kind: Literal["stadium"] = Field(
-        default="stadium", description="A rectangle with a half disk at either end, centred on the origin"
+    kind: Kind = Field(
+        default="stadium",
+        description="A stadium is a rectangle with a half disk at either end",
     )
-    length_mm: Annotated[Positive, Field(le=100_000)] = Field(default=250.0, description="Length along x")
+    length_mm: Annotated[Positive, Field(le=100_000)] = Field(
+        default=250.0, description="Length along x, or diameter of a disk"
+    )
     width_mm: Annotated[Positive, Field(le=100_000)] = Field(
-        default=150.0, description="Width along y, at most length_mm"
+        default=150.0, description="Width along y; of a stadium at most length_mm"
     )
+    corners_mm: Annotated[tuple[PointMm, ...], Field(min_length=3, max_length=1024)] | None = Field(
+        default=None, description="[x, y] of the corners of a polygon, anticlockwise; length and width follow from them"
+    )
+
+    @property
+    def outline(self) -> Outline:
+        """The curve itself."""
+        return Outline.of(self.kind, self.length_mm, self.width_mm, self.corners_mm)
+
+    def inset(self, distance_mm: float) -> Outline:
+        """The curve moved inwards; of a polygon, whose actuators are never placed by default, the curve itself."""
+        twice_mm = 2 * distance_mm
+        return Outline.of(self.kind, self.length_mm - twice_mm, self.width_mm - twice_mm, self.corners_mm)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _sides_that_follow(cls, data: Any) -> Any:
+        """A polygon is twice as long and wide as its farthest corners are away; a disk is as wide as long."""
+        if not isinstance(data, dict):
+            return data
+        try:
+            if data.get("kind") == "disk":
+                return {"width_mm": data.get("length_mm", 250.0), "length_mm": 250.0, **data}
+            if data.get("kind") == "polygon" and "corners_mm" in data:
+                far = 2 * np.abs(np.array(data["corners_mm"], dtype=np.float64).reshape(-1, 2)).max(axis=0)
+                return {"length_mm": float(far[0]), "width_mm": float(far[1]), **data}
+        except (TypeError, ValueError):  # the fields themselves say what is wrong
+            pass
+        return data
 
     @model_validator(mode="after")
-    def _longer_than_wide(self) -> Surface:
-        if self.width_mm > self.length_mm:
+    def _a_curve(self) -> Surface:
+        if self.kind == "stadium" and self.width_mm > self.length_mm:
             raise mistake("width_mm", self.width_mm, f"must be at most length_mm = {self.length_mm:g}")
+        if self.kind == "disk" and self.width_mm != self.length_mm:
+            raise mistake("width_mm", self.width_mm, f"must be length_mm = {self.length_mm:g}, the disk's diameter")
+        if (self.kind == "polygon") != (self.corners_mm is not None):
+            raise mistake("corners_mm", self.corners_mm, 'must be given where kind is "polygon", and only there')
+        try:
+            self.outline  # noqa: B018 - made to see whether it is a curve
+        except ValueError as error:
+            raise mistake("corners_mm", "...", f"must be the corners of a polygon, anticlockwise: {error}") from None
         return self
 
 
@@ -336,7 +376,7 @@ class RigConfig(Table):
     def _fits_together(self) -> RigConfig:
         self._check_of_one_kind()
         surface, points = self.surface, self.actuators.position_mm
-        outside = np.flatnonzero(~inside_stadium(points, surface.length_mm, surface.width_mm))
+        outside = np.flatnonzero(~surface.outline.contains(points))
         if len(outside):
             size = f"{surface.length_mm:g} x {surface.width_mm:g} mm"
             first = int(outside[0])
@@ -379,8 +419,10 @@ def _default_actuators(surface: Any) -> list[list[float]]:
         size = Surface.model_validate(surface)
     except ValueError:  # told at the surface itself; any place will do here
         size = Surface()
-    inset_mm = min(DEFAULT_INSET_MM, size.width_mm / 4)
-    rim_mm = stadium_rim(size.length_mm, size.width_mm, inset_mm, DEFAULT_ACTUATORS)
+    if size.kind == "polygon":
+        raise mistake("actuators.position_mm", "nothing", "must be given for a polygon, which has no default places")
+    rim = size.inset(min(DEFAULT_INSET_MM, size.width_mm / 4))
+    rim_mm = rim.at(np.arange(DEFAULT_ACTUATORS) * rim.perimeter_mm / DEFAULT_ACTUATORS)
     return [[float(x_mm), float(y_mm)] for x_mm, y_mm in np.round(rim_mm, 3) + 0.0]
 
 

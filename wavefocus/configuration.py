@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.schedule.grid import read_positions_file, stadium_grid
+from acquisition.schedule.grid import read_positions_file, surface_grid
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import load_calibration
 from config.fields import Table
@@ -67,16 +67,13 @@ def load_run(path: Path) -> Configuration:
 
         _check_faults(Fault, run.virtual.fault_plan, f"{path}: virtual.fault_plan")
     check_together(run, rig, str(path))
-    surface = rig.surface
     if run.grid.positions_file is not None:
         positions_file = named_file(path, "grid.positions_file", run.grid.positions_file)
-        position_mm = read_positions_file(positions_file, surface.length_mm, surface.width_mm)
+        position_mm = read_positions_file(positions_file, rig.surface.outline)
     else:
         try:
             grid = run.grid
-            position_mm = stadium_grid(
-                surface.length_mm, surface.width_mm, grid.margin_mm, grid.spacing_mm, grid.lattice
-            )
+            position_mm = surface_grid(rig.surface.outline, grid.margin_mm, grid.spacing_mm, grid.lattice)
         except InputError as error:
             raise InputError(printable(f"{path}: grid.{error}")) from None
     _check_mirror_reach(rig, position_mm, str(path))
@@ -234,7 +231,7 @@ def _essence(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -
     return {
         "position_mm": (position_mm + 0.0).tolist(),
         "actuator_mm": rig.actuators.position_mm,
-        "surface": rig.surface.model_dump(),
+        "surface": rig.surface.model_dump(exclude_none=True),
         **_rig_essence(rig),
         "sweep": run.sweep.model_dump(),
         "capture": run.capture.model_dump(include=capture),

@@ -1,7 +1,4 @@
-"""Where the laser measures: positions on a stadium-shaped surface.
-
-A stadium is a rectangle with a half disk at either end, symmetric about the origin, its long side along x.
-"""
+"""Positions that the laser measures: a grid on the surface, or a file."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from config.stadium import EDGE_TOLERANCE_MM, inside_stadium
+from config.outline import EDGE_TOLERANCE_MM, Outline
 from storage.errors import InputError
 from storage.text_file import read_text
 
@@ -23,21 +20,21 @@ MOST_POSITIONS = 1_000_000
 Lattice = Literal["square", "hexagonal"]
 
 
-def stadium_grid(
-    length_mm: float, width_mm: float, margin_mm: float, spacing_mm: float, lattice: Lattice = "square"
+def surface_grid(
+    outline: Outline, margin_mm: float, spacing_mm: float, lattice: Lattice = "square"
 ) -> NDArray[np.float64]:
-    """Place a grid on a stadium, in serpentine order from the bottom row up.
+    """Place a grid on a surface, in serpentine order from the bottom row up.
 
     Columns lie at ``(i + 1/2) * spacing_mm`` and rows at ``j * spacing_mm``, i and j whole numbers, wherever
-    that is inside the stadium inset by the margin. On a hexagonal grid rows are closer by a factor of
+    that is inside the outline and at least the margin away from it. On a hexagonal grid rows are closer by a factor of
     ``sqrt(3) / 2``, and every other one is moved by half a spacing, so that all six neighbours of a position are
     equally far. Even rows, counted from the bottom, run to the right and odd rows to the left, so that the
     mirror moves by one spacing at a time.
 
     Parameters
     ----------
-    length_mm, width_mm : float
-        Outer size of the surface in millimetres, ``length_mm >= width_mm > 0``.
+    outline : Outline
+        Of the surface.
     margin_mm : float
         Distance kept from the outline in millimetres, >= 0.
     spacing_mm : float
@@ -55,39 +52,37 @@ def stadium_grid(
     InputError
         No position is left inside the margin, or there would be more than `MOST_POSITIONS`.
     """
-    half_straight_mm = (length_mm - width_mm) / 2
-    radius_mm = width_mm / 2 - margin_mm
-    if radius_mm <= 0:
+    left, bottom, right, top = outline.box_mm
+    length_mm, width_mm = right - left, top - bottom
+    if margin_mm >= min(length_mm, width_mm) / 2 - EDGE_TOLERANCE_MM:
         raise InputError(
             f"margin_mm = {margin_mm:g}: leaves no position on a surface of {length_mm:g} x {width_mm:g} mm; "
-            f"must be below {width_mm / 2:g}"
+            f"must be below {min(length_mm, width_mm) / 2:g}"
         )
-    area_mm2 = 4 * half_straight_mm * radius_mm + math.pi * radius_mm**2
-    if area_mm2 / spacing_mm > MOST_POSITIONS * spacing_mm:
+    if outline.area_mm2 / spacing_mm > MOST_POSITIONS * spacing_mm:
         raise InputError(
             f"spacing_mm = {spacing_mm:g}: gives more than {MOST_POSITIONS:,} positions; "
-            f"must be at least {math.sqrt(area_mm2 / MOST_POSITIONS):.2g} on this surface"
+            f"must be at least {math.sqrt(outline.area_mm2 / MOST_POSITIONS):.2g} on this surface"
         )
     row_spacing_mm = spacing_mm * (1.0 if lattice == "square" else math.sqrt(0.75))
-    columns = math.ceil((half_straight_mm + radius_mm) / spacing_mm)
-    rows = math.floor((radius_mm + EDGE_TOLERANCE_MM) / row_spacing_mm)
-    column_mm = (np.arange(-columns, columns) + 0.5) * spacing_mm
-    row = np.arange(-rows, rows + 1)
+    column_mm = (np.arange(math.floor(left / spacing_mm), math.ceil(right / spacing_mm)) + 0.5) * spacing_mm
+    row = np.arange(math.ceil((bottom + margin_mm) / row_spacing_mm - 1e-6),
+                    math.floor((top - margin_mm) / row_spacing_mm + 1e-6) + 1)  # fmt: skip
     x_mm, y_mm = np.meshgrid(column_mm, row * row_spacing_mm)
     if lattice == "hexagonal":
         x_mm[row % 2 == 1] -= spacing_mm / 2
     x_mm[1::2] = x_mm[1::2, ::-1]
     position_mm = np.column_stack([x_mm.ravel(), y_mm.ravel()])
-    position_mm = position_mm[inside_stadium(position_mm, length_mm, width_mm, margin_mm)]
+    position_mm = position_mm[outline.contains(position_mm, margin_mm)]
     if not len(position_mm):
         raise InputError(
             f"spacing_mm = {spacing_mm:g}: leaves no position inside the margin of {margin_mm:g} mm; "
-            f"must be at most {2 * (half_straight_mm + radius_mm):g} on this surface"
+            f"must be smaller on this surface of {length_mm:g} x {width_mm:g} mm"
         )
     return position_mm
 
 
-def read_positions_file(path: Path, length_mm: float, width_mm: float) -> NDArray[np.float64]:
+def read_positions_file(path: Path, outline: Outline) -> NDArray[np.float64]:
     """Read positions from a CSV file with the header ``x_mm,y_mm``, in the order of its lines.
 
     Blank lines and lines that start with ``#`` are passed over.
@@ -96,8 +91,8 @@ def read_positions_file(path: Path, length_mm: float, width_mm: float) -> NDArra
     ----------
     path : Path
         The file.
-    length_mm, width_mm : float
-        Outer size of the surface in millimetres; every position must lie on it.
+    outline : Outline
+        Of the surface; every position must lie on it.
 
     Returns
     -------
@@ -129,14 +124,11 @@ def read_positions_file(path: Path, length_mm: float, width_mm: float) -> NDArra
             raise InputError(f"{path}: line {number}: ({point[0]:g}, {point[1]:g}) mm repeats line {line_of[point]}")
         line_of[point] = number
     position_mm = np.array(list(line_of), dtype=np.float64)
-    outside = np.flatnonzero(~inside_stadium(position_mm, length_mm, width_mm))
+    outside = np.flatnonzero(~outline.contains(position_mm))
     if len(outside):
         number = rows[1 + int(outside[0])][0]
         x_mm, y_mm = position_mm[outside[0]]
-        raise InputError(
-            f"{path}: line {number}: ({x_mm:g}, {y_mm:g}) mm lies outside the surface; "
-            f"must be on the stadium of {length_mm:g} x {width_mm:g} mm about the origin"
-        )
+        raise InputError(f"{path}: line {number}: ({x_mm:g}, {y_mm:g}) mm lies outside the surface")
     return position_mm
 
 

@@ -90,11 +90,12 @@ class Opening(Message, event="opening"):
 
 @dataclass(frozen=True)
 class SurfaceSize:
-    """Kind and size of a surface."""
+    """Kind and size of a surface, and the corners of a polygon, as in a rig file."""
 
     kind: str
     length_mm: float
     width_mm: float
+    corners_mm: tuple[Numbers, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from config.stadium import default_marks_mm
+from config.outline import default_marks_mm
 from gui.shell.file_choice import PathField
 from gui.shell.settings import Settings
 from gui.shell.widgets import named, number_box

@@ -18,7 +18,8 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from config.stadium import default_marks_mm
+from config.outline import default_marks_mm
+from config.rig import Surface
 from gui.rig.calibration import Calibration
 from gui.rig.calibration_options import CalibrationOptions
 from gui.rig.jog_controls import Arrows
@@ -79,11 +80,11 @@ class CalibrationPage(QWidget):
         rows = {index.row() for index in self.residuals.selectedIndexes()}
         return min(rows) + 1 if rows else None
 
-    def show_surface(self, length_mm: float, width_mm: float, actuator_mm: list[Pair]) -> None:
-        self.options.size_mm = (length_mm, width_mm)
-        self.picture.show_rig(length_mm, width_mm, actuator_mm)
+    def show_surface(self, surface: Surface, actuator_mm: list[Pair]) -> None:
+        self.options.size_mm = (surface.length_mm, surface.width_mm)
+        self.picture.show_rig(surface.outline, actuator_mm)
         if not self._calibration.running:
-            self._marks_mm = list(default_marks_mm(length_mm, width_mm))
+            self._marks_mm = list(default_marks_mm(surface.length_mm, surface.width_mm))
             self.picture.show_marks(self._marks_mm, -1, 0)
 
     def draw(self, *, has_rig: bool) -> None:

@@ -115,7 +115,7 @@ class JogPanel(QWidget):
             for part in (self.arrows, self.x_mm, self.y_mm, self.go, self.middle, self.park):
                 part.setEnabled(ready)
             if facts is not None:
-                self.picture.show_rig(facts.length_mm, facts.width_mm, facts.actuator_mm.tolist())
+                self.picture.show_rig(facts.surface.outline, facts.actuator_mm.tolist())
         if self._drawn["spot"] != revision["spot"]:
             self._drawn["spot"] = revision["spot"]
             self.picture.show_spot(None if session.spot.parked else session.spot.place_mm)

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from config.rig import Surface
+from gui.surface.surface import surface_from
+
 Float64Array = NDArray[np.float64]
 Pair = tuple[float, float]
 Record = Mapping[str, object]
@@ -31,8 +34,8 @@ class RigFacts:
     ----------
     instruments : mapping from role to str
         Identification of each instrument.
-    length_mm, width_mm : float
-        Of the surface, a stadium.
+    surface : Surface
+        Its kind and size.
     actuator_mm : float64 array (actuators, 2)
         Positions of the actuators.
     mapped : bool
@@ -44,8 +47,7 @@ class RigFacts:
     """
 
     instruments: Mapping[str, str]
-    length_mm: float
-    width_mm: float
+    surface: Surface
     actuator_mm: Float64Array
     mapped: bool
     level_v: float
@@ -54,12 +56,11 @@ class RigFacts:
 
     @classmethod
     def from_record(cls, record: Record) -> RigFacts:
-        surface, band_hz = table(record, "surface"), pair(record.get("band_hz"))
+        band_hz = pair(record.get("band_hz"))
         assert band_hz is not None
         return cls(
             instruments={role: str(name) for role, name in table(record, "instruments").items()},
-            length_mm=number(surface, "length_mm"),
-            width_mm=number(surface, "width_mm"),
+            surface=surface_from(record.get("surface")),
             actuator_mm=np.asarray(record["actuator_mm"], np.float64).reshape(-1, 2),
             mapped=bool(record["mapped"]),
             level_v=number(record, "level_v"),

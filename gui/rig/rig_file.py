@@ -6,14 +6,12 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gui.rig.messages import Pair, optional_number, pairs
+from config.rig import Surface
+from gui.rig.messages import Pair, pairs
 from gui.shell.toml_files import is_virtual, tables_of
+from gui.surface.surface import surface_from
 from storage.errors import InputError
 from storage.text_file import read_text
-
-# Defaults of the configuration.
-_LENGTH_MM, _WIDTH_MM = 250.0, 150.0
-_LONGEST_MM = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +20,7 @@ class RigFile:
 
     path: Path
     is_virtual: bool = True
-    length_mm: float = _LENGTH_MM
-    width_mm: float = _WIDTH_MM
+    surface: Surface = field(default_factory=Surface)
     actuator_mm: list[Pair] = field(default_factory=list)
 
 
@@ -37,11 +34,7 @@ def read_rig_file(path: Path) -> RigFile:
     """
     content = tables_of(path)
     surface, actuators = (one if isinstance(one, dict) else {} for one in map(content.get, ("surface", "actuators")))
-    length_mm = optional_number(surface.get("length_mm")) or _LENGTH_MM
-    width_mm = optional_number(surface.get("width_mm")) or _WIDTH_MM
-    if not 0 < width_mm <= length_mm < _LONGEST_MM:
-        length_mm, width_mm = _LENGTH_MM, _WIDTH_MM
-    return RigFile(path, is_virtual(content), length_mm, width_mm, pairs(actuators.get("position_mm")))
+    return RigFile(path, is_virtual(content), surface_from(surface), pairs(actuators.get("position_mm")))
 
 
 def line_of(path: Path, key: str) -> int:

@@ -9,7 +9,7 @@ import pyqtgraph
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QResizeEvent
 
-from config.stadium import stadium_rim
+from config.outline import Outline
 from gui.rig.messages import Pair
 from gui.shell.theme import Theme
 from gui.surface.view import STEPS, Keys, PointMm, Spots, SurfaceView
@@ -38,11 +38,11 @@ class SurfacePicture(SurfaceView):
         for depth, item in enumerate((self._chosen, self._marks, self._residuals, self._tips, self._spot), start=30):
             self.add_item(item, depth)
 
-    def show_rig(self, length_mm: float, width_mm: float, actuator_mm: Sequence[Pair]) -> None:
-        rim_mm = stadium_rim(length_mm, width_mm, 0.0, _RIM_POINTS)
-        self.show_outline(np.vstack([rim_mm, rim_mm[:1]]))
+    def show_rig(self, outline: Outline, actuator_mm: Sequence[Pair]) -> None:
+        self.show_outline(outline.line(_RIM_POINTS))
         self.show_actuators(_points(actuator_mm))
-        self._length_mm = length_mm
+        left, _, right, _ = outline.box_mm
+        self._length_mm = right - left
         self.fit()
 
     def show_spot(self, place_mm: Pair | None) -> None:

@@ -156,8 +156,8 @@ class RigTab(Tab):
         except InputError as wrong:
             self.context.messages.fault(str(wrong))
         rig = self.rig
-        self.manual_page.jog.picture.show_rig(rig.length_mm, rig.width_mm, rig.actuator_mm)
-        self.calibration_page.show_surface(rig.length_mm, rig.width_mm, rig.actuator_mm)
+        self.manual_page.jog.picture.show_rig(rig.surface.outline, rig.actuator_mm)
+        self.calibration_page.show_surface(rig.surface, rig.actuator_mm)
 
     def _with_free_instruments(self, word: str, act: Callable[[RigFile], object]) -> None:
         """Do something with the instruments as soon as nothing else in this window has them."""

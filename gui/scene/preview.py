@@ -17,7 +17,7 @@ from gui.process.background import Background
 from gui.scene.document import SceneDocument
 from gui.scene.draft import source_toml
 from gui.shell.tab import TabContext
-from gui.surface.surface import Surface, path_line, stadium_mm, surface_of
+from gui.surface.surface import Surface, path_line, surface_from, surface_of
 from storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 # The surface of the virtual rig, and the rate of its banks, while there is no bank.
-_LENGTH_MM, _WIDTH_MM = 250.0, 150.0
 _USUAL_RATE_HZ = 10_000.0
 # More points than these look like a line; the figures count all of them.
 MOST_DRAWN = 2000
@@ -237,7 +236,7 @@ def _duration(seconds: float) -> str:
 
 
 def _bare_ground() -> Ground:
-    return Ground(stadium_mm(_LENGTH_MM, _WIDTH_MM))
+    return Ground(surface_from({}).outline.line(180))
 
 
 def _ground_of(path: Path) -> Ground:

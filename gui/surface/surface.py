@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from config.stadium import stadium_rim
 from gui.shell.toml_files import is_virtual
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
+    from config.rig import Surface as SurfaceTable
     from rendering.scene.paths import Path as Path2D
     from storage.bank.reading import Bank
 
@@ -160,10 +160,14 @@ def path_line(path: Path2D, points: int) -> Float64Array:
     return np.insert(line_mm, jumps, np.nan, axis=0)
 
 
-def stadium_mm(length_mm: float, width_mm: float) -> Float64Array:
-    """Return a stadium's closed rim about the origin, shape (points, 2)."""
-    rim_mm = stadium_rim(length_mm, width_mm, 0.0, _OUTLINE_POINTS - 1)
-    return np.vstack([rim_mm, rim_mm[:1]])
+def surface_from(table: object) -> SurfaceTable:
+    """The surface that a table of a rig file or a message describes; the default where it describes none."""
+    from config.rig import Surface as SurfaceTable  # loads pydantic
+
+    try:
+        return SurfaceTable.model_validate(table)
+    except ValueError:
+        return SurfaceTable()
 
 
 def _is_virtual(rig_json: str | None) -> bool:
@@ -176,11 +180,9 @@ def _is_virtual(rig_json: str | None) -> bool:
 
 def _outline_mm(rig_json: str | None) -> Float64Array | None:
     """The rim by the rig's configuration; a bank made by another program may hold any text there."""
+    from config.rig import Surface as SurfaceTable  # loads pydantic
+
     try:
-        surface = json.loads(rig_json or "")["surface"]
-        length_mm, width_mm = float(surface["length_mm"]), float(surface["width_mm"])
+        return SurfaceTable.model_validate(json.loads(rig_json or "")["surface"]).outline.line(_OUTLINE_POINTS)
     except (ValueError, TypeError, KeyError):
         return None
-    if surface.get("kind") != "stadium" or not 0 < width_mm <= length_mm < np.inf:
-        return None
-    return stadium_mm(length_mm, width_mm)

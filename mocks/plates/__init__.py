@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from config.outline import Outline
 from drivers.registry import Registry
 
 Float64Array = NDArray[np.float64]
@@ -22,8 +23,8 @@ class Plate(ABC):
     ----------
     actuator_mm : float64 array, shape (actuators, 2)
         Where they are.
-    surface_mm : tuple of float
-        Length and width of the plate in mm.
+    outline : Outline
+        Of the plate.
     chain : callable
         Transfer function of the signal chain over the frequency in Hz; every response includes it.
 
@@ -38,11 +39,11 @@ class Plate(ABC):
     def __init__(
         self,
         actuator_mm: Float64Array,
-        surface_mm: tuple[float, float],
+        outline: Outline,
         chain: Callable[[Float64Array], Complex128Array],
     ) -> None:
         self._actuator_mm = actuator_mm
-        self._surface_mm = surface_mm
+        self._outline = outline
         self._chain = chain
 
     @abstractmethod

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocks.plates.outline import Outline
+from config.outline import Outline
 from mocks.plates.soft import MAGNET_RADIUS_MM, DampedWave
 
 Float64Array = NDArray[np.float64]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 
+from config.outline import Outline
 from mocks.plates import Complex64Array, Complex128Array, Plate
 from mocks.plates.soft_table import impulse_length
 
@@ -27,10 +28,10 @@ class ModalPlate(Plate):
     def __init__(
         self,
         actuator_mm: Float64Array,
-        surface_mm: tuple[float, float],
+        outline: Outline,
         chain: Callable[[Float64Array], Complex128Array],
     ) -> None:
-        super().__init__(actuator_mm, surface_mm, chain)
+        super().__init__(actuator_mm, outline, chain)
         self._table = lru_cache(6)(self._make_table)
         self._cut_table = lru_cache(1)(self._make_cut_table)
         self._mean_power = lru_cache(1)(self._find_mean_power)
@@ -81,9 +82,11 @@ class ModalPlate(Plate):
         return np.asarray(rfft(folded.reshape(len(spectra), -1, length).sum(axis=1))[:, start:stop])
 
     def _find_mean_power(self) -> Float64Array:
-        """Mean square of every mode's coefficients, over places around the middle and actuators."""
-        x_mm, y_mm = np.meshgrid(*(np.linspace(-0.3, 0.3, 7) * side for side in self._surface_mm))
-        part = self.coefficients(np.column_stack([x_mm.ravel(), y_mm.ravel()]))
+        """Mean square of every mode's coefficients, over places within and actuators."""
+        left, bottom, right, top = self._outline.box_mm
+        x_mm, y_mm = np.meshgrid(np.linspace(left, right, 11), np.linspace(bottom, top, 11))
+        place_mm = np.column_stack([x_mm.ravel(), y_mm.ravel()])
+        part = self.coefficients(place_mm[self._outline.contains(place_mm, 0.1 * (top - bottom))])
         return np.asarray(np.square(part).mean(axis=(0, 1)))
 
 

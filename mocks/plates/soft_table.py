@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import jv
 
+from config.outline import Outline
 from mocks.plates import PLATES, Complex64Array, Plate
 from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, DampedWave
 
@@ -250,9 +251,10 @@ class SoftPlate(Plate):
 
     name = "soft"
 
-    def __init__(self, actuator_mm: Float64Array, surface_mm: tuple[float, float], chain: Colour) -> None:
-        super().__init__(actuator_mm, surface_mm, chain)
-        self._furthest_mm = float(np.hypot(*surface_mm)) + 10
+    def __init__(self, actuator_mm: Float64Array, outline: Outline, chain: Colour) -> None:
+        super().__init__(actuator_mm, outline, chain)
+        left, bottom, right, top = outline.box_mm
+        self._furthest_mm = float(np.hypot(right - left, top - bottom)) + 10
         self._table = lru_cache(6)(self._make_table)
         self._truncated = lru_cache(1)(self._make_truncated)
 

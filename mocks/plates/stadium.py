@@ -15,10 +15,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from config.outline import Outline
 from mocks.plates import PLATES, Complex128Array
 from mocks.plates.finite_elements import Elements, RitzModes, Triangles, ritz_modes, spacing_mm, triangulate
 from mocks.plates.modal import ModalPlate
-from mocks.plates.outline import Outline
 from mocks.plates.soft import SOFT_PLATE
 
 Float64Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class StadiumPlate(ModalPlate):
 
     Parameters
     ----------
-    actuator_mm, surface_mm, chain
+    actuator_mm, outline, chain
         As of every plate.
     rim_admittance : float
         Of the rim, relative to the medium's: 0 is a free edge, 1 takes up what arrives at a right angle.
@@ -46,13 +46,13 @@ class StadiumPlate(ModalPlate):
     def __init__(
         self,
         actuator_mm: Float64Array,
-        surface_mm: tuple[float, float],
+        outline: Outline,
         chain: Callable[[Float64Array], Complex128Array],
         *,
         rim_admittance: float = 0.0,
     ) -> None:
-        super().__init__(actuator_mm, surface_mm, chain)
-        self._elements, self._modes = _cached(actuator_mm, surface_mm, rim_admittance)
+        super().__init__(actuator_mm, outline, chain)
+        self._elements, self._modes = _cached(actuator_mm, outline, rim_admittance)
         self._pairs = _damped_pairs(self._modes, rim_admittance) if rim_admittance else None
 
     def coefficients(self, place_mm: Float64Array) -> Float64Array:
@@ -99,11 +99,9 @@ def _damped_pairs(modes: RitzModes, admittance: float) -> _DampedPairs:
     return _DampedPairs(rate[kept], shape[count:, kept], reached[kept] * share[:, None])
 
 
-def _cached(
-    actuator_mm: Float64Array, surface_mm: tuple[float, float], admittance: float
-) -> tuple[Elements, RitzModes]:
+def _cached(actuator_mm: Float64Array, outline: Outline, admittance: float) -> tuple[Elements, RitzModes]:
     """Elements and modes from the disk, or computed and kept there; without a file that can be used, computed again."""
-    facts = (RECIPE, SOFT_PLATE, HIGHEST_HZ, surface_mm, admittance)
+    facts = (RECIPE, SOFT_PLATE, HIGHEST_HZ, outline, admittance)
     digest = hashlib.sha256(repr(facts).encode() + np.ascontiguousarray(actuator_mm, dtype="<f8").tobytes())
     path = cache_dir() / f"stadium-{digest.hexdigest()[:32]}.npz"
     try:
@@ -113,7 +111,7 @@ def _cached(
                 RitzModes(*(kept[item.name] for item in fields(RitzModes))),
             )
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        triangles = triangulate(Outline.stadium(*surface_mm), spacing_mm(SOFT_PLATE, HIGHEST_HZ))
+        triangles = triangulate(outline, spacing_mm(SOFT_PLATE, HIGHEST_HZ))
     elements = Elements(triangles)
     modes = ritz_modes(elements, actuator_mm, SOFT_PLATE, admittance, HIGHEST_HZ)
     modes = replace(modes, shapes=modes.shapes.astype(np.float32))

@@ -1,11 +1,11 @@
-"""Where things are: the stadium, its actuators, and the laser in front of it."""
+"""The laser in front of the plate."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 Float64Array = NDArray[np.float64]
 
@@ -65,65 +65,3 @@ class MirrorGeometry:
         rotation = turn_x @ turn_y @ turn_z
         centre = (*self.offset_mm, self.distance_mm)
         return np.column_stack((rotation[:, 0], rotation[:, 1], centre))
-
-
-def stadium_rim(
-    count: int, length_mm: float, width_mm: float, inset_mm: float = 0.0
-) -> tuple[tuple[float, float], ...]:
-    """Points equally spaced by arc length on the outline of an inset stadium.
-
-    They run anticlockwise from the middle of the right-hand end, half a spacing off the axis. Raises ValueError.
-
-    Parameters
-    ----------
-    count : int
-        Number of points, > 0.
-    length_mm, width_mm : float
-        Outer size of the stadium in mm, length >= width > 0.
-    inset_mm : float
-        Distance of the points from the edge in mm, less than half the width.
-
-    Returns
-    -------
-    tuple of (x_mm, y_mm)
-    """
-    radius = width_mm / 2 - inset_mm
-    straight = length_mm - width_mm
-    if count < 1:
-        raise ValueError(f"count is {count}; it must be at least 1")
-    if not (radius > 0 and straight >= 0):
-        raise ValueError(
-            f"no stadium of {length_mm} mm x {width_mm} mm has an outline inset by {inset_mm} mm: "
-            "the length must be at least the width, and the inset less than half the width"
-        )
-    quarter = np.pi / 2 * radius
-    perimeter = 4 * quarter + 2 * straight
-    points = []
-    for arc in (np.arange(count) + 0.5) * perimeter / count:
-        if arc < quarter or arc >= perimeter - quarter:
-            angle = (arc if arc < quarter else arc - perimeter) / radius
-            points.append((straight / 2 + radius * np.cos(angle), radius * np.sin(angle)))
-        elif arc < quarter + straight:
-            points.append((straight / 2 - (arc - quarter), radius))
-        elif arc < 3 * quarter + straight:
-            angle = (arc - straight) / radius
-            points.append((-straight / 2 + radius * np.cos(angle), radius * np.sin(angle)))
-        else:
-            points.append((arc - 3 * quarter - 1.5 * straight, -radius))
-    return tuple((float(x), float(y)) for x, y in points)
-
-
-def inside_stadium(
-    x_mm: ArrayLike, y_mm: ArrayLike, length_mm: float, width_mm: float, inset_mm: float = 0.0
-) -> NDArray[np.bool_]:
-    """Whether points lie on a stadium, its edge inset by `inset_mm`.
-
-    Parameters
-    ----------
-    x_mm, y_mm : float array
-        The points in mm.
-    length_mm, width_mm, inset_mm : float
-        The stadium in mm.
-    """
-    beyond_mm = np.maximum(np.abs(np.asarray(x_mm, dtype=np.float64)) - (length_mm - width_mm) / 2, 0.0)
-    return np.asarray(np.hypot(beyond_mm, np.asarray(y_mm)) <= width_mm / 2 - inset_mm)

@@ -11,7 +11,6 @@ from typing import Protocol, TypeVar
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import DeviceIdentity
 from mocks.virtual.faults import FaultPlan
-from mocks.virtual.geometry import inside_stadium
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.surroundings import NANOSECONDS, VirtualClock
 
@@ -142,7 +141,7 @@ class VirtualMirror:
 
     def _move(self, start_ns: int, settled_ns: int, target_mrad: tuple[float, float]) -> _Move:
         spot_mm = self._settings.mirror.spot_mm(*target_mrad)
-        on_surface = bool(inside_stadium(*spot_mm, *self._settings.surface_mm))
+        on_surface = bool(self._settings.outline.contains(spot_mm))
         return _Move(start_ns, settled_ns, target_mrad, spot_mm if on_surface else None)
 
     def _start(self, target_mrad: tuple[float, float]) -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.protocols import Instruments
 from mocks.virtual.faults import Fault
-from mocks.virtual.geometry import MirrorGeometry, stadium_rim
+from mocks.virtual.geometry import MirrorGeometry
 from mocks.virtual.mirror import VirtualMirror
 from mocks.virtual.player import VirtualPlayer
 from mocks.virtual.recorder import VirtualRecorder
@@ -15,7 +15,7 @@ from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.surroundings import PatchBay, VirtualClock, VirtualSensor
 from mocks.virtual.synthesis import Synthesis
 
-__all__ = ["Fault", "MirrorGeometry", "VirtualRig", "VirtualSettings", "stadium_rim"]
+__all__ = ["Fault", "MirrorGeometry", "VirtualRig", "VirtualSettings"]
 
 
 class VirtualRig:

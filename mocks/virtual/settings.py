@@ -7,12 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from config.outline import Outline
 from mocks.virtual.faults import Fault
-from mocks.virtual.geometry import MirrorGeometry, stadium_rim
+from mocks.virtual.geometry import MirrorGeometry
 
 # Small compared with any record, and more than outputs and converters differ.
 MOST_DELAY_S = 1e-3
-SURFACE_MM = (250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 cm
+OUTLINE = Outline.stadium(250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 cm
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +56,8 @@ class VirtualSettings:
         Factor on each actuator's own strength: 0 where it is dead, negative where it is reversed; 1 if absent.
     plate : str
         Name of the plate, as registered in `mocks.plates`.
-    surface_mm : tuple of float
-        Length and width of the stadium in mm.
+    outline : Outline
+        Of the plate.
     mirror : MirrorGeometry
         Where the laser stands.
     settle_s, slew_mrad_s, limit_mrad, park_mrad
@@ -97,16 +98,14 @@ class VirtualSettings:
     inter_channel_delay_s: float = 5e-6
     vibrometer_latency_s: float = 0.0
     latency_s: tuple[float, float] = (0.005, 0.030)
-    actuator_mm: tuple[tuple[float, float], ...] = field(
-        default_factory=lambda: stadium_rim(20, *SURFACE_MM, inset_mm=6.0)
-    )
+    actuator_mm: tuple[tuple[float, float], ...] = field(default_factory=lambda: rim_places(20))
     actuator_channels: tuple[int, ...] | None = None
     loopback_channel: int | None = None
     output_latency_s: tuple[float, ...] | None = None
     output_gain: tuple[float, ...] | None = None
     actuator_strength: tuple[float, ...] | None = None
     plate: str = "soft"
-    surface_mm: tuple[float, float] = SURFACE_MM
+    outline: Outline = OUTLINE
     mirror: MirrorGeometry = field(default_factory=MirrorGeometry)
     settle_s: float = 0.005
     slew_mrad_s: float = 20_000.0
@@ -191,6 +190,13 @@ class VirtualSettings:
     def clock_ratio(self) -> float:
         """Rate of the recorder's clock over that of the player's."""
         return 1 + self.clock_ppm * 1e-6
+
+
+def rim_places(count: int, inset_mm: float = 6.0) -> tuple[tuple[float, float], ...]:
+    """Places equally spaced on the stadium's rim, moved inwards, the first half a spacing from the right end."""
+    rim = Outline.stadium(250.0 - 2 * inset_mm, 150.0 - 2 * inset_mm)
+    arc_mm = (np.arange(count) + 0.5) * rim.perimeter_mm / count
+    return tuple((float(x), float(y)) for x, y in rim.at(arc_mm))
 
 
 def _require(name: str, value: object, allowed: bool, what: str) -> None:

@@ -12,7 +12,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mocks.virtual.geometry import inside_stadium
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import SignalStore
 from mocks.virtual.surroundings import NANOSECONDS, PatchBay
@@ -197,7 +196,7 @@ class WireBench:
         if aim_mrad is None:
             return None
         place_mm = self._settings.mirror.spot_mm(*aim_mrad)
-        return place_mm if bool(inside_stadium(*place_mm, *self._settings.surface_mm)) else None
+        return place_mm if bool(self._settings.outline.contains(place_mm)) else None
 
     def _with_delay(self, delay_s: float) -> Synthesis:
         """The signal chain with this delay of the response input; a task that is asked again finds it made."""

@@ -13,6 +13,7 @@ from wavefocus.__main__ import run
 
 RIG = """
 [surface]
+kind = "{kind}"
 length_mm = 90.0
 width_mm = 60.0
 
@@ -47,12 +48,13 @@ signal = { kind = "impulse" }
 """
 
 
-@pytest.mark.parametrize("plate", ["soft", "stadium"])
+@pytest.mark.parametrize(("plate", "kind"), [("soft", "stadium"), ("stadium", "rectangle")])
 def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plate: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plate: str, kind: str
 ) -> None:
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
-    for name, text in (("rig.toml", RIG), ("run.toml", RUN.replace("{plate}", plate)), ("scene.toml", SCENE)):
+    rig, campaign = RIG.replace("{kind}", kind), RUN.replace("{plate}", plate)
+    for name, text in (("rig.toml", rig), ("run.toml", campaign), ("scene.toml", SCENE)):
         (tmp_path / name).write_text(text, encoding="utf-8")
     quiet, bank = tmp_path / "quiet.h5", tmp_path / "plate.h5"
     assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(quiet)]) == 0

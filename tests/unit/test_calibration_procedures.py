@@ -15,7 +15,7 @@ from acquisition.calibrate.probe import NotMeasuredError, Probe
 from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
 from config.messages.calibrate import Here
-from config.stadium import default_marks_mm, inside_stadium
+from config.outline import Outline, default_marks_mm
 from drivers.errors import InstrumentLostError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from storage.errors import InputError
@@ -174,13 +174,13 @@ def test_given_actuators_then_they_are_heard_at_one_distance_inwards() -> None:
     actuator_mm = np.array([*ACTUATORS, (0.0, 0.0), (0.0, -5.0)])
     places = listening_places(actuator_mm, 30.0)
     np.testing.assert_allclose(np.hypot(*(places - actuator_mm).T), 30.0)
-    assert inside_stadium(places, 250.0, 150.0).all()
+    assert Outline.stadium(250.0, 150.0).contains(places).all()
 
 
 @pytest.mark.parametrize(("length_mm", "width_mm"), [(250.0, 150.0), (150.0, 150.0), (1000.0, 50.0)])
 def test_given_any_surface_then_the_marks_offered_lie_on_it_and_decide_a_map(length_mm: float, width_mm: float) -> None:
     marks = default_marks_mm(length_mm, width_mm)
-    assert inside_stadium(marks, length_mm, width_mm).all()
+    assert Outline.stadium(length_mm, width_mm).contains(marks).all()
     angles = np.column_stack(MirrorMap.straight(1000.0).angles_mrad(*np.array(marks).T))
     assert fitted_marks(marks, angles.tolist()).fit.rms_mm < 1e-6
 

@@ -54,7 +54,10 @@ def test_rig_survives_json(data: dict[str, object]) -> None:
 
 MISTAKES = [
     ("[surface]\nlength_m = 0.25", "surface.length_m = 0.25: unknown key; did you mean length_mm?"),
-    ("[surface]\nkind = 'disk'", 'surface.kind = "disk": must be "stadium"'),
+    ("[surface]\nkind = 'oval'", 'surface.kind = "oval": must be "stadium", "rectangle", "disk" or "polygon"'),
+    ("[surface]\nkind = 'disk'\nwidth_mm = 100", "surface.width_mm = 100.0: must be length_mm = 250"),
+    ("[surface]\nkind = 'polygon'", "surface.corners_mm: must be given"),
+    ("[surface]\nkind = 'polygon'\ncorners_mm = [[0, 0], [0, 9], [9, 9]]", "surface.corners_mm"),
     ("[surface]\nlength_mm = 100", "surface.width_mm = 150.0: must be at most length_mm = 100"),
     ("[actuators]\nposition_mm = []", "actuators.position_mm = []: must have at least 1 entries, has 0"),
     ("[actuators]\nposition_mm = [[0, 0], [1]]", "actuators.position_mm[1][1]: is missing"),
@@ -281,3 +284,26 @@ def test_weakest_output_limits_what_may_be_asked_of_an_actuator() -> None:
     player = {"channels": [0, 1, 2], "loopback_channel": 3, "channel_full_scale_v": volts}
     rig = RigConfig.model_validate({"actuators": {"position_mm": [[0, 0], [1, 0], [2, 0]]}, "player": player})
     assert rig.player.largest_v == 3.0
+
+
+@pytest.mark.parametrize(
+    ("text", "area_mm2", "size_mm"),
+    [
+        ("[surface]\nkind = 'rectangle'\nlength_mm = 100\nwidth_mm = 120", 12_000.0, (100.0, 120.0)),
+        ("[surface]\nkind = 'disk'\nlength_mm = 100", math.pi * 2500, (100.0, 100.0)),
+        (
+            "[surface]\nkind = 'polygon'\ncorners_mm = [[-10, 0], [40, 0], [0, 30]]\n"
+            "[actuators]\nposition_mm = [[5, 5]]",
+            750.0,
+            (80.0, 60.0),
+        ),
+    ],
+)
+def test_given_another_kind_of_surface_then_outline_and_size_are_its_own(
+    tmp_path: Path, text: str, area_mm2: float, size_mm: tuple[float, float]
+) -> None:
+    (tmp_path / "rig.toml").write_text(text)
+    rig = load_rig(tmp_path / "rig.toml")
+    assert rig.surface.outline.area_mm2 == pytest.approx(area_mm2)
+    assert (rig.surface.length_mm, rig.surface.width_mm) == size_mm
+    assert rig.surface.outline.contains(rig.actuator_mm).all()

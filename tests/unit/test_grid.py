@@ -8,17 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.schedule.grid import read_positions_file, stadium_grid
-from config.stadium import inside_stadium, stadium_rim
+from acquisition.schedule.grid import read_positions_file, surface_grid
+from config.outline import Outline, Segment
 from storage.errors import InputError
+
+PLATE = Outline.stadium(250.0, 150.0)
 
 
 def test_default_grid_has_the_papers_1500_positions() -> None:
-    assert stadium_grid(250, 150, 14.3, 4).shape == (1500, 2)
+    assert surface_grid(PLATE, 14.3, 4).shape == (1500, 2)
 
 
 def test_default_grid_moves_by_one_spacing_within_rows_and_alternates_direction() -> None:
-    grid = stadium_grid(250, 150, 14.3, 4)
+    grid = surface_grid(PLATE, 14.3, 4)
     step_mm = np.diff(grid, axis=0)
     same_row = step_mm[:, 1] == 0
     assert np.all(np.abs(step_mm[same_row, 0]) == 4)
@@ -29,7 +31,7 @@ def test_default_grid_moves_by_one_spacing_within_rows_and_alternates_direction(
 
 
 def test_grid_columns_lie_at_half_spacings_and_rows_at_whole_ones() -> None:
-    grid = stadium_grid(250, 150, 14.3, 4) / 4
+    grid = surface_grid(PLATE, 14.3, 4) / 4
     assert np.all(grid[:, 0] - np.floor(grid[:, 0]) == 0.5)
     assert np.all(grid[:, 1] == np.round(grid[:, 1]))
 
@@ -44,10 +46,11 @@ def test_any_grid_fills_the_inset_stadium_and_stays_in_it(
     width_mm: float, extra_mm: float, margin: float, spacing_mm: float
 ) -> None:
     length_mm, margin_mm = width_mm + extra_mm, margin * width_mm
+    plate = Outline.stadium(length_mm, width_mm)
     try:
-        grid = stadium_grid(length_mm, width_mm, margin_mm, spacing_mm)
+        grid = surface_grid(plate, margin_mm, spacing_mm)
     except InputError:  # no position left: then the middle pair of columns is outside
-        assert not inside_stadium([spacing_mm / 2, 0], length_mm, width_mm, margin_mm)
+        assert not plate.contains([spacing_mm / 2, 0], margin_mm)
         return
     half_mm, radius_mm = (length_mm - width_mm) / 2, width_mm / 2 - margin_mm
     beyond_mm = np.maximum(np.abs(grid[:, 0]) - half_mm, 0)
@@ -56,7 +59,7 @@ def test_any_grid_fills_the_inset_stadium_and_stays_in_it(
     reach = math.ceil(length_mm / spacing_mm) + 2
     index = np.arange(-reach, reach + 1)
     lattice = np.stack(np.meshgrid((index + 0.5) * spacing_mm, index * spacing_mm), axis=-1)
-    assert len(grid) == np.count_nonzero(inside_stadium(lattice, length_mm, width_mm, margin_mm))
+    assert len(grid) == np.count_nonzero(plate.contains(lattice, margin_mm))
     assert len(np.unique(grid, axis=0)) == len(grid)
 
 
@@ -66,24 +69,24 @@ def test_any_grid_fills_the_inset_stadium_and_stays_in_it(
 )
 def test_grid_without_a_possible_position_names_key_and_value(margin_mm: float, spacing_mm: float, key: str) -> None:
     with pytest.raises(InputError, match=key):
-        stadium_grid(250, 150, margin_mm, spacing_mm)
+        surface_grid(PLATE, margin_mm, spacing_mm)
 
 
 @settings(max_examples=40, deadline=None)
 @given(spacing_mm=st.floats(8.0, 40.0), margin_mm=st.floats(0.0, 30.0))
 def test_any_hexagonal_grid_has_six_neighbours_at_one_spacing_and_fills_the_stadium(spacing_mm, margin_mm) -> None:
-    grid_mm = stadium_grid(250.0, 150.0, margin_mm, spacing_mm, "hexagonal")
-    assert inside_stadium(grid_mm, 250.0, 150.0, margin_mm).all()
+    grid_mm = surface_grid(PLATE, margin_mm, spacing_mm, "hexagonal")
+    assert PLATE.contains(grid_mm, margin_mm).all()
     distance_mm = np.hypot(*(grid_mm[:, None] - grid_mm).transpose(2, 0, 1))
     distance_mm[np.diag_indices(len(grid_mm))] = np.inf
     assert distance_mm.min() > spacing_mm * (1 - 1e-9)
-    inner = inside_stadium(grid_mm, 250.0, 150.0, margin_mm + 1.01 * spacing_mm)
+    inner = PLATE.contains(grid_mm, margin_mm + 1.01 * spacing_mm)
     near = np.isclose(distance_mm, spacing_mm, rtol=1e-9).sum(axis=1)
     assert np.all(near[inner] == 6)
 
 
 def test_a_hexagonal_grid_needs_fewer_positions_and_alternates_direction() -> None:
-    square, hexagonal = (stadium_grid(250.0, 150.0, 14.3, 4.0, lattice) for lattice in ("square", "hexagonal"))
+    square, hexagonal = (surface_grid(PLATE, 14.3, 4.0, lattice) for lattice in ("square", "hexagonal"))
     assert len(hexagonal) == pytest.approx(len(square) * 2 / np.sqrt(3), rel=0.02)  # at one spacing: denser
     rows = np.unique(hexagonal[:, 1])
     for number, y_mm in enumerate(rows):
@@ -93,40 +96,67 @@ def test_a_hexagonal_grid_needs_fewer_positions_and_alternates_direction() -> No
 
 def test_points_on_the_outline_are_inside_and_beyond_it_are_not() -> None:
     points = [[125, 0], [125.001, 0], [0, 75], [0, 75.001], [50 + 53, 53], [50 + 54, 54], [math.nan, 0]]
-    assert inside_stadium(points, 250, 150).tolist() == [True, False, True, False, True, False, False]
+    assert PLATE.contains(points).tolist() == [True, False, True, False, True, False, False]
+
+
+def _equal_arcs(outline: Outline, count: int) -> np.ndarray:
+    return outline.at(np.arange(count) * outline.perimeter_mm / count)
 
 
 def test_rim_of_20_starts_at_the_right_end_and_runs_anticlockwise_symmetrically() -> None:
-    rim = stadium_rim(250, 150, 6, 20)
+    rim = _equal_arcs(Outline.stadium(238.0, 138.0), 20)
     np.testing.assert_allclose(rim[0], [119, 0])
     assert rim[1, 1] > 0
     np.testing.assert_allclose(rim[[5, 10, 15]], [[0, 69], [-119, 0], [0, -69]], atol=1e-9)
     np.testing.assert_allclose(rim[1:10], rim[19:10:-1] * [1, -1], atol=1e-9)
 
 
-@given(
-    width_mm=st.floats(50, 200),
-    extra_mm=st.floats(0, 200),
-    inset_mm=st.floats(0, 20),
-    count=st.integers(1, 60),
-)
-def test_any_rim_lies_on_the_inset_outline_with_equal_arcs(
-    width_mm: float, extra_mm: float, inset_mm: float, count: int
-) -> None:
-    half_mm, radius_mm = extra_mm / 2, width_mm / 2 - inset_mm
-    rim = stadium_rim(width_mm + extra_mm, width_mm, inset_mm, count)
-    beyond_mm = np.maximum(np.abs(rim[:, 0]) - half_mm, 0)
+@given(width_mm=st.floats(10, 200), extra_mm=st.floats(0, 200), count=st.integers(1, 60))
+def test_any_rim_lies_on_the_outline_with_equal_arcs(width_mm: float, extra_mm: float, count: int) -> None:
+    outline, radius_mm = Outline.stadium(width_mm + extra_mm, width_mm), width_mm / 2
+    rim = _equal_arcs(outline, count)
+    beyond_mm = np.maximum(np.abs(rim[:, 0]) - extra_mm / 2, 0)
     np.testing.assert_allclose(np.hypot(beyond_mm, rim[:, 1]), radius_mm, rtol=1e-9)
-    fine = stadium_rim(width_mm + extra_mm, width_mm, inset_mm, count * 2000)
+    fine = _equal_arcs(outline, count * 2000)
     chord_mm = np.linalg.norm(np.diff(fine, axis=0, append=fine[:1]), axis=1)
-    perimeter_mm = 4 * half_mm + 2 * math.pi * radius_mm
+    perimeter_mm = 2 * extra_mm + 2 * math.pi * radius_mm
     np.testing.assert_allclose(chord_mm.reshape(count, 2000).sum(axis=1), perimeter_mm / count, rtol=1e-4)
+
+
+@given(x_mm=st.floats(-140, 140), y_mm=st.floats(-90, 90))
+def test_given_a_stadium_then_the_depth_of_any_point_is_its_distance_from_the_rim(x_mm: float, y_mm: float) -> None:
+    wanted = 75.0 - math.hypot(max(abs(x_mm) - 50.0, 0.0), y_mm)
+    assert PLATE.depth_mm([x_mm, y_mm]) == pytest.approx(wanted, abs=1e-9)
+
+
+def test_given_outlines_then_area_depth_and_points_within_are_theirs() -> None:
+    assert PLATE.area_mm2 == pytest.approx(np.pi * 75.0**2 + 100.0 * 150.0)
+    assert Outline.of("disk", 80.0, 80.0).area_mm2 == pytest.approx(np.pi * 1600.0)
+    depth = Outline.rectangle(100.0, 50.0).depth_mm([[0, 0], [49, 0], [60, 0], [45, -24]])
+    assert depth == pytest.approx([25.0, 1.0, -10.0, 1.0])
+    corner = Outline.polygon([(0, 0), (50, 0), (50, 20), (20, 20), (20, 50), (0, 50)])
+    assert corner.area_mm2 == pytest.approx(1600.0)
+    assert corner.contains([[10, 40], [30, 30], [40, 10]]).tolist() == [True, False, True]
+    assert (surface_grid(corner, 3.0, 4.0) >= 3.0).all()
+
+
+@pytest.mark.parametrize(
+    "segments",
+    [
+        (Segment((0, 0), (1, 0)), Segment((1, 0), (0, 1))),  # open
+        (Segment((0, 0), (0, 1)), Segment((0, 1), (1, 0)), Segment((1, 0), (0, 0))),  # clockwise
+        (Segment((1, 0), (0, -1), (0, 0)), Segment((0, -1), (1, 0))),  # an arc of three quarters
+    ],
+)
+def test_given_no_outline_of_a_plate_then_it_is_refused(segments: tuple[Segment, ...]) -> None:
+    with pytest.raises(ValueError, match="outline"):
+        Outline(segments)
 
 
 def test_positions_file_is_read_in_its_own_order(tmp_path: Path) -> None:
     file = tmp_path / "grid.csv"
     file.write_bytes(b"\xef\xbb\xbf# from the bench\r\nx_mm, y_mm\r\n\r\n3.5, -2\r\n-1e1,0\r\n")
-    assert read_positions_file(file, 250, 150).tolist() == [[3.5, -2], [-10, 0]]
+    assert read_positions_file(file, PLATE).tolist() == [[3.5, -2], [-10, 0]]
 
 
 @pytest.mark.parametrize(
@@ -142,14 +172,14 @@ def test_positions_file_is_read_in_its_own_order(tmp_path: Path) -> None:
         ("x_mm,y_mm\nnan,2\n", "line 2: 'nan,2': must be two finite numbers"),
         ("x_mm,y_mm\n1e999,2\n", "line 2: '1e999,2': must be two finite numbers"),
         ("x_mm,y_mm\n1,2\n\n1.0,2\n", "line 4: (1, 2) mm repeats line 2"),
-        ("x_mm,y_mm\n0,0\n0,76\n", "line 3: (0, 76) mm lies outside the surface; must be on the stadium"),
+        ("x_mm,y_mm\n0,0\n0,76\n", "line 3: (0, 76) mm lies outside the surface"),
     ],
 )
 def test_mistake_in_a_positions_file_names_file_and_line(tmp_path: Path, text: str, complaint: str) -> None:
     file = tmp_path / "grid.csv"
     file.write_text(text)
     with pytest.raises(InputError) as told:
-        read_positions_file(file, 250, 150)
+        read_positions_file(file, PLATE)
     assert str(told.value).startswith(f"{file}: {complaint}")
     assert "\n" not in str(told.value)
 
@@ -158,4 +188,4 @@ def test_positions_file_that_is_no_text_is_told_with_the_line(tmp_path: Path) ->
     file = tmp_path / "grid.csv"
     file.write_bytes(b"x_mm,y_mm\n1,\xff\n")
     with pytest.raises(InputError, match="line 2: not UTF-8"):
-        read_positions_file(file, 250, 150)
+        read_positions_file(file, PLATE)

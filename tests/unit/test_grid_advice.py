@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquisition.schedule.grid import stadium_grid
+from acquisition.schedule.grid import surface_grid
+from config.outline import Outline
 from rendering.scene.model import Output, Scene, Source
 from rendering.scene.paths import Line, Point
 from rendering.scene.signals import Noise, Sine
 from wavefocus.commands.plan import Waves, advice_lines, grid_advice, top_hz_of
 
-GRID_MM = stadium_grid(250.0, 150.0, 14.3, 4.0)
+GRID_MM = surface_grid(Outline.stadium(250.0, 150.0), 14.3, 4.0)
 POSITION_S = 74.4
 
 

@@ -17,7 +17,7 @@ from mocks.plates.soft import (
 )
 from mocks.plates.soft_table import PlateTable
 from mocks.virtual.chain import chain_response
-from mocks.virtual.geometry import MirrorGeometry, inside_stadium, stadium_rim
+from mocks.virtual.geometry import MirrorGeometry
 
 STEP_HZ = 5.0
 FREQUENCY_HZ = STEP_HZ * np.arange(1001)
@@ -150,26 +150,6 @@ def test_given_a_thin_plate_then_its_green_function_solves_the_biharmonic_equati
     laplacian = (w[1:-1, 2:] + w[1:-1, :-2] + w[2:, 1:-1] + w[:-2, 1:-1] - 4 * w[1:-1, 1:-1]) / h**2
     biharmonic = (laplacian[1, 2] + laplacian[1, 0] + laplacian[2, 1] + laplacian[0, 1] - 4 * laplacian[1, 1]) / h**2
     assert biharmonic == pytest.approx(k**4 * w[2, 2], rel=1e-3)
-
-
-def test_given_the_rim_then_neighbours_are_equally_far_along_it():
-    rim = np.array(stadium_rim(400, 250.0, 150.0, 6.0))
-    gaps = np.hypot(*(np.roll(rim, -1, axis=0) - rim).T)
-    assert gaps.sum() == pytest.approx(2 * np.pi * 69 + 200, rel=1e-4)
-    assert gaps.max() - gaps.min() < 1e-4
-    assert np.all(inside_stadium(rim[:, 0], rim[:, 1], 250.0, 150.0, 5.999))
-    assert not np.any(inside_stadium(rim[:, 0], rim[:, 1], 250.0, 150.0, 6.001))
-
-
-@pytest.mark.parametrize("wrong", [(0, 250.0, 150.0, 6.0), (20, 100.0, 150.0, 6.0), (20, 250.0, 150.0, 75.0)])
-def test_given_no_such_stadium_then_the_rim_is_refused(wrong):
-    with pytest.raises(ValueError, match=r"count is 0|no stadium"):
-        stadium_rim(*wrong)
-
-
-def test_given_the_default_grid_then_it_has_1500_positions():
-    x_mm, y_mm = np.meshgrid((np.arange(-40, 40) + 0.5) * 4, np.arange(-25, 26) * 4)
-    assert np.count_nonzero(inside_stadium(x_mm, y_mm, 250.0, 150.0, 14.3)) == 1500
 
 
 def test_given_the_straight_mirror_then_a_slope_is_a_thousandth_of_the_place():

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
 
+from config.outline import Outline
 from config.run import Virtual
 from mocks.plates import PLATES
 from mocks.plates.finite_elements import Elements, ritz_modes, spacing_mm, triangulate
-from mocks.plates.outline import Outline, Segment
 from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
 from mocks.plates.stadium import StadiumPlate
 
@@ -20,13 +20,13 @@ SPACING_MM = spacing_mm(SOFT_PLATE, HIGHEST_HZ)
 DISK_MM = 40.0
 SOURCE_MM = np.array([[30.0, 0.0], [5.0, -8.0]])
 PLACE_MM = np.array([[-20.0, 11.0], [0.0, 24.0], [12.0, -3.0], [-33.0, -2.0]])
-STADIUM_MM = (70.0, 40.0)
+STADIUM = Outline.stadium(70.0, 40.0)
 ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0], [-24.0, -5.0]])
 
 
 @pytest.fixture(scope="module")
 def disk() -> Elements:
-    return Elements(triangulate(Outline.disk(DISK_MM), SPACING_MM))
+    return Elements(triangulate(Outline.stadium(2 * DISK_MM, 2 * DISK_MM), SPACING_MM))
 
 
 @pytest.fixture
@@ -98,8 +98,8 @@ def test_given_few_modes_then_they_agree_with_all_elements(disk: Elements, frequ
 
 @pytest.mark.parametrize("admittance", [0.0, 0.7])
 def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Path, admittance: float) -> None:
-    plate = StadiumPlate(ACTUATOR_MM, STADIUM_MM, np.ones_like, rim_admittance=admittance)
-    elements = Elements(triangulate(Outline.stadium(*STADIUM_MM), SPACING_MM))
+    plate = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like, rim_admittance=admittance)
+    elements = Elements(triangulate(STADIUM, SPACING_MM))
     response = plate.response((-8.0, 3.0), 50.0, 11, single=False)
     assert np.abs(response[:, 0]).max() < 1e-5 * np.abs(response).max()
     for place in range(1, 11):
@@ -112,7 +112,7 @@ def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Pat
 
 
 def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache: Path) -> None:
-    plate = StadiumPlate(ACTUATOR_MM, STADIUM_MM, lambda hertz: 1 / (1 + 1j * hertz / 800.0) ** 4)
+    plate = StadiumPlate(ACTUATOR_MM, STADIUM, lambda hertz: 1 / (1 + 1j * hertz / 800.0) ** 4)
     rate_hz, taps, length = 10_000.0, 400, 512
     spectra = plate.fir_spectra(PLACE_MM[:2] / 2, taps, rate_hz, length, slice(3, 30))
     full = 4 * 2700  # the plate's slowest motion decays within a second
@@ -123,36 +123,17 @@ def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache: Path)
 
 
 def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(cache: Path) -> None:
-    first = StadiumPlate(ACTUATOR_MM, STADIUM_MM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
+    first = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
     (file,) = cache.iterdir()
     content = file.read_bytes()
-    second = StadiumPlate(ACTUATOR_MM, STADIUM_MM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
+    second = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
     assert file.read_bytes() == content
     file.write_bytes(content[:1000])
-    third = StadiumPlate(ACTUATOR_MM, STADIUM_MM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
+    third = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
     assert len(file.read_bytes()) == len(content)
     # The first has shapes in double precision.
     assert np.linalg.norm(second - first) < 1e-6 * np.linalg.norm(first)
     assert np.linalg.norm(third - first) < 1e-6 * np.linalg.norm(first)
-
-
-def test_given_outlines_then_area_and_depth_are_theirs() -> None:
-    assert Outline.stadium(250.0, 150.0).area_mm2 == pytest.approx(np.pi * 75.0**2 + 100.0 * 150.0, rel=1e-5)
-    assert Outline.disk(40.0).area_mm2 == pytest.approx(np.pi * 1600.0, rel=1e-5)
-    depth = Outline.rectangle(100.0, 50.0).depth_mm([[0, 0], [49, 0], [60, 0], [45, -24]])
-    assert depth == pytest.approx([25.0, 1.0, -10.0, 1.0], abs=0.1)
-
-
-@pytest.mark.parametrize(
-    "segments",
-    [
-        (Segment((0, 0), (1, 0)), Segment((1, 0), (0, 1))),  # open
-        (Segment((0, 0), (0, 1)), Segment((0, 1), (1, 0)), Segment((1, 0), (0, 0))),  # clockwise
-    ],
-)
-def test_given_no_outline_of_a_plate_then_it_is_refused(segments: tuple[Segment, ...]) -> None:
-    with pytest.raises(ValueError, match="outline"):
-        Outline(segments)
 
 
 def test_the_run_file_takes_every_plate() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import platform
 import shutil
 import sys
@@ -11,6 +10,8 @@ from contextlib import nullcontext
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+import numpy as np
 
 from acquisition.doctor.examination import RigUnderTest, examine
 from acquisition.doctor.findings import Findings
@@ -31,8 +32,9 @@ from wavefocus.rig.limits import safe_amplitude_v
 from wavefocus.rig.messages import message_findings
 
 SAMPLE_RATE_HZ = 10_000.0
-# Corners of a stadium: at 45 degrees on its ends, so far from the middle of the end towards the outline.
+# Corners that the mirror is tried at: of the largest rectangle on the surface, a little within.
 CORNER_SHARE = 0.95
+SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 STYLES = {"ok": "green", "warn": "yellow", "fail": "bold red", "skipped": "dim"}
 
 
@@ -100,8 +102,10 @@ def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
 def _patient(rig: RigConfig) -> RigUnderTest:
     ways = openers(rig)
     recorder, player, surface = rig.recorder, rig.player, rig.surface
-    radius_mm = CORNER_SHARE * surface.width_mm / 2 * math.sqrt(0.5)
-    x_mm, y_mm = (surface.length_mm - surface.width_mm) / 2 + radius_mm, radius_mm
+    outline, corner_mm = surface.outline, np.array([[surface.length_mm, surface.width_mm]]) / 2
+    # The largest rectangle of the surface's proportions within it.
+    share = max(share for share in np.linspace(0, 1, 101) if outline.contains(share * SIGNS * corner_mm).all())
+    x_mm, y_mm = (CORNER_SHARE * share * corner_mm[0]).tolist()
     return RigUnderTest(
         clock=ways.clock,
         mirror=ways.mirror,

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from config.stadium import stadium_rim
 from rendering.report.movie import snapshots, surface_of, write_movie
 from rendering.report.movie_frames import FramePlan, plan_frames
 from storage.bank.reading import Bank, open_bank
@@ -110,8 +109,7 @@ def _check_together(
 def _outline(bank: Bank) -> NDArray[np.float64] | None:
     if bank.rig_json is None or bank.run_json is None:
         return None
-    surface = bank_configuration(bank).rig.surface
-    return stadium_rim(surface.length_mm, surface.width_mm, 0.0, OUTLINE_POINTS)
+    return bank_configuration(bank).rig.surface.outline.line(OUTLINE_POINTS)
 
 
 def _tell_strobing(plan: FramePlan, bank: Bank, field: FieldRowReader) -> None:

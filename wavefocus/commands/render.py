@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from config.stadium import stadium_rim
 from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
 from rendering.drive.rendering import render_with_report
@@ -386,7 +385,7 @@ def _write_picture(job: _Job, path: Path) -> None:
 
     outline_mm = None
     if job.rig is not None:
-        outline_mm = stadium_rim(job.rig.surface.length_mm, job.rig.surface.width_mm, 0.0, OUTLINE_POINTS)
+        outline_mm = job.rig.surface.outline.line(OUTLINE_POINTS)
     with naming(job.scene_file, job.bank):
         write_whole(path, scene_picture(job.scene, job.bank, outline_mm=outline_mm).png)
     say(f"{path}: the scene before and after snapping to the bank's positions")

@@ -19,7 +19,6 @@ from acquisition.durations import hours
 from acquisition.engine.events import Event
 from acquisition.quality.limits import DriftLimits
 from config.rig import RigConfig, default_rig
-from config.stadium import stadium_rim
 from rendering.field.metrics import grid_spacing_mm
 from rendering.field.model import predict as predict_field
 from rendering.report.page import build_report
@@ -134,8 +133,7 @@ class _Work:
         write_field(out / PREDICTION_NAME, prediction)
         measured, scan_s = self._scanned(drive, prediction)
         write_field(out / SCAN_NAME, measured.as_field())
-        surface = self.rig.surface
-        outline_mm = stadium_rim(surface.length_mm, surface.width_mm, 0.0, OUTLINE_POINTS)
+        outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
         with self._step("compare and report", 3) as report:
             verification = compare(prediction, measured, drive, bank, _tolerances(self.configuration, bank))
             report(1, 3)

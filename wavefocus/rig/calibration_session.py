@@ -48,8 +48,8 @@ from config.calibration import (
 )
 from config.fields import Table
 from config.messages.calibrate import MapView
+from config.outline import default_marks_mm
 from config.rig import RigConfig
-from config.stadium import default_marks_mm, inside_stadium
 from storage.errors import InputError
 from wavefocus.console import progress
 from wavefocus.rig.calibration_validity import identities_of
@@ -126,6 +126,8 @@ def marks(rig: RigConfig, request: Request) -> tuple[tuple[Pair, ...], tuple[Pai
     angles: tuple[Pair, ...] | None = None
     if request.fiducials is None:
         places = default_marks_mm(rig.surface.length_mm, rig.surface.width_mm)
+        if not rig.surface.outline.contains(places).all():
+            raise InputError("the usual marks do not fit on this polygon; name your own with --fiducials marks.csv")
     else:
         places, angles = read_fiducials(request.fiducials)
     if "mirror" in request.parts:
@@ -150,7 +152,7 @@ def listening(rig: RigConfig, request: Request) -> tuple[float, NDArray[np.float
     """
     distance_mm = request.distance_mm or DISTANCE_SHARE * rig.surface.width_mm
     places = listening_places(rig.actuator_mm, distance_mm)
-    there = inside_stadium(places, rig.surface.length_mm, rig.surface.width_mm)
+    there = rig.surface.outline.contains(places)
     if "actuators" in request.parts and not there.all():
         raise InputError(f"--distance-mm {distance_mm:g}: leaves the surface at actuator {there.argmin()}")
     return distance_mm, places

@@ -155,7 +155,7 @@ class Operation:
             Ready(
                 name=rig.rig.name,
                 instruments={"mirror": mirror, "recorder": recorder, "player": player},
-                surface=SurfaceSize(rig.surface.kind, rig.surface.length_mm, rig.surface.width_mm),
+                surface=SurfaceSize(**rig.surface.model_dump()),
                 actuator_mm=tuple((x_mm, y_mm) for x_mm, y_mm in rig.actuator_mm.tolist()),
                 mapped=measured is not None and measured.mirror is not None,
                 limit_mrad=rig.mirror.limit_mrad,
