@@ -28,7 +28,7 @@ def wavefocus(code: str, *arguments: object, folder: Path, **environment: str) -
 
 @pytest.mark.may_skip("a shell that closes standard streams")
 @pytest.mark.skipif(os.name != "posix", reason="a shell that closes standard streams")
-@pytest.mark.parametrize("closing", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closing", [">&-", "<&- >&- 2>&-"])
 def test_given_closed_standard_streams_then_a_campaign_is_measured(lab: Path, closing: str) -> None:
     words = [sys.executable, "-m", "wavefocus", "capture", "run.toml", "--bank", "plate.h5", "--json"]
     done = subprocess.run(
@@ -61,8 +61,11 @@ AS_ANOTHER = f"""
 
 @pytest.mark.may_skip("signals to a process of its own")
 @pytest.mark.skipif(os.name != "posix", reason="signals to a process of its own")
-@pytest.mark.parametrize("module", ["argparse", "wavefocus.cli", "h5py", "numpy", "wavefocus.commands.check"])
-@pytest.mark.parametrize("act", [KILL, IN_A_FINALISER, AS_ANOTHER], ids=["plain", "finaliser", "another"])
+@pytest.mark.parametrize(
+    ("module", "act"),
+    [(module, KILL) for module in ("argparse", "wavefocus.cli", "numpy", "wavefocus.commands.check")]
+    + [("h5py", act) for act in (KILL, IN_A_FINALISER, AS_ANOTHER)],
+)
 def test_given_ctrl_c_while_modules_are_loaded_then_the_exit_code_is_130_without_a_traceback(
     tmp_path: Path, module: str, act: str
 ) -> None:
@@ -86,10 +89,8 @@ cli.COMMANDS = (cli.Command("fail", fail, "", (cli.file("file"),)),)
 @pytest.mark.parametrize(
     "act",
     [
-        "raise MemoryError",
         "np.empty(1 << 60)",
         "10.0 ** 400",
-        "1 // 0",
         "np.linalg.inv(np.zeros((2, 2)))",
         "raise RuntimeError('no')",
         "raise RuntimeError('\\x1b[31m' + 9000 * 'x')",

@@ -266,7 +266,7 @@ def _start(lab: Path, bank: Path, **pipes: object) -> subprocess.Popen[str]:
 
 @POSIX
 @pytest.mark.may_skip("Windows has none of these signals")
-@pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP", "SIGINT"])
+@pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP"])
 def test_given_a_signal_then_exit_130_and_the_mirror_is_parked(lab: Path, number: str) -> None:
     bank = lab / "plate.h5"
     child = _start(lab, bank, stderr=subprocess.PIPE)

@@ -81,8 +81,12 @@ BROKEN: dict[str, Callable[[Path], None]] = {
 }
 
 
-@pytest.mark.parametrize("kind", list(BROKEN))
-@pytest.mark.parametrize("command", ["resume", "status", "check", "render", "predict", "remeasure"])
+# Every command opens a bank by one function: each kind through two of them, one that reads and one that writes.
+@pytest.mark.parametrize(
+    ("command", "kind"),
+    [(command, kind) for kind in BROKEN for command in ("resume", "render")]
+    + [(command, "truncated") for command in ("status", "check", "predict", "remeasure")],
+)
 def test_given_a_broken_bank_then_one_sentence_exit_2_and_the_file_untouched(
     lab: Path, bank: Path, kind: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -168,12 +172,6 @@ def test_given_a_wrong_command_line_then_one_sentence_names_it(
     ("change", "names"),
     [
         (("duration_s = 0.3", "durations_s = 0.3"), "sweep.durations_s"),
-        (("duration_s = 0.3", "duration_s = -1"), "sweep.duration_s"),
-        (("duration_s = 0.3", "duration_s = 0.3\nstart_hz = 0"), "sweep.start_hz"),
-        (("duration_s = 0.3", "duration_s = 0.3\nstop_hz = 5000"), "sweep.stop_hz"),
-        (("taps = 1000", "taps = 1000\nstagger_s = 0.1"), "capture.stagger_s"),
-        (('[grid]\npositions_file = "positions.csv"', "[grid]\nspacing_mm = -4"), "grid.spacing_mm"),
-        (('[grid]\npositions_file = "positions.csv"', "[grid]\nspacing_m = 0.004"), "grid.spacing_m"),
         (('[grid]\npositions_file = "positions.csv"', "[grid]\nmargin_mm = 80"), "grid.margin_mm"),
         (("amplitude", "amplitude"), ""),
     ],
