@@ -32,11 +32,6 @@ class CrosstalkTable:
     step_mm: Float64Array
     energy_ratio: Float64Array
 
-    @property
-    def rms_ratio(self) -> Float64Array:
-        """Root of the energy ratio: the ratio of amplitudes."""
-        return np.asarray(np.sqrt(self.energy_ratio))
-
 
 class PathResponses:
     """Response at each of some rows to the focus at each of them.

@@ -24,7 +24,7 @@ NEEDED_NEIGHBOURS = 0.9
 
 @dataclass(frozen=True, slots=True)
 class FocusInstant:
-    """A focus and the sample at which it is looked at.
+    """A focus and its instant.
 
     Parameters
     ----------
@@ -50,7 +50,6 @@ class FocusTable:
 
     Parameters
     ----------
-    instant : tuple of FocusInstant, length K
     intended_mm : float64 array, shape (K, 2)
         The path point on the grid.
     predicted_mm, scanned_mm : float64 array, shape (K, 2)
@@ -61,7 +60,6 @@ class FocusTable:
         Largest magnitude beyond 15 mm over the largest within.
     """
 
-    instant: tuple[FocusInstant, ...]
     intended_mm: NDArray[np.float64]
     predicted_mm: NDArray[np.float64]
     scanned_mm: NDArray[np.float64]
@@ -169,4 +167,4 @@ def focus_table(
             if (focus := metrics.focus_spot(there, field, point, FOCUS_RADIUS_MM, spacing_mm)) is not None:
                 places[kind, index] = focus.at_mm
                 widths[kind, index], artefacts[kind, index] = focus.width_mm, focus.artefact_db
-    return FocusTable(instants, intended, places[0], places[1], widths[0], widths[1], artefacts[1])
+    return FocusTable(intended, places[0], places[1], widths[0], widths[1], artefacts[1])

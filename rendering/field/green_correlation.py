@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.source import GreenSource, read_row, usable
+from rendering.greens.source import GreenSource, read_row
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
-
-MOST_ROWS = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,19 +19,16 @@ class DistanceCorrelation:
     """Correlation coefficients by distance.
 
     All have one element per bin: mean distance of its pairs; mean, 10 % and 90 % quantile over pairs of positions and
-    over actuators; pairs of positions.
+    over actuators.
     """
 
     distance_mm: Float64Array
     mean: Float64Array
     low: Float64Array
     high: Float64Array
-    pairs: NDArray[np.int64]
 
 
-def correlation_over_distance(
-    bank: GreenSource, edges_mm: Sequence[float], rows: Sequence[int] | None = None
-) -> DistanceCorrelation:
+def correlation_over_distance(bank: GreenSource, edges_mm: Sequence[float], rows: Sequence[int]) -> DistanceCorrelation:
     """Correlate the Green's functions of pairs of positions.
 
     The coefficient is that at lag 0, ``<g_i(x), g_i(x')> / (||g_i(x)|| ||g_i(x')||)``, means not removed, for
@@ -43,14 +38,12 @@ def correlation_over_distance(
     ----------
     edges_mm : sequence of float
         Ascending edges of the bins; pairs at an edge count above it.
-    rows : sequence of int, optional
-        Positions to pair; by default at most 256 measured ones, evenly chosen.
+    rows : sequence of int
+        Measured positions to pair.
 
     Raises InputError: there are no two measured positions, or fewer than two edges.
     """
-    chosen = np.flatnonzero(usable(bank)) if rows is None else np.asarray(rows, dtype=np.int64)
-    if rows is None:
-        chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MOST_ROWS, len(chosen))).astype(np.int64))]
+    chosen = np.asarray(rows, dtype=np.int64)
     edges = np.asarray(edges_mm, dtype=np.float64)
     if len(chosen) < 2 or len(edges) < 2 or (np.diff(edges) <= 0).any():
         raise InputError("a correlation over distance needs two measured positions and ascending edges")
@@ -68,11 +61,10 @@ def correlation_over_distance(
         known = known[np.isfinite(known)]
         if known.size:
             low, high = np.quantile(known, [0.1, 0.9])
-            columns.append([apart_mm[here].mean(), known.mean(), low, high, float(np.count_nonzero(here))])
+            columns.append([apart_mm[here].mean(), known.mean(), low, high])
     if not columns:
         raise InputError(f"no two positions are between {edges[0]:g} and {edges[-1]:g} mm apart")
-    distance, mean, low_quantile, high_quantile, pairs = np.array(columns).T
-    return DistanceCorrelation(distance, mean, low_quantile, high_quantile, pairs.astype(np.int64))
+    return DistanceCorrelation(*np.array(columns).T)
 
 
 def _unit(green: Float64Array) -> Float64Array:

@@ -32,10 +32,6 @@ class ImpulseTravel:
         Inverse slope of the energy's mean arrival over distance.
     attenuation_db_per_cm : float
         Loss of energy per distance, spreading removed; positive where waves die away.
-    pairs : int
-        Pairs of position and actuator that were used.
-    scatter_s, scatter_db : float
-        Rms of what the two straight lines leave of arrivals and of levels.
     velocity_error_m_s, attenuation_error_db_per_cm : float
         Standard errors of the two figures.
     correlation : float
@@ -44,9 +40,6 @@ class ImpulseTravel:
 
     group_velocity_m_s: float
     attenuation_db_per_cm: float
-    pairs: int
-    scatter_s: float
-    scatter_db: float
     velocity_error_m_s: float
     attenuation_error_db_per_cm: float
     correlation: float
@@ -113,9 +106,6 @@ def impulse_travel(
     return ImpulseTravel(
         velocity,
         -10.0 * levels.slope,
-        pairs,
-        arrivals.scatter,
-        levels.scatter,
         velocity_error_m_s=abs(velocity * arrivals.doubt / arrivals.slope) if arrivals.slope else np.inf,
         attenuation_error_db_per_cm=10.0 * levels.doubt,
         correlation=arrivals.correlation,
@@ -127,12 +117,11 @@ class _Line:
     slope: float
     doubt: float
     """Standard error of the slope: the larger one of least squares and of leaving out one actuator at a time."""
-    scatter: float
     correlation: float
 
 
 def _fit(distance_mm: Float64Array, value: Float64Array, actuator: NDArray[np.int64]) -> _Line:
-    """Common slope of straight lines with an offset per actuator, and what they leave."""
+    """Common slope of straight lines with an offset per actuator."""
     _, group = np.unique(actuator, return_inverse=True)
     count = np.bincount(group)
     x = distance_mm - (np.bincount(group, distance_mm) / count)[group]
@@ -147,4 +136,4 @@ def _fit(distance_mm: Float64Array, value: Float64Array, actuator: NDArray[np.in
         jackknife = (len(count) - 1) / len(count) * np.sum(np.square(without - without.mean()))
         doubt = max(doubt, float(np.sqrt(jackknife)))
     power = float(np.sqrt((x @ x) * (y @ y)))
-    return _Line(slope, doubt, float(np.sqrt(np.mean(np.square(left)))), float(x @ y) / power if power else 0.0)
+    return _Line(slope, doubt, float(x @ y) / power if power else 0.0)

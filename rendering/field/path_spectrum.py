@@ -14,6 +14,8 @@ from storage.errors import InputError
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
+RESOLUTION_HZ = 5.0
+
 
 @dataclass(frozen=True, slots=True)
 class PathSpectrum:
@@ -47,7 +49,6 @@ def path_spectrum(
     sample_rate_hz: float,
     first_sample: Int64Array,
     samples: int,
-    resolution_hz: float = 5.0,
 ) -> PathSpectrum:
     """Transform each point's response over a window of its own.
 
@@ -57,21 +58,19 @@ def path_spectrum(
     first_sample : int64 array, shape (points,)
         Begin of each window; outside the field there is silence.
     samples : int
-        Length of the windows, >= 1; rectangular.
-    resolution_hz : float
-        Spacing of the bins is at most this, by zeros appended.
+        Length of the windows, >= 1; rectangular. Zeros are appended for bins at most `RESOLUTION_HZ` apart.
 
     Raises InputError: there is no point, or a figure is out of range.
     """
     if responses.ndim != 2 or not len(responses) or len(first_sample) != len(responses):
         raise InputError(f"responses of shape {responses.shape} do not go with {len(first_sample)} windows")
-    if samples < 1 or not (sample_rate_hz > 0 and resolution_hz > 0):
+    if samples < 1 or not sample_rate_hz > 0:
         raise InputError(f"a window of {samples} samples at {sample_rate_hz} Hz has no spectrum")
     windows = np.zeros((len(responses), samples))
     for window, response, first in zip(windows, responses, first_sample.tolist(), strict=True):
         begin, end = max(first, 0), min(first + samples, len(response))
         if end > begin:
             window[begin - first : end - first] = response[begin:end]
-    length = fast_length(max(samples, int(np.ceil(sample_rate_hz / resolution_hz))))
+    length = fast_length(max(samples, int(np.ceil(sample_rate_hz / RESOLUTION_HZ))))
     magnitude = np.abs(np.fft.rfft(windows, length, axis=1)) / sample_rate_hz
     return PathSpectrum(np.fft.rfftfreq(length, 1.0 / sample_rate_hz).astype(np.float64), magnitude)

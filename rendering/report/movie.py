@@ -154,7 +154,7 @@ class _Stage:
 
 
 @drawn_in_style
-def snapshots(field: FieldRowReader, surface: Surface, drive: Drive, *, most: int = MOST_SNAPSHOTS) -> Picture:
+def snapshots(field: FieldRowReader, surface: Surface, drive: Drive) -> Picture:
     """Draw the field at focus instants, evenly chosen among them, all on one symmetric colour scale.
 
     The instant is where the response at the focus is largest between its emission and the next one of its source.
@@ -165,7 +165,7 @@ def snapshots(field: FieldRowReader, surface: Surface, drive: Drive, *, most: in
     seen = foci.seen(field)
     if not len(seen.focus):
         raise InputError(f"{field.path} holds no focus of the drive; predict it from this drive, with its positions")
-    seen = seen.some(most)
+    seen = seen.some(MOST_SNAPSHOTS)
     sample, focus = seen.sample, seen.focus
     frames = read_frames(field, sample)
     top = colour_limit(frames, seen)

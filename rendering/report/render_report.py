@@ -29,7 +29,7 @@ SPREAD_SHARE = 0.1
 NAMED = 8
 ANY_DISTANCE_MM = (1.0, math.inf)
 LEAST_OWN_SAMPLES = 2**13
-"""A signal is padded to so many samples to see what lies outside the bank's band: a click has bins there, too."""
+"""A signal is padded to so many samples, so that a click has bins outside the bank's band, too."""
 
 
 class RenderWarning(UserWarning):

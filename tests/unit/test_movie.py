@@ -119,7 +119,7 @@ def test_given_snapshots_then_the_picture_is_drawn_and_a_field_without_foci_is_r
     field_file: Path, tmp_path: Path
 ) -> None:
     with FieldRowReader(field_file) as field:
-        picture = snapshots(field, surface_of(bank(), drive(), None), drive(), most=3)
+        picture = snapshots(field, surface_of(bank(), drive(), None), drive())
     assert picture.png.startswith(b"\x89PNG")
     assert (picture.width_px, picture.height_px) > (1000, 200)
     write_field(tmp_path / "other.h5", Field(values()[:2], np.arange(2), RATE_HZ, START_S, "m/s"))
