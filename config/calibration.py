@@ -311,7 +311,6 @@ def _toml(value: object) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text as a TOML string."""
     escaped = "".join(
         {'"': '\\"', "\\": "\\\\"}.get(letter, letter if letter.isprintable() else f"\\U{ord(letter):08X}")
         for letter in text

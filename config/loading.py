@@ -267,7 +267,6 @@ def _of_kind(candidates: Sequence[type[BaseModel]], data: object) -> type[BaseMo
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The tables that a field's annotation can hold, through lists, unions and annotations."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     elif get_origin(annotation) in (tuple, list, Union, types.UnionType, Annotated):

@@ -39,16 +39,8 @@ class Argument(NamedTuple):
 class Command(NamedTuple):
     """One command.
 
-    Parameters
-    ----------
-    name : str
-        As it is typed.
-    run : str or callable
-        ``"module:function"`` in `wavefocus.commands`, or an adapter in this module.
-    help : str
-        The first paragraph stands in the list of commands.
-    arguments : tuple of Argument
-        In the order of the help.
+    `run` is ``"module:function"`` in `wavefocus.commands` or an adapter in this module; the first paragraph of `help`
+    stands in the list of commands; `arguments` are in the order of the help.
     """
 
     name: str
@@ -137,6 +129,23 @@ def _out(metavar: str, help: str, **settings: Any) -> Argument:
     return file("--out", metavar=metavar, help=help, **{"required": True, **settings})
 
 
+def _found(where: str) -> Any:
+    """A definition of `wavefocus.commands`, from ``"module:name"``."""
+    module, _, name = where.partition(":")
+    return getattr(import_module(f"wavefocus.commands.{module}"), name)
+
+
+def _bundling(run: str, keyword: str, kind: str) -> Callable[..., Any]:
+    """A command that takes as one object the arguments that are fields of a dataclass."""
+
+    def call(**given: Any) -> Any:
+        bundle = _found(kind)
+        own = {name: given.pop(name) for name in bundle.__dataclass_fields__ if name in given}
+        return _found(run)(**{keyword: bundle(**own)}, **given)
+
+    return call
+
+
 def _calibrate(
     rig_file: Path, only: str, out: Path | None, *, as_json: bool, operator: str, use: bool, **asked: Any
 ) -> int:
@@ -145,12 +154,6 @@ def _calibrate(
 
     request = Request(parts=command.parts_named(only), **asked)
     return command.calibrate(rig_file, request, out, as_json=as_json, as_lines=operator == "lines", use=use)
-
-
-def _plan(interpolation_error: float, wave_speed: float, attenuation: float, **rest: Any) -> None:
-    from wavefocus.commands.plan import Waves, plan
-
-    plan(waves=Waves(interpolation_error, wave_speed, attenuation), **rest)
 
 
 def _order(word: Any) -> Callable[..., int]:
@@ -162,23 +165,6 @@ def _order(word: Any) -> Callable[..., int]:
     return order
 
 
-def _render(
-    method: Any,
-    tolerance_db: float | None,
-    interpolation_tolerance: float | None,
-    focusing: Any,
-    regularisation_db: float | None,
-    device: Any,
-    **rest: Any,
-) -> None:
-    from wavefocus.commands.render import RenderOptions, render
-
-    render(
-        options=RenderOptions(method, tolerance_db, interpolation_tolerance, focusing, regularisation_db, device),
-        **rest,
-    )
-
-
 def _predict(spectra: bool, cluster: str, device: str, **rest: Any) -> None:
     from wavefocus.commands import predict as command
 
@@ -186,20 +172,6 @@ def _predict(spectra: bool, cluster: str, device: str, **rest: Any) -> None:
         command.predict_energy(**rest)
     else:
         command.predict(cluster=cluster, device=device, **rest)
-
-
-def _movie(
-    from_s: float | None,
-    to_s: float | None,
-    slow: float | None,
-    frame_rate_hz: float,
-    width_px: int,
-    limit: float | None,
-    **rest: Any,
-) -> None:
-    from wavefocus.commands.movie import MovieOptions, movie
-
-    movie(options=MovieOptions(from_s, to_s, slow, frame_rate_hz, width_px, limit), **rest)
 
 
 def _play(
@@ -286,12 +258,15 @@ COMMANDS = (
     ),
     Command("emulate", "emulate:emulate", "Emulate instruments at the far ends of a rig's wires.", (RIG, JSON)),
     Command(
-        "plan", _plan, "Dry run: positions, hours, bytes, limits, finish time.",
+        "plan", _bundling("plan:plan", "waves", "plan:Waves"), "Dry run: positions, hours, bytes, limits, finish time.",
         (
             RUN, SCENES, NO_CHECKS, LARGE,
-            number("--interpolation-error", 1e-4, 0.99, default=0.05, help="Allowed between the grid's positions."),
-            number("--wave-speed", 1e-3, default=4.8, help="Of the plate, in m/s; a gel's by default."),
-            number("--attenuation", 0, 1e6, default=3.8, help="Of the plate's waves, in dB/cm."),
+            number("--interpolation-error", 1e-4, 0.99, dest="error", default=0.05,
+                   help="Allowed between the grid's positions."),
+            number("--wave-speed", 1e-3, dest="speed_m_s", default=4.8,
+                   help="Of the plate, in m/s; a gel's by default."),
+            number("--attenuation", 0, 1e6, dest="attenuation_db_per_cm", default=3.8,
+                   help="Of the plate's waves, in dB/cm."),
             JSON,
         ),
     ),
@@ -345,7 +320,7 @@ COMMANDS = (
         ),
     ),
     Command(
-        "render", _render, "Turn a scene into drive signals.",
+        "render", _bundling("render:render", "options", "render:RenderOptions"), "Turn a scene into drive signals.",
         (
             SCENE, FROM_BANK,
             _out("DRIVE.h5", "The drive file to write."),
@@ -379,7 +354,8 @@ COMMANDS = (
         ),
     ),
     Command(
-        "movie", _movie, "Draw a field on the surface: a movie, or snapshots.",
+        "movie", _bundling("movie:movie", "options", "movie:MovieOptions"),
+        "Draw a field on the surface: a movie, or snapshots.",
         (
             file("field_file", metavar="FIELD.h5", help="The field file, predicted or scanned."),
             FROM_BANK,
@@ -518,7 +494,4 @@ def run_command(arguments: Sequence[str]) -> int:
         os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too
     name = given.pop("command")
     run = next(one.run for one in COMMANDS if one.name == name)
-    if isinstance(run, str):
-        module, _, function = run.partition(":")
-        run = getattr(import_module(f"wavefocus.commands.{module}"), function)
-    return int(run(**given) or 0)
+    return int((_found(run) if isinstance(run, str) else run)(**given) or 0)

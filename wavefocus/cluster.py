@@ -74,7 +74,6 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
 
 
 def _processes(address: str) -> int:
-    """How many processes ``local:N`` asks for."""
     wanted = address.partition(":")[2]
     if not (wanted.isascii() and wanted.isdigit() and 1 <= int(wanted) <= MOST_PROCESSES):
         raise InputError(f"--cluster {address}: local:N starts N processes here, 1 to {MOST_PROCESSES}")
@@ -119,8 +118,6 @@ def estimate_on_cluster(
 
 
 class _Spread:
-    """Calls a function with a part's items."""
-
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
 

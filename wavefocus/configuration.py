@@ -23,17 +23,7 @@ from storage.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """A run file with all that it names, checked against each other.
-
-    Parameters
-    ----------
-    run : RunConfig
-        The run.
-    rig : RigConfig
-        The rig that the run names.
-    position_mm : float64 array, shape (positions, 2)
-        The grid in the order of measurement.
-    """
+    """A run file and the rig that it names, checked together; `position_mm` (positions, 2) in measuring order."""
 
     run: RunConfig
     rig: RigConfig
@@ -105,6 +95,14 @@ def load_rig(path: Path) -> RigConfig:
 
         _check_faults(WireFault, rig.emulation.fault_plan, f"{path}: emulation.fault_plan")
     return rig
+
+
+def named_rig(file: Path) -> RigConfig:
+    """The rig of a file; the built-in virtual rig where the file is called ``virtual``.
+
+    Raises InputError: anything in the file is wrong.
+    """
+    return default_rig() if str(file) == "virtual" else load_rig(file)
 
 
 def configuration_from_json(
@@ -222,7 +220,6 @@ def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
 
 
 def _essence(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> dict[str, object]:
-    """All that the hash is taken of."""
     capture = {"averages", "decay_s", "excitation", "taps", "sample_rate_hz"}
     if run.capture.excitation == "staggered":
         capture |= {"stagger_s", "groups", "periods"}

@@ -94,7 +94,6 @@ class Report(Protocol):
 
 
 def _rate(task: Task) -> str:
-    """Rate, remaining time and finish time, from the task's own figures."""
     speed = task.finished_speed or task.speed
     if task.finished:
         return f"in {hours(task.finished_time or 0.0)}"

@@ -21,17 +21,10 @@ TERMINAL_GONE = "stopped because its terminal was closed"
 
 @dataclass(frozen=True, slots=True)
 class EndingSignals:
-    """Numbers of signals that end a command, by their meaning; POSIX and Windows do not have the same ones.
+    """Numbers of signals that end a command; POSIX and Windows do not have the same ones.
 
-    Parameters
-    ----------
-    finish : tuple of int
-        Finish the position first; once more: at once.
-    terminal_gone : tuple of int
-        Nobody watches any more; finish the position.
-    at_once : tuple of int
-        Do not wait for the position. SIGBREAK is what Windows sends for Ctrl-Break and, with seconds to live, when
-        the console window is closed.
+    `finish` and `terminal_gone` finish the position first, `finish` once more ends at once. SIGBREAK is what Windows
+    sends for Ctrl-Break and, with seconds to live, when the console window is closed.
     """
 
     finish: tuple[int, ...]

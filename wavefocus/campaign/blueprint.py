@@ -15,15 +15,14 @@ from acquisition.quality.limits import DriftLimits, QualityLimits
 from acquisition.schedule.plan import Plan
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
-from config.rig import default_rig
 from storage.bank.header import BankHeader
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
 from wavefocus.configuration import (
     Configuration,
     configuration_from_json,
-    load_rig,
     load_run,
+    named_rig,
     rig_differences,
     with_rig,
 )
@@ -87,7 +86,7 @@ def blueprint_with_rig(path: Path, rig_file: Path) -> Blueprint:
     keys.
     """
     own = blueprint_from_bank(path)
-    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    rig = named_rig(rig_file)
     changed = blueprint_of(with_rig(own.configuration, rig, str(rig_file)))
     calibrated = rig.calibration.measured != own.configuration.rig.calibration.measured
     if changed.plan.sha256 != own.plan.sha256 and not calibrated:  # another calibration has words of its own

@@ -93,7 +93,6 @@ class CampaignView:
                 pass
 
     def _state(self, event: StateChanged) -> None:
-        """Tell standing still and going on."""
         if event.state in _TOLD or (event.state is State.RUNNING and self._former in _TOLD):
             say(f"{event.state}: {event.reason}")
         self._former = event.state
@@ -109,7 +108,6 @@ def remaining(event: Progress) -> str:
 
 
 def _otherwise(event: PositionRepeated) -> str:
-    """What the next attempt does otherwise."""
     range_text = "" if event.response_range_v is None else f" with a range of {event.response_range_v:g} V"
     moved_mm = math.hypot(*event.moved_mm)
     return range_text + (f" {moved_mm:.2g} mm aside" if moved_mm else "")

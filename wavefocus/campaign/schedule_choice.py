@@ -83,7 +83,6 @@ def _with_run(blueprint: Blueprint, run: RunConfig) -> Blueprint:
 
 
 def _advice(trial: Trial, capture: Capture) -> str:
-    """What shorter taps would save."""
     if trial.decay is None:
         return "how long the responses ring cannot be told from this position: noise hides it"
     needed = trial.decay.needed_taps()

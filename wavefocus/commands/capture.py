@@ -49,17 +49,7 @@ from wavefocus.rig.setup import open_setup
 
 
 class SessionOptions(NamedTuple):
-    """What a session of any command may be told.
-
-    Parameters
-    ----------
-    rig_file : Path, optional
-        The rig file that was named, for the command that goes on.
-    as_json : bool
-        Events on standard output.
-    accept_drift, accept_calibration : bool
-        Go on although the sentinel has changed; with another calibration or other devices.
-    """
+    """Options of a session: the rig file that was named, events on standard output, and changes that are accepted."""
 
     rig_file: Path | None
     as_json: bool
@@ -170,7 +160,6 @@ def remeasure(
 
 
 def _status_bits(words: str) -> Status:
-    """Status bits from words with commas between; all that is not good when none is given."""
     bits = Status.NOT_MEASURED
     for word in (words or "poor,over-range,failed").split(","):
         if word.strip() not in ("poor", "over-range", "failed", "valid"):

@@ -39,8 +39,6 @@ _MARKER = "made-by-wavefocus-demo"
 
 @dataclass
 class _Stopwatch:
-    """Wall time of each part of the demo."""
-
     parts: list[tuple[str, float]] = field(default_factory=list)
 
     def time(self, name: str, work: Callable[[], object]) -> None:
@@ -119,7 +117,6 @@ def _capture_and_kill(run: Path, bank: Path) -> None:
 
 
 def _resume(bank: Path) -> None:
-    """Go on from the bank alone, in a new process."""
     code = subprocess.run([sys.executable, "-m", "wavefocus", "resume", str(bank)], check=False).returncode
     if code != 0:
         raise WavefocusError(f"wavefocus resume {bank} ended with exit code {code}")
@@ -166,7 +163,6 @@ def _peak_memory_bytes() -> int | None:
 
 
 def _has_display() -> bool:
-    """Whether a browser window could be seen."""
     return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 

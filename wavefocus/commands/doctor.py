@@ -88,7 +88,6 @@ def doctor(
 
 
 def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
-    """Reset the USB device that the rig file expects for a role."""
     from drivers.usb.matching import ExpectedUsbDevice
     from drivers.usb.reset import reset_device
 

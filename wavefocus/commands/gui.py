@@ -52,9 +52,8 @@ def _pulse(bank: Path) -> Pulse | None:
 
 
 def _rig_limits(path: Path) -> RigLimits:
-    from config.rig import default_rig
-    from wavefocus.configuration import load_rig  # in the process that calculates scenes
+    from wavefocus.configuration import named_rig  # in the process that calculates scenes
     from wavefocus.rig.limits import limits_of
 
-    player = (default_rig() if str(path) == "virtual" else load_rig(path)).player
+    player = named_rig(path).player
     return RigLimits(limits_of(player), len(player.channels), player.coil_resistance_ohm)

@@ -10,11 +10,11 @@ from pathlib import Path
 from acquisition.manual.level import GatedPlayer
 from acquisition.quality.watch import Sensor
 from config.messages.operate import Done, End, Ended, Mute, Opening, Refused
-from config.rig import RigConfig, default_rig
+from config.rig import RigConfig
 from drivers.errors import InstrumentError
 from drivers.timeouts import RECONNECTING, CallThread, HungError
 from storage.errors import InputError
-from wavefocus.configuration import load_rig
+from wavefocus.configuration import named_rig
 from wavefocus.console import say
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
@@ -35,7 +35,7 @@ def operate(rig_file: Path) -> Exit:
     Raises InputError: the rig file is wrong. Raises InstrumentError: an instrument cannot be opened, or could not be
     put to rest. Raises ReadingFailedError: orders cannot be read any more; the outputs are muted at once.
     """
-    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    rig = named_rig(rig_file)
     publish = LinesOut()
     publish(Opening(str(rig_file)))
     try:
@@ -119,7 +119,6 @@ def _done(content: Mapping[str, object]) -> Done:
 
 
 def _light(rig: RigConfig, opened: OpenedRig) -> Sensor | None:
-    """What tells how much light comes back, where something does."""
     sensor = opened.virtual_sensors.get("light")
     if sensor is None and rig.vibrometer.driver == "polytec-ofv5000":
         sensor = LightSensor(rig.vibrometer)

@@ -190,15 +190,7 @@ KINDS: tuple[tuple[str, Literal["square", "hexagonal"]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Waves:
-    """What is asked of the interpolation, and the waves that it is for.
-
-    Parameters
-    ----------
-    error : float
-        Relative rms error allowed between the positions at the band's upper end, 0 to 1.
-    speed_m_s, attenuation_db_per_cm : float
-        Of the plate's waves; by default those of the paper's gel.
-    """
+    """Relative rms `error` allowed between the positions at the band's upper end, 0 to 1, and the plate's waves."""
 
     error: float = 0.05
     speed_m_s: float = GEL_SPEED_M_S
@@ -207,21 +199,7 @@ class Waves:
 
 @dataclass(frozen=True, slots=True)
 class GridAdvice:
-    """A grid that is close enough for a band.
-
-    Parameters
-    ----------
-    interpolation : str
-        Between its positions, as a scene names it.
-    lattice : {"square", "hexagonal"}
-        As a run file names it.
-    spacing_mm : float
-        Largest distance of neighbouring positions that keeps to the error.
-    positions : int
-        How many it takes on the area of the plan.
-    duration_s : float
-        What measuring them takes, at the plan's time per position.
-    """
+    """The widest grid that keeps to the error: its kind, the positions on the plan's area, and the time they take."""
 
     interpolation: str
     lattice: str

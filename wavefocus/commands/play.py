@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from acquisition.durations import hours
 from config.messages.codec import to_line
 from config.messages.operate import Playing
-from config.rig import RigConfig, default_rig
+from config.rig import RigConfig
 from drivers.protocols import Clock
 from drivers.timeouts import BoundedPlayer
 from rendering.drive.streamed_drive import StreamedDrive
@@ -28,7 +28,7 @@ from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, read_drive
 from storage.errors import InputError
 from wavefocus.commands.render import RenderOptions, naming
-from wavefocus.configuration import load_rig
+from wavefocus.configuration import named_rig
 from wavefocus.console import Report, print_line, progress, say
 from wavefocus.ending import ended_by_input, ending_at_once
 from wavefocus.exits import Exit
@@ -51,7 +51,7 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
     Raises InputError: the drive does not fit the rig, or would give an actuator more than it may get. Raises
     InstrumentError: the interface failed; it was muted.
     """
-    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    rig = named_rig(rig_file)
     drive = read_drive(drive_file)
     name_unverified(drive_file, verified=drive.verified)
     if gain_db:
@@ -115,7 +115,6 @@ def _repeated(volts: NDArray[np.float64], loop: int) -> NDArray[np.float64]:
 
 @contextmanager
 def _told(report: Report, clock: Clock, seconds: float) -> Iterator[None]:
-    """Tell how far a play is, by the clock, while the calling thread waits for its end."""
     started_s, over = clock.now_s(), threading.Event()
 
     def tell() -> None:
@@ -140,17 +139,10 @@ MOST_PIECE_SAMPLES = 4096
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """How long before it is heard a sample of a source has to be known, and what that is made of.
+    """Time before a sample of a source is heard at which it must be known.
 
-    Parameters
-    ----------
-    lookahead_s : float
-        Samples of a source that a drive sample is made of come up to so much later: the length of the Green's
-        functions, which time reversal needs, the renderer's blocks, and the conversion to the interface's rate.
-    ahead_s : float
-        What is rendered and waits to be played.
-    interface_s : float
-        What the interface says of itself.
+    `lookahead_s` is the length of the Green's functions, which time reversal needs, with the renderer's blocks and the
+    conversion to the interface's rate; `ahead_s` is rendered and waits; `interface_s` is the interface's own.
     """
 
     lookahead_s: float

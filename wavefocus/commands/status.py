@@ -169,8 +169,6 @@ def _names_rig_file(run_json: str | None) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Pace:
-    """Latest progress of the session under way and when it was logged, its plan, and its latest record."""
-
     progress: Progress | None = None
     at: datetime | None = None
     planned_s: float | None = None

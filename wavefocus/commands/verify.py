@@ -18,7 +18,7 @@ import numpy as np
 from acquisition.durations import hours
 from acquisition.engine.events import Event
 from acquisition.quality.limits import DriftLimits
-from config.rig import RigConfig, default_rig
+from config.rig import RigConfig
 from rendering.field.metrics import grid_spacing_mm
 from rendering.field.model import predict as predict_field
 from rendering.report.page import build_report
@@ -52,7 +52,7 @@ from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.sidecar_files import EventLines, read_drift
 from wavefocus.commands.render import rendered
-from wavefocus.configuration import Configuration, load_rig
+from wavefocus.configuration import Configuration, named_rig
 from wavefocus.console import Report, progress, say
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit, exit_code, sentence
@@ -106,8 +106,6 @@ def verify(
 
 @dataclass(frozen=True, slots=True)
 class _Work:
-    """A verification under way."""
-
     scene_file: Path
     scene: Scene
     bank: Bank
@@ -165,7 +163,6 @@ class _Work:
         return verification
 
     def _scanned(self, drive: Drive, prediction: Field) -> tuple[Scan, float]:
-        """Play and scan; also how long that took on the rig's clock."""
         total = len(prediction.field)
         with open_setup(self.rig, self.configuration.run) as setup, self._step("scan", total) as report:
             view = CampaignView(report)
@@ -220,7 +217,6 @@ def _tolerances(configuration: Configuration, bank: Bank) -> Tolerances:
 
 
 def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str, object]:
-    """What the report says of the campaign and the scan."""
     run = configuration.run
     sweep, capture = run.sweep, run.capture
     facts: dict[str, object] = {
@@ -240,7 +236,6 @@ def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str,
 
 
 def _line(check: Figure) -> str:
-    """One check for people."""
     if check.value is None:
         return f"-     {check.name}: the positions it needs were not scanned"
     word = "pass" if check.passed else "FAIL"
@@ -249,7 +244,7 @@ def _line(check: Figure) -> str:
 
 def _checked_rig(rig_file: Path, configuration: Configuration, bank: Bank) -> RigConfig:
     """The rig that shall play, refused when it is wired to other actuators than the bank's."""
-    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    rig = named_rig(rig_file)
     if rig.actuators.position_mm != configuration.rig.actuators.position_mm:
         raise InputError(
             f"{rig_file}: actuators.position_mm are not those of {bank.path}; verify plays the bank's drives, so the "

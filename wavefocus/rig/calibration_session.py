@@ -64,26 +64,11 @@ DISTANCE_SHARE = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a person asks for; None leaves the choice.
+    """Request for a calibration; None leaves the choice.
 
-    Parameters
-    ----------
-    parts : tuple of str
-        Which of `PARTS`.
-    fiducials : Path, optional
-        File of marks.
-    limit_mm : float
-        Largest residual of the mirror map, > 0.
-    summing_box : bool
-        All outputs for actuators are in one box.
-    box_gain : float, optional
-        The box's gain, where it is known, > 0.
-    amplitude_v : float, optional
-        Peak of what is played.
-    distance_mm : float, optional
-        Distance from each actuator at which it is listened to, > 0.
-    sample_rate_hz : float
-        Rate of the records, > 0.
+    `fiducials` is a file of marks, `limit_mm` the largest residual of the mirror map, `summing_box` that all outputs
+    for actuators are in one box of gain `box_gain`, `amplitude_v` the peak played, `distance_mm` the distance from
+    each actuator at which it is recorded.
     """
 
     parts: tuple[str, ...] = PARTS
@@ -163,14 +148,7 @@ MOST_SPREAD_S = 1e-6
 
 
 class CalibrationSession:
-    """Carries out a calibration and keeps what it finds.
-
-    Attributes
-    ----------
-    measured : list of str
-        The parts measured, in order.
-    problems : list of str
-        What is not good enough, with what to do about it.
+    """Carries out a calibration: `measured` are the parts measured, `problems` what is not good enough and what to do.
 
     Raises InputError: a request that the rig cannot fulfil.
     """

@@ -32,19 +32,7 @@ SAME_SENSITIVITY = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Vibrometer:
-    """What is known of the vibrometer.
-
-    Parameters
-    ----------
-    sensitivity_m_s_per_v : float
-        Typed in, or read from the device.
-    identity : str
-        Its name.
-    latency_s : float
-        How much later its voltage is than the velocity.
-    signal_level : float, optional
-        Strength of the reflected light, 0 to 1, where the device says so.
-    """
+    """Sensitivity, name and latency of the vibrometer; `signal_level` 0 to 1, None where it is not reported."""
 
     sensitivity_m_s_per_v: float
     identity: str
@@ -54,20 +42,9 @@ class Vibrometer:
 
 @dataclass(frozen=True, slots=True)
 class Openers:
-    """How each instrument of a rig is opened, one independent of the others.
+    """Functions that open each instrument of a rig, independent of the others, or raise InstrumentError.
 
-    Parameters
-    ----------
-    clock : Clock
-        The time that they live by.
-    mirror, recorder, player : callable
-        Open the instrument, or raise InstrumentError.
-    vibrometer : callable
-        Gives its sensitivity, read from the device where its driver can.
-    patch_bay : PatchBay, optional
-        Where the virtual rig's cables are plugged; real ones are plugged by hand.
-    virtual_sensors : mapping from name to Sensor
-        What the virtual rig's room is like; real sensors belong to real instruments.
+    `patch_bay` is where the virtual rig's cables are plugged, `virtual_sensors` are those of its room.
     """
 
     clock: Clock
@@ -81,19 +58,7 @@ class Openers:
 
 @dataclass(frozen=True, slots=True)
 class OpenedRig:
-    """The instruments of a rig, all open.
-
-    Parameters
-    ----------
-    instruments : Instruments
-        Mirror, recorder, player and clock.
-    sensitivity_m_s_per_v : float
-        Of the vibrometer.
-    vibrometer_latency_s : float
-        How much later its voltage is than the velocity.
-    patch_bay, virtual_sensors
-        As of `Openers`.
-    """
+    """The instruments of a rig, all open, and the vibrometer's figures; the rest as of `Openers`."""
 
     instruments: Instruments
     sensitivity_m_s_per_v: float

@@ -101,13 +101,12 @@ DEFAULT_FULL_SCALE_V = 1.0
 
 def rig_of(rig_file: Path | None, bank: Bank) -> RigConfig | None:
     """The rig that was named, else the bank's own; None where neither is known."""
-    from config.rig import default_rig
     from wavefocus.campaign.blueprint import bank_configuration
-    from wavefocus.configuration import load_rig
+    from wavefocus.configuration import named_rig
 
     if rig_file is None:
         return None if bank.rig_json is None or bank.run_json is None else bank_configuration(bank).rig
-    rig = default_rig() if str(rig_file) == "virtual" else load_rig(rig_file)
+    rig = named_rig(rig_file)
     if len(rig.player.channels) != bank.actuators:
         raise InputError(f"{rig_file} has {len(rig.player.channels)} actuators, {bank.path} {bank.actuators}")
     return rig

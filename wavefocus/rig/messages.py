@@ -137,7 +137,6 @@ class Messenger:
             self._take(event)
 
     def _patience_s(self) -> float | None:
-        """Seconds until waiting has been long enough for a message; None when nothing is waited for."""
         if self._since_s is None or self._told_waiting:
             return None
         return max(0.0, self._since_s + 60 * self._section.suspended_after_min - time.monotonic())

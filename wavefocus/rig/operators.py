@@ -101,7 +101,6 @@ class TerminalOperator:
 
 
 def _two_numbers(text: str) -> tuple[float, float] | None:
-    """Two finite numbers with blanks or a comma between, None where there are no such."""
     try:
         first, second = (float(word) for word in text.replace(",", " ").split())
     except ValueError:
