@@ -21,7 +21,7 @@ import scipy.signal
 from numpy.typing import NDArray
 
 from benchmarks import nights
-from benchmarks.harness import Findings, Mark, Point, measure
+from benchmarks.harness import Findings, Mark, Point, band_error_db, measure
 from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
 
@@ -47,36 +47,27 @@ class Workload:
     response: NDArray[np.float32]
     noise_v: NDArray[np.float64]
 
-    def error_db(self, green: NDArray[Any]) -> NDArray[np.float64]:
-        """Relative L2 error in dB, shape (records,), of the in-band spectra of FIRs (records, TAPS)."""
-        length = self.excitation.period_samples
-        hertz = np.arange(length // 2 + 1) * self.excitation.sample_rate_hz / length
-        band = (hertz >= self.excitation.start_hz) & (hertz <= self.excitation.stop_hz)
-        wrong = scipy.fft.rfft(green.astype(np.float64) - self.truth, length)[:, band]
-        right = scipy.fft.rfft(self.truth, length)[:, band]
-        return np.asarray(10 * np.log10((np.abs(wrong) ** 2).sum(axis=1) / (np.abs(right) ** 2).sum(axis=1)))
-
 
 def run(out: Path, *, quick: bool = False) -> Findings:
     """Time every estimator in turns on one thread; then nights, streams and audio rates."""
     work = make_workload(records=8 if quick else 20)
-    records = len(work.truth)
-    estimator = Estimator(work.excitation, TAPS)
+    records, sweep = len(work.truth), work.excitation
+    estimator = Estimator(sweep, TAPS)
     methods: dict[str, Method] = {
         "wavefocus": lambda x, y: estimator.estimate(x, y, range_v=(10.0, 1e3)).green,
-        "plain H1, band mask, cut at 0": _plain_h1(work.excitation),
-        "scipy csd / welch H1": _welch_h1(work.excitation),
+        "plain H1, band mask, cut at 0": _plain_h1(sweep),
+        "scipy csd / welch H1": _welch_h1(sweep),
     }
     notes = [f"The noise's own limit is {np.median(_limit_db(work, estimator)):.1f} dB."]
     try:
-        methods |= _pyfar_methods(work.excitation)
+        methods |= _pyfar_methods(sweep)
     except ImportError:
         notes.append("pyfar is not installed; 'pip install wavefocus[bench]' adds the comparison.")
     actions = {name: partial(method, work.reference, work.response) for name, method in methods.items()}
     found = measure(actions, 3 if quick else 7, warm=True)
     points = []
     for name, timing in found.items():
-        error_db = work.error_db(timing.result)
+        error_db = band_error_db(timing.result, work.truth, sweep.sample_rate_hz, sweep.band_hz, sweep.period_samples)
         point = Point(
             work=f"estimating {records} records on one thread",
             method=name,

@@ -204,6 +204,17 @@ def relative_error(found: NDArray[Any], expected: NDArray[Any]) -> float:
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 
 
+def band_error_db(
+    green: NDArray[Any], truth: NDArray[Any], rate_hz: float, band_hz: tuple[float, float], length: int
+) -> NDArray[np.float64]:
+    """Relative L2 error in dB, shape (records,), of the in-band spectra of FIRs (records, taps)."""
+    hertz = np.fft.rfftfreq(length, 1 / rate_hz)
+    band = (hertz >= band_hz[0]) & (hertz <= band_hz[1])
+    both = (green.astype(np.float64) - truth, truth)
+    wrong, right = (np.square(np.abs(np.fft.rfft(one, length)[:, band])).sum(axis=1) for one in both)
+    return np.asarray(10 * np.log10(wrong / right))
+
+
 def table(points: Sequence[Point], *, judged: bool = True) -> list[str]:
     """Lines of a table in Markdown, its columns aligned for a console."""
     parameters = [name for point in points for name in point.parameters]

@@ -31,7 +31,7 @@ from acquisition.measuring.raw_keeping import keep_recordings, raw_header
 from acquisition.measuring.record import point_at, take_record
 from acquisition.schedule.plan import Plan
 from acquisition.schedule.trial import check_position, run_trial
-from benchmarks.harness import Mark, Point, Timing
+from benchmarks.harness import Mark, Point, Timing, band_error_db
 from benchmarks.machine import run_command
 from benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure, rig_setup, sweep_plan
 from drivers.protocols import Recording, Take
@@ -224,6 +224,7 @@ def estimate_audio(*, quick: bool = False) -> list[Point]:
         done = run_command("estimate", raw, "--bank", bank)
         with open_bank(bank) as view:
             green = view.green(0).astype(np.float64)
+    error_db = band_error_db(green, truth, AUDIO_HZ, AUDIO_BAND_HZ, 4 * taps)
     limit_db = -SNR_DB + 10 * np.log10(taps / samples * (AUDIO_BAND_HZ[1] - AUDIO_BAND_HZ[0]) / (AUDIO_HZ / 2))
     return [
         Point(
@@ -231,7 +232,7 @@ def estimate_audio(*, quick: bool = False) -> list[Point]:
             method="wavefocus estimate",
             timing=Timing(done.wall_s, done.processor_s),
             peak_mb=done.peak_bytes / 1e6,
-            figures={"worst_db": float(_error_db(green, truth).max()), "noise_limit_db": float(limit_db)},
+            figures={"worst_db": float(error_db.max()), "noise_limit_db": float(limit_db)},
             marks=(Mark("cpu_s", MARK_S, at_most=True), Mark("peak_mb", MARK_MB, at_most=True)),
         )
     ]
@@ -275,11 +276,3 @@ def _write(path: Path, records: int, taps: int) -> tuple[NDArray[np.float64], in
     with RawWriter.open(path) as writer:
         writer.commit(0, *channels)
     return truth, samples
-
-
-def _error_db(green: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = 4 * truth.shape[1]
-    hertz = np.arange(length // 2 + 1) * AUDIO_HZ / length
-    band = (hertz >= AUDIO_BAND_HZ[0]) & (hertz <= AUDIO_BAND_HZ[1])
-    wrong, right = (np.abs(np.fft.rfft(one, length)[:, band]) ** 2 for one in (green - truth, truth))
-    return np.asarray(10 * np.log10(wrong.sum(axis=1) / right.sum(axis=1)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from rendering.greens.source import GreenArray
 from rendering.scene.model import Output, Regularisation, Scene, Source
 from rendering.scene.paths import Line
 from rendering.scene.signals import Impulse
+from rendering.verify.scan import Scan
 from storage.drive_file import Drive
 from storage.field_file import Field
 
@@ -40,3 +42,20 @@ def scene_of(name: str = "line") -> Scene:
 def rendered() -> tuple[Drive, Field]:
     drive, _ = render_with_report(scene_of(), bank())
     return drive, predict(drive, bank())
+
+
+def scan_of(field: np.ndarray, start_s: float, rate_hz: float, noise_rms: float = np.nan, **changes: object) -> Scan:
+    """A scan of all positions that holds such a field."""
+    made = Scan(
+        field=field.astype(np.float32),
+        position_index=np.arange(len(field)),
+        sample_rate_hz=rate_hz,
+        start_s=start_s,
+        response_unit="m/s",
+        status=np.ones(len(field), np.uint8),
+        attempts=np.ones(len(field), np.int64),
+        noise_rms=np.full(len(field), noise_rms),
+        clock_ratio=np.ones(len(field)),
+        playback_gain=np.ones(len(field)),
+    )
+    return replace(made, **changes)

@@ -21,28 +21,16 @@ from rendering.report.words import number, remarks
 from rendering.verify.scan import Scan
 from rendering.verify.verdict import compare
 from storage.field_file import Field
-from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scene_of
+from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
 
 NASTY = '<script>alert("1")</script> & </title><img src="https://evil.example/x.png">'
 
 
-def scan_of(gain: float = 1.0, noise: float = 1e-3) -> Scan:
+def louder_scan(gain: float = 1.0, noise: float = 1e-3) -> Scan:
     _, prediction = rendered()
-    count, samples = prediction.field.shape
     noise_rms = noise * float(np.sqrt(np.mean(prediction.field**2)))
-    white = np.random.default_rng(1).standard_normal((count, samples))
-    return Scan(
-        field=(gain * prediction.field + noise_rms * white).astype(np.float32),
-        position_index=np.arange(count),
-        sample_rate_hz=RATE_HZ,
-        start_s=prediction.start_s,
-        response_unit="m/s",
-        status=np.ones(count, np.uint8),
-        attempts=np.ones(count, np.int64),
-        noise_rms=np.full(count, noise_rms),
-        clock_ratio=np.ones(count),
-        playback_gain=np.full(count, gain),
-    )
+    field = gain * prediction.field + noise_rms * np.random.default_rng(1).standard_normal(prediction.field.shape)
+    return scan_of(field, prediction.start_s, RATE_HZ, noise_rms, playback_gain=np.full(len(field), gain))
 
 
 def report_of(out_dir: Path, scan: Scan | Field, source: GreenArray, name: str, **options) -> Path:
@@ -64,7 +52,7 @@ def good_report(tmp_path_factory) -> Path:
     outline = np.array([(-50.0, -45.0), (50.0, -45.0), (50.0, 45.0), (-50.0, 45.0), (-50.0, -45.0)])
     return report_of(
         tmp_path_factory.mktemp("good") / "made",
-        scan_of(),
+        louder_scan(),
         bank(),
         NASTY,
         campaign={"hours simulated": 30.0, NASTY: NASTY},
@@ -137,9 +125,9 @@ def few_positions() -> Field:
 @pytest.mark.parametrize(
     ("scan", "remark", "not_remark"),
     [
-        (lambda: scan_of(gain=1.3), "louder than predicted. Check that amplifier volume", "Not judged"),
-        (lambda: scan_of(gain=1.3), "loopback carried 1.3 times", "Not judged"),
-        (lambda: scan_of(noise=0.5), "Most of the error is the vibrometer's noise", "not explained by noise"),
+        (lambda: louder_scan(gain=1.3), "louder than predicted. Check that amplifier volume", "Not judged"),
+        (lambda: louder_scan(gain=1.3), "loopback carried 1.3 times", "Not judged"),
+        (lambda: louder_scan(noise=0.5), "Most of the error is the vibrometer's noise", "not explained by noise"),
         (few_positions, "Not judged: focus to path point", "not explained"),
     ],
 )

@@ -17,10 +17,11 @@ from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
 from rendering.verify.scan import Scan, ScanPlan, scan
-from rendering.verify.verdict import Tolerances, compare
+from rendering.verify.verdict import Tolerances, Verification, compare
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.field_file import Field, LowPass
+from tests.unit.line_verification import scan_of
 
 RATE_HZ = 10_000.0
 TAPS = 600
@@ -70,20 +71,7 @@ def scanned(plan: ScanPlan, *faults: Fault, **changes: object) -> Scan:
 
 
 def as_scan(field: np.ndarray, noise_rms: float = math.nan, **changes: object) -> Scan:
-    count = len(field)
-    made = Scan(
-        field=field.astype(np.float32),
-        position_index=np.arange(count),
-        sample_rate_hz=RATE_HZ,
-        start_s=impulse_drive().start_s,
-        response_unit="m/s",
-        status=np.ones(count, np.uint8),
-        attempts=np.ones(count, np.int64),
-        noise_rms=np.full(count, noise_rms),
-        clock_ratio=np.ones(count),
-        playback_gain=np.ones(count),
-    )
-    return dataclasses.replace(made, **changes)
+    return dataclasses.replace(scan_of(field, impulse_drive().start_s, RATE_HZ, noise_rms), **changes)
 
 
 @cache
@@ -91,9 +79,15 @@ def prediction() -> Field:
     return predict(impulse_drive(), bank())
 
 
+def compared(found: Scan | np.ndarray, *, of: Field | None = None, **options: object) -> Verification:
+    """The comparison of a scan, or of a field as if it were scanned, with the prediction."""
+    measured = found if isinstance(found, Scan) else as_scan(found)
+    return compare(of or prediction(), measured, impulse_drive(), options.pop("source", bank()), **options)
+
+
 def test_given_an_honest_rig_then_the_scan_agrees_with_the_prediction_but_for_its_noise():
     found = scanned(ScanPlan(AROUND), clock_ppm=45.0, inter_channel_delay_s=3e-5)
-    outcome = compare(prediction(), found, impulse_drive(), bank())
+    outcome = compared(found)
     assert np.array_equal(found.position_index, AROUND)
     assert found.field.shape == (9, 2 * TAPS - 1)
     assert np.all(found.status == 1)
@@ -111,7 +105,7 @@ def test_given_a_wrong_channel_delay_then_the_comparison_names_it():
     rig = VirtualRig(SETTINGS)
     wrong = dataclasses.replace(setup_of(rig), inter_channel_delay_s=SETTINGS.inter_channel_delay_s - 5e-5)
     found = scan(ScanPlan((49, 60)), wrong, impulse_drive(), bank())
-    outcome = compare(prediction(), found, impulse_drive(), bank())
+    outcome = compared(found)
     assert outcome.fields.delay_samples == pytest.approx(-0.5, abs=0.01)
 
 
@@ -128,7 +122,7 @@ def test_given_a_fault_that_passes_then_the_position_is_repeated_and_the_scan_co
     found = scanned(ScanPlan((48, 49, 50)), fault)
     assert found.attempts.tolist() == [1, attempts, 1]
     assert found.status.tolist() == [1, 1, 1]
-    assert compare(prediction(), found, impulse_drive(), bank()).fields.error < 0.005
+    assert compared(found).fields.error < 0.005
 
 
 @pytest.mark.parametrize(
@@ -150,17 +144,14 @@ def test_given_a_fault_that_stays_then_the_position_is_marked_and_left_out(kind,
     assert progress == [(1, 3), (2, 3), (3, 3)]
     assert [row for row, _ in found.faults] == ([49] if status == 8 else [])
     assert found.as_field().position_index.tolist() == ([48, 49, 50] if status == 2 else [48, 50])
-    outcome = compare(prediction(), found, impulse_drive(), bank())
+    outcome = compared(found)
     assert outcome.fields.excluded == ((49, reason),)
     assert not outcome.passed  # too few positions are usable
 
 
-def test_given_a_recorder_that_is_lost_then_the_error_passes_on():
+def test_given_a_lost_recorder_or_a_reference_that_never_comes_then_the_scan_gives_up():
     with pytest.raises(InstrumentLostError, match="recorder"):
         scanned(ScanPlan((48, 49)), Fault("recorder", "read", "lost", position=49))
-
-
-def test_given_a_rig_whose_reference_never_comes_then_the_scan_gives_up_after_five_positions():
     faults = [Fault("recorder", "read", "missing_reference", position=row, count=9) for row in range(9)]
     with pytest.raises(ReferenceMissingError):
         scanned(ScanPlan(tuple(range(9)), attempts=1), *faults)
@@ -194,7 +185,7 @@ def test_given_white_noise_of_known_level_then_error_and_noise_are_that_level_an
     field = prediction().field
     rms = 0.02 * float(np.sqrt(np.mean(field**2)))
     noisy = field + rms * np.random.default_rng(5).standard_normal(field.shape)
-    outcome = compare(prediction(), as_scan(noisy, rms), impulse_drive(), bank())
+    outcome = compared(as_scan(noisy, rms))
     assert outcome.fields.error_all_frequencies == pytest.approx(0.02, rel=0.02)
     # 480 of 5000 Hz, and the soft edges.
     assert 0.1 < (outcome.fields.error / 0.02) ** 2 < 0.13
@@ -203,17 +194,17 @@ def test_given_white_noise_of_known_level_then_error_and_noise_are_that_level_an
 
 
 def test_given_a_louder_or_later_scan_then_level_and_delay_are_found_and_the_verdict_is_no():
-    late = compare(prediction(), as_scan(np.roll(prediction().field, 3, axis=1)), impulse_drive(), bank())
+    late = compared(np.roll(prediction().field, 3, axis=1))
     assert late.fields.delay_samples == pytest.approx(3.0, abs=0.01)
     assert late.noise_error is None
     assert not late.passed
-    louder = compare(prediction(), as_scan(1.12 * prediction().field), impulse_drive(), bank())
+    louder = compared(1.12 * prediction().field)
     assert louder.fields.level_db == pytest.approx(20.0 * math.log10(1.12), abs=1e-3)
     assert louder.fields.error == pytest.approx(0.12 / 1.12, rel=1e-3)
 
 
 def test_given_an_impulse_then_the_focus_is_at_its_path_point_at_its_sample():
-    outcome = compare(prediction(), as_scan(prediction().field), impulse_drive(), bank())
+    outcome = compared(prediction().field)
     (instant,) = outcome.fields.instant
     assert (instant.sample, instant.row) == (0, CENTRE)
     assert outcome.focus.from_intended_mm[0] < 1.0
@@ -226,7 +217,7 @@ def test_given_an_impulse_then_the_focus_is_at_its_path_point_at_its_sample():
 def test_given_a_focus_shifted_by_two_positions_then_its_check_fails():
     rows = np.arange(len(GRID_MM)).reshape(11, 11)
     moved = prediction().field[np.roll(rows, 2, axis=1).ravel()]
-    outcome = compare(prediction(), as_scan(moved), impulse_drive(), bank())
+    outcome = compared(moved)
     failed = {check.name for check in outcome.checks if check.passed is False}
     assert {"focus to path point", "focus to predicted focus"} <= failed
     assert outcome.focus.from_intended_mm[0] == pytest.approx(8.0, abs=1.0)
@@ -236,14 +227,14 @@ def test_given_positions_in_another_order_then_the_outcome_is_the_same():
     order = np.random.default_rng(3).permutation(len(GRID_MM))
     noisy = prediction().field + 1e-4 * np.random.default_rng(4).standard_normal(prediction().field.shape)
     shuffled = Field(prediction().field[order], order, RATE_HZ, prediction().start_s, "m/s")
-    first = compare(prediction(), as_scan(noisy), impulse_drive(), bank())
-    second = compare(shuffled, as_scan(noisy), impulse_drive(), bank())
+    first = compared(noisy)
+    second = compared(noisy, of=shuffled)
     assert second.as_dict() == first.as_dict()
 
 
 def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():
     few = Field(prediction().field[[0, 60, 90]], np.array([0, 60, 90]), RATE_HZ, prediction().start_s, "m/s")
-    outcome = compare(few, as_scan(prediction().field), impulse_drive(), bank())
+    outcome = compared(prediction().field, of=few)
     passed = {check.name: check.passed for check in outcome.checks}
     assert passed["normalised error"] is True
     assert passed["focus to path point"] is None
@@ -258,20 +249,20 @@ def test_given_rows_that_are_not_valid_in_the_bank_then_they_are_left_out_and_co
     doubtful = dataclasses.replace(bank(), status=status)
     field = prediction().field.copy()
     field[[7, 9]] = 100.0
-    outcome = compare(prediction(), as_scan(field), impulse_drive(), doubtful)
+    outcome = compared(field, source=doubtful)
     assert [row for row, _ in outcome.fields.excluded] == [7, 9]
     assert outcome.fields.error == 0.0
-    strict = compare(prediction(), as_scan(field), impulse_drive(), doubtful, Tolerances(usable_share=0.99))
+    strict = compared(field, source=doubtful, tolerances=Tolerances(usable_share=0.99))
     assert not strict.passed
 
 
 def test_given_fields_of_different_drives_or_nothing_in_common_then_the_message_says_so():
     later = as_scan(prediction().field, start_s=0.0)
     with pytest.raises(InputError, match="start_s of the prediction"):
-        compare(prediction(), later, impulse_drive(), bank())
+        compared(later)
     failed = as_scan(prediction().field, status=np.full(len(GRID_MM), 8, np.uint8))
     with pytest.raises(InputError, match="no position in common"):
-        compare(prediction(), failed, impulse_drive(), bank())
+        compared(failed)
     low = dataclasses.replace(prediction(), low_pass=LowPass(100.0, 4))
     with pytest.raises(InputError, match="4 times lower than the bank's, low-passed above 100 Hz"):
-        compare(low, as_scan(prediction().field), impulse_drive(), bank())
+        compared(prediction().field, of=low)
