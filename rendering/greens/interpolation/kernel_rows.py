@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
-from scipy.interpolate import CubicSpline
 
 from calibration.blas import one_blas_thread
 from calibration.neighbours.wave_model import PatchKernel, WaveModel
@@ -137,6 +136,8 @@ class KernelRows:
         while knots_hz[-1] < highest_hz:
             knots_hz.append(knots_hz[-1] + min(GROWTH * knots_hz[-1], widest_hz))
         self._waves = waves.at(np.array(knots_hz))
+        from scipy.interpolate import CubicSpline  # slow to load; `plan` needs the kernel's weights alone
+
         spline = CubicSpline(knots_hz, np.eye(len(knots_hz)))
         faded = 0.5 + 0.5 * np.cos(np.pi * np.clip((bins_hz - fade_hz[0]) / (fade_hz[1] - fade_hz[0]), 0.0, 1.0))
         self._to_bins = np.asarray(faded[:, None] * spline(bins_hz), dtype=np.float64)

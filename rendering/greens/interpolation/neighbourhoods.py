@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
@@ -84,6 +83,8 @@ class Neighbourhoods:
         self.spacing_mm = spacing_mm
         self._rows: Int64Array = rows.astype(np.int64)
         self._position_mm = position_mm[rows]
+        from scipy.spatial import cKDTree  # slow to load
+
         self._tree = cKDTree(self._position_mm)
         self._patches: dict[int, Patch] = {}
 
