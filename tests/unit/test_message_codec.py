@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config.messages.calibrate import CALIBRATE_EVENTS, CalibrationDone
+from config.messages.calibrate import CALIBRATE_EVENTS
 from config.messages.codec import Message, MessageError, from_record, message_of, to_line, to_record
 from config.messages.doctor import Examination, FindingMade
 from config.messages.operate import OPERATE_EVENTS, ORDERS, Jog, LevelMeasured, MirrorMoved, Reconnect
+from config.messages.verify import VERIFY_MESSAGES
 
-FAMILIES = (ORDERS, OPERATE_EVENTS, CALIBRATE_EVENTS, (FindingMade,), (Examination,))
+FAMILIES = (ORDERS, OPERATE_EVENTS, CALIBRATE_EVENTS, (FindingMade,), (Examination,), VERIFY_MESSAGES)
 
 
 @pytest.mark.parametrize(("family", "kind"), [(family, kind) for family in FAMILIES for kind in family])
 def test_given_a_message_then_it_is_read_as_it_was_written(family: tuple[type[Message], ...], kind: type[Message]):
-    given_values = {"calibration": st.just({"format": "wavefocus"})} if kind is CalibrationDone else {}
+    values = {"calibration": st.just({"format": "wavefocus"}), "at": st.datetimes(timezones=st.just(UTC))}
+    given_values = {field.name: values[field.name] for field in fields(kind) if field.name in values}
 
     @given(st.builds(kind, **given_values))
     def check(message: Message) -> None:

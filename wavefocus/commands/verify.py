@@ -18,6 +18,8 @@ import numpy as np
 from acquisition.durations import hours
 from acquisition.engine.events import Event
 from acquisition.quality.limits import DriftLimits
+from config.messages.codec import Message, to_line
+from config.messages.verify import VerifyEnded, VerifyStarted, VerifyStep
 from config.rig import RigConfig
 from rendering.field.metrics import grid_spacing_mm
 from rendering.field.model import predict as predict_field
@@ -270,7 +272,7 @@ class VerifyLog:
         (out / LOG_NAME).unlink(missing_ok=True)
         self._file = create(out / LOG_NAME)
         self._lines = EventLines(lambda line: self._file.write(line.encode()), str(out / LOG_NAME), "verification")
-        self._tell("started", pid=os.getpid(), host=socket.gethostname())
+        self._write(VerifyStarted(_now(), os.getpid(), socket.gethostname()))
 
     def __call__(self, event: Event) -> None:
         """Write an event of the scan."""
@@ -280,7 +282,7 @@ class VerifyLog:
         """Begin a step of `total` items; the result is told how many are done."""
         started_s = time.monotonic()
         told_s = started_s
-        self._tell("step", step=name, done=0, total=total, left_s=None)
+        self._write(VerifyStep(_now(), name, 0, total))
 
         def report(done: int, total: int) -> None:
             nonlocal told_s
@@ -289,13 +291,13 @@ class VerifyLog:
                 return
             told_s = now_s
             left_s = round((now_s - started_s) / done * (total - done), 1) if done else None
-            self._tell("step", step=name, done=done, total=total, left_s=left_s)
+            self._write(VerifyStep(_now(), name, done, total, left_s))
 
         return report
 
     def done(self, code: int, reason: str) -> None:
         """Say how it ended."""
-        self._tell("ended", code=code, reason=reason)
+        self._write(VerifyEnded(_now(), int(code), reason))
 
     def __enter__(self) -> VerifyLog:
         return self
@@ -308,6 +310,9 @@ class VerifyLog:
         with suppress(OSError):
             self._file.close()
 
-    def _tell(self, event: str, **content: object) -> None:
-        at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        self._lines.write(json.dumps({"at": at, "event": event, **content}) + "\n")
+    def _write(self, message: Message) -> None:
+        self._lines.write(to_line(message))
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)
