@@ -19,7 +19,7 @@ from rendering.report.canvas import Picture, Surface
 from rendering.report.figures import drift_over_time
 from rendering.report.waves import wave_figures, waves_of, waves_picture
 from rendering.report.words import figure_lines, number, precise, remarks
-from rendering.verify.record import REPORT_NAME
+from rendering.verify.record import PATH_POINTS, REPORT_NAME, path_line_mm
 from rendering.verify.verdict import Verification
 from storage.output_files import write_whole
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from storage.field_file import Field
 
 MOST_SNAPSHOTS = 6
-PATH_POINTS = 400
 
 
 def build_report(
@@ -57,7 +56,8 @@ def build_report(
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    surface = Surface.of(bank, _paths(scene), outline_mm)
+    paths_mm = [path_line_mm(source, PATH_POINTS if source.path.length_mm > 0.0 else 1) for source in scene.sources]
+    surface = Surface.of(bank, paths_mm, outline_mm)
     saturation = scene.regularisation.saturation
     gain = focus_gain_map(bank, saturation)
     pictures, captions = _pictures(surface, verification, drive, bank, gain)
@@ -93,14 +93,6 @@ def build_report(
     report = out_dir / REPORT_NAME
     write_whole(report, html)
     return report
-
-
-def _paths(scene: Scene) -> list[NDArray[np.float64]]:
-    lengths = [(source.path, source.path.length_mm) for source in scene.sources]
-    return [
-        np.asarray(path.point_at(np.linspace(0.0, length_mm, PATH_POINTS if length_mm > 0.0 else 1)), np.float64)
-        for path, length_mm in lengths
-    ]
 
 
 def _pictures(

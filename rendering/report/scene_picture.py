@@ -13,6 +13,7 @@ from rendering.greens.source import GreenSource, read_row, refusal, usable
 from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
 from rendering.scene.model import Scene, Source
 from rendering.scene.sampling import sample_scene
+from rendering.verify.record import path_line_mm
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -85,8 +86,9 @@ def _sources(scene: Scene, bank: GreenSource) -> list[_Drawn]:
     drawn = []
     for source, sampled in zip(scene.sources, sample_scene(scene, bank, "sampled")[1], strict=True):
         count = min(MOST_LINE_POINTS, max(2, int(4 * source.path.length_mm) + 2))
-        line_mm = source.path.point_at(np.linspace(0.0, source.path.length_mm, count))
-        drawn.append(_Drawn(source, line_mm, sampled.points_mm, sampled.focus_position, sampled.snap_mm))
+        drawn.append(
+            _Drawn(source, path_line_mm(source, count), sampled.points_mm, sampled.focus_position, sampled.snap_mm)
+        )
     return drawn
 
 

@@ -17,6 +17,7 @@ from storage.errors import InputError
 from storage.output_files import write_whole
 
 if TYPE_CHECKING:
+    from rendering.field.focus_figures import FocusInstant
     from rendering.greens.source import GreenSource
     from rendering.scene.model import Scene, Source
     from rendering.verify.verdict import Verification
@@ -81,12 +82,8 @@ class RecordedSource:
         """Its place, None before it starts; at rest at the end of its path after that."""
         if time_s < self.start_s:
             return None
-        if len(self.path_mm) == 1 or self.stop_s <= self.start_s:
-            return np.asarray(self.path_mm[-1], np.float64)
-        share = min((time_s - self.start_s) / (self.stop_s - self.start_s), 1.0) * (len(self.path_mm) - 1)
-        first = min(int(share), len(self.path_mm) - 2)
-        between = share - first
-        return np.asarray((1.0 - between) * self.path_mm[first] + between * self.path_mm[first + 1], np.float64)
+        times_s = np.linspace(self.start_s, self.stop_s, len(self.path_mm))
+        return np.array([np.interp(time_s, times_s, along_mm) for along_mm in self.path_mm.T])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,15 +175,7 @@ def write_record(
         "band_hz": None if compared.band_hz is None else list(compared.band_hz),
         "spacing_mm": verification.spacing_mm,
         "figures": [_plain_figure(one) for one in verification.figures],
-        "foci": [
-            {
-                "source": one.source,
-                "position": one.row,
-                "time_s": one.sample / compared.sample_rate_hz,
-                "at_mm": position_mm[one.row].tolist(),
-            }
-            for one in compared.instant
-        ],
+        "foci": [_plain_focus(one, compared.sample_rate_hz, position_mm) for one in compared.instant],
         "sources": [_plain_source(source) for source in scene.sources],
         "outline_mm": None if outline_mm is None else np.round(outline_mm, 3).tolist(),
         "actuator_mm": [
@@ -215,15 +204,22 @@ def _plain_figure(figure: Figure) -> dict[str, object]:
     return plain | {name: finite(plain[name]) for name in _NUMBERS} | {"relation": figure.relation or None}
 
 
+def _plain_focus(focus: FocusInstant, rate_hz: float, position_mm: Float64Array) -> dict[str, object]:
+    time_s, at_mm = focus.sample / rate_hz, position_mm[focus.row].tolist()
+    return {"source": focus.source, "position": focus.row, "time_s": time_s, "at_mm": at_mm}
+
+
 def _plain_source(source: Source) -> dict[str, object]:
     length_mm = source.path.length_mm
     moves = length_mm > 0.0 and source.speed_mm_s > 0.0
-    arc_mm = np.linspace(0.0, length_mm, PATH_POINTS if moves else 1)
-    return {
-        "start_s": source.start_s,
-        "stop_s": source.start_s + (length_mm / source.speed_mm_s if moves else 0.0),
-        "path_mm": np.round(np.asarray(source.path.point_at(arc_mm), np.float64), 3).tolist(),
-    }
+    stop_s = source.start_s + (length_mm / source.speed_mm_s if moves else 0.0)
+    path_mm = path_line_mm(source, PATH_POINTS if moves else 1)
+    return {"start_s": source.start_s, "stop_s": stop_s, "path_mm": np.round(path_mm, 3).tolist()}
+
+
+def path_line_mm(source: Source, points: int) -> Float64Array:
+    """So many points evenly along a source's path, its start where it is one."""
+    return np.asarray(source.path.point_at(np.linspace(0.0, source.path.length_mm, points)), np.float64)
 
 
 def _of_rows(rows: NDArray[np.int64], compared: NDArray[np.int64], values: Float64Array) -> list[float | None]:
