@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from acquisition.engine.events import Drift
 from config.calibration import name_calibration
 from storage.ledger.owner import owner_path, remove_owner, write_owner
 from storage.sidecar_files import Log
-from wavefocus.campaign.sidecar_files import DriftHistory, EventLog, log_path, write_whole
+from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, write_whole
 from wavefocus.commands.verify import VerifyLog
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs symbolic links")
@@ -25,27 +26,27 @@ def victim(tmp_path: Path) -> Path:
     return tmp_path / "victim"
 
 
-@pytest.mark.parametrize("log", [EventLog, DriftHistory])
+@pytest.mark.parametrize("path_of", [log_path, drift_path])
 def test_given_a_link_or_a_file_of_another_then_no_log_is_written_there(
-    victim: Path, log: type[EventLog | DriftHistory]
+    victim: Path, path_of: Callable[[Path], Path]
 ) -> None:
     bank = victim.with_name("plate.h5")
     names = [bank.with_suffix(ending) for ending in (".events.jsonl", ".drift.jsonl")]
     for name in names:
         name.symlink_to(victim)
     drift = Drift(0, 0.0, 0.1, 0.0, 1.0, "steady", "run", "", ())
-    with log(bank) as written:
+    with EventLog(path_of(bank), Drift) as written:
         written(drift)
     for name in names:
         name.unlink()
         name.write_bytes(PRECIOUS)
-    with log(bank) as written:
+    with EventLog(path_of(bank), Drift) as written:
         written(drift)
     assert [name.read_bytes() for name in names] == [PRECIOUS, PRECIOUS]
     for name in names:
         name.unlink()
         os.mkfifo(name)
-    with log(bank) as written:
+    with EventLog(path_of(bank), Drift) as written:
         written(drift)
     assert victim.read_bytes() == PRECIOUS
 

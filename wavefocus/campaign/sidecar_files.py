@@ -16,7 +16,6 @@ from pathlib import Path
 from types import TracebackType
 
 from acquisition.engine.events import (
-    Drift,
     Event,
     Fault,
     Logged,
@@ -111,16 +110,21 @@ class EventLines:
 
 
 class EventLog:
-    """Appends events to the log beside a bank; a subscriber."""
+    """Appends events of some kinds to a file beside a bank; a subscriber.
 
-    def __init__(self, bank: Path) -> None:
+    The drift history has a file of its own, for it holds clock times: a resumed bank is to be that of an undisturbed
+    campaign.
+    """
+
+    def __init__(self, path: Path, kind: type[Event] = Event) -> None:
         # Unbuffered: every line reaches the operating system, and closing has nothing left to fail on.
-        self._file = Log(log_path(bank))
-        self._lines = EventLines(self._file.write, str(log_path(bank)))
+        self._file, self._kind = Log(path), kind
+        self._lines = EventLines(self._file.write, str(path))
 
     def __call__(self, event: Event) -> None:
         """Write one event."""
-        self._lines(event)
+        if isinstance(event, self._kind):
+            self._lines(event)
 
     def __enter__(self) -> EventLog:
         return self
@@ -170,30 +174,6 @@ def _lines_backwards(path: Path) -> Iterator[bytes]:
 def drift_path(bank: Path) -> Path:
     """Where the drift of a bank is kept: ``plate.h5`` -> ``plate.drift.jsonl``."""
     return bank.with_suffix(".drift.jsonl")
-
-
-class DriftHistory:
-    """Appends to the drift history of a bank; a subscriber.
-
-    It is not in the bank, for it holds clock times, and a resumed bank is to be that of an undisturbed campaign.
-    """
-
-    def __init__(self, bank: Path) -> None:
-        self._file = Log(drift_path(bank))
-        self._lines = EventLines(self._file.write, str(drift_path(bank)))
-
-    def __call__(self, event: Event) -> None:
-        """Keep what is drift."""
-        if isinstance(event, Drift):
-            self._lines(event)
-
-    def __enter__(self) -> DriftHistory:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.close()
 
 
 def read_drift(bank: Path) -> list[DriftPoint]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.engine.campaign import Campaign
-from acquisition.engine.events import Event, EventPublisher, State, Subscriber
+from acquisition.engine.events import Drift, Event, EventPublisher, State, Subscriber
 from acquisition.engine.stop_request import StopRequest
 from acquisition.measuring.raw_keeping import raw_header, require_same, without_recordings
 from acquisition.measuring.setup import Setup
@@ -31,9 +31,9 @@ from wavefocus.campaign.blueprint import (
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.schedule_choice import as_settled, settle
 from wavefocus.campaign.sidecar_files import (
-    DriftHistory,
     EventLines,
     EventLog,
+    drift_path,
     log_path,
     raw_path,
     read_drift,
@@ -189,8 +189,8 @@ def _session(
         Attendance(bank, stop) as attendance,
         open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
         opened_raw(blueprint, setup, writer) as raw,
-        EventLog(bank) as log,
-        DriftHistory(bank) as drift,
+        EventLog(log_path(bank)) as log,
+        EventLog(drift_path(bank), Drift) as drift,
         progress("capture", plan.positions, timed=False) as report,
     ):
         subscribers: dict[str, Subscriber] = {

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,7 @@ from config.calibration import (
 )
 from config.fields import Table
 from config.messages.calibrate import MapView
+from config.messages.operate import Role
 from config.outline import default_marks_mm
 from config.rig import RigConfig
 from storage.errors import InputError
@@ -163,7 +164,7 @@ class CalibrationSession:
         if before is not None:
             kept = {name: getattr(before, name) for name in PARTS}
             self._found = {name: part for name, part in kept.items() if part is not None}
-        self._names = ("", "", "")
+        self._names: dict[str, str] = {}
         self.measured: list[str] = []
         self.problems: list[str] = []
 
@@ -173,7 +174,7 @@ class CalibrationSession:
         Raises InputError: angles that no map can be fitted through, or an operator who is gone. Raises InstrumentError:
         of the instrument that failed for good.
         """
-        self._names = names_of(setup.instruments)
+        self._names = dict(zip(("mirror", "recorder", "player"), names_of(setup.instruments), strict=True))
         self._identities = identities_of(setup.instruments)
         work: dict[str, Callable[[Setup, Operator], Setup]] = {
             "inputs": self._inputs,
@@ -226,9 +227,7 @@ class CalibrationSession:
         self._take_up(
             "inputs",
             InputsMeasured(
-                at=_now(),
-                device=self._names[1],
-                identity=self._identities["recorder"],
+                **self._by("recorder"),
                 inter_channel_delay_s=delay_s,
             ),
         )
@@ -266,9 +265,7 @@ class CalibrationSession:
         self._take_up(
             "outputs",
             OutputsMeasured(
-                at=_now(),
-                device=self._names[2],
-                identity=self._identities["player"],
+                **self._by("player"),
                 loopback_channel=player.loopback_channel,
                 channel=tuple(
                     OutputMeasured(
@@ -298,9 +295,7 @@ class CalibrationSession:
         self._take_up(
             "mirror",
             MirrorMeasured(
-                at=_now(),
-                device=self._names[0],
-                identity=self._identities["mirror"],
+                **self._by("mirror"),
                 map=found.fit.mirror_map.matrix,
                 residual_rms_mm=round(found.fit.rms_mm, 6),
                 fiducial=tuple(
@@ -329,9 +324,7 @@ class CalibrationSession:
         self._take_up(
             "actuators",
             ActuatorsMeasured(
-                at=_now(),
-                device=self._names[2],
-                identity=self._identities["player"],
+                **self._by("player"),
                 distance_mm=self._distance_mm,
                 actuator=tuple(
                     ActuatorMeasured(
@@ -362,6 +355,10 @@ class CalibrationSession:
 
     def _probe(self, setup: Setup) -> Probe:
         return Probe(setup, self._request.sample_rate_hz, self._amplitude_v)
+
+    def _by(self, role: Role) -> dict[str, Any]:
+        """When and by which device a part was measured."""
+        return {"at": _now(), "device": self._names[role], "identity": self._identities[role]}
 
     def _take_up(self, part: str, figures: Table) -> None:
         self._found[part] = figures

@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
 
 from acquisition.durations import hours
 from acquisition.engine.events import Drift, Event, Fault, SessionEnded, State, StateChanged
@@ -27,14 +26,6 @@ ADDRESSES_VARIABLE = "WAVEFOCUS_MESSAGES"
 CLOSE_S = 20.0
 """At the end of a session so long is waited for messages under way."""
 WAITING = frozenset({State.SUSPENDED, State.RECOVERING})
-
-
-class Outbox(Protocol):
-    """Brings a message to all addresses."""
-
-    def send(self, title: str, text: str) -> list[str]:
-        """Send; the kinds of the addresses that did not take it."""
-        ...
 
 
 class AppriseOutbox:
@@ -68,7 +59,7 @@ class AppriseOutbox:
         return len(self._each)
 
     def send(self, title: str, text: str) -> list[str]:
-        """See `Outbox`."""
+        """Send a message to all addresses; the kinds of those that did not take it."""
         refused = []
         for kind, one in self._each:
             try:
@@ -91,7 +82,7 @@ class Messenger:
     Sending goes on in a thread of its own: an address that does not answer never holds up a campaign.
     """
 
-    def __init__(self, bank: Path, section: MessagesSection, outbox: Outbox | None, go_on: str = "") -> None:
+    def __init__(self, bank: Path, section: MessagesSection, outbox: AppriseOutbox | None, go_on: str = "") -> None:
         self._bank, self._section, self._outbox = bank, section, outbox
         self._go_on = go_on or resume_line(Path(bank.name), None)
         self._events: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
