@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -115,65 +115,64 @@ def interrupt() -> None:
 
 
 LOOKS_EVERY_S = 0.1
+_READS_BYTES = 4096
 
 
 @contextmanager
-def ended_by_file(path: Path) -> Iterator[None]:
-    """End the block with KeyboardInterrupt, as Ctrl-C does, once a file appears; the file is taken away.
-
-    A file of that name that was left before is no order and is taken away first. Must be entered in the main thread
-    to have an effect, and inside what turns signals into KeyboardInterrupt.
-    """
-    path.unlink(missing_ok=True)
+def _ended_by(happens: Callable[[threading.Event], bool], name: str, *, join: bool) -> Iterator[None]:
+    """End the block with KeyboardInterrupt once a thread's function returns True; the event it gets says to give up."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     over = threading.Event()
 
     def watch() -> None:
-        while not over.wait(LOOKS_EVERY_S):
-            if path.exists():
-                with suppress(OSError):
-                    path.unlink()
-                interrupt()
-                return
+        if happens(over) and not over.is_set():
+            interrupt()
 
-    watcher = threading.Thread(target=watch, name="order to end", daemon=True)
+    watcher = threading.Thread(target=watch, name=name, daemon=True)
     watcher.start()
     try:
         yield
     finally:
         over.set()
-        watcher.join()
+        if join:
+            watcher.join()
 
 
-_READS_BYTES = 4096
+def ended_by_file(path: Path) -> AbstractContextManager[None]:
+    """End the block with KeyboardInterrupt, as Ctrl-C does, once a file appears; the file is removed.
 
-
-@contextmanager
-def ended_by_input() -> Iterator[None]:
-    """End the block with KeyboardInterrupt, as Ctrl-C does, when standard input comes to its end.
-
-    What is written there is read and means nothing. Must be entered in the main thread to have an effect, and inside
-    what turns signals into KeyboardInterrupt.
+    A file of that name that is there before is no order and is removed first. Must be entered in the main thread to
+    have an effect, and inside what turns signals into KeyboardInterrupt.
     """
-    if threading.current_thread() is not threading.main_thread() or sys.stdin is None:
-        yield
-        return
-    over, source = threading.Event(), sys.stdin.fileno()
+    path.unlink(missing_ok=True)
 
-    def watch() -> None:
-        try:
-            # Not through sys.stdin: a thread that waits in its lock would not let the interpreter end.
+    def appears(over: threading.Event) -> bool:
+        while not over.wait(LOOKS_EVERY_S):
+            if path.exists():
+                with suppress(OSError):
+                    path.unlink()
+                return True
+        return False
+
+    return _ended_by(appears, "order to end", join=True)
+
+
+def ended_by_input() -> AbstractContextManager[None]:
+    """End the block with KeyboardInterrupt, as Ctrl-C does, when standard input ends; its content is ignored.
+
+    Must be entered as `ended_by_file`.
+    """
+    if sys.stdin is None:
+        return nullcontext()
+    source = sys.stdin.fileno()
+
+    def ends(_over: threading.Event) -> bool:
+        # Not through sys.stdin: a thread that waits in its lock would not let the interpreter end.
+        with suppress(OSError):  # it cannot be read any more: closed as well
             while os.read(source, _READS_BYTES):
                 pass
-        except OSError:
-            pass  # it cannot be read any more: closed as well
-        if not over.is_set():
-            interrupt()
+        return True
 
-    threading.Thread(target=watch, name="end of input", daemon=True).start()
-    try:
-        yield
-    finally:
-        over.set()
+    return _ended_by(ends, "end of input", join=False)

@@ -43,7 +43,7 @@ def _median_error_db(bank: Path) -> float:
     configuration = blueprint_from_bank(bank).configuration
     with open_bank(bank) as content:
         rig = virtual_rig(configuration.rig, configuration.run.virtual)
-        return compare_with_truth(content, rig).median_db
+        return float(np.nanmedian(compare_with_truth(content, rig)))
 
 
 def _events(text: str) -> list[dict[str, object]]:

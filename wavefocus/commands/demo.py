@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -17,6 +16,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from acquisition.engine.events import Logged, Progress, read_event
 from config.run import Virtual
 from mocks.virtual.rig import VirtualRig
 from storage.bank.reading import Bank, open_bank
@@ -103,17 +103,18 @@ def _prepare(out: Path, *, force: bool) -> None:
 def _capture_and_kill(run: Path, bank: Path) -> None:
     """Run a capture in a process of its own and kill it, without warning, half-way."""
     command = [sys.executable, "-m", "wavefocus", "capture", str(run), "--bank", str(bank), "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+    done = total = 0
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as child:
         assert child.stdout is not None
         for line in child.stdout:
-            event = json.loads(line)
-            if event["event"] == "progress" and 2 * event["done"] >= event["total"]:
-                child.kill()
-                break
+            match read_event(line):
+                case Logged(event=Progress(done=done, total=total)) if 2 * done >= total:
+                    child.kill()
+                    break
         code = child.wait()
     if code == 0 or not bank.exists():
         raise WavefocusError(f"the capture ended with {code} before it could be interrupted")
-    say(f"killed process {child.pid} without warning after {event['done']} of {event['total']} positions")
+    say(f"killed process {child.pid} without warning after {done} of {total} positions")
 
 
 def _resume(bank: Path) -> None:
@@ -127,12 +128,13 @@ def _compare(bank: Path) -> Exit:
     with open_bank(bank) as view:
         configuration = bank_configuration(view)
         rig = virtual_rig(configuration.rig, configuration.run.virtual or Virtual())
-        figures = compare_with_truth(view, rig)
+        error_db = compare_with_truth(view, rig)
+    median_db = float(np.nanmedian(error_db))
     say(
-        f"error of the bank against the true Green's functions: median {figures.median_db:.1f} dB, worst "
-        f"{figures.worst_db:.1f} dB over {figures.error_db.size} pairs (in-band relative L2; limit {BANK_LIMIT_DB:g})"
+        f"error of the bank against the true Green's functions: median {median_db:.1f} dB, worst "
+        f"{np.nanmax(error_db):.1f} dB over {error_db.size} pairs (in-band relative L2; limit {BANK_LIMIT_DB:g})"
     )
-    return Exit.DONE if figures.median_db <= BANK_LIMIT_DB else Exit.NOT_GOOD_ENOUGH
+    return Exit.DONE if median_db <= BANK_LIMIT_DB else Exit.NOT_GOOD_ENOUGH
 
 
 def _tell(watch: _Stopwatch, report: Path) -> None:
@@ -170,33 +172,11 @@ def _has_display() -> bool:
 CHUNK_POSITIONS = 64
 
 
-@dataclass(frozen=True, slots=True)
-class TruthFigures:
-    """Error of the measured Green's functions against the true ones.
-
-    Parameters
-    ----------
-    error_db : float64 array, shape (positions, actuators)
-        Relative L2 error of the in-band spectrum of each pair, in dB; NaN where not measured.
-    """
-
-    error_db: NDArray[np.float64]
-
-    @property
-    def median_db(self) -> float:
-        """Median over all measured pairs."""
-        return float(np.nanmedian(self.error_db))
-
-    @property
-    def worst_db(self) -> float:
-        """Worst measured pair."""
-        return float(np.nanmax(self.error_db))
-
-
-def compare_with_truth(bank: Bank, rig: VirtualRig) -> TruthFigures:
+def compare_with_truth(bank: Bank, rig: VirtualRig) -> NDArray[np.float64]:
     """Compare every measured pair with the plate's true FIR, over the bank's band.
 
-    Returns ``20 log10(|G - G_true|_2 / |G_true|_2)`` over the bins from ``band_hz[0]`` to ``band_hz[1]`` of a transform
+    Returns (positions, actuators) ``20 log10(|G - G_true|_2 / |G_true|_2)``, NaN where not measured, over the bins
+    from ``band_hz[0]`` to ``band_hz[1]`` of a transform
     of twice the length of the FIRs.
     """
     length = scipy.fft.next_fast_len(2 * bank.taps, real=True)
@@ -214,4 +194,4 @@ def compare_with_truth(bank: Bank, rig: VirtualRig) -> TruthFigures:
             error = np.linalg.norm(scipy.fft.rfft(green, length)[:, band] - true_here, axis=1)
             error /= np.linalg.norm(true_here, axis=1)
             error_db[position] = 20.0 * np.log10(np.maximum(error, np.finfo(np.float64).tiny))
-    return TruthFigures(error_db)
+    return error_db
