@@ -22,11 +22,12 @@ import numpy as np
 from benchmarks.harness import Findings, Point, measure
 from benchmarks.paper_measures import fields_at, focus_figures, medians
 from benchmarks.rig_bank import QUICK_ERROR_DB, default_grid, true_bank
+from config.scene import Regularisation
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.inverse_filter import inverse_filter
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Line
 from rendering.scene.paths import Point as PointPath
 from rendering.scene.signals import Impulse
@@ -62,7 +63,7 @@ def scenes() -> list[tuple[str, tuple[Source, ...]]]:
 
 def compare(bank: GreenArray, name: str, sources: tuple[Source, ...]) -> list[Point]:
     """Render a scene by every method."""
-    plain, saturated = (Scene(name, sources, Regularisation(saturation=c)) for c in (None, SATURATION))
+    plain, saturated = (Scene(name, sources, Regularisation(saturation=c)) for c in (0.0, SATURATION))
 
     def reversal(scene: Scene) -> Callable[[], tuple[Drive, float | None]]:
         return lambda: (render_with_report(scene, bank)[0], None)

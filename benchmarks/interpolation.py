@@ -19,6 +19,7 @@ from benchmarks.harness import Findings, Mark, Point, measure
 from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from config.interpolations import INTERPOLATIONS
 from config.outline import Outline
+from config.scene import Output
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
 from rendering.greens.interpolation.base import Interpolation, OffGridError
@@ -28,7 +29,7 @@ from rendering.greens.interpolation.needed_grid import needed_grid
 from rendering.greens.interpolation.on_grid import LatticeInterpolation
 from rendering.greens.interpolation.registry import interpolation_method
 from rendering.greens.source import GreenArray, GreenSource
-from rendering.scene.model import Output, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle
 from rendering.scene.signals import Noise
 
@@ -104,7 +105,7 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
 def render_times(bank: GreenArray) -> list[Point]:
     """Time to render 2.4 s of a source on a circle of 30 mm at 8 cm/s, exactly."""
     source = Source(Circle((0.3, 1.1), 30.0), Noise((50.0, 450.0), 3.0, 1), 0.0, 80.0, 4.0)
-    scenes = {name: Scene("circle", (source,), output=Output(name)) for name in INTERPOLATIONS}
+    scenes = {name: Scene("circle", (source,), output=Output(interpolation=name)) for name in INTERPOLATIONS}
     found = measure({name: partial(render_with_report, one, bank, method="exact") for name, one in scenes.items()}, 2)
     return [Point(work="exact moving source, 2.4 s", method=name, timing=timing) for name, timing in found.items()]
 

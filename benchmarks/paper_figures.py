@@ -20,6 +20,7 @@ from benchmarks.paper_measures import (
     smiling_face,
 )
 from benchmarks.rig_bank import BAND_HZ, rig_setup
+from config.scene import Regularisation
 from rendering.field import metrics
 from rendering.field.crosstalk import crosstalk_table
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
@@ -29,7 +30,6 @@ from rendering.greens.regularisation import focus_gain_map
 from rendering.report.canvas import FAINT, INK, MAP_GAP_PX, TITLE_PX, Canvas, Panel, Picture, draw_maps
 from rendering.report.figures import PREDICTION, SCAN
 from rendering.report.waves import draw_correlation, draw_crosstalk
-from rendering.scene.model import Regularisation
 from rendering.scene.paths import Circle, TextPath
 from rendering.scene.signals import Impulse
 from rendering.verify.scan import ScanPlan, scan

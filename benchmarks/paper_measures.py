@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rig_bank import PaperBank
+from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
 from rendering.field import metrics
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
@@ -17,7 +18,7 @@ from rendering.field.path_spectrum import PathSpectrum, path_spectrum
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenArray, read_row, usable
 from rendering.report.canvas import Surface
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Line, Path, Point, Strokes
 from rendering.scene.signals import Impulse, Noise
 from storage.drive_file import Drive
@@ -69,7 +70,7 @@ def focus_fields(bank: GreenArray, rows: Sequence[int], saturation: float | None
 
     At that instant ``y(x) = n sum_i sigma_i sum_k g_i(x)[k] g_i(x0)[k]``: an inner product of bank rows.
     """
-    threshold = saturation_threshold(Regularisation(saturation=saturation), bank)
+    threshold = saturation_threshold(Regularisation(saturation=saturation or 0.0), bank)
     flat = bank.values.reshape(bank.positions, -1)
     fields = np.empty((len(rows), bank.positions))
     for place, row in enumerate(rows):
@@ -134,7 +135,7 @@ def moving_drive(
     """Drive of a source that emits the signal anew at every path point, between the positions by the kernel."""
     source = Source(path or Point(at_mm), signal, 0.0, speed_mm_s, step_mm, emission="per_point")
     kind = "nearest" if path is None or path is LINE else "kernel"
-    scene = Scene("paper", (source,), Regularisation(saturation=saturation), Output(kind))
+    scene = Scene("paper", (source,), Regularisation(saturation=saturation or 0.0), Output(interpolation=kind))
     return render_with_report(scene, bank)[0]
 
 

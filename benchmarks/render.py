@@ -31,12 +31,13 @@ from benchmarks.render_workloads import (
     sum_directly,
     workloads,
 )
+from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
 from rendering.field.bank_spectra import BankSpectra
 from rendering.field.model import predict
 from rendering.field.prediction import Prediction
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Regularisation, Scene
+from rendering.scene.model import Scene
 
 TOLERANCE_DB = -60.0
 WAYS = {"ours, all bins": None, f"ours, to {TOLERANCE_DB:g} dB": TOLERANCE_DB}
@@ -166,7 +167,7 @@ def compare_exact(workload: Workload, repeats: int) -> list[Point]:
     name = f"exact moving source, bilinear, {workload.name}"
     samples = len(workload.segments()[2])
     some = min(DIRECT_SAMPLES, samples)
-    scene = Scene(name, (workload.source,), output=Output("bilinear"))
+    scene = Scene(name, (workload.source,), output=Output(interpolation="bilinear"))
     direct = "direct summation"
     found = measure(
         {direct: lambda: sum_directly(workload, some)}

@@ -20,9 +20,10 @@ from benchmarks.render_workloads import (
     noise,
     sum_directly,
 )
+from config.scene import Output
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle
 from storage.output_files import replacement
 
@@ -84,7 +85,7 @@ def precision_points(out: Path, *, quick: bool) -> list[Point]:
         return Workload("", bank, Source(path, noise(seconds), 0.0, SPEED_MM_S, step_mm))
 
     def ours(method: Literal["exact", "sampled"], step_mm: float, db: float | None = None) -> Callable[[], Any]:
-        scene = Scene("precision", (load(step_mm).source,), output=Output("bilinear"))
+        scene = Scene("precision", (load(step_mm).source,), output=Output(interpolation="bilinear"))
         return partial(render_with_report, scene, bank, method=method, tolerance_db=db)
 
     work = f"one moving source, {seconds:g} s at {SPEED_MM_S / 10:g} cm/s"

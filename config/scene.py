@@ -175,7 +175,7 @@ class SourceTable(Table):
         return self
 
 
-class RegularisationTable(Table):
+class Regularisation(Table):
     """How weak and strong actuators are evened out."""
 
     saturation: NonNegative = Field(
@@ -189,14 +189,14 @@ class RegularisationTable(Table):
     )
 
     @model_validator(mode="after")
-    def _one_saturation(self) -> RegularisationTable:
+    def _one_saturation(self) -> Regularisation:
         if self.saturation and self.saturation_absolute:
             allowed = "must be 0 or left out where saturation is given"
             raise mistake("saturation_absolute", self.saturation_absolute, allowed)
         return self
 
 
-class OutputTable(Table):
+class Output(Table):
     """Between grid points, and at the amplifier."""
 
     interpolation: InterpolationName = Field(
@@ -221,5 +221,5 @@ class SceneConfig(Table):
 
     scene: SceneTable = SceneTable()
     source: Annotated[tuple[SourceTable, ...], Field(min_length=1, max_length=1000)]
-    regularisation: RegularisationTable = RegularisationTable()
-    output: OutputTable = OutputTable()
+    regularisation: Regularisation = Regularisation()
+    output: Output = Output()

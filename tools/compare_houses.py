@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
 from rendering.drive.streamed_drive import StreamedDrive
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Line, Point
 from rendering.scene.signals import Impulse, Noise, Sine
 
@@ -47,8 +48,10 @@ SCENES = {
     "all": Scene("s", (MOVING, REPEATING, STANDING, CLICK)),
     "saturated": Scene("s", (MOVING, REPEATING), Regularisation(saturation=0.8)),
     "limited": Scene("s", (MOVING, STANDING), output=Output(limit_v=1e-3)),
-    "bilinear": Scene("s", (MOVING, REPEATING), Regularisation(saturation_absolute=0.05), Output("bilinear")),
-    "kernel": Scene("s", (MOVING,), output=Output("kernel")),
+    "bilinear": Scene(
+        "s", (MOVING, REPEATING), Regularisation(saturation_absolute=0.05), Output(interpolation="bilinear")
+    ),
+    "kernel": Scene("s", (MOVING,), output=Output(interpolation="kernel")),
     "plain sum": Scene("s", (MOVING,), Regularisation(normalise=False)),
 }
 

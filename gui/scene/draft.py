@@ -15,7 +15,7 @@ from config.scene import (
     ImpulseTable,
     LineTable,
     NoiseTable,
-    OutputTable,
+    Output,
     PathTable,
     PointTable,
     PolylineTable,
@@ -53,7 +53,7 @@ NEW_SIGNALS: dict[str, SignalTable] = {
 }
 _SPEED_MM_S, _STEP_MM = 80.0, 4.0
 # A drive that no actuator could play is of no use: new scenes keep to the limit of the scenes of `init`.
-NEW_SCENE = SceneConfig.model_construct(source=(), output=OutputTable(limit_v=1.0))
+NEW_SCENE = SceneConfig.model_construct(source=(), output=Output(limit_v=1.0))
 
 
 def changed(table: AnyTable, **changes: object) -> AnyTable:

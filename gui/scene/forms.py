@@ -25,10 +25,10 @@ from PyQt5.QtWidgets import (
 from config.scene import (
     FileTable,
     NoiseTable,
-    OutputTable,
+    Output,
     PointTable,
     PolylineTable,
-    RegularisationTable,
+    Regularisation,
     SceneTable,
     SineTable,
     SourceTable,
@@ -202,8 +202,8 @@ class SceneForm(QWidget):
         self._usual_level = {"saturation": 0.5, "saturation_absolute": 1e-4}
         self.tables = {
             "scene": Form(SceneTable),
-            "regularisation": Form(RegularisationTable, ("saturation", "saturation_absolute")),
-            "output": Form(OutputTable),
+            "regularisation": Form(Regularisation, ("saturation", "saturation_absolute")),
+            "output": Form(Output),
         }
         self.large = QCheckBox("Allow large scenes (--allow-large)")
         self.large.setAccessibleName("Allow large scenes")

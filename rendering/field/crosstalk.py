@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from config.scene import Regularisation
 from rendering.device import fast_length
 from rendering.field.metrics import band_weights
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenSource, read_row
-from rendering.scene.model import Regularisation
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]

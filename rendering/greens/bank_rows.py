@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from config.scene import Regularisation
 from rendering.greens.regularisation import RowWeights, row_weights, saturation_threshold
 from rendering.greens.row_scaling import ScaledRow, scale_row
 from rendering.greens.source import GreenSource, fetch_row, refusal
-from rendering.scene.model import Regularisation
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from config.scene import Regularisation
 from rendering.greens.row_scaling import ScaledRow
 from rendering.greens.source import GreenSource, read_row, usable
-from rendering.scene.model import Regularisation
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -153,7 +153,7 @@ def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float6
     InputError
         The saturation is not allowed, or n(x) does not fit into float64.
     """
-    threshold = saturation_threshold(Regularisation(saturation=saturation), bank)
+    threshold = saturation_threshold(Regularisation(saturation=saturation or 0.0), bank)
     gain = np.full(bank.positions, np.nan)
     for position in np.flatnonzero(usable(bank)):
         row = read_row(bank, int(position))

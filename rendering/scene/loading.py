@@ -21,7 +21,7 @@ from config.scene import (
     TextTable,
 )
 from rendering.scene import paths, signals
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import TextPath
 from rendering.scene.svg import SvgPath
 from storage.errors import InputError
@@ -70,8 +70,8 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
     return Scene(
         name=config.scene.name,
         sources=tuple(built),
-        regularisation=Regularisation(**config.regularisation.model_dump()),
-        output=Output(**config.output.model_dump()),
+        regularisation=config.regularisation,
+        output=config.output,
         allow_large=allow_large,
     )
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+from config.scene import Output, Regularisation
 from rendering.scene.paths import Path, Point
 from rendering.scene.signals import Signal
 from storage.errors import InputError
@@ -55,64 +56,6 @@ class Source:
         for name in ("speed_mm_s", "step_mm"):
             value = getattr(self, name)
             _check(value >= 0, name, value, " above 0")
-
-
-@dataclass(frozen=True, slots=True)
-class Regularisation:
-    """Saturation of near actuators (eq. 14) and normalisation of the focus (eq. 15).
-
-    Parameters
-    ----------
-    saturation : float, optional
-        C as a fraction of the bank's median rms over all measured positions and all actuators; None or 0:
-        off.
-    saturation_absolute : float, optional
-        C itself, in the unit of the Green's functions; None or 0: off. Not both.
-    normalise : bool
-        n(x) makes the response at the focus equal the amplitude.
-
-    Raises InputError where a value is out of range.
-    """
-
-    saturation: float | None = None
-    saturation_absolute: float | None = None
-    normalise: bool = True
-
-    def __post_init__(self) -> None:
-        for name in ("saturation", "saturation_absolute"):
-            value = getattr(self, name) or 0.0
-            _check(value >= 0, name, value, " above 0, or 0 for off")
-        if self.saturation and self.saturation_absolute:
-            raise InputError(
-                f"saturation is {self.saturation} and saturation_absolute is {self.saturation_absolute};"
-                " only one of the two may be given"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class Output:
-    """Interpolation of the bank between its positions, and the largest drive.
-
-    Parameters
-    ----------
-    interpolation : str
-        ``"nearest"``, ``"bilinear"``, ``"bicubic"`` or ``"kernel"``.
-    limit_v : float, optional
-        Largest drive magnitude in volts, > 0; the drive is scaled down to it, never clipped.
-    limit_rms_v : float, optional
-        Largest rms in volts of any actuator's drive over any second, > 0; the drive is scaled down to it.
-
-    Raises InputError where a value is out of range.
-    """
-
-    interpolation: str = "nearest"
-    limit_v: float | None = None
-    limit_rms_v: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("limit_v", "limit_rms_v"):
-            limit_v = getattr(self, name)
-            _check(limit_v is None or limit_v > 0, name, limit_v, " above 0")
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from config.scene import LineTable, OutputTable, SceneConfig, SceneTable, SineTable, SourceTable
+from config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
 
 
 def line_scene(end_mm: float = 4.5, amplitude: float = 1.0, step_mm: float = 1.5, **output: float) -> SceneConfig:
@@ -14,4 +14,4 @@ def line_scene(end_mm: float = 4.5, amplitude: float = 1.0, step_mm: float = 1.5
         step_mm=step_mm,
         amplitude=amplitude,
     )
-    return SceneConfig(scene=SceneTable(name="line"), source=(source,), output=OutputTable(**output))
+    return SceneConfig(scene=SceneTable(name="line"), source=(source,), output=Output(**output))

@@ -20,11 +20,11 @@ from config.scene import (
     ImpulseTable,
     LineTable,
     NoiseTable,
-    OutputTable,
+    Output,
     PathTable,
     PointTable,
     PolylineTable,
-    RegularisationTable,
+    Regularisation,
     SceneConfig,
     SceneTable,
     SineTable,
@@ -343,7 +343,7 @@ def test_given_the_form_then_every_number_reaches_the_scene_and_undo_brings_it_b
     assert document.draft.output.limit_v is None
     tab.scene_form.saturates.setCurrentIndex(1)
     tab.scene_form.saturates.activated.emit(1)
-    assert document.draft.regularisation == RegularisationTable(saturation=0.5)
+    assert document.draft.regularisation == Regularisation(saturation=0.5)
 
 
 def test_given_sources_then_they_are_copied_as_text_pasted_duplicated_reordered_and_deleted(
@@ -621,14 +621,12 @@ DRAFTS = st.builds(
     scene=st.builds(SceneTable, name=WORDS),
     source=st.lists(SOURCES, min_size=1, max_size=4).map(tuple),
     regularisation=st.builds(
-        lambda both, normalise: RegularisationTable(
-            saturation=both[0], saturation_absolute=both[1], normalise=normalise
-        ),
+        lambda both, normalise: Regularisation(saturation=both[0], saturation_absolute=both[1], normalise=normalise),
         SATURATIONS,
         st.booleans(),
     ),
     output=st.builds(
-        OutputTable,
+        Output,
         interpolation=st.sampled_from(["nearest", "bilinear", "bicubic", "kernel"]),
         limit_v=st.one_of(st.none(), ABOVE),
         limit_rms_v=st.one_of(st.none(), ABOVE),

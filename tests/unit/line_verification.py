@@ -7,10 +7,11 @@ from functools import cache
 
 import numpy as np
 
+from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Line
 from rendering.scene.signals import Impulse
 from rendering.verify.scan import Scan

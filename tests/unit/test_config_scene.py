@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from config.scene import SceneConfig
+from config.scene import Output, Regularisation, SceneConfig
 from rendering.scene import paths, signals
 from rendering.scene.loading import load_scene
-from rendering.scene.model import Output, Regularisation, Scene
+from rendering.scene.model import Scene
 from rendering.scene.paths import TextPath
 from rendering.scene.svg import SvgPath
 from storage.errors import InputError
@@ -52,8 +52,8 @@ def test_contracts_example_is_built_to_the_letter(tmp_path: Path) -> None:
     assert source.signal == signals.Noise((50, 450), 0.05, 1)
     assert (source.start_s, source.speed_mm_s, source.step_mm, source.amplitude) == (0, 80, 4, 1)
     assert source.emission == "per_point"
-    assert scene.regularisation == Regularisation(0.5, 0.0, True)
-    assert scene.output == Output("nearest", 1.0)
+    assert scene.regularisation == Regularisation(saturation=0.5)
+    assert scene.output == Output(interpolation="nearest", limit_v=1.0)
 
 
 def test_scene_with_a_bare_point_has_the_contracts_defaults(tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_scene_with_a_bare_point_has_the_contracts_defaults(tmp_path: Path) -> N
     assert not scene.regularisation.saturation
     assert not scene.regularisation.saturation_absolute
     assert scene.regularisation.normalise
-    assert scene.output == Output("nearest", None)
+    assert scene.output == Output(interpolation="nearest")
 
 
 @pytest.mark.parametrize(

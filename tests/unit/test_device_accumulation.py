@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from config.scene import Output, Regularisation
 from rendering.device import Device, cuda_device, host_device
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Line, Point
 from rendering.scene.signals import Noise, Sine
 
@@ -50,7 +51,12 @@ def test_given_any_bank_and_scene_then_the_standard_alone_gives_the_drives(
     seed: int,
 ) -> None:
     bank = make_bank(scale, seed, taps)
-    scene = Scene("s", tuple(sources), Regularisation(saturation, normalise=normalise), Output(interpolation))
+    scene = Scene(
+        "s",
+        tuple(sources),
+        Regularisation(saturation=saturation or 0.0, normalise=normalise),
+        Output(interpolation=interpolation),
+    )
     expected, report = render_with_report(scene, bank)
     largest = np.abs(expected.drive_v).max()
     for device in (STRICT, host_device()):
@@ -74,7 +80,7 @@ def test_given_little_memory_then_rows_are_transformed_anew_and_nothing_changes(
 @pytest.mark.may_skip("a GPU is not everywhere")
 @pytest.mark.skipif(importlib.util.find_spec("cupy") is None, reason="needs CuPy and a GPU")
 def test_given_a_gpu_then_it_gives_the_drives_of_the_cpu() -> None:
-    scene = Scene("s", (MOVING, REPEATING, STANDING), Regularisation(0.7), Output("bilinear"))
+    scene = Scene("s", (MOVING, REPEATING, STANDING), Regularisation(saturation=0.7), Output(interpolation="bilinear"))
     here = render_with_report(scene, make_bank(taps=500))[0].drive_v
     there = render_with_report(scene, make_bank(taps=500), device=cuda_device())[0].drive_v
     assert np.abs(there - here).max() <= 1e-12 * np.abs(here).max()

@@ -8,11 +8,12 @@ import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from config.scene import Output, Regularisation
 from rendering.drive.rendering import render, render_with_report
 from rendering.field.model import predict
 from rendering.greens.source import GreenArray
 from rendering.report.render_report import RenderWarning
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Line, Point, Polyline
 from rendering.scene.signals import Impulse, Noise, Sine, SoundFile
 from storage.errors import InputError
@@ -98,7 +99,9 @@ LONG_PER_POINT = Source(Line((-10, 0), (10, 0)), Noise((50, 400), 4.6, 5), 0.0, 
 @pytest.mark.parametrize("sources", [(MOVING,), (REPEATING,), (STANDING,), (MOVING, REPEATING, STANDING)])
 def test_a_scene_renders_to_the_direct_evaluation_of_the_equations(sources, threshold, interpolation, method):
     bank = make_bank()
-    scene = Scene("s", sources, Regularisation(saturation_absolute=threshold), Output(interpolation))
+    scene = Scene(
+        "s", sources, Regularisation(saturation_absolute=threshold or 0.0), Output(interpolation=interpolation)
+    )
     drive, _ = render_with_report(scene, bank, method=method)
     expected = direct(scene, bank, method, threshold or np.inf)
     assert relative_error(drive.drive_v, expected) < 1e-12
@@ -256,7 +259,9 @@ def test_the_bound_is_never_smaller_than_the_error_of_what_was_left_out(
     end = tuple(np.random.default_rng(seed).uniform(-12, 12, 2))
     path = Line((-13, 5), end) if speed_mm_s else Point(end)
     source = Source(path, Noise((40, 200), 0.4, seed), 0.0, speed_mm_s, 2.0, 1.0, emission)
-    scene = Scene("s", (source, STANDING), Regularisation(saturation=threshold), Output(interpolation))
+    scene = Scene(
+        "s", (source, STANDING), Regularisation(saturation=threshold or 0.0), Output(interpolation=interpolation)
+    )
     exact, _ = render_with_report(scene, bank)
     drive, _ = render_with_report(scene, bank, tolerance_db=tolerance_db)
     assert relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound + 1e-13
@@ -294,7 +299,7 @@ def test_the_bound_holds_with_weak_actuators_short_responses_and_quiet_stretches
     file = tmp_path_factory.mktemp("signal") / "quiet.wav"
     soundfile.write(file, signal / np.abs(signal).max(), int(RATE_HZ), subtype="DOUBLE")
     source = Source(Line((-13, 5), (14, -9)), SoundFile(file), 0.0, 32.0, 0.5)
-    scene = Scene("s", (source,), Regularisation(saturation=threshold))
+    scene = Scene("s", (source,), Regularisation(saturation=threshold or 0.0))
     exact, _ = render_with_report(scene, bank)
     drive, _ = render_with_report(scene, bank, tolerance_db=tolerance_db)
     assert relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound + 1e-13

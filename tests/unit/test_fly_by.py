@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Line
 
 RATE_HZ = 5000.0
@@ -48,7 +49,7 @@ def delayed(delay_s):
 def drive_of(bank, speed_mm_s, kind):
     path = Line((-55.0, 0.0), (-55.0 + speed_mm_s * DURATION_S, 0.0))
     source = Source(path, Tone(), 0.0, speed_mm_s, 2.0)
-    drive, _ = render_with_report(Scene("fly-by", (source,), PLAIN, Output(kind)), bank, method="exact")
+    drive, _ = render_with_report(Scene("fly-by", (source,), PLAIN, Output(interpolation=kind)), bank, method="exact")
     return drive
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from acquisition.schedule.grid import surface_grid
 from config.outline import Outline
-from rendering.scene.model import Output, Scene, Source
+from config.scene import Output
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Line, Point
 from rendering.scene.signals import Noise, Sine
 from wavefocus.commands.plan import Waves, advice_lines, grid_advice, top_hz_of

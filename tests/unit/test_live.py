@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import soundfile
 
+from config.scene import Output
 from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
 from rendering.drive.wav import stream_wav, write_wav
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Line, Point
 from rendering.scene.signals import Noise, Sine
 from storage.errors import InputError
@@ -43,7 +44,7 @@ def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(block_sampl
 
 @pytest.mark.parametrize("scale", [1.0, 1e-200])
 def test_several_sources_come_in_blocks_as_in_one_piece(scale):
-    scene = Scene("s", (MOVING, REPEATING, STANDING), output=Output("bilinear"))
+    scene = Scene("s", (MOVING, REPEATING, STANDING), output=Output(interpolation="bilinear"))
     whole, _ = render_with_report(scene, make_bank(scale))
     blocks = np.concatenate(list(LiveDrive(scene, make_bank(scale), block_samples=64).blocks()), axis=1)
     assert blocks.shape == whole.drive_v.shape

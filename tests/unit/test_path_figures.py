@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
+from config.scene import Regularisation
 from mocks.plates.soft import SOFT_PLATE, DampedWave
 from mocks.plates.soft import impulse_travel as travel_of_a_wave
 from rendering.field import metrics
@@ -15,7 +16,6 @@ from rendering.field.impulse_travel import impulse_travel
 from rendering.field.metrics import band_limited
 from rendering.field.path_spectrum import path_spectrum
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Regularisation
 from storage.errors import InputError
 
 RATE_HZ = 10_000.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from config.scene import Regularisation
 from rendering.greens.regularisation import focus_gain_map, rms_map, saturation_threshold
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Regularisation
 from storage.errors import InputError
 
 POSITION_MM = np.stack([4.0 * np.arange(6), np.zeros(6)], axis=1)

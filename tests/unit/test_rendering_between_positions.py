@@ -7,9 +7,10 @@ import functools
 import numpy as np
 import pytest
 
+from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Line, Point, Polyline
 from rendering.scene.signals import Impulse, Noise, Sine
 from storage.errors import InputError
@@ -58,7 +59,7 @@ def direct(source, method):
 
 @functools.lru_cache
 def error_of(source, kind, method):
-    scene = Scene("s", (source,), PLAIN, Output(kind))
+    scene = Scene("s", (source,), PLAIN, Output(interpolation=kind))
     drive, report = render_with_report(scene, bank(), method=method)
     expected = direct(source, method)
     assert drive.drive_v.shape == expected.shape
@@ -94,7 +95,7 @@ def test_a_long_path_with_close_points_is_interpolated_between_nodes():
     fine = Source(MOVING.path, SIGNAL, 0.0, 180.0, 0.05)
     coarse = Source(MOVING.path, SIGNAL, 0.0, 180.0, 3.0)
     drives = [
-        render_with_report(Scene("s", (one,), PLAIN, Output("kernel")), bank(), method=method)[0].drive_v
+        render_with_report(Scene("s", (one,), PLAIN, Output(interpolation="kernel")), bank(), method=method)[0].drive_v
         for one, method in ((fine, "sampled"), (coarse, "exact"))
     ]
     samples = min(drive.shape[1] for drive in drives)
@@ -103,7 +104,7 @@ def test_a_long_path_with_close_points_is_interpolated_between_nodes():
 
 
 def test_foci_and_regularisation_name_measured_rows():
-    scene = Scene("s", (MOVING,), Regularisation(saturation=0.5), Output("kernel"))
+    scene = Scene("s", (MOVING,), Regularisation(saturation=0.5), Output(interpolation="kernel"))
     drive, report = render_with_report(scene, bank(), method="exact")
     nearest, _ = render_with_report(Scene("s", (MOVING,), Regularisation(saturation=0.5)), bank(), method="exact")
     np.testing.assert_array_equal(drive.focus_position, nearest.focus_position)
@@ -117,7 +118,7 @@ def test_a_hole_on_the_path_is_filled_by_its_neighbours():
     holed = plate_bank(status=status)
     holed.values[84] = 0.0
     source = Source(Line((-10.0, 0.3), (10.0, 0.3)), SIGNAL, 0.0, 100.0, 4.0)
-    scene = Scene("s", (source,), PLAIN, Output("kernel"))
+    scene = Scene("s", (source,), PLAIN, Output(interpolation="kernel"))
     drive, _ = render_with_report(scene, holed, method="exact")
     expected = direct(source, "exact")
     assert np.linalg.norm(drive.drive_v - expected) < 0.02 * np.linalg.norm(expected)
@@ -133,11 +134,13 @@ def test_the_report_s_table_says_error_by_band():
 
 
 def test_an_error_beyond_the_tolerance_is_refused_with_frequency_and_error():
-    scene = Scene("s", (MOVING,), PLAIN, Output("bilinear"))
+    scene = Scene("s", (MOVING,), PLAIN, Output(interpolation="bilinear"))
     with pytest.raises(InputError, match=r"'bilinear' .* wrong by about \d+ % at \d+ Hz .* more than the 5 % allowed"):
         render_with_report(scene, bank(), interpolation_tolerance=0.05)
     low = Source(MOVING.path, Sine(62.5, 0.4), 0.0, 180.0, 3.0)
-    _, report = render_with_report(Scene("s", (low,), PLAIN, Output("bicubic")), bank(), interpolation_tolerance=0.05)
+    _, report = render_with_report(
+        Scene("s", (low,), PLAIN, Output(interpolation="bicubic")), bank(), interpolation_tolerance=0.05
+    )
     assert report.interpolation_errors.found_by == "leaving positions out"
 
 
@@ -161,7 +164,7 @@ def test_a_path_that_leaves_the_grid_is_refused_by_source_and_place():
     source = Source(Polyline([(0.0, 0.0), (60.0, 0.0)]), SIGNAL, 0.0, 200.0, 3.0)
     for method in ("sampled", "exact"):
         with pytest.raises(InputError, match=r"source 0.* lies at \(\d+.*, 0\) mm, .* mm from the nearest position"):
-            render_with_report(Scene("s", (source,), PLAIN, Output("kernel")), bank(), method=method)
+            render_with_report(Scene("s", (source,), PLAIN, Output(interpolation="kernel")), bank(), method=method)
 
 
 def test_a_path_on_one_position_alone_needs_no_more():
@@ -192,7 +195,7 @@ def wide_bank():
 def test_the_error_is_judged_where_the_scene_emits(kind, tolerance):
     source = Source(Line((-15.0, -11.0), (14.0, 9.0)), Noise((150.0, 500.0), 0.4, 4), 0.0, 180.0, 3.0)
     _, report = render_with_report(
-        Scene("s", (source,), PLAIN, Output(kind)), wide_bank(), interpolation_tolerance=tolerance
+        Scene("s", (source,), PLAIN, Output(interpolation=kind)), wide_bank(), interpolation_tolerance=tolerance
     )
     found = report.interpolation_errors
     assert 100.0 <= found.largest[0] <= 600.0
@@ -212,7 +215,7 @@ def test_the_estimate_does_not_saturate_and_advises_no_kernel_that_is_as_wrong(k
     source = Source(MOVING.path, Noise((300.0, 480.0), 0.4, 3), 0.01, 180.0, 3.0, 2.0)
     expected = direct(source, "exact")
     drive, report = render_with_report(
-        Scene("s", (source,), PLAIN, Output(kind)),
+        Scene("s", (source,), PLAIN, Output(interpolation=kind)),
         coarse_bank(spacing_mm),
         method="exact",
         interpolation_tolerance=1e9 if thorough else None,

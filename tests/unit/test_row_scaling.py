@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from config.scene import Regularisation
 from rendering.greens.bank_rows import BankRows
 from rendering.greens.row_scaling import scale_row
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Regularisation
 from storage.errors import InputError
 
 ACTUATORS, TAPS = 3, 40

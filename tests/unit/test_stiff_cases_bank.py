@@ -10,11 +10,12 @@ import scipy.fft
 
 from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
+from config.scene import Output, Regularisation
 from mocks.plates.thin import ThinPlate
 from rendering.drive.inverse_filter import inverse_filter
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Line, Point
 from rendering.scene.signals import Impulse, Noise
 from storage.errors import InputError
@@ -33,7 +34,7 @@ def bank(spacing_mm=4.0):
 
 def rendered(source, measured, **options):
     kind = options.pop("interpolation", "nearest")
-    return render_with_report(Scene("s", (source,), output=Output(kind)), measured, **options)
+    return render_with_report(Scene("s", (source,), output=Output(interpolation=kind)), measured, **options)
 
 
 @pytest.mark.parametrize("kind", ["nearest", "bilinear", "bicubic"])
@@ -151,7 +152,7 @@ def test_row_24_the_estimate_does_not_divide_by_the_sweep_outside_its_band(recor
 def test_row_33_an_inverse_filter_of_ten_close_points_is_held_by_tikhonov_and_its_condition_said(record_property):
     """Ten points along 4.5 mm: their transfer functions are all but equal."""
     close = Source(Line((0.0, 0.3), (4.6, 0.3)), Impulse(), 0.0, 20.0, 0.5, emission="per_point")
-    scene = Scene("close", (close,), Regularisation(), Output("kernel"))
+    scene = Scene("close", (close,), Regularisation(), Output(interpolation="kernel"))
     drive, report = inverse_filter(scene, bank())
     frequency_hz, condition = report.worst_condition
     held = report.regularised_condition.max()
@@ -162,7 +163,9 @@ def test_row_33_an_inverse_filter_of_ten_close_points_is_held_by_tikhonov_and_it
     assert any("hardly independent: condition" in text and "Hz" in text for text in report.warnings)
     assert np.isfinite(drive.drive_v).all()
     # Held: not much louder than the focus of one point, ten times over.
-    one, _ = inverse_filter(Scene("one", (Source(Point((2.0, 0.3)), Impulse()),), output=Output("kernel")), bank())
+    one, _ = inverse_filter(
+        Scene("one", (Source(Point((2.0, 0.3)), Impulse()),), output=Output(interpolation="kernel")), bank()
+    )
     assert np.abs(drive.drive_v).max() < 30.0 * np.abs(one.drive_v).max()
     assert 50.0 <= frequency_hz <= 600.0 or frequency_hz < 50.0
 

@@ -7,11 +7,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
 from rendering.field.model import predict
 from rendering.greens.regularisation import focus_gain_map
 from rendering.greens.source import GreenArray
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Line, Point, Polyline
 from rendering.scene.signals import Impulse, Noise, Sine
 from storage.errors import InputError
@@ -177,9 +178,9 @@ def test_row_7_a_value_that_is_not_finite_is_refused_by_position_and_actuator(ba
 
 @pytest.mark.parametrize("threshold", [-1.0, np.nan, np.inf, -np.inf])
 def test_rows_8_to_9_saturation_below_zero_or_not_finite_is_refused(threshold):
-    with pytest.raises(InputError, match="saturation"):
+    with pytest.raises(ValueError, match="saturation"):
         Regularisation(saturation_absolute=threshold)
-    with pytest.raises(InputError, match="saturation"):
+    with pytest.raises(ValueError, match="saturation"):
         focus_gain_map(make_bank(), threshold)
 
 
@@ -197,7 +198,7 @@ def test_rows_8_to_9_huge_saturation_is_none_at_all(regularisation):
 def test_row_13_path_outside_the_surface_is_refused_with_its_place(interpolation, method):
     source = Source(Line((20.0, 8.0), (40.0, 8.0)), Noise((50, 400), 1.0), 0.0, 100.0, 4.0)
     with pytest.raises(InputError, match=r"source 0, path point [23], lies at \((28|32), 8\) mm"):
-        rendered(source, make_bank(), output=Output(interpolation), method=method)
+        rendered(source, make_bank(), output=Output(interpolation=interpolation), method=method)
 
 
 def test_row_13_path_that_leaves_the_grid_between_two_path_points_is_refused_when_exact():
@@ -263,7 +264,7 @@ def test_rows_15_to_16_empty_signal_is_refused():
 def test_row_17_identical_firs_everywhere_make_one_convolution(interpolation, method):
     one = random_values()[0]
     bank = make_bank(np.broadcast_to(one, (len(GRID_MM), *one.shape)))
-    drive, _ = rendered(CONTINUOUS, bank, SATURATED, output=Output(interpolation), method=method)
+    drive, _ = rendered(CONTINUOUS, bank, SATURATED, output=Output(interpolation=interpolation), method=method)
     signal = np.zeros(drive.drive_v.shape[1] - TAPS + 1)
     emitted = CONTINUOUS.signal.samples(RATE_HZ)[: len(signal)]
     signal[: len(emitted)] = emitted
@@ -389,8 +390,8 @@ def test_row_36_positions_that_repeat_count_once():
     values = random_values()
     twice = GreenArray(np.concatenate([values, 7 * values]), np.concatenate([GRID_MM, GRID_MM]), RATE_HZ)
     for interpolation in ("nearest", "bilinear"):
-        drive, _ = rendered(CONTINUOUS, twice, output=Output(interpolation))
-        once, _ = rendered(CONTINUOUS, make_bank(values), output=Output(interpolation))
+        drive, _ = rendered(CONTINUOUS, twice, output=Output(interpolation=interpolation))
+        once, _ = rendered(CONTINUOUS, make_bank(values), output=Output(interpolation=interpolation))
         assert np.array_equal(drive.drive_v, once.drive_v)
 
 
@@ -399,4 +400,4 @@ def test_row_36_positions_on_one_line_render_nearest_and_refuse_bilinear():
     bank = GreenArray(random_values(), on_a_line, RATE_HZ)
     rendered(Source(Point((4.007, 0.0)), Impulse()), bank)
     with pytest.raises(InputError, match="same y"):
-        rendered(CONTINUOUS, bank, output=Output("bilinear"))
+        rendered(CONTINUOUS, bank, output=Output(interpolation="bilinear"))

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from config.scene import Output, Regularisation
 from rendering.drive.coil_limits import DriveLimits, RunningLevels, largest_rms
 from rendering.drive.rendering import render_with_report
 from rendering.drive.streamed_drive import StreamedDrive
 from rendering.drive.wav import Interface, InterfaceRate
-from rendering.scene.model import Output, Regularisation, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Point
 from rendering.scene.signals import Impulse, Sine
 from storage.errors import InputError
@@ -25,7 +26,7 @@ LIMITS = [Output(limit_v=1e-3), Output(limit_rms_v=2e-4), Output(limit_v=1e-3, l
 @pytest.mark.parametrize("output", LIMITS)
 @pytest.mark.parametrize("tolerance_db", [None, -40.0])
 def test_a_streamed_drive_is_the_whole_one_scaled_by_the_same_limits(output, tolerance_db):
-    scene = Scene("s", (MOVING, REPEATING, STANDING), Regularisation(0.5), output)
+    scene = Scene("s", (MOVING, REPEATING, STANDING), Regularisation(saturation=0.5), output)
     whole, report = render_with_report(scene, make_bank(), tolerance_db=tolerance_db)
     streamed = StreamedDrive(scene, make_bank(), tolerance_db=tolerance_db, block_samples=97)
     told = streamed.prepare()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from config.scene import Output, Regularisation
 from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
 from rendering.drive.rendering import render_with_report
@@ -20,7 +21,7 @@ from rendering.drive.wav import stream_wav, write_wav
 from rendering.field.prediction import predicted_focus_peak
 from rendering.report.render_report import RenderReport
 from rendering.scene.loading import load_scene
-from rendering.scene.model import Regularisation, Scene
+from rendering.scene.model import Scene
 from rendering.scene.size import check_scene_size, size_words
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, DriveAbout, drive_in_blocks, write_drive
@@ -171,7 +172,7 @@ def _render_whole(job: _Job) -> _Result:
         plain = replace(  # limits change no ratio
             job.scene,
             regularisation=Regularisation(normalise=regularisation.normalise),
-            output=replace(job.scene.output, limit_v=None, limit_rms_v=None),
+            output=Output(interpolation=job.scene.output.interpolation),
         )
         unsaturated = relative_rms(rendered(job.scene_file, plain, job.bank, options)[0].drive_v)
     if job.wav is not None:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from config.scene import Output
 from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms
 from rendering.drive.wav import Interface
-from rendering.scene.model import Output, Scene
+from rendering.scene.model import Scene
 from storage.bank.reading import Bank
 from storage.drive_file import Drive
 from storage.errors import InputError
@@ -115,7 +116,9 @@ def rig_of(rig_file: Path | None, bank: Bank) -> RigConfig | None:
 def within(scene: Scene, rig: RigConfig) -> Scene:
     """The scene with the limits of the rig where they are stricter than its own."""
     limits = stricter(scene.output, rig.player)
-    return replace(scene, output=replace(scene.output, limit_v=limits.peak_v, limit_rms_v=limits.rms_v))
+    return replace(
+        scene, output=scene.output.model_copy(update={"limit_v": limits.peak_v, "limit_rms_v": limits.rms_v})
+    )
 
 
 def limited_words(limiting: Limiting, rig_file: Path | None) -> str:

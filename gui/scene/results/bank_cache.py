@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from config.scene import Regularisation
 from gui.surface.surface import Surface, surface_of
 from rendering.field.bank_spectra import BankSpectra
 from rendering.field.decimation import LARGEST_FACTOR, PASSED
 from rendering.field.model import measured_positions
 from rendering.greens.regularisation import saturation_threshold
-from rendering.scene.model import Regularisation
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
 

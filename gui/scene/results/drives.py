@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
+from config.scene import Output
 from gui.scene.results.messages import Driven
 from gui.shell.front_door import RigLimits
 from gui.surface.surface import path_line
@@ -19,7 +20,7 @@ from rendering.drive.rendering import render_with_report
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import read_row, refusal
 from rendering.report.movie_frames import Foci
-from rendering.scene.model import Output, Scene, Source
+from rendering.scene.model import Scene, Source
 from rendering.scene.scene_rows import scene_rows
 from storage.bank.reading import Bank
 from storage.drive_file import Drive
