@@ -48,9 +48,9 @@ def plan(
     position_s = the_plan.position_s(rig.recorder)
     needed, scenes = _needed_by_scenes(scene_files, the_plan, checks=checks, allow_large=allow_large)
     rows = np.array(sorted(needed), dtype=np.int64)
-    duration_s = the_plan.campaign_s(rows, rig.recorder, waves.speed_m_s)
     second_looks = the_plan.second_looks(rows, waves.speed_m_s)
     sentinel_passes = the_plan.drift.passes(len(needed) + second_looks, position_s)
+    duration_s = (len(needed) + second_looks + sentinel_passes) * position_s
     stop_hz = the_plan.excitation.band_hz[1]
     top_hz = top_hz_of(scenes, the_plan.excitation.sample_rate_hz, stop_hz) if scenes else stop_hz
     grids = grid_advice(the_plan.position_mm, position_s, top_hz=top_hz, waves=waves)
