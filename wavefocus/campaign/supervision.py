@@ -213,7 +213,7 @@ class Attendance:
         self._thread = threading.Thread(target=self._attend, name="attendance", daemon=True)
 
     def __call__(self, event: Event) -> None:
-        """Take up an event; a change of state is told at once, by the thread."""
+        """Take an event; the thread writes a change of state at once."""
         if self._pulse.note(event):
             self._wake.set()
 
@@ -252,7 +252,7 @@ class Attendance:
         try:
             return take_order(self._bank)
         except OSError as failure:
-            self._tell(f"{orders_path(self._bank)} cannot be taken ({failure.strerror}); orders are not heard")
+            self._tell(f"{orders_path(self._bank)} cannot be taken ({failure.strerror}); orders are not received")
             return None
 
     def _beat(self) -> None:

@@ -25,7 +25,7 @@ from wavefocus.rig.setup import BoundedSensor, LightSensor, put_to_rest, setup_o
 
 # So often it is looked whether anybody still reads, while no order comes.
 _LOOKS_EVERY_S = 1.0
-# Whether a mute was heard in time is the player's to say; a driver that hangs is not waited for.
+# Longest wait for a mute; a driver that hangs is not waited for.
 _MUTES_WITHIN_S = 5.0
 
 
@@ -75,7 +75,7 @@ def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, publish: Line
         return content.get("order") == "mute"
 
     def mute() -> None:
-        with suppress(HungError, InstrumentError):  # told by what mutes again: the order itself, or the way out
+        with suppress(HungError, InstrumentError):  # reported by the next mute: the order itself, or the way out
             muting.call(gate.shut, _MUTES_WITHIN_S)
 
     def overtake(content: Mapping[str, object]) -> None:

@@ -1,4 +1,4 @@
-"""Messages to people who are not there: finished, failed, waiting for long, drift; through apprise."""
+"""Messages to people who are away: finished, failed, suspended, drift; through apprise."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def addresses(section: MessagesSection) -> tuple[str, ...]:
 
 
 class Messenger:
-    """Tells people of a session's events; a subscriber, and a context that ends with the session.
+    """Sends messages about a session's events; a subscriber, and a context that ends with the session.
 
     Sending goes on in a thread of its own: an address that does not answer never holds up a campaign.
     """
@@ -89,8 +89,8 @@ class Messenger:
         self._since_s: float | None = None
         self._state: StateChanged | None = None
         self._last_fault: Fault | None = None
-        self._told_waiting = False
-        self._told_drift = ""
+        self._waiting_sent = False
+        self._drift_sent = ""
         self._undelivered = 0
         self._thread = threading.Thread(target=self._work, name="messages", daemon=True)
 
@@ -121,14 +121,14 @@ class Messenger:
             try:
                 event = self._events.get(timeout=self._patience_s())
             except queue.Empty:
-                self._tell_waiting()
+                self._send_waiting()
                 continue
             if event is None:
                 return
             self._take(event)
 
     def _patience_s(self) -> float | None:
-        if self._since_s is None or self._told_waiting:
+        if self._since_s is None or self._waiting_sent:
             return None
         return max(0.0, self._since_s + 60 * self._section.suspended_after_min - time.monotonic())
 
@@ -138,9 +138,9 @@ class Messenger:
             if waits and self._since_s is None:
                 self._since_s = time.monotonic()
             elif not waits:
-                if self._told_waiting and event.state is State.RUNNING:
+                if self._waiting_sent and event.state is State.RUNNING:
                     self._send("suspended", "goes on", event.reason)
-                self._since_s, self._told_waiting = None, False
+                self._since_s, self._waiting_sent = None, False
             self._state = event
         elif isinstance(event, Fault):
             self._last_fault = event
@@ -150,13 +150,13 @@ class Messenger:
             self._take_end(event)
 
     def _take_drift(self, drift: Drift) -> None:
-        if drift.verdict not in (self._told_drift, "steady"):
+        if drift.verdict not in (self._drift_sent, "steady"):
             figures = (
                 f"level {drift.level_db:+.2f} dB, delay {drift.delay_samples:+.2f} samples, "
                 f"correlation {drift.correlation:.3f} ({drift.verdict})"
             )
             self._send("drift", "drift", f"sentinel position {drift.position}: {figures}: {drift.cause}")
-        self._told_drift = drift.verdict
+        self._drift_sent = drift.verdict
 
     def _take_end(self, ended: SessionEnded) -> None:
         counts = ", ".join(f"{count} {word}" for word, count in ended.counts.items() if count)
@@ -168,8 +168,8 @@ class Messenger:
             text += f" What to do: {self._last_fault.remedy}"
         self._send(str(ended.state), str(ended.state), text)
 
-    def _tell_waiting(self) -> None:
-        self._told_waiting = True
+    def _send_waiting(self) -> None:
+        self._waiting_sent = True
         if self._state is not None and self._since_s is not None:
             waited = hours(time.monotonic() - self._since_s)
             self._send("suspended", str(self._state.state), f"for {waited}: {self._state.reason}")
@@ -197,7 +197,7 @@ EDIT = Act("edit-rig", "messages.urls")
 
 
 def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Finding]:
-    """Look at the addresses of a rig file, and send a message to each if asked to; addresses are never told."""
+    """Look at the addresses of a rig file, and send a message to each if asked to; addresses are never shown."""
     urls = addresses(rig.messages)
     if not urls:
         if send:

@@ -118,11 +118,11 @@ class LinesOperator:
         self,
         answers: LinesIn,
         publish: Publish,
-        hear: Callable[[], InputLevels],
+        measure: Callable[[], InputLevels],
         place_mm: Callable[[float, float], Numbers | None],
     ) -> None:
-        self._answers, self._publish, self._hear, self._place_mm = answers, publish, hear, place_mm
-        self._hears = True
+        self._answers, self._publish, self._measure, self._place_mm = answers, publish, measure, place_mm
+        self._listens = True
 
     def tell(self, line: str) -> None:
         """Read a line."""
@@ -137,7 +137,7 @@ class LinesOperator:
         """Say how the beam is to move."""
         at_mm = self._place_mm(*view.at_mrad)
         self._publish(AskJog(view.number, view.of, view.place_mm, view.at_mrad, at_mm, view.note))
-        step = self._answer(f"mark {view.number} of {view.of} was met", Here, By, To, hears=True)
+        step = self._answer(f"mark {view.number} of {view.of} was met", Here, By, To, listens=True)
         assert isinstance(step, Here | By | To)
         return step
 
@@ -159,11 +159,11 @@ class LinesOperator:
         self._publish(AskAgain(problem))
         return isinstance(self._answer("this was decided", Again, Skip), Again)
 
-    def _answer(self, before: str, *kinds: type[Message], hears: bool = False) -> Message:
-        """Wait for an answer of one of some kinds; meanwhile report levels if `hears`."""
+    def _answer(self, before: str, *kinds: type[Message], listens: bool = False) -> Message:
+        """Wait for an answer of one of some kinds; meanwhile report levels if `listens`."""
         while True:
             try:
-                content = self._answers.next(LISTENS_EVERY_S if hears and self._hears else None)
+                content = self._answers.next(LISTENS_EVERY_S if listens and self._listens else None)
                 if content is None:
                     raise EndedError(f"standard input: ended before {before}")
                 word = content.get("answer")
@@ -185,10 +185,10 @@ class LinesOperator:
 
     def _publish_level(self) -> None:
         try:
-            self._publish(level_measured(self._hear()))
+            self._publish(level_measured(self._measure()))
         except InstrumentError as failure:
             # The beam can be jogged by eye alone; a step that needs the inputs fails by itself.
-            self._hears = False
+            self._listens = False
             self._publish(faulted(failure))
 
 
