@@ -164,6 +164,10 @@ def _rising(course: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float
 Course = Annotated[tuple[tuple[NonNegative, Finite], ...], AfterValidator(_rising)]
 
 
+PLATE_KEYS = {"rim_admittance": "stadium", "quality": "thin"}
+"""Keys that only one plate has, and which."""
+
+
 class Virtual(Table):
     """Settings of the virtual rig."""
 
@@ -171,9 +175,15 @@ class Virtual(Table):
         default=1, description="The same seed gives the same bytes"
     )
     noise_v: NonNegative | None = Field(default=None, description="Rms noise at the vibrometer's output")
-    plate: Literal["soft", "stadium"] = Field(
+    plate: Literal["soft", "stadium", "thin"] = Field(
         default="soft",
-        description="A gel without a rim, or one whose rim reflects waves (pip install 'wavefocus[plates]')",
+        description="A gel without a rim, a gel whose rim reflects waves (pip install 'wavefocus[plates]'), or glass",
+    )
+    rim_admittance: NonNegative | None = Field(
+        default=None, description='Of the plate "stadium": 0 is a free edge, 1 absorbs waves at a right angle'
+    )
+    quality: Annotated[Positive, Field(le=1e5)] | None = Field(
+        default=None, description='Of the plate "thin": quality factor of its modes'
     )
     fault_plan: tuple[Fault, ...] = Field(
         default=(), description="Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
@@ -184,6 +194,18 @@ class Virtual(Table):
     light: Course = Field(
         default=(), description="Share of light that comes back to the vibrometer: pairs of seconds, rising, and 0 to 1"
     )
+
+    @property
+    def plate_keys(self) -> dict[str, float]:
+        """The keys of the plate that are given."""
+        return self.model_dump(include=set(PLATE_KEYS), exclude_none=True)
+
+    @model_validator(mode="after")
+    def _keys_of_this_plate(self) -> Virtual:
+        for key, value in self.plate_keys.items():
+            if PLATE_KEYS[key] != self.plate:
+                raise mistake(key, value, f'belongs to plate = "{PLATE_KEYS[key]}"')
+        return self
 
 
 def _second_look(value: object) -> object:

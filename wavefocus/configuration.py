@@ -269,7 +269,7 @@ def _virtual_essence(rig: RigConfig, run: RunConfig) -> dict[str, object] | None
         return None
     essence: dict[str, object] = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
     if run.virtual and run.virtual.plate != Virtual().plate:
-        essence["plate"] = run.virtual.plate
+        essence |= {"plate": run.virtual.plate, **run.virtual.plate_keys}
     if not rig.emulation.is_flawless:
         essence["emulation"] = rig.emulation.truth()
     return essence

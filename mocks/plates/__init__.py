@@ -27,6 +27,8 @@ class Plate(ABC):
         Of the plate.
     chain : callable
         Transfer function of the signal chain over the frequency in Hz; every response includes it.
+    keys : float
+        Settings that only some plates have, by name.
 
     Attributes
     ----------
@@ -41,6 +43,7 @@ class Plate(ABC):
         actuator_mm: Float64Array,
         outline: Outline,
         chain: Callable[[Float64Array], Complex128Array],
+        **keys: float,
     ) -> None:
         self._actuator_mm = actuator_mm
         self._outline = outline

@@ -56,6 +56,8 @@ class VirtualSettings:
         Factor on each actuator's own strength: 0 where it is dead, negative where it is reversed; 1 if absent.
     plate : str
         Name of the plate, as registered in `mocks.plates`.
+    plate_keys : tuple of (str, float)
+        Settings that only this plate has, by name.
     outline : Outline
         Of the plate.
     mirror : MirrorGeometry
@@ -105,6 +107,7 @@ class VirtualSettings:
     output_gain: tuple[float, ...] | None = None
     actuator_strength: tuple[float, ...] | None = None
     plate: str = "soft"
+    plate_keys: tuple[tuple[str, float], ...] = ()
     outline: Outline = OUTLINE
     mirror: MirrorGeometry = field(default_factory=MirrorGeometry)
     settle_s: float = 0.005

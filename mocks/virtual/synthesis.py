@@ -64,7 +64,9 @@ class Synthesis:
         self._output_gain = settings.output_gain or (1.0,) * settings.player_channels
         self._output_late_s = settings.output_latency_s or (0.0,) * settings.player_channels
         self._uneven = settings.output_gain is not None or settings.output_latency_s is not None
-        self._plate = PLATES.all()[settings.plate](actuator_mm, settings.outline, chain_response)
+        self._plate = PLATES.all()[settings.plate](
+            actuator_mm, settings.outline, chain_response, **dict(settings.plate_keys)
+        )
         self._transfer = lru_cache(4)(self._make_transfer)
         self._shift = lru_cache(4)(_quarter_shifts)
         self._bins = lru_cache(64)(self._count_bins)

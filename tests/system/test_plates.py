@@ -14,8 +14,8 @@ from wavefocus.__main__ import run
 RIG = """
 [surface]
 kind = "{kind}"
-length_mm = 90.0
-width_mm = 60.0
+length_mm = {length}
+width_mm = {width}
 
 [actuators]
 position_mm = [[39.0, 0.0], [10.0, 24.0], [-38.0, 8.0], [-5.0, -24.0]]
@@ -25,7 +25,7 @@ RUN = """
 rig = "rig.toml"
 
 [grid]
-spacing_mm = 4.0
+spacing_mm = {spacing}
 margin_mm = 18.0
 
 [sweep]
@@ -45,15 +45,28 @@ speed_mm_s = 80.0
 step_mm = 4.0
 path = { kind = "line", start_mm = [-16, 0], end_mm = [16, 0] }
 signal = { kind = "impulse" }
+
+[output]
+limit_v = 1.0
 """
 
 
-@pytest.mark.parametrize(("plate", "kind"), [("soft", "stadium"), ("stadium", "rectangle")])
+@pytest.mark.parametrize(
+    ("plate", "kind", "size"),
+    [
+        ("soft", "stadium", (90.0, 60.0, 4.0)),
+        ("stadium", "rectangle", (90.0, 60.0, 4.0)),
+        ("thin", "rectangle", (300.0, 200.0, 20.0)),
+    ],
+)
 def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plate: str, kind: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plate: str, kind: str, size: tuple[float, float, float]
 ) -> None:
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
     rig, campaign = RIG.replace("{kind}", kind), RUN.replace("{plate}", plate)
+    for name, value in zip(("{length}", "{width}", "{spacing}"), size, strict=True):
+        rig, campaign = rig.replace(name, str(value)), campaign.replace(name, str(value))
+    campaign += "quality = 8.0\n" if plate == "thin" else ""
     for name, text in (("rig.toml", rig), ("run.toml", campaign), ("scene.toml", SCENE)):
         (tmp_path / name).write_text(text, encoding="utf-8")
     quiet, bank = tmp_path / "quiet.h5", tmp_path / "plate.h5"

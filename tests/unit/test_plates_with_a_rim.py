@@ -14,6 +14,9 @@ from mocks.plates import PLATES
 from mocks.plates.finite_elements import Elements, ritz_modes, spacing_mm, triangulate
 from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
 from mocks.plates.stadium import StadiumPlate
+from mocks.plates.thin import ThinPlate
+from mocks.plates.thin_rectangle import HIGHEST_HZ as HIGHEST_HZ_GLASS
+from mocks.plates.thin_rectangle import KAPPA_M2_S, STRENGTH, ThinRectangle
 
 HIGHEST_HZ = 500.0
 SPACING_MM = spacing_mm(SOFT_PLATE, HIGHEST_HZ)
@@ -139,3 +142,21 @@ def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(
 def test_the_run_file_takes_every_plate() -> None:
     for name in PLATES.all():
         assert Virtual(plate=name).plate == name  # type: ignore[arg-type]
+
+
+def test_given_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_time() -> None:
+    outline, rate_hz, samples = Outline.rectangle(250.0, 150.0), 40_000.0, 40_000
+    plate = ThinRectangle(np.array([[60.0, 30.0]]), outline, np.ones_like, quality=80.0)
+    response = plate.response((-40.0, 10.0), rate_hz / samples, 501, single=False)[0]
+    corner_mm = np.array([125.0, 75.0])
+    rung = ThinPlate(0.25, 0.15, KAPPA_M2_S).impulse_velocity(
+        (np.array([[-40.0, 10.0]]) + corner_mm) / 1e3, (np.array([[60.0, 30.0]]) + corner_mm) / 1e3,
+        samples, rate_hz, quality=80.0, band_hz=(0.0, HIGHEST_HZ_GLASS),
+    )[0, 0]  # fmt: skip
+    spectrum = STRENGTH * np.fft.rfft(rung)[:501] / rate_hz
+    assert np.linalg.norm(response - spectrum) < 0.01 * np.linalg.norm(spectrum)
+
+
+def test_given_glass_of_another_outline_then_it_is_refused() -> None:
+    with pytest.raises(ValueError, match="rectangle"):
+        ThinRectangle(ACTUATOR_MM, STADIUM, np.ones_like)

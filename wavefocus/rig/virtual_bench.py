@@ -41,6 +41,7 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         output_gain=gain,
         actuator_strength=strength(emulation, len(rig.actuators.position_mm)),
         plate=defaults.plate if virtual is None else virtual.plate,
+        plate_keys=() if virtual is None else tuple(virtual.plate_keys.items()),
         outline=rig.surface.outline,
         mirror=MirrorGeometry(matrix=emulation.mirror_map or rig.mirror.matrix),
         settle_s=rig.mirror.settle_s,
