@@ -1,1 +1,1 @@
-"""How a rig is calibrated: procedures that know roles and a person, no device and no window."""
+"""Calibration procedures: they use roles and an operator, no device and no window."""

@@ -24,7 +24,7 @@ REMEDIES: dict[Verdict, str] = {
     "reversed": "swap the two wires of its coil, or leave it: a bank measured with it is right all the same",
     "unlike": "check the mirror map, its place in the rig file, its glue, and what touches the surface near it",
 }
-# Enough to tell sign and level, in the middle of the campaign's band.
+# Enough for sign and level, in the middle of the campaign's band.
 BAND_HZ = (40.0, 400.0)
 DURATION_S, DECAY_S = 0.5, 0.2
 RESPONSE_S = 0.08  # the first waves; what comes back from the edge differs from place to place
@@ -85,7 +85,7 @@ def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int
     Raises
     ------
     NotMeasuredError
-        The loopback is not heard, or a response is too loud for its input.
+        No signal from the loopback, or a response is too loud for its input.
     InstrumentError
         Of the instrument that failed for good.
     """
@@ -105,14 +105,14 @@ def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int
         response_per_volt=setup.response_per_volt,
         inter_channel_delay_s=setup.response_delay_s,
     )
-    heard: list[Estimate] = []
+    estimates: list[Estimate] = []
     for actuator, (x_mm, y_mm) in enumerate(task.position_mm):
         progress(actuator, len(task.position_mm))
         point_at(setup, float(x_mm), float(y_mm))
-        heard.append(_best_of(setup, excitation, estimator, actuator))
+        estimates.append(_best_of(setup, excitation, estimator, actuator))
     progress(len(task.position_mm), len(task.position_mm))
-    green = np.stack([one.green[0] for one in heard])
-    return compare_actuators(green, np.array([one.snr_db[0] for one in heard]), task.sample_rate_hz)
+    green = np.stack([one.green[0] for one in estimates])
+    return compare_actuators(green, np.array([one.snr_db[0] for one in estimates]), task.sample_rate_hz)
 
 
 def _best_of(setup: Setup, excitation: Excitation, estimator: Estimator, actuator: int) -> Estimate:
@@ -146,4 +146,4 @@ def _once(setup: Setup, excitation: Excitation, estimator: Estimator, take: Take
     try:
         return estimator.estimate(recording.volts[:1], recording.volts[1:], range_v=setup.range_v)
     except ReferenceMissingError as missing:
-        raise NotMeasuredError(f"the loopback is not heard at the reference input ({missing})") from None
+        raise NotMeasuredError(f"no signal from the loopback at the reference input ({missing})") from None

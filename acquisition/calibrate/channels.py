@@ -43,7 +43,7 @@ def measure_inputs(probe: Probe, operator: Operator) -> Figures:
         try:
             found = probe.compare(None)
         except ResponseMissingError as missing:
-            if operator.again(f"the loopback is not heard at the response input ({missing})"):
+            if operator.again(f"no signal from the loopback at the response input ({missing})"):
                 continue
             raise NotMeasuredError("the inter-channel delay needs the loopback on both inputs") from None
         except ReferenceMissingError as missing:
@@ -52,7 +52,7 @@ def measure_inputs(probe: Probe, operator: Operator) -> Figures:
     apart = found.response_gain / found.reference_gain - 1
     if abs(apart) > MOST_GAIN_ERROR:
         raise NotMeasuredError(
-            f"the two inputs hear the same cable {100 * apart:+.1f} % apart: check cables and terminal configuration"
+            f"the two inputs measure the same cable {100 * apart:+.1f} % apart: check cables and terminal configuration"
         )
     # The same wave appears earlier in a channel that is sampled later.
     delay_s = -found.late_s
@@ -75,7 +75,7 @@ class OutputFigures:
     latency_s : float
         How much later it is than the loopback output.
     full_scale_v : float, optional
-        Volts at full scale, by the recorder; None where the gain on the way is not known.
+        Volts at full scale, by the recorder; None where the gain on the way is not given.
     polarity : int
         -1 where its wires are crossed.
     spread_s : float
@@ -91,7 +91,7 @@ class OutputFigures:
 
 @dataclass(frozen=True, slots=True)
 class OutputsTask:
-    """What is known before the outputs are measured.
+    """Inputs of the measurement of outputs.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class OutputsTask:
     summing_box : bool
         All outputs are plugged into the response input at once, through a box.
     box_gain : float, optional
-        Its gain, where it is known.
+        Its gain, where it is given.
     """
 
     channels: tuple[int, ...]
@@ -128,7 +128,7 @@ def measure_outputs(
     Parameters
     ----------
     task : OutputsTask
-        What is known.
+        Inputs of the measurement.
     probe : Probe
         What plays.
     operator : Operator
@@ -144,7 +144,7 @@ def measure_outputs(
     Raises
     ------
     NotMeasuredError
-        The loopback itself is not heard, the summing box is not there, or the probe is too loud.
+        The loopback itself has no signal, the summing box is not there, or the probe is too loud.
     InstrumentError
         Of the instrument that failed for good.
     """
@@ -167,10 +167,10 @@ def measure_outputs(
 
 
 def _plug_box(probe: Probe, operator: Operator) -> None:
-    """Have the summing box plugged in; the loopback, which is not in it, must not be heard."""
+    """Have the summing box plugged in; the loopback, which is not in it, must have no signal there."""
     while True:
         operator.connect(SUM)
-        if not probe.hears(None):
+        if not probe.detects(None):
             return
         if not operator.again("the response input carries the loopback, not the summing box"):
             raise NotMeasuredError("the outputs need the summing box in the response input, which has the loopback")
@@ -181,17 +181,17 @@ def _heard(task: OutputsTask, channel: int, probe: Probe, operator: Operator) ->
     while True:
         if not task.summing_box:
             operator.connect(output(channel))
-            # Played without it: what is heard now comes by another cable.
+            # Played without it: a signal now comes by another cable.
             other = next((one for one in task.channels if one != channel), None)
-            if probe.hears(other):
-                heard = "the loopback" if other is None else f"output {other} or the loopback"
-                if operator.again(f"the response input carries {heard}, not output {channel} alone"):
+            if probe.detects(other):
+                source = "the loopback" if other is None else f"output {other} or the loopback"
+                if operator.again(f"the response input carries {source}, not output {channel} alone"):
                     continue
                 return None
         try:
             return probe.compare(channel)
         except ResponseMissingError as missing:
-            if not operator.again(f"output {channel} is not heard at the response input ({missing})"):
+            if not operator.again(f"no signal from output {channel} at the response input ({missing})"):
                 return None
         except ReferenceMissingError as missing:
             raise check_loopback(missing) from None

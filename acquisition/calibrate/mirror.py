@@ -118,7 +118,7 @@ def measure_mirror(
 ) -> MirrorFigures:
     """Let the operator bring the beam onto each mark, and fit the map.
 
-    Each mark is approached with the map known so far: the rig's own, moved to meet the marks done, and from
+    Each mark is approached with the map so far: the rig's own, moved to meet the marks done, and from
     the fifth mark on a fit through them. The operator judges what comes of it and may meet a mark once more.
 
     Parameters
@@ -132,7 +132,7 @@ def measure_mirror(
     operator : Operator
         Jogs the beam and says when it is there.
     limit_mm : float
-        Largest residual that the operator is told to be good enough.
+        Largest residual that is reported as good enough.
 
     Raises
     ------
@@ -219,7 +219,7 @@ def _view(
 
 
 def fitted_marks(marks_mm: Sequence[Place], angles_mrad: Sequence[Place]) -> MirrorFigures:
-    """Fit the map through marks whose angles are known.
+    """Fit the map through marks with measured angles.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The person at the bench, as the procedures know one: plugs cables, jogs the beam, decides."""
+"""The operator at the bench: plugs cables, jogs the beam, decides."""
 
 from __future__ import annotations
 

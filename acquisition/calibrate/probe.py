@@ -92,9 +92,9 @@ class Probe:
         Raises
         ------
         ReferenceMissingError
-            The loopback is not heard at the reference input.
+            No signal from the loopback at the reference input.
         ResponseMissingError
-            The signal is not heard at the response input.
+            No signal at the response input.
         NotMeasuredError
             The signal reaches the end of an input's range.
         InstrumentError
@@ -110,7 +110,7 @@ class Probe:
             clock_ppm=float(np.median([one.reference.skew_ppm for one in found])),
         )
 
-    def hears(self, output: int | None) -> bool:
+    def detects(self, output: int | None) -> bool:
         """Whether the response input has a cable to what plays: the loopback, and one output with it.
 
         Parameters
@@ -161,5 +161,5 @@ class Probe:
 
 
 def check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:
-    """What to say when the loopback itself is not heard: nothing can be calibrated without it."""
-    return NotMeasuredError(f"the loopback is not heard at the reference input ({missing})")
+    """What to say when there is no signal from the loopback itself: nothing can be calibrated without it."""
+    return NotMeasuredError(f"no signal from the loopback at the reference input ({missing})")

@@ -35,7 +35,7 @@ class ReadsBack(Protocol):
 
 
 class VibrometerFacts(Protocol):
-    """What is known of the vibrometer."""
+    """State of the vibrometer."""
 
     @property
     def sensitivity_m_s_per_v(self) -> float:
@@ -254,7 +254,7 @@ class _Examination:
         )
         looped = partial(check_loopback, setup, rig.amplitude_v, rig.sample_rate_hz)
         if not self._tell("player", "loopback", looped):
-            self._findings.skip("vibrometer", "response", "without a loopback nothing can be told")
+            self._findings.skip("vibrometer", "response", "without a loopback the response cannot be measured")
         elif not self._points:
             self._findings.skip("vibrometer", "response", "the mirror does not point, so the beam may be anywhere")
         else:
@@ -262,13 +262,13 @@ class _Examination:
 
     def _tell(self, instrument: str, check: str, listen: Callable[[], list[Finding]]) -> bool:
         """Publish the findings of a record; True where nothing failed."""
-        heard = self._findings.ask(instrument, check, listen, OPEN_S)
-        for finding in heard or ():
+        found = self._findings.ask(instrument, check, listen, OPEN_S)
+        for finding in found or ():
             self._findings.publish(finding)
-        return heard is not None and all(one.verdict != "fail" for one in heard)
+        return found is not None and all(one.verdict != "fail" for one in found)
 
     def _put_to_rest(self) -> None:
-        """Mute, park and release whatever is open; only what fails is told."""
+        """Mute, park and release whatever is open; only failures are reported."""
         steps: list[tuple[str, Callable[[], None]]] = []
         if self._player is not None:
             steps += [("player", self._player.mute), ("player", self._player.close)]

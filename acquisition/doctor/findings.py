@@ -51,7 +51,7 @@ class Findings:
 
         Returns
         -------
-        answer, or None where there is none: then it is told
+        answer, or None where there is none: then it is reported
         """
         if instrument in self._hung:
             self.skip(instrument, check, "it did not come back from the check before")
@@ -71,8 +71,8 @@ class Findings:
             # A check may need several instruments; the one that failed is the one to look at.
             self.add(failure.role or instrument, check, "fail", f"{failure.operation}: {failure.cause}", failure.remedy)
         except Exception as defect:  # a defect of a driver must not hide what the other instruments say
-            told = f"{type(defect).__name__}: {defect}"
-            self.add(instrument, check, "fail", told, "this is a defect of the program: please report it")
+            words = f"{type(defect).__name__}: {defect}"
+            self.add(instrument, check, "fail", words, "this is a defect of the program: please report it")
         finally:
             thread.abandon()
         return None

@@ -1,4 +1,4 @@
-"""What an examination hears: silence, the loopback, and the surface."""
+"""Examination of signals: silence, loopback and surface."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from drivers.protocols import Recorder, Recording, RecordRequest, Take
 SILENCE_S = 0.5
 SWEEP_S, DECAY_S = 0.5, 0.2
 BAND_HZ = (40.0, 400.0)
-# Quiet enough: a campaign's records want 40 dB and more between what is played and what is heard in silence.
+# Quiet enough: a campaign's records want 40 dB and more between signal and silence.
 GOOD_SNR_DB, LEAST_SNR_DB = 40.0, 20.0
 # The level of the loopback: calibrated outputs are within 1 %, those of one model within some.
 GOOD_LEVEL, LEAST_LEVEL = 0.05, 0.5
@@ -48,7 +48,7 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
     except BaseException:
         recorder.abort()
         raise
-    told: list[Finding] = [Finding("recorder", "record", "ok", f"{request.samples} samples of 2 channels")]
+    findings: list[Finding] = [Finding("recorder", "record", "ok", f"{request.samples} samples of 2 channels")]
     for name, volts, step_v, reached, end_v in zip(
         ("reference", "response"),
         recording.volts.astype(np.float64),
@@ -60,7 +60,7 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
         noise_v, offset_v = float(volts.std()), float(volts.mean())
         what = f"{1e3 * noise_v:.3g} mV rms, {1e3 * offset_v:+.3g} mV offset; step {1e3 * step_v:.3g} mV"
         if reached:
-            told.append(
+            findings.append(
                 Finding(
                     "recorder",
                     f"{name} noise",
@@ -70,7 +70,7 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
                 )
             )
         elif noise_v == 0.0:
-            told.append(
+            findings.append(
                 Finding(
                     "recorder",
                     f"{name} noise",
@@ -81,8 +81,8 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
                 )
             )
         else:
-            told.append(Finding("recorder", f"{name} noise", "ok", what))
-    return told
+            findings.append(Finding("recorder", f"{name} noise", "ok", what))
+    return findings
 
 
 def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
@@ -122,7 +122,7 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
 
 
 def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
-    """Listen to silence and to a few actuators at the middle of the surface: whether the vibrometer hears them.
+    """Listen to silence and to a few actuators at the middle of the surface: whether the vibrometer detects them.
 
     Raises
     ------
@@ -234,18 +234,18 @@ def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Finding]:
         return [Finding("vibrometer", "response", "fail", what, remedy)]
     verdict: Verdict = "ok" if snr_db[best] >= GOOD_SNR_DB else "warn"
     remedy = "" if verdict == "ok" else "focus the laser, put reflective film on the surface, or drive louder"
-    told: list[Finding] = [Finding("vibrometer", "response", verdict, what, remedy)]
+    findings: list[Finding] = [Finding("vibrometer", "response", verdict, what, remedy)]
     for actuator, ratio_db in snr_db.items():
         if ratio_db < LEAST_SNR_DB:
             remedy = "run wavefocus calibrate --only actuators; check its cable, amplifier and coil"
-            told.append(
+            findings.append(
                 Finding(
                     "vibrometer",
                     "actuator",
                     "fail",
-                    f"actuator {actuator} is hardly heard ({ratio_db:z.0f} dB)",
+                    f"actuator {actuator} is hardly above the noise ({ratio_db:z.0f} dB)",
                     remedy,
                     Act("calibrate", "actuators"),
                 )
             )
-    return told
+    return findings

@@ -1,1 +1,1 @@
-"""The campaign engine: `Campaign` walks a plan; `StopRequest` stops or pauses it; events tell of it."""
+"""The campaign engine: `Campaign` walks a plan; `StopRequest` stops or pauses it; events report it."""

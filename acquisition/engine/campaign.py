@@ -230,7 +230,7 @@ class Campaign:
         return is_futile(self._covered, self._bank.status, self._bank.attempts, before)
 
     def _due_again(self) -> list[Attempt]:
-        """The next pass, if there is one; the bank knows what had its."""
+        """The next pass, if there is one; the bank holds the number of each attempt."""
         return attempts_again(self._covered, self._bank.status, self._bank.attempts, self._setup, self._plan.quality)
 
     def _measure(self, worker: ThreadPoolExecutor) -> None:

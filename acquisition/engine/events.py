@@ -228,7 +228,7 @@ class Drift(Event):
 
 @dataclass(frozen=True, slots=True)
 class ConditionsSeen(Event):
-    """What is known of the watched conditions while the campaign is suspended; `back` says whether all are back."""
+    """Values of the watched conditions while the campaign is suspended; `back` says whether all are back."""
 
     values: dict[str, float]
     back: bool

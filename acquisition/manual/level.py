@@ -176,7 +176,7 @@ class LevelMeter:
                 self._rate_hz, *_BAND_HZ, LISTENS_S, 0.0, amplitude_v, averages=1, fade_s=_FADE_S
             ).signal_v()
 
-    def hear(self) -> InputLevels:
+    def measure(self) -> InputLevels:
         """Levels now.
 
         Raises

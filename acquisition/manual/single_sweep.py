@@ -1,4 +1,4 @@
-"""One sweep on one actuator: what came back, beside what is heard in silence."""
+"""One sweep on one actuator: response and reference, and both in silence."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class SweepOrder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepResult:
-    """A sweep as it was heard.
+    """A recorded sweep.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class SweepResult:
     frequency_hz, response_db, noise_db : float64 array, shape (bins,)
         Spectral densities of the response with the sweep and in silence, in dB re 1 V / sqrt(Hz).
     figures : SweepFigures or None
-        None where the loopback was not heard; `trouble` then says why.
+        None without a signal from the loopback; `trouble` then says why.
     trouble : str
         Why there are no figures; else empty.
     """
@@ -140,20 +140,20 @@ class SingleSweeps:
         seconds = record_samples(setup, len(signal_v), rate_hz) / rate_hz
         quiet = listen(setup, seconds, rate_hz, self._number)
         signals_v = {setup.loopback_channel: signal_v, setup.actuator_channels[order.actuator]: signal_v}
-        heard = take_record(setup, signals_v, rate_hz, Take(0, 1, self._number, "sweep"))
+        record = take_record(setup, signals_v, rate_hz, Take(0, 1, self._number, "sweep"))
         highest_hz = min(SHOWN * order.stop_hz, rate_hz / 2)
-        frequency_hz, response_db = _density_db(heard.volts[1], rate_hz, highest_hz)
+        frequency_hz, response_db = _density_db(record.volts[1], rate_hz, highest_hz)
         _, noise_db = _density_db(quiet.volts[1], rate_hz, highest_hz)
         figures, trouble = None, ""
         try:
-            figures = self._figures(order.actuator, excitation, heard)
+            figures = self._figures(order.actuator, excitation, record)
         except (ReferenceMissingError, InputError) as missing:
-            trouble = f"the loopback is not heard, so nothing can be told of the response ({missing})"
+            trouble = f"no signal from the loopback, so nothing can be measured of the response ({missing})"
         return SweepResult(
-            reference_v=heard.volts[0],
-            response_v=heard.volts[1],
+            reference_v=record.volts[0],
+            response_v=record.volts[1],
             sample_rate_hz=rate_hz,
-            level=level_of(heard, setup.range_v),
+            level=level_of(record, setup.range_v),
             frequency_hz=frequency_hz,
             response_db=response_db,
             noise_db=noise_db,
@@ -161,12 +161,12 @@ class SingleSweeps:
             trouble=trouble,
         )
 
-    def _figures(self, actuator: int, excitation: Excitation, heard: Recording) -> SweepFigures:
+    def _figures(self, actuator: int, excitation: Excitation, record: Recording) -> SweepFigures:
         with one_blas_thread():
             estimate = self._estimator_of(excitation).estimate(
-                heard.volts[:1], heard.volts[1:], range_v=self._setup.range_v
+                record.volts[:1], record.volts[1:], range_v=self._setup.range_v
             )
-        judgement = judge(estimate, any(heard.over_range), QualityLimits())
+        judgement = judge(estimate, any(record.over_range), QualityLimits())
         # The estimator counts records; here there is one, and it is this actuator's.
         named = tuple(
             Defect(one.name, one.sentence.replace("actuator 0", f"actuator {actuator}")) for one in judgement.defects

@@ -87,7 +87,7 @@ class AttemptResult:
 
     @property
     def best_heard_residual_db(self) -> float:
-        """Residual of the best-heard actuator, NaN without an estimate."""
+        """Residual of the strongest actuator, NaN without an estimate."""
         if self.estimate is None:
             return float("nan")
         return float(self.estimate.residual_db[int(np.argmax(self.estimate.snr_db))])
@@ -178,7 +178,7 @@ def commit_attempt(
     raw : RawWriter, optional
         Where its recordings are kept, before the bank's row.
     count_anyway : bool
-        Let the bank count the tries although it keeps what it has, so that a pass is known to be over.
+        Let the bank count the tries although it keeps what it has, so that the pass counts as over.
 
     Returns
     -------

@@ -24,22 +24,22 @@ class Play:
         The actuator that sounds; the first of them where several do.
     signals_v : mapping from player channel to float64 array, shape (samples,)
         Output volts, all of one length, the loopback channel included.
-    heard : slice, optional
+    used : slice, optional
         Samples of the record that count; it ends with them. All, if absent.
     """
 
     actuator: int
     signals_v: Mapping[int, Float64Array]
-    heard: slice | None = None
+    used: slice | None = None
 
     @property
     def samples(self) -> int | None:
         """Samples of the record; None where it lasts as long as the signal asks for."""
-        return None if self.heard is None else self.heard.stop
+        return None if self.used is None else self.used.stop
 
     def cut(self, recording: Recording) -> Recording:
         """What of a recording counts."""
-        return recording if self.heard is None else replace(recording, volts=recording.volts[:, self.heard].copy())
+        return recording if self.used is None else replace(recording, volts=recording.volts[:, self.used].copy())
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,12 +97,12 @@ def position_estimator(plan: Plan, channels: Channels) -> PositionEstimator:
         )
 
 
-def heard_samples(plan: Plan, rolls: Rolls) -> slice | None:
+def used_samples(plan: Plan, rolls: Rolls) -> slice | None:
     """Which samples of a record count: of staggered ones, those where all that was silent before has died away."""
     if plan.staggered is None:
         return None
     first = round(rolls.pre_roll_s * plan.excitation.sample_rate_hz) + lead_samples(plan.staggered, rolls)
-    return slice(first, first + plan.staggered.heard_samples)
+    return slice(first, first + plan.staggered.used_samples)
 
 
 def _plays(plan: Plan, setup: Setup) -> tuple[Play, ...]:
@@ -112,8 +112,8 @@ def _plays(plan: Plan, setup: Setup) -> tuple[Play, ...]:
         return tuple(
             Play(actuator, {channel: signal_v, loopback: signal_v}) for actuator, channel in enumerate(channels)
         )
-    heard = heard_samples(plan, setup)
+    used = used_samples(plan, setup)
     return tuple(
-        Play(min(sounding), {loopback: base_v} | {channels[one]: volts for one, volts in sounding.items()}, heard)
+        Play(min(sounding), {loopback: base_v} | {channels[one]: volts for one, volts in sounding.items()}, used)
         for base_v, sounding in plan.staggered.played_v(lead_samples(plan.staggered, setup))
     )

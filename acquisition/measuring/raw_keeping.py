@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.measuring.plays import channels_of, heard_samples
+from acquisition.measuring.plays import channels_of, used_samples
 from acquisition.measuring.record import record_samples
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import Plan
@@ -44,13 +44,13 @@ def raw_header(plan: Plan, setup: Setup, *, rig_json: str, run_json: str, softwa
     rig_json, run_json, software : str
         As of the bank's header.
     """
-    excitation, signal, heard = plan.excitation, plan.staggered, heard_samples(plan, setup)
+    excitation, signal, used = plan.excitation, plan.staggered, used_samples(plan, setup)
     channels = channels_of(setup)
     rate = excitation.sample_rate_hz
     whole = record_samples(setup, excitation.averages * excitation.period_samples, rate)
     return RawHeader(
         sample_rate_hz=rate,
-        samples=whole if heard is None else heard.stop - heard.start,
+        samples=whole if used is None else used.stop - used.start,
         taps=plan.taps,
         band_hz=excitation.band_hz,
         schedule=sequential(plan.actuators) if signal is None else signal.schedule(),
@@ -91,7 +91,7 @@ def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recordin
     """Commit all records of an attempt.
 
     Of an attempt that was taken in a wider range, what lies beyond the file's counts is cut to them: an estimate then
-    tells the position as over-range, while the bank has it right.
+    marks the position as over-range, while the bank has it right.
 
     Raises
     ------

@@ -113,7 +113,7 @@ class Setup:
 
 @contextmanager
 def asking(role: Role) -> Iterator[None]:
-    """Note the role on an error that its instrument raises: drivers name devices, recovery needs to know whose.
+    """Note the role on an error that its instrument raises: drivers name devices, recovery needs the role.
 
     Parameters
     ----------

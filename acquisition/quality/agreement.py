@@ -115,5 +115,5 @@ def difference(then: Row, now: Row) -> Difference:
 
 def _noise_share(snr_db: NDArray[np.float32]) -> NDArray[np.float64]:
     """Energy of the noise in a Green's function over its own, at most."""
-    known = np.nan_to_num(snr_db.astype(np.float64), nan=0.0)
-    return np.asarray(np.minimum(10.0 ** (-0.1 * known), 1.0))
+    finite_db = np.nan_to_num(snr_db.astype(np.float64), nan=0.0)
+    return np.asarray(np.minimum(10.0 ** (-0.1 * finite_db), 1.0))

@@ -44,7 +44,7 @@ class Conditions:
         """Sensors that did not answer at the last look, and what they said."""
 
     def values(self, plays: Sequence[Play], recordings: Sequence[Recording]) -> dict[str, float]:
-        """What is known after these records; a sensor that fails is not in it, but in `mute`.
+        """Values after these records; a sensor that fails is listed in `mute`.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class Conditions:
         return "; ".join(reason for reason in reasons if reason)
 
     def are_back(self, values: Mapping[str, float]) -> bool:
-        """Whether all that are known are back."""
+        """Whether all measured conditions are back."""
         return all(self.watch.bands[name].is_back(value) for name, value in values.items())
 
     @property
@@ -90,10 +90,10 @@ class Conditions:
         """Energy of the reference over that of the loopback's signal, in what counts of the record."""
         signal_v = play.signals_v[self._setup.loopback_channel]
         expected = float(np.sum(np.square(signal_v)))
-        if play.heard is not None:
+        if play.used is not None:
             expected *= recording.volts.shape[1] / len(signal_v)
         energy = float(np.sum(np.square(recording.volts[0], dtype=np.float64)))
-        # A silent reference still has a level, so that it can be told.
+        # A silent reference still has a level, so that it can be reported.
         return 10.0 * math.log10(max(energy, 1e-12) / max(expected * self._setup.reference_gain**2, 1e-12))
 
     def _noise_v(self, recording: Recording) -> float:

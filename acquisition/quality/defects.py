@@ -16,10 +16,10 @@ MAINS_HZ = (50.0, 60.0)
 MAINS_TOLERANCE_HZ = 0.7
 # The fit bends to what every sweep leaves alike, so that its error is this much above what is left.
 BENT_DB = 15.0
-# A record is silent when it has less than this while several farther actuators are heard this well.
+# A record is silent when it has less than this while several farther actuators have this much.
 SILENT_SNR_DB = 6.0
-HEARD_SNR_DB = 20.0
-FARTHER_HEARD = 3
+STRONG_SNR_DB = 20.0
+FARTHER_STRONG = 3
 # Without light the vibrometer is louder than this times the usual noise.
 LOUD_NOISE = 2.0
 # A record that leaves nearly all of itself unexplained, and far more than the quietest, is no response at all.
@@ -236,7 +236,7 @@ def _not_heard(which: NDArray[np.intp]) -> Defect:
     return Defect(
         "silent",
         tuple(which.tolist()),
-        f"{listed(which)} is noise alone though actuators farther away are heard: check that output's cable, "
+        f"{listed(which)} is noise alone though actuators farther away have a signal: check that output's cable, "
         "amplifier channel and actuator",
         Cure.NOTHING,
     )
@@ -246,11 +246,11 @@ def _silent(estimate: Estimate, distance_mm: NDArray[np.float64] | None) -> NDAr
     """Records without a response where several farther actuators have a good one."""
     if distance_mm is None:
         return np.zeros(estimate.snr_db.size, dtype=bool)
-    heard = np.sort(distance_mm[(estimate.snr_db > HEARD_SNR_DB) & np.isfinite(distance_mm)])
-    if heard.size < FARTHER_HEARD:
+    strong = np.sort(distance_mm[(estimate.snr_db > STRONG_SNR_DB) & np.isfinite(distance_mm)])
+    if strong.size < FARTHER_STRONG:
         return np.zeros(estimate.snr_db.size, dtype=bool)
     with_light = estimate.noise_v < LOUD_NOISE * np.median(estimate.noise_v)
-    return np.asarray((estimate.snr_db < SILENT_SNR_DB) & (distance_mm < heard[-FARTHER_HEARD]) & with_light)
+    return np.asarray((estimate.snr_db < SILENT_SNR_DB) & (distance_mm < strong[-FARTHER_STRONG]) & with_light)
 
 
 def _is_multiple(line_hz: float, base_hz: float) -> bool:

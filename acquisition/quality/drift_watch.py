@@ -41,7 +41,7 @@ class DriftWatch:
     Attributes
     ----------
     accept_drift : bool
-        Go on although it has changed; it is told all the same.
+        Continue although it has changed; the change is reported.
     """
 
     def __init__(

@@ -70,12 +70,12 @@ def judge(
     limits : QualityLimits
         When the position is good enough.
     distance_mm : float64 array, shape (actuators,), optional
-        From the actuators to the position; where given, an actuator that is not heard is told from a far one.
+        From the actuators to the position; where given, a silent actuator is distinguished from a far one.
     before_db : float, optional
         Level of the reference at the positions before, in dB of its calibration; by default the median of this
         attempt's records stands for it.
     calibrated : bool
-        Whether it is known what was played, so that the level of the reference has a calibration to be held against.
+        Whether the played signal is calibrated, so that the level of the reference can be judged.
 
     Returns
     -------
@@ -83,15 +83,15 @@ def judge(
         ``Status.VALID`` alone, or the bits of all that is wrong.
     """
     dead = dead_records(estimate)
-    known = np.isfinite(estimate.snr_db) & np.isfinite(estimate.residual_db) & np.isfinite(estimate.noise_v)
-    excess_db = _excess_db(estimate, known & ~dead)
-    score = float(np.max(np.where(known, excess_db, np.inf)))
+    finite = np.isfinite(estimate.snr_db) & np.isfinite(estimate.residual_db) & np.isfinite(estimate.noise_v)
+    excess_db = _excess_db(estimate, finite & ~dead)
+    score = float(np.max(np.where(finite, excess_db, np.inf)))
     defects = list(_over_range(estimate, over_range))
     defects += named_defects(estimate, DefectLimits(limits.poor_residual_db, limits.poor_harmonic_db), distance_mm)
     named = records_named(defects, dead.size)
-    defects += _unknown(~known)
-    defects += _unexplained(estimate, excess_db, known & ~dead & ~named, limits)
-    defects += _low_signal(estimate, known & ~dead, limits)
+    defects += _unknown(~finite)
+    defects += _unexplained(estimate, excess_db, finite & ~dead & ~named, limits)
+    defects += _low_signal(estimate, finite & ~dead, limits)
     defects += _reference_level(estimate, before_db, limits, calibrated=calibrated)
     if not defects:
         return Judgement(Status.VALID, "", score)

@@ -71,7 +71,7 @@ class DriftLimits:
     every_s : float
         And after so long on the rig's clock, whichever comes first, > 0.
     warn_level_db, stop_level_db : float
-        Largest change of level, either way, before it is told, and before nothing more is measured.
+        Largest change of level, either way, before a warning, and before the campaign stops.
     warn_delay_samples, stop_delay_samples : float
         Largest shift in time, either way.
     warn_correlation, stop_correlation : float

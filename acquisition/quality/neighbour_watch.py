@@ -20,7 +20,7 @@ from storage.point_status import Status
 
 ALONE = 1 << 23
 """Added to `PointRecord.judged` where neighbours could not judge."""
-HEARD_DB, AROUND = 6.0, 13
+STRONG_DB, AROUND = 6.0, 13
 """Rows of less signal-to-noise ratio, where those around have no more either, are noise and need no judging."""
 TRUSTED = 0.7
 """Neighbours that can judge fewer rows than this share judge none: the grid is too coarse for them."""
@@ -202,26 +202,26 @@ class NeighbourWatch:
         judge = NeighbourJudge(
             self._plan.position_mm[rows], self._plan.actuator_mm, spectra, np.ones(len(rows), dtype=bool)
         )
-        heard = self._heard(rows)
+        strong = self._strong(rows)
         found: dict[int, tuple[Difference, ...]] = {}
-        if np.count_nonzero(judge.judged & heard) < TRUSTED * np.count_nonzero(heard):
+        if np.count_nonzero(judge.judged & strong) < TRUSTED * np.count_nonzero(strong):
             return found, frozenset()
         verdict = judge.find()
         for one in verdict.differences:
             row = int(rows[one.position])
             found[row] = (*found.get(row, ()), one)
-        return found, frozenset(rows[(verdict.judged | ~heard).all(axis=1)].tolist())
+        return found, frozenset(rows[(verdict.judged | ~strong).all(axis=1)].tolist())
 
-    def _heard(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which actuators are heard at some positions, or should be: all around them they are."""
+    def _strong(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Actuators with enough signal at some positions, or at all positions around them."""
         snr_db = np.array([self._snr_db(row) for row in rows.tolist()]).reshape(len(rows), -1)
-        heard = ~(snr_db < HEARD_DB)
+        strong = ~(snr_db < STRONG_DB)
         place_mm = self._plan.position_mm[rows]
-        for number in np.flatnonzero(~heard.all(axis=1)).tolist():
+        for number in np.flatnonzero(~strong.all(axis=1)).tolist():
             apart_mm = np.hypot(*(place_mm - place_mm[number]).T)
             around = snr_db[np.argsort(apart_mm, kind="stable")[:AROUND]]
-            heard[number] |= ~(np.median(around, axis=0) < HEARD_DB)
-        return np.asarray(heard)
+            strong[number] |= ~(np.median(around, axis=0) < STRONG_DB)
+        return np.asarray(strong)
 
     def _snr_db(self, row: int) -> NDArray[np.float32]:
         """Signal-to-noise ratios of a row, NaN where unknown."""

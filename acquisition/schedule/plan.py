@@ -84,7 +84,7 @@ class Plan:
         rate = self.excitation.sample_rate_hz
         if self.staggered is None:
             return record_samples(rolls, self.excitation.averages * self.excitation.period_samples, rate) / rate
-        return rolls.pre_roll_s + (lead_samples(self.staggered, rolls) + self.staggered.heard_samples) / rate
+        return rolls.pre_roll_s + (lead_samples(self.staggered, rolls) + self.staggered.used_samples) / rate
 
     def position_s(self, rolls: Rolls) -> float:
         """Seconds that one position takes: its records and the overhead around them."""

@@ -94,7 +94,7 @@ class Band:
         return np.asarray(scipy.fft.rfft(green.astype(np.float64), self.length)[:, self._inside])
 
     def own_noise(self, estimate: Estimate, window_s: float) -> Float64Array:
-        """Share of energy (actuators,) that noise has in the FIRs, as their residuals tell.
+        """Share of energy (actuators,) that noise has in the FIRs, by their residuals.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ def sequential_errors(
 
 
 def repeated_error(takes: list[Complex128Array], reference: Complex128Array, noise: Float64Array) -> float:
-    """Error of one take of a schedule, from several of them and a reference that is known to be right.
+    """Error of one take of a schedule, from several of them and a correct reference.
 
     Noise is what the two takes that agree best do not have in common: a moment of speckle in another one does
     not count. To it comes what both have in common and the reference has not.
@@ -378,7 +378,7 @@ def _name(one: _Tried) -> str:
 
 
 def _decay(plan: Plan, estimate: Estimate) -> Decay | None:
-    """How the responses fall, where that can be told; refused when they ring longer than the taps."""
+    """How the responses fall, where it can be measured; refused when they ring longer than the taps."""
     try:
         decay = measure_decay(estimate.green, plan.excitation.sample_rate_hz)
     except InputError:

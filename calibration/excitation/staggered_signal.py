@@ -76,7 +76,7 @@ class StaggeredSignal:
         return self.slots * self.stagger_samples
 
     @property
-    def heard_samples(self) -> int:
+    def used_samples(self) -> int:
         """Samples of a record that count: its periods, and a little more whatever the clocks do."""
         return self.periods * self.period_samples + math.ceil(MARGIN_SHARE * self.periods * self.period_samples)
 
@@ -117,7 +117,7 @@ class StaggeredSignal:
         """
         base = self.base_v()
         schedule = self.schedule()
-        length = lead_samples + self.heard_samples
+        length = lead_samples + self.used_samples
         slots_v = [np.resize(np.roll(base, slot * self.stagger_samples), length) for slot in range(self.slots)]
         return [
             (slots_v[0], {int(one): slots_v[slot] for slot, one in enumerate(row) if one != EMPTY})

@@ -84,7 +84,7 @@ def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(
     assert page.table.rowCount() == len(page.findings) == 17
     (row,) = (row for row, one in enumerate(page.findings) if one.verdict == "fail")
     assert page.table.item(row, 0).text() == "✖ fail"
-    assert "actuator 2 is hardly heard" in page.table.item(row, 3).text()
+    assert "actuator 2 is hardly above the noise" in page.table.item(row, 3).text()
     assert page.buttons.keys() == {row}
     assert page.buttons[row].text() == "Calibrate actuators…"
     page.only_bad.click()

@@ -40,7 +40,7 @@ def bench(**changes: object) -> Setup:
 
 
 def test_given_silence_then_the_level_is_the_noise_of_each_input() -> None:
-    level = LevelMeter(bench(noise_v=2e-3, reference_noise_v=1e-3), RATE_HZ).hear()
+    level = LevelMeter(bench(noise_v=2e-3, reference_noise_v=1e-3), RATE_HZ).measure()
     assert level.response.rms_v == pytest.approx(2e-3, rel=0.15)
     assert level.reference.rms_v == pytest.approx(1e-3, rel=0.15)
     assert level.response.range_v == 10.0
@@ -49,20 +49,20 @@ def test_given_silence_then_the_level_is_the_noise_of_each_input() -> None:
 
 def test_given_an_actuator_that_sounds_then_its_level_is_heard_on_both_inputs() -> None:
     meter = LevelMeter(bench(), RATE_HZ)
-    quiet = meter.hear()
+    quiet = meter.measure()
     meter.sound(0, 0.5)
-    loud = meter.hear()
+    loud = meter.measure()
     assert loud.reference.peak_v == pytest.approx(0.5, rel=0.01)
     assert loud.response.rms_v > 10 * quiet.response.rms_v
     meter.sound(None)
-    assert meter.hear().response.rms_v < loud.response.rms_v / 10
+    assert meter.measure().response.rms_v < loud.response.rms_v / 10
 
 
 def test_given_an_input_too_small_for_what_plays_then_the_level_says_over_range() -> None:
     setup = replace(bench(), range_v=(0.2, 10.0))
     meter = LevelMeter(setup, RATE_HZ)
     meter.sound(0, 0.5)
-    assert meter.hear().reference.over_range
+    assert meter.measure().reference.over_range
 
 
 def test_given_a_sound_rig_then_a_sweep_stands_above_the_silence_in_its_band_and_nothing_is_wrong() -> None:
@@ -99,7 +99,7 @@ def test_given_a_loopback_that_is_not_plugged_in_then_the_sweep_tells_that_in_pl
     setup = bench()
     result = SingleSweeps(replace(setup, loopback_channel=setup.actuator_channels[1]), RATE_HZ).take(SWEEP)
     assert result.figures is None
-    assert "loopback is not heard" in result.trouble
+    assert "no signal from the loopback" in result.trouble
 
 
 def test_given_a_band_that_no_sweep_has_then_it_is_refused() -> None:
@@ -182,6 +182,6 @@ def test_given_a_gate_that_is_shut_then_a_record_fails_silently_muted_and_leaves
     meter.sound(0, 0.5)
     gate.shut()
     with pytest.raises(ShutError):
-        meter.hear()
+        meter.measure()
     gate.open()
-    assert meter.hear().reference.peak_v == pytest.approx(0.5, rel=0.01)
+    assert meter.measure().reference.peak_v == pytest.approx(0.5, rel=0.01)

@@ -64,7 +64,7 @@ ESTIMATOR = StaggeredEstimator(
 @cache
 def least_noise() -> float:
     """Energy in band that noise of 1 V leaves in each FIR by least squares with the true drives, in expectation."""
-    base_v, samples = SIGNAL.base_v(), SIGNAL.heard_samples
+    base_v, samples = SIGNAL.base_v(), SIGNAL.used_samples
     columns = [np.roll(base_v, 120 * slot + tap) for slot in range(5) for tap in range(TAPS)]
     matrix = np.resize(np.stack(columns), (5 * TAPS, base_v.size))
     matrix = np.concatenate([matrix, matrix], axis=1)[:, :samples].T / 0.5
@@ -88,7 +88,7 @@ def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_lim
     seed: int, ppm: float, start: float
 ) -> None:
     green = random_firs(seed)
-    reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, ppm, start, SIGNAL.heard_samples)
+    reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, ppm, start, SIGNAL.used_samples)
     draw = np.random.default_rng(seed + 1)
     noise_v, above_db = 0.02, []
     # The limit is one of means: what a single noise leaves of one FIR scatters about it by some decibels.
@@ -108,7 +108,7 @@ def test_given_groups_then_each_record_gives_its_own_actuators_in_order() -> Non
     for record in range(2):
         actuator, delay_s, _ = schedule.slots(record)
         delays = np.round(delay_s * RATE_HZ).astype(int).tolist()
-        channels.append(played(signal.base_v(), delays, green[actuator], 30.0, 10.0, signal.heard_samples))
+        channels.append(played(signal.base_v(), delays, green[actuator], 30.0, 10.0, signal.used_samples))
     reference_v, response_v = (np.stack([one[row] for one in channels]).astype(np.float32) for row in range(2))
     found = estimator.estimate(reference_v, response_v, range_v=(1e3, 1e3))
     assert error_db(found.green, green).max() < -45
@@ -116,7 +116,7 @@ def test_given_groups_then_each_record_gives_its_own_actuators_in_order() -> Non
 
 def test_given_a_moment_without_light_then_the_residual_names_it() -> None:
     green = random_firs(4)
-    reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, 0.0, 0.0, SIGNAL.heard_samples)
+    reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, 0.0, 0.0, SIGNAL.used_samples)
     response = response / 0.5
     response += 1e-3 * np.random.default_rng(5).standard_normal(response.size)
     sound = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
@@ -128,7 +128,7 @@ def test_given_a_moment_without_light_then_the_residual_names_it() -> None:
 
 
 def test_given_a_silent_reference_then_it_is_told_as_missing() -> None:
-    noise = np.random.default_rng(0).standard_normal(SIGNAL.heard_samples).astype(np.float32)
+    noise = np.random.default_rng(0).standard_normal(SIGNAL.used_samples).astype(np.float32)
     with pytest.raises(ReferenceMissingError, match="check the loopback"):
         ESTIMATOR.estimate(noise, noise, range_v=(1e3, 1e3))
 
@@ -159,7 +159,7 @@ def test_staggered_signals_are_one_sweep_round_the_period() -> None:
     (base_v, sounding), *rest = SIGNAL.played_v(lead_samples=250)
     assert not rest
     assert sorted(sounding) == [0, 1, 2, 3, 4]
-    assert base_v.size == 250 + SIGNAL.heard_samples
+    assert base_v.size == 250 + SIGNAL.used_samples
     assert np.array_equal(base_v[:600], SIGNAL.base_v())
     for actuator, volts in sounding.items():
         assert np.array_equal(volts[:600], np.roll(base_v[:600], 120 * actuator))

@@ -59,7 +59,7 @@ def test_given_nobody_who_types_then_it_says_so_and_does_not_wait(do: str) -> No
 
 @pytest.mark.parametrize(("line", "again"), [("", True), ("y", True), ("s", False), (" SKIP ", False)])
 def test_given_a_problem_then_enter_tries_again_and_s_leaves_it_out(line: str, again: bool) -> None:
-    assert typing(line + "\n").again("output 3 is not heard") is again
+    assert typing(line + "\n").again("no signal from output 3") is again
 
 
 @pytest.mark.parametrize("source", ["vibrometer", "sum", "both", "output 13"])

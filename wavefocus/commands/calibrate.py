@@ -87,7 +87,7 @@ def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
 
     answers = LinesIn()
     answers.start()
-    return LinesOperator(answers, lines, LevelMeter(setup, SAMPLE_RATE_HZ).hear, place_mm)
+    return LinesOperator(answers, lines, LevelMeter(setup, SAMPLE_RATE_HZ).measure, place_mm)
 
 
 def _keep(file: Path, record: CalibrationRecord, measured: list[str], rig_file: Path, *, use: bool) -> None:

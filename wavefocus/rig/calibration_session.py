@@ -249,7 +249,7 @@ class CalibrationSession:
             found = measure_outputs(task, self._probe(setup), operator, report)
         given_up = sorted(set(player.channels) - {one.channel for one in found})
         if given_up:
-            self.problems.append(f"outputs: {_listed(given_up)} not heard: check the cables, then --only outputs")
+            self.problems.append(f"outputs: {_listed(given_up)} no signal: check the cables, then --only outputs")
         for one in found:
             if one.spread_s > MOST_SPREAD_S:
                 self.problems.append(
@@ -346,7 +346,7 @@ class CalibrationSession:
         probe, channel = self._probe(setup), (plugged or self._rig.player.channels)[0]
         while True:
             cables.back_to_vibrometer()
-            if not probe.hears(channel):
+            if not probe.detects(channel):
                 return
             problem = "the response input still carries an output of the player, not the vibrometer"
             cables.source = ""

@@ -175,7 +175,7 @@ class Operation:
         if self._every_s is None or time.monotonic() < self._due_s:
             return
         self._due_s = time.monotonic() + self._every_s
-        self._attempt(lambda: self._publish(level_measured(self._meter.hear(), self._light_now())))
+        self._attempt(lambda: self._publish(level_measured(self._meter.measure(), self._light_now())))
 
     def carry_out(self, order: Order) -> bool:
         """Carry out an order that `order_of` has checked; what prevents it is published. True where it was done."""
