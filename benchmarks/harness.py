@@ -94,7 +94,7 @@ class Point:
 
     @property
     def row(self) -> dict[str, Plain]:
-        """All that is known of it, by column."""
+        """Its values, by column."""
         timing = {} if self.timing is None else asdict(replace(self.timing, result=None))
         timing.pop("result", None)
         known = {**self.parameters, "error": self.error, **timing, "peak_mb": self.peak_mb, **self.figures}

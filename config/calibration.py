@@ -132,7 +132,7 @@ def load_calibration(path: Path) -> CalibrationRecord:
 def with_calibration(data: dict[str, Any]) -> dict[str, Any]:
     """A rig's tables with the values of its calibration in them; unchanged where there is none.
 
-    The calibration wins over what a rig file can only know roughly: ``mirror.distance_mm``,
+    The calibration overrides what a rig file holds roughly: ``mirror.distance_mm``,
     ``recorder.inter_channel_delay_s`` and ``player.full_scale_v``. Two measured values of one thing are a
     contradiction, and so are figures of another wiring.
 
@@ -143,7 +143,7 @@ def with_calibration(data: dict[str, Any]) -> dict[str, Any]:
         return data
     try:
         record = CalibrationRecord.model_validate(care["measured"])
-    except ValidationError:  # told at its own place
+    except ValidationError:  # reported at its own place
         return data
     mirror, recorder, player = (data.get(name, {}) for name in ("mirror", "recorder", "player"))
     merged = dict(data)

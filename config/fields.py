@@ -19,7 +19,7 @@ PointMm = tuple[Finite, Finite]
 
 
 class Table(BaseModel):
-    """A table of a configuration file: immutable, and closed to keys that it does not know."""
+    """A table of a configuration file: immutable, and closed to unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -41,7 +41,7 @@ def mistake(key: str, value: object, allowed: str) -> PydanticCustomError:
 
 
 def like(pattern: str, allowed: str) -> AfterValidator:
-    """Let a text pass that matches a pattern as a whole; others are told what is allowed, not the pattern.
+    """Let a text pass that matches a pattern as a whole; for others the message says what is allowed, not the pattern.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ def named_file(path: Path, key: str, name: str) -> Path:
     raise InputError(printable(f"{path}: {key} = {shown(name)}: must be a file; none found from {path.parent}/"))
 
 
-TOLD_AT_ONCE = 3
+SHOWN_AT_ONCE = 3
 """Mistakes named in one line; the rest are counted."""
 
 UNIT_SUFFIXES = (
@@ -79,7 +79,7 @@ UNIT_SUFFIXES = (
     "_cm", "_um", "_us", "_samples", "_m", "_s", "_v",
 )  # fmt: skip
 
-# Of an address only its kind is told: it may hold a password. A mirror's port has none.
+# Of an address only its kind is shown: it may hold a password. A mirror's port has none.
 ADDRESS = re.compile(r"\s*(?!socket)([A-Za-z][A-Za-z0-9+.-]*)://")
 
 # Tables and keys whose values are addresses with passwords in them, also where they stand in a wrong place.
@@ -115,14 +115,14 @@ def one_line(source: str, failure: ValidationError, model: type[BaseModel], data
     """Tell what is wrong in one line, the first few mistakes joined by semicolons."""
     errors = failure.errors(include_url=False)
     mistakes = [error for error in errors if not _follows(error, errors)]
-    told = [sentence(error, model, data) for error in mistakes[:TOLD_AT_ONCE]]
-    if len(mistakes) > len(told):
-        told.append(f"and {len(mistakes) - len(told)} more")
-    return printable(f"{source}: {'; '.join(told)}")
+    shown = [sentence(error, model, data) for error in mistakes[:SHOWN_AT_ONCE]]
+    if len(mistakes) > len(shown):
+        shown.append(f"and {len(mistakes) - len(shown)} more")
+    return printable(f"{source}: {'; '.join(shown)}")
 
 
 def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
-    """Whether a list is told to be too short only because pydantic does not count its wrong entries."""
+    """Whether a list is reported as too short only because pydantic does not count its wrong entries."""
     place = error["loc"]
     beneath = (other["loc"] for other in errors if len(other["loc"]) > len(place))
     return error["type"] == "too_short" and any(other[: len(place)] == place for other in beneath)
@@ -247,7 +247,7 @@ def _stem(key: str) -> str:
 
 
 def _table_at(model: type[BaseModel], steps: Sequence[int | str], data: object) -> type[BaseModel] | None:
-    """The model of the table at a location, told apart by ``kind`` where several fit."""
+    """The model of the table at a location, chosen by ``kind`` where several fit."""
     table: type[BaseModel] | None = model
     candidates: list[type[BaseModel]] = [model]
     for step in steps:

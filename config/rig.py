@@ -55,7 +55,7 @@ ABOUT: tuple[About, ...] = ("finished", "failed", "suspended", "drift")
 
 
 class MessagesSection(Table):
-    """Addresses, as apprise has them, and what they are told about.
+    """Addresses, as apprise has them, and the events they receive.
 
     The addresses are secrets: they are left out wherever a rig is written, so a bank never holds them.
     """
@@ -401,7 +401,7 @@ class RigConfig(Table):
         return self
 
     def _check_of_one_kind(self) -> None:
-        """A virtual plate cannot be heard by a real recorder, nor the other way round."""
+        """Instruments are all virtual or all real."""
         one_world = "a rig's instruments are all virtual or all real"
         for name in ("recorder", "player"):
             driver = getattr(self, name).driver
@@ -410,14 +410,14 @@ class RigConfig(Table):
         if self.is_virtual and self.vibrometer.driver != "fixed":
             raise mistake("vibrometer.driver", self.vibrometer.driver, f"{one_world}, and these are virtual")
         if self.watch.light is not None and self.vibrometer.port is None and not self.is_virtual:
-            raise mistake("watch.light", "...", f"needs a vibrometer that tells it; {self.vibrometer.driver!r} cannot")
+            raise mistake("watch.light", "...", f"needs a vibrometer that reports it, not {self.vibrometer.driver!r}")
 
 
 def _default_actuators(surface: Any) -> list[list[float]]:
     """Twenty actuators on the rim, to the micrometre, so that a file can hold exactly the same numbers."""
     try:
         size = Surface.model_validate(surface)
-    except ValueError:  # told at the surface itself; any place will do here
+    except ValueError:  # reported at the surface itself; any place will do here
         size = Surface()
     if size.kind == "polygon":
         raise mistake("actuators.position_mm", "nothing", "must be given for a polygon, which has no default places")

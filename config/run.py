@@ -105,7 +105,7 @@ class Capture(Table):
             stagger_s = DEFAULT_STAGGER_OVER_RESPONSE * data.get("taps", 2000) / data.get("sample_rate_hz", 1e4)
         except (TypeError, ZeroDivisionError, OverflowError):
             stagger_s = math.nan
-        # Without a response length no stagger follows; what is wrong is told at taps and sample_rate_hz.
+        # Without a response length no stagger follows; the mistake is reported at taps and sample_rate_hz.
         return {**data, "stagger_s": stagger_s if 0 < stagger_s < math.inf else 0.25}
 
     @model_validator(mode="after")

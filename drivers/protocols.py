@@ -167,7 +167,7 @@ class OffersRanges(Protocol):
 
     @property
     def input_ranges_v(self) -> tuple[float, ...]:
-        """Largest magnitudes of its input ranges in volts, ascending; none where it does not know."""
+        """Largest magnitudes of its input ranges in volts, ascending; none where the device does not report them."""
         ...
 
 

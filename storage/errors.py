@@ -2,7 +2,7 @@
 
 
 class WavefocusError(Exception):
-    """Base of the errors that are told to people in one line."""
+    """Base of the errors that are shown to people in one line."""
 
 
 class InputError(WavefocusError, ValueError):

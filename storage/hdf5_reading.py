@@ -77,7 +77,7 @@ def opened(path: Path, *, cache_bytes: int = 1 << 20) -> Iterator[h5py.File]:
 
 @contextlib.contextmanager
 def opened_as(path: Path, name: str) -> Iterator[h5py.File]:
-    """Open a file of one format for reading, as :func:`opened`, once its texts are known to be sound."""
+    """Open a file of one format for reading, as :func:`opened`, once its texts are checked."""
     with opened(path) as file:
         require_sound_texts(file, path)
         require_format(file, path, name)

@@ -30,7 +30,7 @@ class UsageError(Exception):
 
 
 class Argument(NamedTuple):
-    """One argument of a command: its flags or its name, and what argparse is told of it."""
+    """One argument of a command: its flags or its name, and its settings for argparse."""
 
     names: tuple[str, ...]
     settings: Mapping[str, Any]
@@ -85,8 +85,8 @@ def number(
     notes = [bounds] if math.isfinite(low) else []
     if settings.get("default") is not None:
         notes.append(f"default: {settings['default']:g}")
-    told = f"{help} [{'; '.join(notes)}]" if notes else help
-    return Argument((name,), {"type": read, "metavar": "N", "help": told, **settings})
+    text = f"{help} [{'; '.join(notes)}]" if notes else help
+    return Argument((name,), {"type": read, "metavar": "N", "help": text, **settings})
 
 
 BANK = file("bank", metavar="BANK.h5", help="The bank file.")
@@ -248,7 +248,7 @@ COMMANDS = (
         "Operate a rig by hand, by JSON lines.\n\n"
         "Orders are read from standard input, answers written to standard output:\n\n"
         '{"order": "jog", "x_mm": 10, "y_mm": 5} moves the beam; or x_mrad, y_mrad.\n\n'
-        '{"order": "level"} tells levels; on, every_s, actuator, level_v.\n\n'
+        '{"order": "level"} reports levels; on, every_s, actuator, level_v.\n\n'
         '{"order": "sweep"} plays once; actuator, level_v, start_hz, stop_hz, duration_s.\n\n'
         '{"order": "reconnect", "instrument": "mirror"} connects afresh.\n\n'
         '"park", "mute", "state" and "end" need nothing more.\n\n'
@@ -472,7 +472,7 @@ def parser(commands: Sequence[Command] = COMMANDS) -> argparse.ArgumentParser:
     whole.add_argument(
         "--traceback", action="store_true", help="Show where in the program an error arose; or WAVEFOCUS_TRACEBACK=1."
     )
-    most = number("--most-gib", help="Largest part of a file that is read at once, in GiB; 8 unless told otherwise.")
+    most = number("--most-gib", help="Largest part of a file that is read at once, in GiB; 8 by default.")
     whole.add_argument(*most.names, **most.settings)
     chosen = whole.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
     for one in commands:

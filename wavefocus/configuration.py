@@ -129,7 +129,7 @@ def with_rig(configuration: Configuration, rig: RigConfig, source: str) -> Confi
 
 
 def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
-    """Check what neither run nor rig can tell alone.
+    """Check run and rig against each other.
 
     Raises InputError: A virtual setting without a virtual rig, or a sweep that the wiring cannot carry.
     """
@@ -158,7 +158,7 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
 
 
 def _check_faults(made: Callable[..., object], plan: Sequence[Table], key: str) -> None:
-    """Refuse a fault that the instruments which are to show it do not know."""
+    """Refuse a fault that the instruments which are to show it do not support."""
     for index, fault in enumerate(plan):
         try:
             made(**fault.model_dump())

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Task
 
-# Without a terminal (a log file, a service) a line this often tells that the work goes on.
+# Without a terminal (a log file, a service) a line this often shows progress.
 LINE_EVERY_S = 30.0
 
 
 class _StandardError(io.TextIOBase):
     """Standard error as it is now; what cannot be written to a terminal that is gone is dropped.
 
-    Nobody is left to read it, and a campaign must not end for it: its log beside the bank tells the same.
+    Nobody is left to read it, and a campaign must not end for it: its log next to the bank holds the same.
     """
 
     @property

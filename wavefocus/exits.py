@@ -38,7 +38,7 @@ def exit_code(failure: BaseException) -> Exit | None:
 
 
 def sentence(failure: BaseException) -> str:
-    """The one line that is told about an error."""
+    """The one line that reports an error."""
     if isinstance(failure, KeyboardInterrupt):
         return "stopped by the user"
     if isinstance(failure, OSError) and failure.filename is not None:

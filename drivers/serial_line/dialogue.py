@@ -180,7 +180,7 @@ class Dialogue:
                     )
 
     def recognise(self, marker: Marker) -> None:
-        """From now on, know the device by this.
+        """Use this identity from now on.
 
         The place in its answers is taken to be in doubt: more than one introduction may have been asked for.
         """

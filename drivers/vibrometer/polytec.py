@@ -7,7 +7,7 @@ Sources: the PLACE laboratory package's driver, made after Polytec's "RS-232 Int
 decoder has differs from box to box: 1 is the VD-09 in those programs.
 
 Not confirmed: the largest signal level, 775 in one of the programs; what the controller answers to a command that it
-does not know (``Not Available`` for a decoder that is not installed).
+does not support (``Not Available`` for a decoder that is not installed).
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Polytec:
 
 
 def _unless_refused(dialogue: Dialogue, query: Query[float]) -> float | None:
-    """The answer, or None from a controller that does not know the question."""
+    """The answer, or None from a controller that does not support the question."""
     try:
         return dialogue.ask(query, f"asking {query.text}")
     except InstrumentError as refusal:

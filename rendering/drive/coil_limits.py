@@ -232,7 +232,7 @@ def _largest_mean(signal: Float64Array, window: int) -> float:
 
 
 class RunningLevels:
-    """Peaks, norms and largest rms of drives, block by block: in the end what the whole drive would have told.
+    """Peaks, norms and largest rms of drives, block by block: in the end those of the whole drive.
 
     Parameters
     ----------

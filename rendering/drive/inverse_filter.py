@@ -4,7 +4,7 @@ At each frequency the transfer functions H from N actuators to M control points 
 
     F = H* (H H* + lambda I)^-1 D,
 
-D being what each control point shall hear: its own emissions, and nothing of the other points'. Tanter, Thomas
+D being the response wanted at each control point: its own emissions, and nothing of the other points'. Tanter, Thomas
 & Fink, "Time reversal and the inverse filter" (2000), call it the spatio-temporal inverse filter; for one point
 it is time reversal with the spectrum made flat.
 """
@@ -60,7 +60,7 @@ class InverseReport:
     regularised_condition : float64 array, shape (bins,)
         The same of ``[H; sqrt(lambda) I]``, which is what was solved.
     misfit : float
-        Relative L2 error of the response at the control points against what they shall hear, over the band.
+        Relative L2 error of the response at the control points against the response wanted, over the band.
     cut_share : float
         Share of the drive's energy that lay before the lead-in or after the last emitted sample, and was cut.
     limiting : Limiting
@@ -140,8 +140,8 @@ def inverse_filter(
     per_point = [source.emission == "per_point" for source in scene.sources]
     wanted = gain * _wanted(sources, per_point, place, len(points_mm), band, length, lead=2 * taps - 1)
     spectra = np.einsum("bnm,bm->bn", inverse, wanted)
-    heard = np.einsum("bmn,bn->bm", system, spectra)
-    misfit = float(np.linalg.norm(heard - wanted) / max(float(np.linalg.norm(wanted)), 1e-300))
+    reached = np.einsum("bmn,bn->bm", system, spectra)
+    misfit = float(np.linalg.norm(reached - wanted) / max(float(np.linalg.norm(wanted)), 1e-300))
     whole = np.zeros((bank.actuators, length // 2 + 1), dtype=np.complex128)
     whole[:, band.bins] = spectra.T
     in_time = np.fft.irfft(whole, length, axis=1)
@@ -233,7 +233,7 @@ def _wanted(
     *,
     lead: int,
 ) -> Complex128Array:
-    """Spectra of what the control points shall hear, (bins, points)."""
+    """Spectra of the response wanted at the control points, (bins, points)."""
     wanted = np.zeros((points, length))
     for source, anew, at in zip(sources, per_point, place, strict=True):
         begins = source.focus_sample
@@ -258,8 +258,8 @@ def _inverse(system: Complex128Array, ridge: float) -> Complex128Array:
 
 def _gains(system: Complex128Array, inverse: Complex128Array, band: _Band) -> Float64Array:
     """What makes each point's response to its own impulse 1 at its first sample, (points,)."""
-    heard = np.einsum("bmn,bnm->bm", system, inverse).real
-    return np.asarray(1.0 / np.maximum(band.share @ heard, 1e-300))
+    reached = np.einsum("bmn,bnm->bm", system, inverse).real
+    return np.asarray(1.0 / np.maximum(band.share @ reached, 1e-300))
 
 
 def _with_warnings(report: InverseReport, scene: Scene) -> InverseReport:
@@ -275,7 +275,7 @@ def _with_warnings(report: InverseReport, scene: Scene) -> InverseReport:
         warnings.append("saturation belongs to time reversal; inverse filtering was done without it")
     if report.misfit > 0.5:
         warnings.append(
-            f"the control points hear something else than they shall: {100 * report.misfit:.0f} % off; fewer or"
+            f"the response at the control points differs from the one wanted: {100 * report.misfit:.0f} % off; fewer or"
             " more distant points, a lower speed or less regularisation would help"
         )
     return replace(report, warnings=tuple(warnings))

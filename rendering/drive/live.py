@@ -55,12 +55,12 @@ class LiveDrive:
     method : {"sampled", "exact"}, optional
         As for `render`.
     tolerance_db : float, optional
-        As for `render`; what is proved is known at the end.
+        As for `render`; the bound is available at the end.
     gain : float
         Factor by which all is multiplied, such as the scale that a first pass found (`rendering.drive.streamed_drive`).
     limits : DriveLimits, optional
         What no actuator may exceed; by default the scene's. They cannot be met by scaling here, as the largest value
-        is not known yet: drives that exceed them are refused when they come.
+        is not available yet: drives that exceed them are refused when they come.
 
     Raises
     ------
@@ -153,7 +153,7 @@ class LiveDrive:
                 self._judge(block, first, levels)
                 yield block
             for index, source in enumerate(sources):
-                # What is made beyond the last sample is nothing, but only its end tells what all of it cost.
+                # What is made beyond the last sample is nothing, but the facts are complete only at its end.
                 self.rows.needed_by = self.sources[index].naming
                 while next(source.pieces, None) is not None:
                     pass

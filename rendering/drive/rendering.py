@@ -207,7 +207,7 @@ class _Progress:
             return None
         parts = 100
 
-        def told(done: int, total: int) -> None:
+        def report(done: int, total: int) -> None:
             on_progress(source.index * parts + parts * done // total, len(self._sources) * parts)
 
-        return told
+        return report

@@ -47,7 +47,7 @@ class Events:
 class Windows:
     """Windows of one block: what one row emits, one saturation at a time.
 
-    Until `weigh` was called no more is known than the pairs of a row and a regularising row.
+    Before `weigh` is called there are only the pairs of a row and a regularising row.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:
     unsigned, mantissa_bits, unit = integers[raw.dtype]
     raw = np.ascontiguousarray(raw)
     magnitude = raw.view(unsigned) & unsigned(2 ** (8 * raw.dtype.itemsize - 1) - 1)
-    # Zero wraps round to the largest integer, so that the smallest one tells whether there is a denormal.
+    # Zero wraps round to the largest integer, so that the smallest one shows a denormal.
     magnitude -= unsigned(1)
     if magnitude.min(initial=unsigned(2**mantissa_bits)) >= 2**mantissa_bits - 1:
         return raw.astype(np.float64), 0

@@ -66,7 +66,7 @@ def calibrate(rig: Path, sides: FarSides, *options: str) -> tuple[int, dict[str,
                 found = re.search(r"output \d+|both inputs|summing box|the vibrometer", line)
                 assert found is not None, line
                 word = words.get(found[0], found[0])
-                while f"response input hears: {word}" not in sides.say(f"patch {word}"):
+                while f"response input is connected to: {word}" not in sides.say(f"patch {word}"):
                     pass  # other lines came between
                 person.stdin.write("\n")
                 person.stdin.flush()

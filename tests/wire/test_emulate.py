@@ -77,7 +77,7 @@ def test_given_a_keyboard_then_the_spot_the_patch_bay_and_mistakes_are_answered(
         mirror.close()
         assert float(x_mm) == pytest.approx(1000 * 0.030009, abs=0.2)
         assert float(y_mm) == pytest.approx(-1000 * 0.020003, abs=0.2)
-        assert sides.say("patch output 2") == "the response input hears: output 2"
+        assert sides.say("patch output 2") == "the response input is connected to: output 2"
         assert "allowed: vibrometer, sum, both" in sides.say("patch kettle")
         assert "there is no 'vibrometer' here" in sides.say("unplug vibrometer")
         assert "patch vibrometer" in sides.say("make coffee")

@@ -168,7 +168,7 @@ def needed_by(
 
 
 def own_plan(header: RawHeader, raw: Path) -> Plan | None:
-    """The plan that the recordings were made by; None where the file does not carry one that this version knows."""
+    """The plan that the recordings were made by; None where the file does not carry one that this version reads."""
     if not (header.rig_json and header.run_json):
         return None
     try:
@@ -183,7 +183,7 @@ def own_plan(header: RawHeader, raw: Path) -> Plan | None:
 def estimator_for(
     recordings: RawFile, plan: Plan | None, tell: Callable[[str], None] = lambda line: None
 ) -> PositionEstimator:
-    """The campaign's own estimator, which gives its bank again; else what the reference channels tell."""
+    """The campaign's own estimator, which gives its bank again; else one that is found from the reference channels."""
     from acquisition.measuring.plays import position_estimator  # of kept recordings alone
     from calibration.estimator.position import Channels
     from calibration.estimator.raw_estimation import estimator_of

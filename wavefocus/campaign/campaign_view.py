@@ -1,4 +1,4 @@
-"""A campaign for people: a progress bar, and a line for everything they should know of."""
+"""A campaign for people: a progress bar, and a line for each important event."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from acquisition.engine.events import (
 from acquisition.schedule.row_ranges import row_ranges
 from wavefocus.console import Report, finish_clock, say
 
-# What a person at the terminal asked for or must know of; recovery and the end have lines of their own.
+# What a person at the terminal asked for, or must see; recovery and the end have lines of their own.
 _TOLD = frozenset({State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING})
 
-# A rig on a virtual clock lives through hours in seconds; then both clocks are told.
+# A rig on a virtual clock lives through hours in seconds; then both clocks are shown.
 _SAME_CLOCK = 0.2
 
 

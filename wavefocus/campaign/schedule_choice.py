@@ -25,7 +25,7 @@ GENEROUS = 1.3
 def settle(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[ScheduleSettled, ...]]:
     """Try a staggered run's schedules at one position and settle on one; other runs stay as they are.
 
-    Returns the blueprint that the bank is to be made of, and what there is to tell. Raises InputError: the responses
+    Returns the blueprint that the bank is to be made of, and events to report. Raises InputError: the responses
     are longer than the taps, or staggered capture does not pay and the run says to refuse then. Raises InstrumentError:
     an instrument failed.
     """
@@ -46,7 +46,7 @@ def settle(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[Schedule
     changes: dict[str, object] = {"level_db": run.capture.level_db + chosen.level_db}
     changes |= {"groups": chosen.groups} if chosen.groups else {"excitation": "sequential"}
     settled = _with_run(blueprint, run.settled_as(run.capture.model_copy(update=changes), reason))
-    told = ScheduleSettled(
+    event = ScheduleSettled(
         trial.took_s,
         trial.position,
         chosen.name,
@@ -57,7 +57,7 @@ def settle(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[Schedule
     say(reason)
     if advice := _advice(trial, run.capture):
         say(advice)
-    return settled, (told,)
+    return settled, (event,)
 
 
 def as_settled(blueprint: Blueprint, bank: Path) -> Blueprint:
@@ -84,7 +84,7 @@ def _with_run(blueprint: Blueprint, run: RunConfig) -> Blueprint:
 
 def _advice(trial: Trial, capture: Capture) -> str:
     if trial.decay is None:
-        return "how long the responses ring cannot be told from this position: noise hides it"
+        return "the decay of the responses cannot be measured at this position: noise hides it"
     needed = trial.decay.needed_taps()
     if capture.taps < GENEROUS * needed:
         return ""

@@ -75,16 +75,16 @@ def capture(
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
         needed = needed_by(scene_files, blueprint.plan.position_mm, checks=checks, allow_large=allow_large)
-    blueprint, told = _with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
+    blueprint, earlier = _with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
     named = blueprint.configuration.run.rig
     rig_file = None if named == "virtual" else run_file.parent / named
     options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
     if needed is None:
-        return _session(blueprint, bank, None, options, told)
+        return _session(blueprint, bank, None, options, earlier)
     with open_bank(bank) as view:
         left = blueprint.plan.to_do(view.status)
     rows = [int(row) for row in left if row in needed]
-    done = _session(blueprint, bank, rows, options, told) if rows else Exit.DONE
+    done = _session(blueprint, bank, rows, options, earlier) if rows else Exit.DONE
     say(
         f"all {len(needed)} positions that are needed are in the bank; the other "
         f"{len(left) - len(rows)} are left, and measured by: {resume_line(bank, rig_file)}"
@@ -97,12 +97,12 @@ def _with_bank(
 ) -> tuple[Blueprint, tuple[Event, ...]]:
     """Make the bank unless it is there; return the campaign as the bank has it, and what happened on the way."""
     if not bank.exists():
-        settled, told = settle(blueprint, str(run_file))
+        settled, earlier = settle(blueprint, str(run_file))
         if is_network_mount(bank.absolute().parent):
             say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
             create_bank(bank, settled.bank_header())
-            return settled, told
+            return settled, earlier
     return with_one_calibration(as_settled(blueprint, bank), bank, run_file, accept=accept_calibration), ()
 
 
@@ -173,11 +173,11 @@ def _session(
     bank: Path,
     rows: Sequence[int] | None,
     options: SessionOptions,
-    told: Sequence[Event] = (),
+    earlier: Sequence[Event] = (),
     *,
     replaceable: Sequence[int] = (),
 ) -> Exit:
-    """Carry out one session with log, progress and signals around it; `told` is what happened before it."""
+    """Carry out one session with log, progress and signals around it; `earlier` happened before it."""
     stop, rig_file = StopRequest(), options.rig_file
     plan = blueprint.plan
     with (
@@ -208,7 +208,7 @@ def _session(
             refuse_other_devices(
                 blueprint.configuration.rig, setup.instruments, bank, accept=options.accept_calibration
             )
-        for event in told:
+        for event in earlier:
             publish(event)
         if raw is not None and rows is None and (bare := without_recordings(writer.status, raw)):
             say(f"{raw.path} lacks the recordings of {len(bare)} measured position(s): measured again")
@@ -218,7 +218,7 @@ def _session(
         )
         if ended.state is State.STOPPED:
             say(f"nothing measured is lost; go on with: {resume_line(bank, rig_file)}")
-            # From in here, so that an instrument that cannot be put to rest is told and does not hide the stop.
+            # From in here, so that an instrument that cannot be put to rest is reported and does not hide the stop.
             raise KeyboardInterrupt
         if writer.renamed:
             say(f"warning: {bank} was renamed while it was measured; it has its name again, beside the other")

@@ -21,11 +21,11 @@ def check(file: Path, *, as_json: bool) -> Exit:
     if as_json:
         print(json.dumps({"bank": str(file), "errors": errors, "findings": [asdict(one) for one in findings]}))
     line = say if as_json else answer
-    told = {level: [one for one in findings if one.severity == level] for level in ("error", "warning", "note")}
-    for severity, some in told.items():
+    by_severity = {level: [one for one in findings if one.severity == level] for level in ("error", "warning", "note")}
+    for severity, some in by_severity.items():
         for one in some[:MOST_LINES]:
             line(f"{severity}: {one.message}")
         if len(some) > MOST_LINES:
-            line(f"{severity}: and {len(some) - MOST_LINES} more; --json tells all")
-    line(f"{file}: {errors} errors, {len(told['warning'])} warnings")
+            line(f"{severity}: and {len(some) - MOST_LINES} more; --json lists all")
+    line(f"{file}: {errors} errors, {len(by_severity['warning'])} warnings")
     return Exit.NOT_GOOD_ENOUGH if errors else Exit.DONE

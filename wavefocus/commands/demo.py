@@ -155,7 +155,7 @@ def _tell(watch: _Stopwatch, report: Path) -> None:
 
 
 def _peak_memory_bytes() -> int | None:
-    """Largest resident memory of this process and its children, where the system tells."""
+    """Largest resident memory of this process and its children, where the system reports it."""
     if sys.platform == "win32":
         return None
     import resource

@@ -50,7 +50,7 @@ def doctor(
     """Examine a rig; exit code 1 when something is not good enough, whatever it is.
 
     `reset_usb` names a role whose USB device is reset first: the last resort, and never done unasked. With `as_lines`
-    each finding is one JSON line as soon as it is made, before the object that tells all.
+    each finding is one JSON line as soon as it is made, before the object that holds all.
     """
     rig = load_rig(rig_file)
     if reset_usb:
@@ -157,13 +157,13 @@ USB_S = 60.0
 
 def versions() -> dict[str, str]:
     """Versions of Python, of the system and of the packages that matter; "missing" where there is none."""
-    told = {"python": platform.python_version(), "system": platform.platform()}
+    facts = {"python": platform.python_version(), "system": platform.platform()}
     for package in PACKAGES:
         try:
-            told[package] = version(package)
+            facts[package] = version(package)
         except PackageNotFoundError:
-            told[package] = "missing"
-    return told
+            facts[package] = "missing"
+    return facts
 
 
 def check_surroundings(

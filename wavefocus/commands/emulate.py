@@ -63,7 +63,7 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
 
 
 def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
-    """Where a rig's drivers look for their instruments, as the far sides must know it.
+    """Where a rig's drivers look for their instruments, for the far sides.
 
     Raises InputError: an address that no far side can be put at.
     """
@@ -149,7 +149,7 @@ def _answer(emulated: EmulatedRig, words: list[str]) -> str:
                 return f"{role} is plugged in"
             case ["patch", *rest]:
                 emulated.bench.patch_bay.connect(" ".join(rest))
-                return f"the response input hears: {emulated.bench.patch_bay.word}"
+                return f"the response input is connected to: {emulated.bench.patch_bay.word}"
             case ["spot"]:
                 spot_mm = emulated.bench.spot_mm()
                 return "spot: not on the plate" if spot_mm is None else f"spot: {spot_mm[0]:.3f} {spot_mm[1]:.3f} mm"

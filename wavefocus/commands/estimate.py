@@ -29,7 +29,7 @@ from wavefocus.campaign.blueprint import estimator_for, own_plan
 from wavefocus.cluster import estimate_on_cluster
 from wavefocus.console import progress, say
 
-# So many faults are told one by one.
+# So many faults are listed one by one.
 MOST_LINES = 10
 
 
@@ -52,7 +52,7 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
             f"{'; finding what was played' if plan is None else ''}"
         )
         if not bank.exists():
-            # What was played must be known before a bank is made of it.
+            # The excitation must be found before a bank is made of it.
             estimator = estimator_for(recordings, plan, tell)
             if is_network_mount(bank.absolute().parent):
                 say(f"{bank} is on a network drive, where locks and syncs are unreliable: estimate to a local disk")

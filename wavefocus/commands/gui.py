@@ -25,7 +25,7 @@ def gui(files: Sequence[Path]) -> int:
 
 
 def front_door() -> FrontDoor:
-    """What the window needs to know of the command line."""
+    """Facts of the command line that the window needs."""
     return FrontDoor(
         command=(sys.executable, "-m", "wavefocus"),
         log_path=log_path,

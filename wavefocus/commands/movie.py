@@ -60,7 +60,7 @@ def movie(
         raise InputError("--snapshots needs the focus instants: add --drive DRIVE.h5")
     require_outputs((out, snapshot_file), (field_file, bank, drive_file), force=force)
     drive = None if drive_file is None else read_drive(drive_file)
-    told: dict[str, object] = {"field": str(field_file)}
+    answer: dict[str, object] = {"field": str(field_file)}
     with open_bank(bank) as view, FieldRowReader(field_file) as field:
         name_unverified(field_file, verified=field.verified)
         if drive_file is not None and drive is not None:
@@ -85,13 +85,13 @@ def movie(
                 f"{out}: {len(plan.sample)} frames, {plan.step_s * 1e3:.3g} ms apart, {plan.slowed:.3g} times slower"
                 f" than life, colours to {quantity(f'{limit:.3g}', field.response_unit)}"
             )
-            told |= {"movie": str(out), "frames": len(plan.sample), "slowed": plan.slowed, "limit": limit}
+            answer |= {"movie": str(out), "frames": len(plan.sample), "slowed": plan.slowed, "limit": limit}
         if snapshot_file is not None and drive is not None:
             write_whole(snapshot_file, snapshots(field, surface, drive).png)
             say(f"{snapshot_file}: the field at focus instants")
-            told["snapshots"] = str(snapshot_file)
+            answer["snapshots"] = str(snapshot_file)
     if as_json:
-        print(json.dumps(told))
+        print(json.dumps(answer))
 
 
 def _check_together(

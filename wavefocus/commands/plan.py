@@ -40,7 +40,7 @@ def plan(
     allow_large: bool = False,
     as_json: bool,
 ) -> None:
-    """Walk the plan without playing anything and tell what it would take; for some scenes alone if named."""
+    """Walk the plan without playing anything and report time, size and limits; for some scenes alone if named."""
     blueprint = blueprint_from_files(run_file)
     the_plan = blueprint.plan
     waves = waves or Waves()

@@ -132,7 +132,7 @@ def _told(report: Report, clock: Clock, seconds: float) -> Iterator[None]:
 
 
 AHEAD_S = 2.0
-"""So much is rendered before it is heard: many times what a render takes, short enough to wait for."""
+"""So much is rendered before it sounds: many times what a render takes, short enough to wait for."""
 PIECES_AHEAD = 8
 MOST_PIECE_SAMPLES = 4096
 
@@ -266,7 +266,7 @@ def _play(
         pieces = rate.pieces(streamed.blocks(), actuators, samples, block_samples)
         least_s = _sounding(player, rig, pieces, ahead_s, seconds)
     if least_s is not None:
-        say(f"rendering was never less than {1e3 * least_s:.0f} ms ahead of what was heard")
+        say(f"rendering was never less than {1e3 * least_s:.0f} ms ahead of the sound")
     return {
         "seconds": seconds,
         "peak_v": streamed.peak_v,
@@ -284,7 +284,7 @@ def _play(
 def _sounding(
     player: BoundedPlayer, rig: RigConfig, pieces: Iterable[NDArray[np.float64]], ahead_s: float, seconds: float
 ) -> float | None:
-    """Play the pieces as they come; tells how little was waiting at worst, None if all fitted before it sounded."""
+    """Play the pieces as they come; returns the smallest reserve, None if all fitted before it sounded."""
     interface_rate_hz = rig.player.interface_rate_hz
     least_s: float | None = None
     handed_s, whole_s = 0.0, math.ceil(seconds)

@@ -53,7 +53,7 @@ from wavefocus.exits import Exit
 if TYPE_CHECKING:
     from acquisition.quality.limits import DriftPoint
 
-# So many positions that stayed as they were are told one by one.
+# So many positions that stayed as they were are listed one by one.
 MOST_LINES = 5
 
 
@@ -138,7 +138,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     if owner is None:
         if beat is not None and beat.state not in ("finished", "idle"):
             # A process that was killed has not said good-bye.
-            answer(f"last heard {hours(beat.age_s())} ago: {beat.state}: {beat.reason}")
+            answer(f"last sign of life {hours(beat.age_s())} ago: {beat.state}: {beat.reason}")
         left = f"; go on with: {resume_line(bank, None)}" if done < total else ""
         if left and _names_rig_file(run_json):
             left += " (with --rig RIG.toml where the rig file was corrected)"
@@ -280,35 +280,35 @@ LOOKS_EVERY_S = 0.1
 
 
 def order(bank: Path, word: Word, wait_s: float, *, as_json: bool) -> Exit:
-    """Give an order and wait until it is carried out, or at least heard.
+    """Give an order and wait until it is carried out, or at least received.
 
     Raises InputError: no process owns the bank.
     """
     owner = _owner(bank, word)
     given = give_order(bank, word)
     until_s = time.monotonic() + wait_s
-    heard, carried_out = None, False
+    received, carried_out = None, False
     while not carried_out:
         beat = read_heartbeat(bank)
         if beat is not None and beat.order == given.number:
-            heard = beat
+            received = beat
             carried_out = beat.state in CARRIED_OUT[word]
         gone = bank_owner(bank) is None
         if gone:
-            carried_out = carried_out or (word == "stop" and heard is not None)
+            carried_out = carried_out or (word == "stop" and received is not None)
             break
         if time.monotonic() >= until_s:
             break
         if not carried_out:
             time.sleep(LOOKS_EVERY_S)
-    if heard is None:
+    if received is None:
         withdraw(bank, given)
-    line = _line(bank, owner, heard, wait_s, carried_out=carried_out)
+    line = _line(bank, owner, received, wait_s, carried_out=carried_out)
     say(line)
     if as_json:
-        state = None if heard is None else heard.state
-        print(json.dumps({"order": word, "heard": heard is not None, "carried_out": carried_out, "state": state}))
-    return Exit.DONE if heard is not None else Exit.NOT_GOOD_ENOUGH
+        state = None if received is None else received.state
+        print(json.dumps({"order": word, "heard": received is not None, "carried_out": carried_out, "state": state}))
+    return Exit.DONE if received is not None else Exit.NOT_GOOD_ENOUGH
 
 
 def _owner(bank: Path, word: str) -> Owner:
@@ -320,12 +320,12 @@ def _owner(bank: Path, word: str) -> Owner:
     return owner
 
 
-def _line(bank: Path, owner: Owner, heard: Heartbeat | None, wait_s: float, *, carried_out: bool) -> str:
+def _line(bank: Path, owner: Owner, received: Heartbeat | None, wait_s: float, *, carried_out: bool) -> str:
     who = f"process {owner.pid} on {owner.host}"
-    if heard is None:
+    if received is None:
         beat = read_heartbeat(bank)
         silent = "" if beat is None else f"; its last sign of life is {hours(beat.age_s())} old"
         return f"{bank}: {who} does not answer within {wait_s:g} s{silent}; the order is withdrawn"
     if carried_out:
-        return f"{bank}: {who}: {heard.state}: {heard.reason}"
-    return f"{bank}: {who} has heard it and is {heard.state}: {heard.reason}; wavefocus status tells when it is done"
+        return f"{bank}: {who}: {received.state}: {received.reason}"
+    return f"{bank}: {who} has received it and is {received.state}: {received.reason}; see wavefocus status"

@@ -181,12 +181,12 @@ class _Work:
     @contextmanager
     def _step(self, name: str, total: int) -> Iterator[Report]:
         """Tell how far a step is, to people and in the log."""
-        told = self.log.step(name, total)
+        logged = self.log.step(name, total)
         with progress(name, total) as people:
 
             def report(done: int, total: int, note: str = "") -> None:
                 people(done, total, note)
-                told(done, total)
+                logged(done, total)
 
             yield report
 
@@ -279,7 +279,7 @@ class VerifyLog:
         self._lines(event)
 
     def step(self, name: str, total: int) -> Callable[[int, int], None]:
-        """Begin a step of `total` items; the result is told how many are done."""
+        """Begin a step of `total` items; the result is called with the number done."""
         started_s = time.monotonic()
         told_s = started_s
         self._write(VerifyStep(_now(), name, 0, total))

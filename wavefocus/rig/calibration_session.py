@@ -105,7 +105,7 @@ def amplitude_v(rig: RigConfig, request: Request) -> float:
 
 
 def marks(rig: RigConfig, request: Request) -> tuple[tuple[Pair, ...], tuple[Pair, ...] | None]:
-    """Places of the marks in millimetres, and their angles in milliradians where they are known already.
+    """Places of the marks in millimetres, and their angles in milliradians where they are given.
 
     Raises InputError: A file that cannot be understood, or marks that no map can be fitted through.
     """
@@ -117,7 +117,7 @@ def marks(rig: RigConfig, request: Request) -> tuple[tuple[Pair, ...], tuple[Pai
     else:
         places, angles = read_fiducials(request.fiducials)
     if "mirror" in request.parts:
-        # Better told now than when the last mark is met: the first guess stands in for angles not known yet.
+        # Refused now rather than after the last mark: the first guess replaces angles not measured yet.
         if angles is None:
             guessed = np.column_stack(MirrorMap(rig.mirror.matrix).angles_mrad(*np.array(places).T)).tolist()
         else:
@@ -144,7 +144,7 @@ def listening(rig: RigConfig, request: Request) -> tuple[float, NDArray[np.float
     return distance_mm, places
 
 
-# Latencies that scatter by more are told: one record knows them a thousand times better.
+# Latencies that scatter by more are reported: one record gives them a thousand times better.
 MOST_SPREAD_S = 1e-6
 
 
@@ -215,7 +215,7 @@ class CalibrationSession:
             }
         )
 
-    # -- the parts: each measures with the setup as known so far, and returns it with what it has found ---------
+    # -- the parts: each measures with the setup so far, and returns it with its results ---------
 
     def _inputs(self, setup: Setup, operator: Operator) -> Setup:
         found = measure_inputs(self._probe(setup), operator)
@@ -259,7 +259,7 @@ class CalibrationSession:
             if one.polarity < 0:
                 self.problems.append(f"outputs: output {one.channel} is reversed: swap its two wires")
         if not found:
-            raise NotMeasuredError("no output is heard: is the response input plugged into the player?")
+            raise NotMeasuredError("no signal from any output: is the response input plugged into the player?")
         loudest = max((abs(one.latency_s) for one in found), default=0.0)
         operator.tell(f"outputs: {len(found)} measured, latencies within {1e6 * loudest:.2f} us of the loopback's")
         self._take_up(
@@ -320,7 +320,7 @@ class CalibrationSession:
                     f"({found.level_db[actuator]:+.1f} dB): {REMEDIES[verdict]}"
                 )
         good = sum(verdict == "good" for verdict in found.verdict)
-        operator.tell(f"actuators: {good} of {len(channels)} good, heard at {self._distance_mm:g} mm from each")
+        operator.tell(f"actuators: {good} of {len(channels)} good, measured at {self._distance_mm:g} mm from each")
         self._take_up(
             "actuators",
             ActuatorsMeasured(
@@ -341,7 +341,7 @@ class CalibrationSession:
         return setup
 
     def _need_vibrometer(self, setup: Setup, cables: Cables) -> None:
-        """Have the vibrometer plugged in; an output that was plugged there must not be heard any more."""
+        """Have the vibrometer plugged in; an output that was plugged there must have no signal there any more."""
         plugged = [one for one in self._rig.player.channels if output(one) == cables.source]
         probe, channel = self._probe(setup), (plugged or self._rig.player.channels)[0]
         while True:

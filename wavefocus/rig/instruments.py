@@ -94,7 +94,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
 
 
 def in_time(ways: Openers, limit_s: float) -> Openers:
-    """The same ways, each with an end: an instrument whose driver hangs while it is opened is told as lost."""
+    """The same ways, each with an end: an instrument whose driver hangs while it is opened is reported as lost."""
 
     def bounded(role: str, opens: Callable[[], Opened]) -> Callable[[], Opened]:
         def call() -> Opened:
@@ -230,7 +230,7 @@ def open_player(rig: RigConfig) -> Iterator[tuple[BoundedPlayer, Clock]]:
     try:
         yield player, ways.clock
     except BaseException:
-        # The first failure is the one to act on; what else fails on the way out is told and does not hide it.
+        # The first failure is the one to act on; what else fails on the way out is reported and does not hide it.
         for step in (player.mute, player.close):
             try:
                 step()

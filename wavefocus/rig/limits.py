@@ -40,7 +40,7 @@ def largest_sine_v(player: PlayerSection) -> float:
 
 
 PLAYED_UNITS = ("V", "1")
-"""Units of drives that are played as volts; 1 is that of a bank that knows no other."""
+"""Units of drives that are played as volts; 1 is that of a bank without a unit."""
 
 
 def limits_of(player: PlayerSection) -> DriveLimits:
@@ -95,7 +95,7 @@ def _known(limit_v: float | None, key: str) -> tuple[float, str]:
     return (math.inf if limit_v is None else limit_v, key)
 
 
-# A bank made by other means does not know the interface; then the WAV says volts at the common rate.
+# A bank made by other means holds no interface; then the WAV is in volts at the common rate.
 DEFAULT_INTERFACE_RATE_HZ = 48_000
 DEFAULT_FULL_SCALE_V = 1.0
 

@@ -31,7 +31,7 @@ WAITING = frozenset({State.SUSPENDED, State.RECOVERING})
 class AppriseOutbox:
     """Addresses as apprise has them: ``mailto://...``, ``tgram://...``, ``json://...`` and some hundred more.
 
-    Raises InputError: apprise is not installed, or does not know an address; it is named by its number and kind alone.
+    Raises InputError: apprise is not installed, or not an address, which is named by number and kind.
     """
 
     def __init__(self, urls: Sequence[str]) -> None:
@@ -50,7 +50,7 @@ class AppriseOutbox:
             kind = "?" if scheme is None else scheme[0]
             if not one.add(url):
                 raise InputError(
-                    f"messages.urls[{number}]: apprise does not know this kind of address ({kind}), or it lacks "
+                    f"messages.urls[{number}]: apprise does not support this kind of address ({kind}), or it lacks "
                     "a part; its documentation lists what each needs"
                 )
             self._each.append((kind, one))
@@ -211,7 +211,7 @@ def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Findi
         except InputError as wrong:
             yield Finding("messages", "addresses", "fail", str(wrong), "correct it", EDIT)
             return
-        what = f"{len(urls)} known, none tried"
+        what = f"{len(urls)} given, none tried"
         yield Finding("messages", "addresses", "ok", what, "--test-message sends one to each", Act("test-message"))
         return
     for number, url in enumerate(urls):

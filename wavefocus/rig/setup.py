@@ -75,7 +75,7 @@ def put_to_rest(setup: Setup) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        # The first failure is the one to act on; what else fails on the way out is told and does not hide it.
+        # The first failure is the one to act on; what else fails on the way out is reported and does not hide it.
         try:
             setup.close()
         except* Exception as group:
@@ -111,7 +111,7 @@ class RoomSensor:
 
 
 class LightSensor:
-    """The signal level that a Polytec controller tells, 0 to 1."""
+    """The signal level of a Polytec controller, 0 to 1."""
 
     def __init__(self, section: VibrometerSection) -> None:
         self._section = section
@@ -121,7 +121,7 @@ class LightSensor:
         reading = read_vibrometer(self._section, any_level=True)
         if reading.signal_level is None:
             raise InstrumentError(
-                reading.identity, "asking the signal level", "it does not tell", "leave watch.light out of the rig file"
+                reading.identity, "asking the signal level", "it has none", "leave watch.light out of the rig file"
             )
         return reading.signal_level
 

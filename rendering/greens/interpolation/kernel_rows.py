@@ -26,7 +26,7 @@ GROWTH = 0.12
 """Towards 0 Hz, where the ridge decides, knots follow each other by this factor."""
 MOST_KNOTS = 400
 FADE = (1.25, 1.5)
-"""Between these multiples of the band's upper end interpolated rows fade out: above its band a bank knows nothing."""
+"""Between these multiples of the band's upper end interpolated rows fade out: above its band a bank holds nothing."""
 LEFT_OUT = 1e-6
 """Where no band is stated, it ends where this share of the bank's energy is left above."""
 ROWS_LOOKED_AT = 4

@@ -1,7 +1,7 @@
 """Grid spacing that a band needs, from the wave number and the interpolation alone.
 
-Waves of one complex wave number arrive from all sides. Their covariance is known (`calibration.neighbours.wave_model`),
-and so is what an interpolation with given weights expects to get wrong.
+Waves of one complex wave number arrive from all sides. Their covariance has a closed form
+(`calibration.neighbours.wave_model`), and so has the expected error of an interpolation with given weights.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class PathNodes:
             steps = max(int(np.ceil((end - begin) / spacing_mm - 1e-3)), 1)
             step = spacing_mm if turn_mm > 0 else (end - begin) / steps
             nodes = np.append(begin + step * np.arange(steps), end)
-            # A corner is known to rounding: its two nodes lie safely on their own sides of it.
+            # A corner is exact to rounding: its two nodes lie safely on their own sides of it.
             nodes[0] += INSET * step if begin > 0 else 0.0
             nodes[-1] -= INSET * step if end < path.length_mm else 0.0
             self._first.append(sum(self._count))
