@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -135,6 +136,11 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     """
     if run.virtual is not None and not rig.is_virtual:
         raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
+    plate = Virtual().plate if run.virtual is None else run.virtual.plate
+    if plate == "thin" and rig.surface.kind != "rectangle":
+        raise InputError(f'{source}: virtual.plate = "thin": needs kind = "rectangle" in [surface] of the rig file')
+    if plate == "stadium" and find_spec("skfem") is None:
+        raise InputError(f'{source}: virtual.plate = "stadium": needs scikit-fem: pip install "wavefocus[plates]"')
     actuators = len(rig.actuators.position_mm)
     if run.capture.groups > actuators:
         allowed = f"must be at most {actuators}, the number of actuators"
