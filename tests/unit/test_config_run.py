@@ -44,7 +44,7 @@ def test_default_quality_is_what_the_engine_judges_by() -> None:
 
 MISTAKES = [
     ("[virtual]\nplate = 'thin'", 'virtual.plate = "thin": needs kind = "rectangle"'),
-    ("[virtual]\nquality = 3", 'virtual.quality = 3: belongs to plate = "thin"'),
+    ("[virtual]\nquality = 3", 'virtual.quality = 3.0: belongs to plate = "thin"'),
     ("[grid]\nspacing_m = 4", "grid.spacing_m = 4: unknown key; did you mean spacing_mm?"),
     ("[grid]\nspacing = 4", "grid.spacing = 4: unknown key; did you mean spacing_mm?"),
     ("[grid]\ntaps = 4", "grid.taps = 4: unknown key; it belongs to [capture]"),
