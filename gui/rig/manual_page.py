@@ -109,9 +109,12 @@ class SoundPanel(QWidget):
         self.figures, self.verdict = QLabel("no sweep yet"), QLabel()
         self.figures.setAccessibleName("Figures of the sweep")
         self.verdict.setAccessibleName("Defects of the sweep")
-        self.waveform = Plot("Waveform of the sweep", "time (s)", "response (mV)", legend_at=_LEGEND_AT)
+        self.waveform = Plot("Waveform of the sweep", "time (s)", "mV", legend_at=_LEGEND_AT)
         self.spectrum = Plot(
-            "Spectrum of the sweep", "frequency (Hz); dashed: the sweep's band", "dB re 1 V/√Hz", legend_at=_LEGEND_AT
+            "Spectrum of the sweep",
+            "frequency (Hz); dashed: the sweep's band; dB re 1 V/√Hz",
+            "dB",
+            legend_at=_LEGEND_AT,
         )
         self._lay_out()
         self.listen.clicked.connect(self._listen)
@@ -219,7 +222,7 @@ class SoundPanel(QWidget):
         plot = self.waveform.getPlotItem()
         plot.clear()
         factor, unit = (1e3, "mV") if sweep.response_peak_v < _MILLIVOLTS_BELOW_V else (1.0, "V")
-        plot.setLabel("left", f"response ({unit})")
+        plot.setLabel("left", unit)
         time_s = np.arange(len(sweep.response_v)) / sweep.sample_rate_hz
         reference_peak_v = float(np.abs(sweep.reference_v).max(initial=0.0))
         share = sweep.response_peak_v / reference_peak_v if reference_peak_v > 0 else 1.0
