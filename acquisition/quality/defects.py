@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -108,23 +108,17 @@ def named_defects(
     figures = estimate.defects
     dead = dead_records(estimate)
     unnamed = ~dead
-    found: list[Defect] = list(_dead(dead))
-    for name, limit_db, shows in (
-        ("slip_db", limits.residual_db, _slips),
-        ("tail_db", limits.residual_db, _tails),
-        ("burst_db", limits.residual_db, _bursts),
-        ("line_db", limits.residual_db, _lines),
-        ("harmonic_db", limits.harmonic_db, _harmonics),
-        ("cut_db", limits.residual_db - BENT_DB, _cut_peaks),
-        ("step_db", limits.residual_db, _steps),
-    ):
-        beyond = np.flatnonzero(unnamed & (figures[name] > limit_db))
+    found = [_DEAD.of(estimate, np.flatnonzero(dead))] if np.any(dead) else []
+    for figure, kind in _KINDS.items():
+        limit_db = limits.harmonic_db if figure == "harmonic_db" else limits.residual_db
+        beyond = np.flatnonzero(unnamed & (figures[figure] > limit_db + kind.above_limit_db))
         if beyond.size:
-            found.append(shows(estimate, beyond[np.argsort(-figures[name][beyond])]))
+            worst = beyond[np.argsort(-figures[figure][beyond])]
+            found.append(_line(estimate, worst) if figure == "line_db" else kind.of(estimate, worst))
             unnamed[beyond] = False
-    silent = unnamed & _silent(estimate, distance_mm)
-    if np.any(silent):
-        found.append(_not_heard(np.flatnonzero(silent)))
+    silent = np.flatnonzero(unnamed & _silent(estimate, distance_mm))
+    if silent.size:
+        found.append(_SILENT.of(estimate, silent))
     return tuple(found)
 
 
@@ -136,110 +130,104 @@ def records_named(defects: Sequence[Defect], actuators: int) -> NDArray[np.bool_
     return named
 
 
-def _dead(dead: NDArray[np.bool_]) -> Iterator[Defect]:
-    if np.any(dead):
-        yield Defect(
-            "dead channel",
-            tuple(np.flatnonzero(dead).tolist()),
-            f"the response channel is constant in {listed(np.flatnonzero(dead))}: check the cable from the "
-            "vibrometer to the response input, and that it is on",
-            Cure.REPEAT,
-        )
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """A defect and its remedy; `sentence` has the worst record's figures in braces, and `{records}`."""
+
+    name: str
+    sentence: str
+    cure: Cure
+    over_range: bool = False
+    above_limit_db: float = 0.0
+
+    def of(self, estimate: Estimate, worst: NDArray[np.intp], **more: object) -> Defect:
+        """The defect of some records, the worst first."""
+        record = estimate.defects[worst[0]]
+        figures = {name: record[name].item() for name in estimate.defects.dtype.names or ()}
+        sentence = self.sentence.format(records=listed(worst), **{**figures, **more})
+        cure = Cure.MOVE if self.name == "dropout" and worst.size > 1 else self.cure
+        return Defect(self.name, tuple(worst.tolist()), sentence, cure, self.over_range)
 
 
-def _slips(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
-    jump = float(estimate.defects["slip_samples"][worst[0]])
-    return Defect(
+_DEAD = _Kind(
+    "dead channel",
+    "the response channel is constant in {records}: check the cable from the vibrometer to the response input, "
+    "and that it is on",
+    Cure.REPEAT,
+)
+_SILENT = _Kind(
+    "silent",
+    "{records} is noise alone though actuators farther away have a signal: check that output's cable, "
+    "amplifier channel and actuator",
+    Cure.NOTHING,
+)
+_TONE = _Kind(
+    "tone",
+    "a tone at {line_hz:.1f} Hz, {line_db:.1f} dB of the response in {records}: find the fan, motor or supply "
+    "that hums",
+    Cure.NOTHING,
+)
+_HUM = _Kind(
+    "hum",
+    "hum at {hum_hz:g} Hz{harmonic}, {line_db:.1f} dB of the response in {records}: check the ground loop of the "
+    "vibrometer's output cable",
+    Cure.NOTHING,
+)
+_DISTORTED = "lower sweep.amplitude_v or choose a wider range at the vibrometer"
+_KINDS = {
+    "slip_db": _Kind(
         "lost sample",
-        tuple(worst.tolist()),
-        f"the response jumps by {jump:+.1f} samples against the reference within {listed(worst)}: one channel "
-        "lost or doubled a sample; if it stays, use another USB port, without a hub, or a lower rate",
+        "the response jumps by {slip_samples:+.1f} samples against the reference within {records}: one channel lost or "
+        "doubled a sample; if it stays, use another USB port, without a hub, or a lower rate",
         Cure.REPEAT,
-    )
-
-
-def _bursts(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
-    level_db, when_s = (float(estimate.defects[name][worst[0]]) for name in ("burst_db", "burst_s"))
-    return Defect(
-        "dropout",
-        tuple(worst.tolist()),
-        f"a burst of {level_db:.0f} dB at {when_s:.3f} s in {listed(worst)}: speckle took the light away or "
-        "something knocked; if it stays, focus the laser or treat the surface",
-        Cure.MOVE if worst.size > 1 else Cure.REPEAT,
-    )
-
-
-def _lines(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
-    level_db, line_hz = (float(estimate.defects[name][worst[0]]) for name in ("line_db", "line_hz"))
-    mains = next((base for base in MAINS_HZ if _is_multiple(line_hz, base)), None)
-    if mains is None:
-        words = f"a tone at {line_hz:.1f} Hz, {level_db:.1f} dB of the response in {listed(worst)}"
-        return Defect("tone", tuple(worst.tolist()), f"{words}: find the fan, motor or supply that hums", Cure.NOTHING)
-    multiple = round(line_hz / mains)
-    harmonic = f" ({multiple} times {mains:g} Hz)" if multiple > 1 else ""
-    return Defect(
-        "hum",
-        tuple(worst.tolist()),
-        f"hum at {multiple * mains:g} Hz{harmonic}, {level_db:.1f} dB of the response in {listed(worst)}: check the "
-        "ground loop of the vibrometer's output cable",
-        Cure.NOTHING,
-    )
-
-
-def _harmonics(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
-    level_db = float(estimate.defects["harmonic_db"][worst[0]])
-    return Defect(
-        "clipping",
-        tuple(worst.tolist()),
-        f"clipped or distorted: third harmonic at {level_db:.0f} dB at the loudest moment of {listed(worst)}: lower "
-        "sweep.amplitude_v or choose a wider range at the vibrometer",
-        Cure.RANGE,
-        over_range=True,
-    )
-
-
-def _cut_peaks(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
-    level_db, when_s = (float(estimate.defects[name][worst[0]]) for name in ("cut_db", "cut_s"))
-    return Defect(
-        "clipping",
-        tuple(worst.tolist()),
-        f"clipped or distorted: every sweep leaves the same {level_db:.0f} dB at {when_s:.3f} s in {listed(worst)}: "
-        "lower sweep.amplitude_v or choose a wider range at the vibrometer",
-        Cure.RANGE,
-        over_range=True,
-    )
-
-
-def _steps(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
-    level_db = float(estimate.defects["step_level_db"][worst[0]])
-    return Defect(
-        "level step",
-        tuple(worst.tolist()),
-        f"one sweep of {listed(worst)} is {level_db:+.2f} dB from the others: the vibrometer's range or focus, or a "
-        "contact changed meanwhile",
-        Cure.REPEAT,
-    )
-
-
-def _tails(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
-    level_db = float(estimate.defects["tail_db"][worst[0]])
-    return Defect(
+    ),
+    "tail_db": _Kind(
         "tail",
-        tuple(worst.tolist()),
-        f"the response is longer than its taps: {level_db:.0f} dB come after the last one in {listed(worst)}: raise "
+        "the response is longer than its taps: {tail_db:.0f} dB come after the last one in {records}: raise "
         "capture.taps and decay_s in a new bank",
         Cure.NOTHING,
-    )
+    ),
+    "burst_db": _Kind(
+        "dropout",
+        "a burst of {burst_db:.0f} dB at {burst_s:.3f} s in {records}: speckle took the light away or "
+        "something knocked; if it stays, focus the laser or treat the surface",
+        Cure.REPEAT,
+    ),
+    "line_db": _TONE,
+    "harmonic_db": _Kind(
+        "clipping",
+        "clipped or distorted: third harmonic at {harmonic_db:.0f} dB at the loudest moment of {records}: "
+        + _DISTORTED,
+        Cure.RANGE,
+        over_range=True,
+    ),
+    "cut_db": _Kind(
+        "clipping",
+        "clipped or distorted: every sweep leaves the same {cut_db:.0f} dB at {cut_s:.3f} s in {records}: "
+        + _DISTORTED,
+        Cure.RANGE,
+        over_range=True,
+        above_limit_db=-BENT_DB,
+    ),
+    "step_db": _Kind(
+        "level step",
+        "one sweep of {records} is {step_level_db:+.2f} dB from the others: the vibrometer's range or focus, "
+        "or a contact changed meanwhile",
+        Cure.REPEAT,
+    ),
+}
+"""Defects by the figure that shows them; of one record the first is named."""
 
 
-def _not_heard(which: NDArray[np.intp]) -> Defect:
-    return Defect(
-        "silent",
-        tuple(which.tolist()),
-        f"{listed(which)} is noise alone though actuators farther away have a signal: check that output's cable, "
-        "amplifier channel and actuator",
-        Cure.NOTHING,
-    )
+def _line(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
+    """Hum, where the line is a multiple of the mains; else a tone."""
+    line_hz = float(estimate.defects["line_hz"][worst[0]])
+    mains = next((base for base in MAINS_HZ if _is_multiple(line_hz, base)), None)
+    if mains is None:
+        return _TONE.of(estimate, worst)
+    multiple = round(line_hz / mains)
+    harmonic = f" ({multiple} times {mains:g} Hz)" if multiple > 1 else ""
+    return _HUM.of(estimate, worst, hum_hz=multiple * mains, harmonic=harmonic)
 
 
 def _silent(estimate: Estimate, distance_mm: NDArray[np.float64] | None) -> NDArray[np.bool_]:
