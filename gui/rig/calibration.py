@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from config.messages.codec import from_record
+from config.messages.operate import LevelMeasured
 from gui.process.command_process import STOPPED_BY_USER, CommandProcess, Message
 from gui.rig.manual_session import LASER_ADVICE
-from gui.rig.messages import Levels, Pair, Question, pairs
+from gui.rig.messages import Pair, Question, pairs
 from gui.shell.tab import TabContext
 
 
@@ -26,7 +28,7 @@ class Calibration:
         Its result, at the end.
     ending : str
         Why it ended without a result; empty while it runs.
-    levels : Levels or None
+    levels : LevelMeasured or None
         Levels of the inputs while the beam is jogged.
     revision : dict
         Counts changes of ``"question"`` and ``"level"``.
@@ -47,7 +49,7 @@ class Calibration:
         self.lines: list[str] = []
         self.outcome: Message | None = None
         self.ending = ""
-        self.levels: Levels | None = None
+        self.levels: LevelMeasured | None = None
 
     @property
     def running(self) -> bool:
@@ -99,7 +101,7 @@ class Calibration:
                 self.lines.append(str(message.get("line")))
                 self._changed("question")
             case "level" if isinstance(message.get("response"), dict):
-                self.levels = Levels.from_record(message)
+                self.levels = from_record(LevelMeasured, message)
                 self._changed("level")
             case "refused":
                 self._context.messages.warn(str(message.get("sentence")))

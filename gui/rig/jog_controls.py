@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import (
@@ -21,6 +22,7 @@ from PyQt5.QtWidgets import (
 from gui.rig.manual_session import ManualSession
 from gui.rig.surface_picture import SurfacePicture
 from gui.shell.widgets import named, number_box
+from gui.surface.surface import surface_from
 
 _STEPS_MM = (0.1, 0.5, 1.0, 5.0, 20.0)
 _FARTHEST_MM = 10_000.0
@@ -115,7 +117,7 @@ class JogPanel(QWidget):
             for part in (self.arrows, self.x_mm, self.y_mm, self.go, self.middle, self.park):
                 part.setEnabled(ready)
             if facts is not None:
-                self.picture.show_rig(facts.surface.outline, facts.actuator_mm.tolist())
+                self.picture.show_rig(surface_from(asdict(facts.surface)).outline, facts.actuator_mm)
         if self._drawn["spot"] != revision["spot"]:
             self._drawn["spot"] = revision["spot"]
             self.picture.show_spot(None if session.spot.parked else session.spot.place_mm)

@@ -7,7 +7,8 @@ import math
 from PyQt5.QtGui import QColor, QMouseEvent, QPalette
 from PyQt5.QtWidgets import QLabel, QProgressBar, QVBoxLayout, QWidget
 
-from gui.rig.messages import ChannelLevel, Levels, volts
+from config.messages.operate import ChannelLevel, LevelMeasured
+from gui.rig.messages import volts
 from gui.shell.theme import LIGHT, Theme
 
 _FLOOR_DB = -100
@@ -20,7 +21,7 @@ class LevelMeter(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._theme = LIGHT
-        self._levels: Levels | None = None
+        self._levels: LevelMeasured | None = None
         self.held_v: dict[str, float] = {}
         """Highest peak of each input since the last reset, in V."""
         self._rows: dict[str, tuple[QLabel, QProgressBar]] = {}
@@ -38,7 +39,7 @@ class LevelMeter(QWidget):
             self._rows[name] = label, bar
         self.show_levels(None)
 
-    def show_levels(self, levels: Levels | None) -> None:
+    def show_levels(self, levels: LevelMeasured | None) -> None:
         """Show the latest levels; None while there are none."""
         self._levels = levels
         for name, (label, bar) in self._rows.items():
@@ -73,6 +74,6 @@ class LevelMeter(QWidget):
         percent = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
         text = f"{name}: {volts(level.rms_v)} rms, {volts(level.peak_v)} peak, {percent} % of {level.range_v:g} V"
         text += f"; highest {volts(self.held_v[name])}"
-        if name == "response" and self._levels is not None and self._levels.signal is not None:
-            text += f"; signal {self._levels.signal:.0%}"
+        if name == "response" and self._levels is not None and self._levels.light is not None:
+            text += f"; signal {self._levels.light:.0%}"
         return f"▲ over-range! {text}" if level.over_range else text

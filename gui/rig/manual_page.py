@@ -8,10 +8,11 @@ import numpy as np
 import pyqtgraph
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
+from config.messages.operate import SweepTaken
 from gui.rig.jog_controls import JogPanel
 from gui.rig.level_meter import LevelMeter
 from gui.rig.manual_session import ManualSession
-from gui.rig.messages import Sweep
+from gui.rig.messages import sweep_defects, sweep_text
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import named, number_box, side_by_side, stacked
 from gui.surface.plot import Plot
@@ -78,7 +79,7 @@ class ManualPage(QWidget):
     def _mark_actuator(self, actuator: int) -> None:
         facts = self._session.facts
         known = facts is not None and 0 <= actuator < len(facts.actuator_mm)
-        self.jog.picture.show_chosen(tuple(facts.actuator_mm[actuator]) if facts is not None and known else None)
+        self.jog.picture.show_chosen(facts.actuator_mm[actuator] if facts is not None and known else None)
 
 
 class SoundPanel(QWidget):
@@ -211,38 +212,42 @@ class SoundPanel(QWidget):
         sweep = self._session.sweep
         if sweep is None:
             return
-        self.figures.setText(sweep.text)
-        self.verdict.setText("▲ " + "; ".join(sweep.defects) if sweep.defects else "✔ no defects")
-        self.verdict.setStyleSheet(f"color: {self._theme.fault if sweep.defects else self._theme.good};")
+        self.figures.setText(sweep_text(sweep))
+        defects = sweep_defects(sweep)
+        self.verdict.setText("▲ " + "; ".join(defects) if defects else "✔ no defects")
+        self.verdict.setStyleSheet(f"color: {self._theme.fault if defects else self._theme.good};")
         self._draw_waveform(sweep)
         self._draw_spectrum(sweep)
 
-    def _draw_waveform(self, sweep: Sweep) -> None:
+    def _draw_waveform(self, sweep: SweepTaken) -> None:
         """Draw both inputs; the reference is scaled to the response's peak."""
         plot = self.waveform.getPlotItem()
         plot.clear()
-        factor, unit = (1e3, "mV") if sweep.response_peak_v < _MILLIVOLTS_BELOW_V else (1.0, "V")
+        response_v, reference_v = (np.array(volts) for volts in (sweep.response_v, sweep.reference_v))
+        response_peak_v = sweep.level.response.peak_v
+        factor, unit = (1e3, "mV") if response_peak_v < _MILLIVOLTS_BELOW_V else (1.0, "V")
         plot.setLabel("left", unit)
-        time_s = np.arange(len(sweep.response_v)) / sweep.sample_rate_hz
-        reference_peak_v = float(np.abs(sweep.reference_v).max(initial=0.0))
-        share = sweep.response_peak_v / reference_peak_v if reference_peak_v > 0 else 1.0
-        reference_v, theme = share * sweep.reference_v, self._theme
-        self.waveform.line(time_s, factor * reference_v, theme.grid, 1.2, f"reference × {share:.2g}")
-        self.waveform.line(time_s, factor * sweep.response_v, theme.traces[0], 1.2, "response")
+        time_s = np.arange(len(response_v)) / sweep.sample_rate_hz
+        reference_peak_v = float(np.abs(reference_v).max(initial=0.0))
+        share, theme = response_peak_v / reference_peak_v if reference_peak_v > 0 else 1.0, self._theme
+        self.waveform.line(time_s, factor * share * reference_v, theme.grid, 1.2, f"reference × {share:.2g}")
+        self.waveform.line(time_s, factor * response_v, theme.traces[0], 1.2, "response")
         plot.getViewBox().autoRange()
 
-    def _draw_spectrum(self, sweep: Sweep) -> None:
+    def _draw_spectrum(self, sweep: SweepTaken) -> None:
         plot, theme = self.spectrum.getPlotItem(), self._theme
         plot.clear()
         for name, values_db, colour, width in (
             ("in silence", sweep.noise_db, theme.faint, 1.0),
             ("with the sweep", sweep.response_db, theme.traces[0], 1.6),
         ):
-            plot.plot(sweep.frequency_hz, values_db, pen=pyqtgraph.mkPen(colour, width=width), name=name)
-        self.spectrum.mark_band(*sweep.band_hz)
+            plot.plot(
+                np.array(sweep.frequency_hz), np.array(values_db), pen=pyqtgraph.mkPen(colour, width=width), name=name
+            )
+        self.spectrum.mark_band(sweep.start_hz, sweep.stop_hz)
         lowest_db = float(np.median(sweep.noise_db)) - _BELOW_NOISE_DB
-        plot.setYRange(lowest_db, float(sweep.response_db.max()) + _ABOVE_PEAK_DB, padding=0)
-        plot.setXRange(0.0, float(sweep.frequency_hz[-1]), padding=0.01)
+        plot.setYRange(lowest_db, max(sweep.response_db) + _ABOVE_PEAK_DB, padding=0)
+        plot.setXRange(0.0, sweep.frequency_hz[-1], padding=0.01)
 
     def _listen(self) -> None:
         sounding = self.actuator.currentIndex() if self.sounds.isChecked() else None

@@ -5,8 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from config.messages.codec import message_of
+from config.messages.operate import (
+    OPERATE_EVENTS,
+    Done,
+    Faulted,
+    LevelMeasured,
+    LevelsSwitched,
+    MirrorMoved,
+    Ready,
+    Refused,
+    SweepTaken,
+)
 from gui.process.command_process import CommandProcess, Message
-from gui.rig.messages import Levels, Pair, RigFacts, Spot, Sweep
+from gui.rig.messages import Pair, Spot
 from gui.shell.tab import TabContext
 
 LASER_ADVICE = "the laser may stand where it was: park it, or switch it off"
@@ -19,15 +31,15 @@ class ManualSession:
     ----------
     state : str
         ``"released"``, ``"opening"``, ``"ready"`` or ``"ending"``.
-    facts : RigFacts or None
+    facts : Ready or None
         The rig, once it is open.
     spot : Spot
         Place of the beam.
-    levels : Levels or None
+    levels : LevelMeasured or None
         Latest levels of the inputs.
     listening, sweeping : bool
         Whether levels arrive; whether a sweep is under way.
-    sweep : Sweep or None
+    sweep : SweepTaken or None
         The last one.
     revision : dict
         Counts changes of ``"state"``, ``"spot"``, ``"level"`` and ``"sweep"``.
@@ -42,11 +54,11 @@ class ManualSession:
 
     def _reset(self) -> None:
         self.state = "released"
-        self.facts: RigFacts | None = None
+        self.facts: Ready | None = None
         self.spot = Spot()
-        self.levels: Levels | None = None
+        self.levels: LevelMeasured | None = None
         self.listening = self.sweeping = False
-        self.sweep: Sweep | None = None
+        self.sweep: SweepTaken | None = None
         self._moving_to: Pair | None = None
         self._next: Pair | None = None
 
@@ -130,41 +142,41 @@ class ManualSession:
             self._process.send(**order)
 
     def _receive(self, message: Message) -> None:
-        match message.get("event"):
-            case "ready":
-                self.facts = RigFacts.from_record(message)
+        match message_of(message, OPERATE_EVENTS):
+            case Ready() as facts:
+                self.facts = facts
                 self._enter("ready")
-            case "mirror":
-                self.spot = Spot.from_record(message)
+            case MirrorMoved() as moved:
+                self.spot = Spot.of(moved)
                 self._changed("spot")
-            case "levels":
-                self.listening = bool(message.get("on"))
+            case LevelsSwitched(on=on):
+                self.listening = on
                 self._changed("level")
-            case "level":
-                self.levels, self.listening = Levels.from_record(message), True
+            case LevelMeasured() as levels:
+                self.levels, self.listening = levels, True
                 self._changed("level")
-            case "sweep":
-                self.sweep = Sweep.from_record(message)
+            case SweepTaken() as sweep:
+                self.sweep = sweep
                 self._changed("sweep")
-            case "done":
-                self._order_done(message)
-            case "refused":
-                self._context.messages.warn(str(message.get("sentence")))
-            case "fault":
-                self._report_fault(message)
+            case Done() as done:
+                self._order_done(done)
+            case Refused(sentence=sentence):
+                self._context.messages.warn(sentence)
+            case Faulted() as fault:
+                self._report_fault(fault)
 
-    def _report_fault(self, message: Message) -> None:
-        role = str(message.get("instrument"))
+    def _report_fault(self, fault: Faulted) -> None:
+        role = fault.instrument
         answers = []
         if self.state == "ready" and role in ("mirror", "recorder", "player"):
             answers = [(f"Reconnect the {role}", lambda: self.reconnect(role))]
-        self._context.messages.fault(str(message.get("sentence")), *answers)
-        if not message.get("passing"):
+        self._context.messages.fault(fault.sentence, *answers)
+        if not fault.passing:
             self.listening = False
             self._changed("level")
 
-    def _order_done(self, message: Message) -> None:
-        match message.get("order"):
+    def _order_done(self, done: Done) -> None:
+        match done.order:
             case "jog":
                 self._moving_to, wanted, self._next = None, self._next, None
                 if wanted is not None:
@@ -175,7 +187,7 @@ class ManualSession:
             case "mute":  # waiting orders were dropped without an answer
                 self._moving_to, self.sweeping = None, False
                 self._changed("sweep")
-            case "reconnect" if message.get("ok"):
+            case "reconnect" if done.ok:
                 self._context.messages.note("reconnected")
 
     def _ended(self, process: CommandProcess) -> None:

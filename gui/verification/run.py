@@ -10,6 +10,9 @@ from pathlib import Path
 
 from PyQt5.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QWidget
 
+from acquisition.engine.events import Fault, ReconnectTried, State, StateChanged
+from config.messages.codec import MessageError, message_of
+from config.messages.verify import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
 from gui.process.command_process import STOPPED_BY_USER, CommandProcess
 from gui.process.log_tail import LogTail
 from gui.shell.error_hook import error_text
@@ -19,6 +22,7 @@ from gui.shell.widgets import Badge, finish_text, make_action, make_button, put
 from gui.verification.request import Request
 from rendering.verify.record import LOG_NAME, RECORD_NAME, STOP_NAME
 
+_MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
 _NOT_GOOD_ENOUGH = 1
 _SAID_NAME = "verify.said"
 # A verification of another process whose log does not grow for so long has ended.
@@ -58,7 +62,7 @@ class VerificationRun:
         self._close: Callable[[], object] | None = None
         self._log: LogTail | None = None
         self._started = False
-        self._ended: dict[str, object] | None = None
+        self._ended: VerifyEnded | None = None
         self._last_s = 0.0
 
     @property
@@ -122,8 +126,7 @@ class VerificationRun:
                 own, self.own = self.own, None
                 self._report_end(own.exit_code, own.failure)
         elif self._ended is not None:
-            code = self._ended.get("code")
-            self._report_end(code if isinstance(code, int) else None, "")
+            self._report_end(self._ended.code, "")
         elif time.time() - self._last_s > _SILENT_AFTER_S:
             self._reset()
             self._context.messages.warn("the verification of another process has written nothing for five minutes")
@@ -163,22 +166,26 @@ class VerificationRun:
 
     def _receive(self, record: dict[str, object]) -> None:
         progress = self.progress
-        match record:
-            case {"event": "started"}:
+        try:
+            message = message_of(record, _MESSAGES)
+        except MessageError:  # of another version
+            return
+        match message:
+            case VerifyStarted():
                 self._started = True
                 if self.stopping:  # cancelled before it could look for the file
                     self._request_stop()
-            case {"event": "step", "step": str(step), "done": int(done), "total": int(total), "left_s": left_s}:
-                finish_s = time.time() + left_s if isinstance(left_s, int | float) else None
+            case VerifyStep(step=step, done=done, total=total, left_s=left_s):
+                finish_s = None if left_s is None else time.time() + left_s
                 self.progress = Progress(step, done, total, finish_s, "" if progress is None else progress.message)
-            case {"event": "state_changed", "state": str(state), "reason": str(reason)} if progress is not None:
-                progress.message = "" if state == "running" else reason
-            case {"event": "fault", "instrument": str(instrument), "cause": str(cause)} if progress is not None:
-                progress.message = f"{instrument}: {cause}"
-            case {"event": "reconnect_tried", "instrument": str(name), "outcome": str(what)} if progress is not None:
+            case StateChanged(state=state, reason=reason) if progress is not None:
+                progress.message = "" if state is State.RUNNING else reason
+            case Fault(instrument=name, cause=what) | ReconnectTried(instrument=name, outcome=what) if (
+                progress is not None
+            ):
                 progress.message = f"{name}: {what}"
-            case {"event": "ended"}:
-                self._ended = record
+            case VerifyEnded():
+                self._ended = message
 
     def _request_stop(self) -> None:
         assert self.out is not None
@@ -194,7 +201,7 @@ class VerificationRun:
         assert out is not None
         with suppress(OSError):
             (out / STOP_NAME).unlink(missing_ok=True)
-        reason = "" if ended is None else str(ended.get("reason", ""))
+        reason = "" if ended is None else ended.reason
         if ended is not None and code == 0:
             messages.note(f"Verified. {reason}")
             self._done(out / RECORD_NAME)
