@@ -5,11 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from config.messages.codec import from_record
-from config.messages.operate import LevelMeasured
+from config.messages.calibrate import (
+    CALIBRATE_EVENTS,
+    AskAgain,
+    AskConnect,
+    AskJog,
+    Begin,
+    CalibrationDone,
+    MapView,
+    Question,
+    Tell,
+)
+from config.messages.codec import message_of
+from config.messages.operate import Faulted, LevelMeasured, Refused
 from gui.process.command_process import STOPPED_BY_USER, CommandProcess, Message
 from gui.rig.manual_session import LASER_ADVICE
-from gui.rig.messages import Pair, Question, pairs
+from gui.rig.messages import Pair
 from gui.shell.tab import TabContext
 
 
@@ -24,7 +35,7 @@ class Calibration:
         Its report so far.
     marks_mm : list of (float, float)
         Marks of the mirror map.
-    outcome : dict or None
+    outcome : CalibrationDone or None
         Its result, at the end.
     ending : str
         Why it ended without a result; empty while it runs.
@@ -47,7 +58,7 @@ class Calibration:
         self.marks_mm: list[Pair] = []
         self.question: Question | None = None
         self.lines: list[str] = []
-        self.outcome: Message | None = None
+        self.outcome: CalibrationDone | None = None
         self.ending = ""
         self.levels: LevelMeasured | None = None
 
@@ -71,7 +82,7 @@ class Calibration:
 
     def step(self, x_mrad: float, y_mrad: float) -> None:
         """Move the beam; steps asked for while it moves are added up."""
-        if self._process is None or self.question is None or self.question.kind != "jog":
+        if self._process is None or self.question is None or not isinstance(self.question, AskJog):
             return
         self._steps_mrad = self._steps_mrad[0] + x_mrad, self._steps_mrad[1] + y_mrad
         if not self._moving:
@@ -92,23 +103,23 @@ class Calibration:
             self._process = None
 
     def _receive(self, message: Message) -> None:
-        match message.get("event"):
-            case "begin":
-                self.marks_mm = pairs(message.get("marks_mm"))
-            case "ask":
-                self._ask(Question(str(message.get("what")), message))
-            case "tell":
-                self.lines.append(str(message.get("line")))
+        match message_of(message, CALIBRATE_EVENTS):
+            case Begin(marks_mm=marks_mm):
+                self.marks_mm = list(marks_mm)
+            case AskConnect() | AskJog() | MapView() | AskAgain() as question:
+                self._ask(question)
+            case Tell(line=line):
+                self.lines.append(line)
                 self._changed("question")
-            case "level" if isinstance(message.get("response"), dict):
-                self.levels = from_record(LevelMeasured, message)
+            case LevelMeasured() as levels:
+                self.levels = levels
                 self._changed("level")
-            case "refused":
-                self._context.messages.warn(str(message.get("sentence")))
-            case "fault":
-                self._context.messages.fault(str(message.get("sentence")))
-            case "done":
-                self.outcome = message
+            case Refused(sentence=sentence):
+                self._context.messages.warn(sentence)
+            case Faulted(sentence=sentence):
+                self._context.messages.fault(sentence)
+            case CalibrationDone() as done:
+                self.outcome = done
                 self._changed("question")
 
     def _ask(self, question: Question) -> None:
@@ -118,7 +129,7 @@ class Calibration:
             return  # it is being answered already
         self.question = question
         self._changed("question")
-        if question.kind == "jog":
+        if isinstance(question, AskJog):
             self._send_steps()
 
     def _send_steps(self) -> None:
@@ -138,8 +149,8 @@ class Calibration:
         self.ending = "cancelled; the outputs are muted, the mirror is parked" if cancelled else process.failure
         self._changed("question")
         messages = self._context.messages
-        if self.outcome is not None and self.outcome.get("file"):
-            messages.note(f"written: {self.outcome['file']}")
+        if self.outcome is not None and self.outcome.file:
+            messages.note(f"written: {self.outcome.file}")
         elif self.ending and not cancelled and self.outcome is None:
             messages.fault(self.ending)
 

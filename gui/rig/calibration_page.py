@@ -18,13 +18,14 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
+from config.messages.calibrate import AskAgain, AskConnect, AskJog, MapView
 from config.outline import default_marks_mm
 from config.rig import Surface
 from gui.rig.calibration import Calibration
 from gui.rig.calibration_options import CalibrationOptions
 from gui.rig.jog_controls import Arrows
 from gui.rig.level_meter import LevelMeter
-from gui.rig.messages import Pair, Question
+from gui.rig.messages import Pair
 from gui.rig.surface_picture import SurfacePicture
 from gui.shell.settings import Settings
 from gui.shell.theme import LIGHT, Theme
@@ -32,7 +33,7 @@ from gui.shell.widgets import make_table, named, side_by_side
 
 _STEPS_MRAD = (0.05, 0.2, 1.0, 5.0, 20.0)
 _RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "|Δ| (mm)")
-_YES = {"jog": "here", "map": "keep", "connect": "done", "again": "again"}
+_YES = {AskJog: "here", MapView: "keep", AskConnect: "done", AskAgain: "again"}
 
 
 class CalibrationPage(QWidget):
@@ -134,33 +135,33 @@ class CalibrationPage(QWidget):
     def _show(self) -> None:
         calibration = self._calibration
         question, running = calibration.question, calibration.running
-        kind = question.kind if question is not None else ""
+        jogs, maps = isinstance(question, AskJog), isinstance(question, MapView)
         for widget, visible in (
             (self.options, not running),
-            (self.arrows, kind == "jog"),
-            (self.meter, kind == "jog"),
-            (self.residuals, kind == "map"),
-            (self.yes, bool(kind)),
-            (self.no, kind in ("map", "again")),
-            (self.redo, kind == "map"),
+            (self.arrows, jogs),
+            (self.meter, jogs),
+            (self.residuals, maps),
+            (self.yes, question is not None),
+            (self.no, isinstance(question, MapView | AskAgain)),
+            (self.redo, maps),
             (self.cancel, running),
             (self.report, bool(calibration.lines)),
-            (self._spacer, kind != "map"),
+            (self._spacer, not maps),
         ):
             widget.setVisible(visible)
         self.report.setPlainText("\n".join(calibration.lines))
         match question:
             case None:
                 self._show_state()
-            case Question("jog"):
+            case AskJog():
                 self._ask_jog(question)
-            case Question("map"):
+            case MapView():
                 self._ask_map(question)
-            case Question("connect"):
-                self._set_texts(question.text("sentence").capitalize(), "")
+            case AskConnect(sentence=sentence):
+                self._set_texts(sentence.capitalize(), "")
                 self._set_button(self.yes, "It is &connected", "Continue (Return)", "Return")
-            case _:
-                self._set_texts(f"▲ {question.text('problem')}", "Check cables and power first.")
+            case AskAgain(problem=problem):
+                self._set_texts(f"▲ {problem}", "Check cables and power first.")
                 self._set_button(self.yes, "&Try again", "Measure it again")
                 self._set_button(self.no, "&Leave it out", "Continue without it; the rest is measured")
 
@@ -173,38 +174,33 @@ class CalibrationPage(QWidget):
         if outcome is None:
             self._set_texts(calibration.ending, "")
             return
-        problems, file = outcome.get("problems"), outcome.get("file")
-        note = "\n".join(f"▲ {one}" for one in problems) if isinstance(problems, list) else ""
-        self._set_texts(f"✔ written: {file}" if file else "✖ nothing was written", note)
+        note = "\n".join(f"▲ {one}" for one in outcome.problems)
+        self._set_texts(f"✔ written: {outcome.file}" if outcome.file else "✖ nothing was written", note)
 
-    def _ask_jog(self, question: Question) -> None:
-        number, count = int(question.number("number") or 1), int(question.number("of") or 1)
-        place_mm, at_mrad = question.pair("place_mm") or (0.0, 0.0), question.pair("at_mrad") or (0.0, 0.0)
+    def _ask_jog(self, question: AskJog) -> None:
+        number, count, place_mm, at_mrad = question.number, question.of, question.place_mm, question.at_mrad
         self._marks_mm = self._calibration.marks_mm
         self.picture.show_residuals([], [])
         self.picture.show_marks(self._marks_mm, number - 1, number - 1)
-        self.picture.show_spot(question.pair("at_mm"))
+        self.picture.show_spot(question.at_mm)
         self.picture.setFocus(Qt.FocusReason.OtherFocusReason)
         self._set_texts(
             f"Mark {number} of {count}: bring the spot onto ({place_mm[0]:g}, {place_mm[1]:g}) mm",
-            question.text("note") or f"The mirror is at ({at_mrad[0]:.3f}, {at_mrad[1]:.3f}) mrad.",
+            question.note or f"The mirror is at ({at_mrad[0]:.3f}, {at_mrad[1]:.3f}) mrad.",
         )
         self._set_button(self.yes, "The spot is &on the mark", "Use these angles for the mark (Return)", "Return")
 
-    def _ask_map(self, question: Question) -> None:
-        places_mm, off_mm = question.pairs("place_mm"), question.pairs("off_mm")
-        rms_mm, worst_mm = question.number("rms_mm"), question.number("worst_mm")
-        problem, suspect = question.text("problem"), int(question.number("suspect") or 0)
-        self._marks_mm = places_mm
+    def _ask_map(self, question: MapView) -> None:
+        places_mm, off_mm, problem, suspect = question.place_mm, question.off_mm, question.problem, question.suspect
+        self._marks_mm = list(places_mm)
         self.picture.show_spot(None)
         self.picture.show_marks(places_mm, suspect - 1 if problem else -1, len(places_mm))
         times = self.picture.show_residuals(places_mm, off_mm)
-        self._list_residuals(places_mm, off_mm, question.number("limit_mm") or 0.0, suspect)
+        self._list_residuals(places_mm, off_mm, question.limit_mm, suspect)
         scale = f"Residuals are drawn {times:g} times larger." if off_mm else ""
-        known = rms_mm is not None and worst_mm is not None
         self._set_texts(
-            f"Residual of the map: {rms_mm:.2f} mm rms, {worst_mm:.2f} mm at most" if known
-            else "These marks determine no map",
+            f"Residual of the map: {question.rms_mm:.2f} mm rms, {question.worst_mm:.2f} mm at most"
+            if math.isfinite(question.rms_mm) else "These marks determine no map",
             f"▲ {problem}\n{scale}" if problem else scale,
         )  # fmt: skip
         self._set_button(self.yes, "&Accept and write", "Write the map into a dated calibration file")
@@ -242,13 +238,13 @@ class CalibrationPage(QWidget):
 
     def _step(self, x: int, y: int) -> None:
         question = self._calibration.question
-        if question is not None and question.kind == "jog":
+        if isinstance(question, AskJog):
             self.arrows.step(x, y)
 
     def _answer_yes(self) -> None:
         if (question := self._calibration.question) is not None:
-            self._calibration.answer(_YES[question.kind])
+            self._calibration.answer(_YES[type(question)])
 
     def _answer_no(self) -> None:
         if (question := self._calibration.question) is not None:
-            self._calibration.answer("drop" if question.kind == "map" else "skip")
+            self._calibration.answer("drop" if isinstance(question, MapView) else "skip")

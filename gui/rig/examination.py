@@ -18,8 +18,10 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
+from config.messages.codec import from_record
+from config.messages.doctor import Finding, FindingMade
 from gui.process.command_process import STOPPED_BY_USER, CommandProcess, Message
-from gui.rig.messages import Finding
+from gui.rig.messages import button_of, is_bad
 from gui.shell.tab import TabContext
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import make_table, named
@@ -106,9 +108,8 @@ class ExaminationPage(QWidget):
             self._colour(row)
 
     def _receive(self, message: Message) -> None:
-        record = message.get("finding")
-        if isinstance(record, dict):
-            self._add(Finding.from_record(record))
+        if "finding" in message:
+            self._add(from_record(FindingMade, message).finding)
 
     def _add(self, finding: Finding) -> None:
         row = len(self.findings)
@@ -121,13 +122,14 @@ class ExaminationPage(QWidget):
             item.setTextAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
             self.table.setItem(row, column, item)
         self._colour(row)
-        if finding.button is not None:
-            action, text = finding.button
+        if (wanted := button_of(finding)) is not None:
+            action, text = wanted
+            on = "" if finding.act is None else finding.act.on
             button = QToolButton()
             button.setText(text)
             button.setAccessibleName(f"{text}: {finding.instrument}, {finding.check}")
             button.setToolTip(finding.remedy or finding.what)
-            button.clicked.connect(lambda _checked=False: self.wanted.emit(action, finding.on))
+            button.clicked.connect(lambda _checked=False: self.wanted.emit(action, on))
             self.table.setCellWidget(row, len(_HEADINGS) - 1, button)
             self.buttons[row] = button
         self.summary.setText(f"examining… {row + 1} findings; last: {finding.instrument}, {finding.check}")
@@ -156,4 +158,4 @@ class ExaminationPage(QWidget):
 
     def _hide_good(self) -> None:
         for row, finding in enumerate(self.findings):
-            self.table.setRowHidden(row, self.only_bad.isChecked() and not finding.bad)
+            self.table.setRowHidden(row, self.only_bad.isChecked() and not is_bad(finding))

@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from config.messages.doctor import Action, Finding
 from config.messages.operate import MirrorMoved, SweepTaken
 
 Pair = tuple[float, float]
 Record = Mapping[str, object]
 
 # Actions of a finding, and the text of the button; {on} is the subject.
-_BUTTON_TEXTS = {
+_BUTTON_TEXTS: dict[Action, str] = {
     "calibrate": "Calibrate {on}…",
     "edit-rig": "Open the rig file",
     "open-folder": "Open the folder",
@@ -70,58 +71,16 @@ def sweep_text(sweep: SweepTaken) -> str:
     return "; ".join(parts)
 
 
-@dataclass(frozen=True, slots=True)
-class Question:
-    """Question of a calibration: ``"jog"``, ``"map"``, ``"connect"`` or ``"again"``, with its facts."""
-
-    kind: str
-    record: Record
-
-    def pair(self, key: str) -> Pair | None:
-        return pair(self.record.get(key))
-
-    def pairs(self, key: str) -> list[Pair]:
-        return pairs(self.record.get(key))
-
-    def number(self, key: str) -> float | None:
-        return optional_number(self.record.get(key))
-
-    def text(self, key: str) -> str:
-        return str(self.record.get(key) or "")
+def button_of(finding: Finding) -> tuple[str, str] | None:
+    """Action and text of a finding's button; None where there is nothing to do."""
+    if finding.act is not None:
+        return finding.act.do, _BUTTON_TEXTS[finding.act.do].format(on=finding.act.on).replace(" …", "…")
+    return ("again", "Check again") if is_bad(finding) else None
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One finding of an examination; `action` can be done by the window, `on` is its subject."""
-
-    instrument: str
-    check: str
-    verdict: str
-    what: str
-    remedy: str
-    action: str
-    on: str
-
-    @classmethod
-    def from_record(cls, record: Record) -> Finding:
-        instrument, check, verdict, what, remedy = (
-            str(record.get(key) or "") for key in ("instrument", "check", "verdict", "what", "remedy")
-        )
-        act = record.get("act")
-        action, on = (str(act.get(key) or "") for key in ("do", "on")) if isinstance(act, dict) else ("", "")
-        action = action if action in _BUTTON_TEXTS else ""  # an unknown one is a remedy in words
-        return cls(instrument, check, verdict, what, remedy, action, on)
-
-    @property
-    def bad(self) -> bool:
-        return self.verdict in ("fail", "warn")
-
-    @property
-    def button(self) -> tuple[str, str] | None:
-        """Action and text of its button; None where there is nothing to do."""
-        if self.action:
-            return self.action, _BUTTON_TEXTS[self.action].format(on=self.on).replace(" …", "…")
-        return ("again", "Check again") if self.bad else None
+def is_bad(finding: Finding) -> bool:
+    """Whether a finding needs attention."""
+    return finding.verdict in ("fail", "warn")
 
 
 def volts(value_v: float) -> str:

@@ -6,6 +6,7 @@ import os
 import signal
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,9 @@ from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from calibration.rig.mirror_map import MirrorMap
-from gui.rig.messages import Finding
+from config.messages.calibrate import AskJog
+from config.messages.doctor import Act, Finding
+from gui.rig.messages import button_of
 from gui.rig.rig_file import line_of
 from gui.rig.tab import RigTab
 from gui.shell.window import Window
@@ -169,7 +172,7 @@ def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(
     click(qtbot, window, page.yes)
     until(qtbot, window, lambda: not calibration.running and "✔ written" in page.question.text())
     assert calibration.outcome is not None
-    file = Path(str(calibration.outcome["file"]))
+    file = Path(str(calibration.outcome.file))
     assert tomllib.loads(file.read_text(encoding="utf-8"))["mirror"]["residual_rms_mm"] < 1e-3
     assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == file.name
 
@@ -257,16 +260,12 @@ def test_given_a_key_then_its_line_in_the_rig_file_is_found(rig: Path, key: str,
     assert line_of(rig, key) == line
 
 
-def test_given_findings_in_json_then_a_button_is_offered_where_something_can_be_done() -> None:
-    finding = {"instrument": "player", "check": "latency", "verdict": "warn", "what": "30 ms", "remedy": "raise it"}
-    assert Finding.from_record({**finding, "act": None}).button == ("again", "Check again")
-    assert Finding.from_record({**finding, "act": {"do": "edit-rig", "on": "recorder.post_roll_s"}}).button == (
-        "edit-rig",
-        "Open the rig file",
-    )
-    assert Finding.from_record({**finding, "act": {"do": "calibrate", "on": ""}}).button == ("calibrate", "Calibrate…")
-    assert Finding.from_record({**finding, "act": {"do": "sing", "on": ""}}).button == ("again", "Check again")
-    assert Finding.from_record({**finding, "verdict": "ok", "act": None}).button is None
+def test_given_findings_then_a_button_is_offered_where_something_can_be_done() -> None:
+    finding = Finding("player", "latency", "warn", "30 ms", "raise it")
+    assert button_of(finding) == ("again", "Check again")
+    assert button_of(replace(finding, act=Act("edit-rig", "recorder.post_roll_s"))) == ("edit-rig", "Open the rig file")
+    assert button_of(replace(finding, act=Act("calibrate"))) == ("calibrate", "Calibrate…")
+    assert button_of(replace(finding, verdict="ok")) is None
 
 
 def meet(qtbot: QtBot, window: Window, number: int, off_mm: float = 0.0) -> None:
@@ -274,11 +273,8 @@ def meet(qtbot: QtBot, window: Window, number: int, off_mm: float = 0.0) -> None
     tab = tab_of(window)
     page, calibration = tab.calibration_page, tab.calibration
     until(qtbot, window, lambda: page.question.text().startswith(f"Mark {number} of 7") and page.yes.isEnabled())
-    assert calibration.question is not None
-    place = calibration.question.pair("place_mm")
-    at = calibration.question.pair("at_mrad")
-    assert place is not None
-    assert at is not None
+    assert isinstance(calibration.question, AskJog)
+    place, at = calibration.question.place_mm, calibration.question.at_mrad
     x_mrad, y_mrad = (float(one) for one in TRUE.angles_mrad(place[0] + off_mm, place[1]))
     if number == 1:
         until(qtbot, window, lambda: calibration.levels is not None)
