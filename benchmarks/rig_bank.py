@@ -13,6 +13,7 @@ from acquisition.engine.campaign import Campaign
 from acquisition.engine.events import Subscriber
 from acquisition.engine.stop_request import StopRequest
 from acquisition.measuring.setup import Setup
+from acquisition.quality.limits import QualityLimits
 from acquisition.schedule.grid import surface_grid
 from acquisition.schedule.plan import Plan
 from calibration.excitation.staggered_signal import StaggeredSignal
@@ -87,7 +88,9 @@ def sweep_plan(position_mm: Float64Array, rig: VirtualRig, *, staggered: bool = 
     actuator_mm = np.asarray(rig.settings.actuator_mm, dtype=np.float64)
     sweep = Excitation(RATE_HZ, *BAND_HZ, 1.0, TAPS / RATE_HZ, 1.0, 3)
     signal = StaggeredSignal(sweep, rig.settings.actuators, TAPS, round(STAGGER_S * RATE_HZ)) if staggered else None
-    return Plan(position_mm, actuator_mm, np.arange(len(position_mm)), sweep, TAPS, "0" * 64, staggered=signal)
+    # Scattered positions of a grid would all be measured twice, which the whole grid is not.
+    quality = QualityLimits(second_look="never")
+    return Plan(position_mm, actuator_mm, np.arange(len(position_mm)), sweep, TAPS, "0" * 64, quality, staggered=signal)
 
 
 def measure(path: Path, plan: Plan, setup: Setup, on_event: Subscriber = lambda event: None) -> None:
