@@ -48,14 +48,9 @@ LEAST_NORM = 1e-140
 class Band:
     """The bins of a transform that are computed: those from 0 to `kept` - 1.
 
-    Parameters
-    ----------
-    fft_samples : int
-        Transform length n.
-    kept : int
-        How many bins are computed.
-    single : bool
-        Products in complex64.
+    fft_samples: Transform length n.
+    kept: How many bins are computed.
+    single: Products in complex64.
     """
 
     fft_samples: int
@@ -95,14 +90,9 @@ class Band:
     def block_error(self, summed: Float64Array, coherent: float, terms: float) -> float:
         """Bound on the norm of the error of one block in time.
 
-        Parameters
-        ----------
-        summed : float64 array, shape (bins,)
-            a, bin by bin.
-        coherent : float
-            c.
-        terms : float
-            How many products were added up.
+        summed, float64 (bins,): a, bin by bin.
+        coherent: c.
+        terms: How many products were added up.
         """
         rounding = self.rounding_units(terms) * coherent + (UNDERFLOW * terms if self.single else 0.0)
         return math.sqrt(2.0 / self.fft_samples) * (norm_of(summed[self.kept :]) + rounding)
@@ -113,20 +103,11 @@ def choose_band(
 ) -> Band:
     """Choose bins and precision so that the estimated bound fits the tolerance.
 
-    Parameters
-    ----------
-    fft_samples : int
-        Transform length.
-    contribution : float64 array, shape (bins,)
-        Squares of a, times q, added up over some blocks.
-    energy : float
-        Estimated energy of these blocks' spectra.
-    coherent : float
-        Squares of c, times q, added up.
-    terms : float
-        Products that a block adds up.
-    tolerance : float
-        Relative magnitude of what may be left out, > 0.
+    contribution, float64 (bins,): Squares of a, times q, added up over some blocks.
+    energy: Estimated energy of these blocks' spectra.
+    coherent: Squares of c, times q, added up.
+    terms: Products that a block adds up.
+    tolerance: Relative magnitude of what may be left out, > 0.
     """
     if not (energy > 0 and math.isfinite(energy) and math.isfinite(coherent)):
         return Band.whole(fft_samples)
@@ -141,10 +122,7 @@ def choose_band(
 def tolerance_of(tolerance_db: float | None) -> float:
     """A tolerance as a relative magnitude, 0 where there is none.
 
-    Raises
-    ------
-    InputError
-        It is not a finite number below 0.
+    Raises InputError: it is not a finite number below 0.
     """
     if tolerance_db is None:
         return 0.0
@@ -156,12 +134,8 @@ def tolerance_of(tolerance_db: float | None) -> float:
 def relative_bound(error: float, norm: float) -> float:
     """Bound on an error relative to what would be without it, infinity where none is proved.
 
-    Parameters
-    ----------
-    error : float
-        Bound on the error's norm.
-    norm : float
-        Norm of what was computed.
+    error: Bound on the error's norm.
+    norm: Norm of what was computed.
     """
     if error == 0.0:
         return 0.0

@@ -18,16 +18,9 @@ REMEDY = "install CuPy for this machine's CUDA (pip install cupy-cuda12x or -cud
 class Device:
     """A namespace of the array API, and the way back from it.
 
-    Parameters
-    ----------
-    name : str
-        For people.
-    xp : module
-        The namespace: NumPy's own, CuPy's, or another that follows the standard.
-    to_host : callable
-        Makes a NumPy array of one of its arrays.
-    memory_bytes : int
-        Memory that row spectra may take; one part of a computation takes about as much again.
+    xp: The namespace: NumPy's own, CuPy's, or another that follows the standard.
+    to_host: Makes a NumPy array of one of its arrays.
+    memory_bytes: Memory that row spectra may take; one part of a computation takes about as much again.
     """
 
     name: str
@@ -75,10 +68,7 @@ def host_device() -> Device:
 def cuda_device() -> Device:
     """The first GPU that CUDA sees, by CuPy.
 
-    Raises
-    ------
-    InputError
-        CuPy is missing, or it finds no GPU.
+    Raises InputError: CuPy is missing, or it finds no GPU.
     """
     try:
         import cupy

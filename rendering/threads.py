@@ -18,14 +18,9 @@ def in_order(task: Callable[[Item], Result], items: Iterable[Item], workers: int
 
     An error is raised when its result is due; what was not begun is dropped.
 
-    Parameters
-    ----------
-    task : callable
-        Called by several threads at a time.
-    items : iterable
-        Taken one by one in the calling thread, as results are asked for.
-    workers : int
-        Threads; with one, the calling thread does the work.
+    task: Called by several threads at a time.
+    items: Taken one by one in the calling thread, as results are asked for.
+    workers: Threads; with one, the calling thread does the work.
     """
     if workers == 1:
         yield from map(task, items)

@@ -40,19 +40,10 @@ SAMPLED_BLOCKS, SAMPLED_WINDOWS = 3, 8
 class Accumulated:
     """What one emission cost and left out.
 
-    Parameters
-    ----------
-    error : float
-        Bound on the norm of the error from everything left out, rounding included; 0 where nothing was.
-    bins : int
-        Bins of a block's spectrum.
-    kept_bins : int
-        How many of them were computed.
-    pairs : int
-        (Block, row) pairs that were multiplied.
-    band_energy : float
-    energy : float
-        Energy of all windows within the band asked about, and in all.
+    error: Bound on the norm of the error from everything left out, rounding included; 0 where nothing was.
+    bins: Bins of a block's spectrum.
+    kept_bins: How many of them were computed.
+    band_energy, energy: Energy of all windows within the band asked about, and in all.
     """
 
     error: float
@@ -77,25 +68,12 @@ class _Block:
 class SourceDrives:
     """The drives of one emission, as they come.
 
-    Parameters
-    ----------
-    emission : Emission
-        The source in time.
-    rows : BankRows
-        Bank rows with their regularisation.
-    fft_samples : int
-        Transform length, at least taps + event samples - 1.
-    tolerance : float
-        Relative magnitude that may be left out; a goal, the proved error is reported. 0: everything is computed, in
-        double precision.
-    band_hz : tuple of float, optional
-        Band within which the windows' energy is counted.
-    on_block : callable, optional
-        Called with blocks done and blocks in all.
-    live : bool
-        Load the rows of no more than one block at a time.
-    device : Device, optional
-        Where to compute, by default on this processor.
+    fft_samples: Transform length, at least taps + event samples - 1.
+    tolerance: Relative magnitude that may be left out; a goal, the proved error is reported. 0: everything is computed,
+        in double precision.
+    band_hz: Band within which the windows' energy is counted.
+    live: Load the rows of no more than one block at a time.
+    device: Where to compute, by default on this processor.
     """
 
     def __init__(
@@ -136,11 +114,8 @@ class SourceDrives:
     def pieces(self) -> Generator[tuple[int, Float64Array], None, None]:
         """Give drives that nothing more is added to, without gaps and in order.
 
-        Returns
-        -------
-        iterator of tuples
-            First sample, in an array of drives that begins with the bank's lead-in, and drives (actuators, samples)
-            over 2**`BankRows.drive_exponent`.
+        Returns iterator of tuples: first sample, in an array of drives that begins with the bank's lead-in, and drives
+        (actuators, samples) over 2**`BankRows.drive_exponent`.
         """
         bounded = self._tolerance > 0
         spectra = RowSpectra(self._rows, Band.whole(self.block_samples), self._device, bounded=bounded)

@@ -24,18 +24,10 @@ def choose_fft_samples(reach: int, span: int, actuators: int, focus_position: In
 
     Long blocks waste less on their overlap, short ones less on rows that emit briefly.
 
-    Parameters
-    ----------
-    reach : int
-        Samples of drive that one event makes.
-    span : int
-        Samples over which events begin.
-    actuators : int
-        Number of actuators.
-    focus_position : int64 array, shape (points,)
-        Row of each path point.
-    nodes : int
-        Rows that make one path point.
+    reach: Samples of drive that one event makes.
+    span: Samples over which events begin.
+    focus_position, int64 (points,): Row of each path point.
+    nodes: Rows that make one path point.
     """
     rows = nodes * len(np.unique(focus_position))
     moves = nodes * np.count_nonzero(np.diff(focus_position))

@@ -23,18 +23,10 @@ BLOCK_SAMPLES = 1 << 16
 class Limiting:
     """What kept a drive within its limits.
 
-    Parameters
-    ----------
-    scale : float
-        Factor applied to all actuators, at most 1; 1 if nothing was.
-    decided_by : str or None
-        Which limit asked for the most: its key.
-    actuator : int or None
-        Which actuator, from 0.
-    reached_v : float
-        What that actuator would have reached without limits, peak or rms as the key says.
-    limit_v : float
-        What is allowed.
+    scale: Factor applied to all actuators, at most 1; 1 if nothing was.
+    decided_by: Which limit asked for the most: its key.
+    reached_v: What that actuator would have reached without limits, peak or rms as the key says.
+    limit_v: What is allowed.
     """
 
     scale: float = 1.0
@@ -56,14 +48,9 @@ class Limiting:
 class DriveLimits:
     """Largest magnitude and largest rms that any actuator may get, with the keys they come from.
 
-    Parameters
-    ----------
-    peak_v : float, optional
-        Largest magnitude in volts, > 0.
-    rms_v : float, optional
-        Largest rms in volts over any `RMS_WINDOW_S`, or over the whole drive where it is shorter, > 0.
-    peak_key, rms_key : str
-        Where they stand, for messages.
+    peak_v: Largest magnitude in volts, > 0.
+    rms_v: Largest rms in volts over any `RMS_WINDOW_S`, or over the whole drive where it is shorter, > 0.
+    peak_key, rms_key: Where they stand, for messages.
     """
 
     peak_v: float | None = None
@@ -76,16 +63,9 @@ class DriveLimits:
 class Reached:
     """What the drives of all actuators reach, and what they may.
 
-    Parameters
-    ----------
-    key : str
-        The limit's name, for messages.
-    limit_v : float
-        What is allowed, volts.
-    each_v : float64 array, shape (actuators,)
-        What each of them reaches, volts.
-    summed : bool
-        Whether that is made of sums, whose last bits depend on their order.
+    limit_v: What is allowed, volts.
+    each_v, float64 (actuators,): What each of them reaches, volts.
+    summed: Whether that is made of sums, whose last bits depend on their order.
     """
 
     key: str
@@ -99,21 +79,12 @@ def largest_rms(
 ) -> Float64Array:
     """Largest rms of each actuator's drive over any window.
 
-    Parameters
-    ----------
-    drive_v : float64 array, shape (actuators, samples)
-        Volts.
-    sample_rate_hz : float
-        Their rate in Hz, > 0.
-    window_s : float
-        Length of the window in s, > 0; a shorter drive is one window.
-    repeated : bool
-        Whether the drive begins anew at its end, so that a window may span both.
+    drive_v, float64 (actuators, samples): Volts.
+    sample_rate_hz: Their rate in Hz, > 0.
+    window_s: Length of the window in s, > 0; a shorter drive is one window.
+    repeated: Whether the drive begins anew at its end, so that a window may span both.
 
-    Returns
-    -------
-    float64 array, shape (actuators,)
-        Volts.
+    Returns float64 (actuators,): volts.
     """
     samples = drive_v.shape[1]
     window = max(1, min(samples, round(window_s * sample_rate_hz)))
@@ -145,19 +116,9 @@ def dynamic_range_db(relative: Float64Array) -> float:
 def limit_drive(drive_v: Float64Array, sample_rate_hz: float, limits: DriveLimits) -> Limiting:
     """Scale a drive down, in place, until it is within its limits.
 
-    Parameters
-    ----------
-    drive_v : float64 array, shape (actuators, samples)
-        Volts, finite.
-    sample_rate_hz : float
-        Their rate in Hz.
-    limits : DriveLimits
-        What is allowed.
+    drive_v, float64 (actuators, samples): Volts, finite.
 
-    Raises
-    ------
-    InputError
-        A limit is not a finite number above 0, or no factor reaches so far.
+    Raises InputError: a limit is not a finite number above 0, or no factor reaches so far.
     """
     reached = []
     if limits.peak_v is not None:
@@ -173,15 +134,9 @@ def limit_drive(drive_v: Float64Array, sample_rate_hz: float, limits: DriveLimit
 def strictest(reached: Sequence[Reached]) -> Limiting:
     """Find the factor that keeps a drive within all of its limits.
 
-    Parameters
-    ----------
-    reached : sequence of Reached
-        What the drive reaches, limit by limit; of two that ask for the same the first one is named.
+    reached: What the drive reaches, limit by limit; of two that ask for the same the first one is named.
 
-    Raises
-    ------
-    InputError
-        A limit is not a finite number above 0, or no factor reaches so far.
+    Raises InputError: a limit is not a finite number above 0, or no factor reaches so far.
     """
     least = Limiting()
     for one in reached:
@@ -234,16 +189,8 @@ def _largest_mean(signal: Float64Array, window: int) -> float:
 class RunningLevels:
     """Peaks, norms and largest rms of drives, block by block: in the end those of the whole drive.
 
-    Parameters
-    ----------
-    actuators : int
-        How many there are.
-    samples : int
-        Of the whole drive; one that is shorter than the window of the rms is one window.
-    sample_rate_hz : float
-        Their rate in Hz.
-    limits : DriveLimits
-        What the drives are to be held against; without a limit on the rms none is found.
+    samples: Of the whole drive; one that is shorter than the window of the rms is one window.
+    limits: What the drives are to be held against; without a limit on the rms none is found.
     """
 
     def __init__(self, actuators: int, samples: int, sample_rate_hz: float, limits: DriveLimits) -> None:

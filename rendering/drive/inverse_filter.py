@@ -45,26 +45,14 @@ SYSTEM_BYTES = 2**30
 class InverseReport:
     """Figures of one inverse filter.
 
-    Parameters
-    ----------
-    warnings : tuple of str
-        One sentence each.
-    control_points : int
-        Different places among the path points.
-    regularisation_db : float
-        lambda over the largest power, at any frequency, that the actuators bring to a control point on average.
-    frequency_hz : float64 array, shape (bins,)
-        Frequencies that were inverted.
-    condition : float64 array, shape (bins,)
-        Largest over smallest singular value of H; infinite where H has not full rank.
-    regularised_condition : float64 array, shape (bins,)
-        The same of ``[H; sqrt(lambda) I]``, which is what was solved.
-    misfit : float
-        Relative L2 error of the response at the control points against the response wanted, over the band.
-    cut_share : float
-        Share of the drive's energy that lay before the lead-in or after the last emitted sample, and was cut.
-    limiting : Limiting
-        What the scene's limits did to the drive, and which actuator decided.
+    control_points: Different places among the path points.
+    regularisation_db: lambda over the largest power, at any frequency, that the actuators bring to a control point on
+        average.
+    frequency_hz, float64 (bins,): Frequencies that were inverted.
+    condition, float64 (bins,): Largest over smallest singular value of H; infinite where H has not full rank.
+    regularised_condition, float64 (bins,): The same of ``[H; sqrt(lambda) I]``, which is what was solved.
+    misfit: Relative L2 error of the response at the control points against the response wanted, over the band.
+    cut_share: Share of the drive's energy that lay before the lead-in or after the last emitted sample, and was cut.
     """
 
     warnings: tuple[str, ...]
@@ -99,19 +87,10 @@ def inverse_filter(
     its control point and focus instant, as far as no other point's emission meets it; else the response is the
     source's signal, limited to the bank's band.
 
-    Parameters
-    ----------
-    scene : Scene
-        Sources; their interpolation and limit. Saturation belongs to time reversal and is not applied.
-    bank : GreenSource
-        Measured Green's functions.
-    regularisation_db : float
-        lambda over the largest mean power at a control point, in dB, < 0.
+    scene: Sources; their interpolation and limit. Saturation belongs to time reversal and is not applied.
+    regularisation_db: lambda over the largest mean power at a control point, in dB, < 0.
 
-    Raises
-    ------
-    InputError
-        The scene does not fit the bank, or there are too many control points.
+    Raises InputError: the scene does not fit the bank, or there are too many control points.
     """
     if not (math.isfinite(regularisation_db) and regularisation_db < 0):
         raise InputError(f"regularisation_db is {regularisation_db}; it must be a finite number below 0")

@@ -44,28 +44,15 @@ class LiveDrive:
 
     The same numbers as `rendering.drive.rendering.render` gives, but for the order in which sources are added up.
 
-    Parameters
-    ----------
-    scene : Scene
-        What is to be felt.
-    bank : GreenSource
-        Measured Green's functions.
-    block_samples : int
-        Samples to give out at a time, > 0.
-    method : {"sampled", "exact"}, optional
-        As for `render`.
-    tolerance_db : float, optional
-        As for `render`; the bound is available at the end.
-    gain : float
-        Factor by which all is multiplied, such as the scale that a first pass found (`rendering.drive.streamed_drive`).
-    limits : DriveLimits, optional
-        What no actuator may exceed; by default the scene's. They cannot be met by scaling here, as the largest value
-        is not available yet: drives that exceed them are refused when they come.
+    block_samples: Samples to give out at a time, > 0.
+    method, {"sampled", "exact"}: As for `render`.
+    tolerance_db: As for `render`; the bound is available at the end.
+    gain: Factor by which all is multiplied, such as the scale that a first pass found
+        (`rendering.drive.streamed_drive`).
+    limits: What no actuator may exceed; by default the scene's. They cannot be met by scaling here, as the largest
+        value is not available yet: drives that exceed them are refused when they come.
 
-    Raises
-    ------
-    InputError
-        As `render` does.
+    Raises InputError: as `render` does.
     """
 
     samples: int
@@ -131,10 +118,7 @@ class LiveDrive:
     def blocks(self) -> Iterator[Float64Array]:
         """Give the drives, (actuators, block_samples) at a time, the last block shorter.
 
-        Raises
-        ------
-        InputError
-            A row on the path cannot be used, or a drive exceeds a limit or does not fit into float64.
+        Raises InputError: a row on the path cannot be used, or a drive exceeds a limit or does not fit into float64.
         """
         levels = RunningLevels(self.actuators, self.samples, self.sample_rate_hz, self.limits)
         with ExitStack() as stack:

@@ -68,38 +68,20 @@ def render_with_report(
     The drive starts at -(L - 1) samples of scene time, L the taps of the bank, even if all sources start
     later, and ends with the last emitted sample. A continuous emission lasts until n_M, silence included.
 
-    Parameters
-    ----------
-    scene : Scene
-        Sources, regularisation, interpolation and limit.
-    bank : GreenSource
-        Measured Green's functions.
-    method : {"sampled", "exact"}, optional
-        Eq. (16) or eq. (9). By default exact, but sampled where every source emits per point, for which the
-        two are the same.
-    tolerance_db : float, optional
-        Allows leaving out frequency bins as long as the proved bound on the relative L2 error of the drives
+    scene: Sources, regularisation, interpolation and limit.
+    method, {"sampled", "exact"}: Eq. (16) or eq. (9). By default exact, but sampled where every source emits per point,
+        for which the two are the same.
+    tolerance_db: Allows leaving out frequency bins as long as the proved bound on the relative L2 error of the drives
         stays below it, < 0. Without it all is computed, to 1e-12 of direct evaluation.
-    interpolation_tolerance : float, optional
-        Largest relative error of the Green's functions between the bank's positions, > 0: the median along the
-        paths, in every band that the scene makes use of. Without it an error above 5 % is warned about.
-    on_progress : callable, optional
-        Told blocks done and blocks in all.
-    device : Device, optional
-        Where to compute, by the array API; by default on this processor.
+    interpolation_tolerance: Largest relative error of the Green's functions between the bank's positions, > 0: the
+        median along the paths, in every band that the scene makes use of. Without it an error above 5 % is warned
+        about.
+    on_progress: Called with blocks done and blocks in all.
+    device: Where to compute, by the array API; by default on this processor.
 
-    Returns
-    -------
-    Drive
-        Volts, with the foci source by source.
-    RenderReport
-        Warnings and figures.
-
-    Raises
-    ------
-    InputError
-        The scene does not fit the bank: a path off the grid, an unmeasured row on it, an empty signal, a
-        drive that does not fit into float64, an interpolation beyond its tolerance.
+    Returns Drive: volts, with the foci source by source; RenderReport: warnings and figures. Raises InputError: the
+    scene does not fit the bank: a path off the grid, an unmeasured row on it, an empty signal, a drive that does not
+    fit into float64, an interpolation beyond its tolerance.
     """
     chosen = chosen_method(scene, method)
     tolerance = tolerance_of(tolerance_db)
@@ -145,10 +127,7 @@ def render_with_report(
 def chosen_method(scene: Scene, method: str | None) -> Method:
     """The method asked for, or the default: sampled where all emission is per point, else exact.
 
-    Raises
-    ------
-    InputError
-        There is no such method.
+    Raises InputError: there is no such method.
     """
     if method not in (None, "sampled", "exact"):
         raise InputError(f"method is {method!r}; allowed are 'sampled' and 'exact'")

@@ -22,14 +22,9 @@ Float64Array = NDArray[np.float64]
 class RowSpectrum:
     """The spectrum of one row.
 
-    Parameters
-    ----------
-    kept : complex array of the device, shape (actuators, kept bins)
-        The bins computed.
-    magnitude : float64 array, shape (bins,), or None
-        g, the norm over the actuators of every bin, where errors are bounded.
-    norm : float
-        Norm over actuators and bins.
+    kept, complex array of the device, shape (actuators, kept bins): The bins computed.
+    magnitude, float64 (bins,), or None: g, the norm over the actuators of every bin, where errors are bounded.
+    norm: Norm over actuators and bins.
     """
 
     kept: Any
@@ -40,16 +35,9 @@ class RowSpectrum:
 class RowSpectra:
     """Reads rows, reverses them in time and transforms them; the rows used last are kept.
 
-    Parameters
-    ----------
-    rows : BankRows
-        Reads them.
-    band : Band
-        Transform length, bins and precision.
-    device : Device
-        Where they are computed and kept, within its memory.
-    bounded : bool
-        Whether magnitudes are needed.
+    band: Transform length, bins and precision.
+    device: Where they are computed and kept, within its memory.
+    bounded: Whether magnitudes are needed.
     """
 
     def __init__(self, rows: BankRows, band: Band, device: Device, *, bounded: bool) -> None:
@@ -71,10 +59,7 @@ class RowSpectra:
     def load(self, rows: Sequence[int]) -> None:
         """Have the spectra of some rows, at most `most_rows`, in memory.
 
-        Raises
-        ------
-        InputError
-            A row may not be used.
+        Raises InputError: a row may not be used.
         """
         missing = [row for row in rows if row not in self._spectra]
         for row in rows:

@@ -40,25 +40,13 @@ PIECE_SAMPLES = 4096
 class StreamedDrive:
     """The drives of a scene in two passes over it.
 
-    Parameters
-    ----------
-    scene : Scene
-        What is to be felt, with its limits.
-    bank : GreenSource
-        Measured Green's functions.
-    interface : Interface, optional
-        Outputs whose full scale is not to be exceeded between the samples of the drives either.
-    gain : float
-        Factor on the drives before they are limited, > 0.
-    block_samples : int
-        Samples to give out at a time, > 0.
-    method, tolerance_db, interpolation_tolerance
-        As for `rendering.drive.rendering.render_with_report`.
+    scene: What is to be felt, with its limits.
+    interface: Outputs whose full scale is not to be exceeded between the samples of the drives either.
+    gain: Factor on the drives before they are limited, > 0.
+    block_samples: Samples to give out at a time, > 0.
+    method, tolerance_db, interpolation_tolerance: As for `rendering.drive.rendering.render_with_report`.
 
-    Raises
-    ------
-    InputError
-        As `rendering.drive.rendering.render_with_report` does.
+    Raises InputError: as `rendering.drive.rendering.render_with_report` does.
     """
 
     def __init__(
@@ -118,10 +106,7 @@ class StreamedDrive:
     def prepare(self, on_progress: OnProgress | None = None) -> RenderReport:
         """Make all drives once and find by how much they have to be scaled.
 
-        Parameters
-        ----------
-        on_progress : callable, optional
-            Told samples done and samples in all.
+        on_progress: Called with samples done and samples in all.
         """
         scene, bank = self._scene, self._bank
         kind = scene_interpolation(scene, bank)

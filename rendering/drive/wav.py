@@ -27,12 +27,7 @@ _HEADER_BYTES = 4096
 class Interface:
     """The outputs that drives are converted for.
 
-    Parameters
-    ----------
-    rate_hz : int
-        Rate of the audio interface.
-    full_scale_v : float64 array, shape (actuators,)
-        Volts at full scale of each actuator's output.
+    full_scale_v, float64 (actuators,): Volts at full scale of each actuator's output.
     """
 
     rate_hz: int
@@ -57,17 +52,7 @@ class Interface:
 class InterfaceRate:
     """The way from the rate of drives to that of an interface; sample 0 stays sample 0.
 
-    Parameters
-    ----------
-    sample_rate_hz : float
-        Rate of the drives.
-    interface_rate_hz : int
-        Rate of the audio interface.
-
-    Raises
-    ------
-    InputError
-        The rates have no ratio of small whole numbers.
+    Raises InputError: the rates have no ratio of small whole numbers.
     """
 
     def __init__(self, sample_rate_hz: float, interface_rate_hz: int) -> None:

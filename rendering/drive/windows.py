@@ -20,20 +20,12 @@ Weigh = Callable[[Int64Array, Int64Array], tuple[Float64Array, NDArray[np.bool_]
 class Events:
     """Samples that rows emit within a block.
 
-    Parameters
-    ----------
-    rows : int64 array, shape (events, k)
-        Bank rows that make each event.
-    weights : float64 array, shape (events, k)
-        Their weights; 0 where a row is not used.
-    regularised_by : int64 array, shape (events,)
-        Row whose regularisation counts.
-    sample : int64 array, shape (events,)
-        When, from the block's start.
-    values : float64 array, shape (events,)
-        What is emitted.
-    piece : int64 array, shape (events,), optional
-        Which piece of a signal each event is the beginning of, where it is not a sample.
+    rows, int64 (events, k): Bank rows that make each event.
+    weights, float64 (events, k): Their weights; 0 where a row is not used.
+    regularised_by, int64 (events,): Row whose regularisation counts.
+    sample, int64 (events,): When, from the block's start.
+    values, float64 (events,): What is emitted.
+    piece, int64 (events,): Which piece of a signal each event is the beginning of, where it is not a sample.
     """
 
     rows: Int64Array
@@ -48,11 +40,6 @@ class Windows:
     """Windows of one block: what one row emits, one saturation at a time.
 
     Before `weigh` is called there are only the pairs of a row and a regularising row.
-
-    Parameters
-    ----------
-    events : Events
-        All that is emitted within the block.
     """
 
     pairs: tuple[Int64Array, Int64Array]
@@ -107,14 +94,8 @@ class Windows:
     ) -> Complex128Array:
         """Spectra of windows first to last - 1, (windows, bins), time 0 being the block's start.
 
-        Parameters
-        ----------
-        first, last : int
-            Which windows.
-        fft_samples : int
-            Transform length.
-        piece_spectra : complex128 array, shape (pieces, bins), optional
-            Spectra of the pieces of a signal that events are beginnings of.
+        first, last: Which windows.
+        piece_spectra, complex128 (pieces, bins): Spectra of the pieces of a signal that events are beginnings of.
         """
         begin, end = np.searchsorted(self._parts, [first * self._pieces, last * self._pieces]).tolist()
         part, sample, amount = self._part, self._sample, self._amount

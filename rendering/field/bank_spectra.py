@@ -32,13 +32,9 @@ ROWS_AT_ONCE = 8
 class RowsSpectra:
     """Spectra of some rows, each of size about 1.
 
-    Parameters
-    ----------
-    kept : complex array of the device, shape (kept bins, rows, actuators)
-    exponents : int64 array, shape (rows,)
-        The rows are these times two to such a power.
-    magnitude : float64 array, shape (rows, bins), or None
-        Norms over the actuators of every bin, where errors are bounded.
+    kept, complex (kept bins, rows, actuators): of the device.
+    exponents, int64 (rows,): The rows are these times two to such a power.
+    magnitude, float64 (rows, bins), or None: Norms over the actuators of every bin, where errors are bounded.
     """
 
     kept: Any
@@ -70,17 +66,10 @@ def transform_rows(
 class BankSpectra:
     """Spectra of a bank's rows, made once and kept for the prediction of many drives.
 
-    Parameters
-    ----------
-    positions : sequence of int
-        Rows that will be predicted, measured.
-    rate_hz : float, optional
-        Rate of the fields, an integer fraction of the bank's.
-    tolerance_db : float, optional
-        Allows to keep only the bins that matter to within this relative L2 error, < 0. The error of each field is
-        bounded, and one that has more in the other bins is computed from the bank instead.
-
-    Raises InputError: a parameter is not as stated, or the spectra do not fit into memory.
+    positions: Rows that will be predicted, measured.
+    rate_hz: Rate of the fields, an integer fraction of the bank's.
+    tolerance_db: Allows to keep only the bins that matter to within this relative L2 error, < 0. The error of each
+        field is bounded, and one that has more in the other bins is computed from the bank instead.
     """
 
     decimation: Decimation

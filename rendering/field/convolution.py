@@ -91,16 +91,10 @@ class DriveSpectra:
 class Convolution:
     """Convolves rows of a bank with one drive; `respond` may be called by several threads.
 
-    Parameters
-    ----------
-    dtype : dtype
-        float32 or float64: of samples, and of the spectra's parts where nothing is left out.
-    positions : int64 array
-        Rows that `respond` will be asked for.
-    tolerance : float
-        Relative magnitude that may be left out of each part of the field; 0: nothing is.
-    kept : BankSpectra, optional
-        Spectra of the rows, kept from earlier; then `tolerance` is theirs.
+    dtype: float32 or float64: of samples, and of the spectra's parts where nothing is left out.
+    positions, int64 array: Rows that `respond` will be asked for.
+    tolerance: Relative magnitude that may be left out of each part of the field; 0: nothing is.
+    kept: Spectra of the rows, kept from earlier; then `tolerance` is theirs.
     """
 
     def __init__(

@@ -36,16 +36,9 @@ class CrosstalkTable:
 class PathResponses:
     """Response at each of some rows to the focus at each of them.
 
-    Parameters
-    ----------
-    rows : sequence of int
-        Rows of the path's points, at most some dozens.
-    signal : float64 array, shape (samples,)
-        Emitted by every focus, at the bank's rate; by default an impulse.
-    regularisation : Regularisation, optional
-        Saturation and normalisation; by default normalised, without saturation.
-
-    Raises InputError: a row is not measured, or the responses do not fit into memory.
+    rows: Rows of the path's points, at most some dozens.
+    signal, float64 (samples,): Emitted by every focus, at the bank's rate; by default an impulse.
+    regularisation: Saturation and normalisation; by default normalised, without saturation.
     """
 
     def __init__(

@@ -26,15 +26,11 @@ NEEDED_NEIGHBOURS = 0.9
 class FocusInstant:
     """A focus and its instant.
 
-    Parameters
-    ----------
-    source, row : int
-        Index of the scene's source, bank row of the path point.
-    start_sample, stop_sample : int
-        Emission window ``[n_m, n_{m+1})`` in samples since t = 0; the last window of a source ends with the drive.
-    sample : int
-        The focus instant, in samples since t = 0: where within the emission window the predicted response at the path
-        point is largest. For an impulse that is n_m itself.
+    source, row: Index of the scene's source, bank row of the path point.
+    start_sample, stop_sample: Emission window ``[n_m, n_{m+1})`` in samples since t = 0; the last window of a source
+        ends with the drive.
+    sample: The focus instant, in samples since t = 0: where within the emission window the predicted response at the
+        path point is largest. For an impulse that is n_m itself.
     """
 
     source: int
@@ -48,16 +44,10 @@ class FocusInstant:
 class FocusTable:
     """Figures of each focus; NaN where the positions around it were not compared.
 
-    Parameters
-    ----------
-    intended_mm : float64 array, shape (K, 2)
-        The path point on the grid.
-    predicted_mm, scanned_mm : float64 array, shape (K, 2)
-        Place of the largest magnitude within 15 mm of it, between grid points.
-    predicted_width_mm, scanned_width_mm : float64 array, shape (K,)
-        Full width at half maximum: diameter of the disk of equal area.
-    scanned_artefact_db : float64 array, shape (K,)
-        Largest magnitude beyond 15 mm over the largest within.
+    intended_mm, float64 (K, 2): The path point on the grid.
+    predicted_mm, scanned_mm, float64 (K, 2): Place of the largest magnitude within 15 mm of it, between grid points.
+    predicted_width_mm, scanned_width_mm, float64 (K,): Full width at half maximum: diameter of the disk of equal area.
+    scanned_artefact_db, float64 (K,): Largest magnitude beyond 15 mm over the largest within.
     """
 
     intended_mm: NDArray[np.float64]
@@ -115,12 +105,8 @@ def focus_instants(
 ) -> tuple[FocusInstant, ...]:
     """Move each focus to its instant and leave the quiet ones out.
 
-    Parameters
-    ----------
-    predicted : float32 array, shape (len(windows), samples)
-        Predicted response at each window's path point, NaN where not predicted.
-    first_sample : int
-        Sample of the scene at which `predicted` starts (negative: the lead-in).
+    predicted, float32 (len(windows), samples): Predicted response at each window's path point, NaN where not predicted.
+    first_sample: Sample of the scene at which `predicted` starts (negative: the lead-in).
     """
     moved = list(windows)
     level = np.full(len(windows), np.nan)
@@ -143,16 +129,10 @@ def focus_table(
 ) -> FocusTable:
     """Find places and widths of the foci.
 
-    Parameters
-    ----------
-    predicted, scanned : float32 array, shape (len(instants), compared positions)
-        The fields at the focus instants.
-    rows : int64 array, shape (compared positions,)
-        Their bank rows.
-    position_mm : float64 array, shape (positions, 2)
-        The bank's grid.
-    spacing_mm : float or None
-        Its spacing; None when it has but one position.
+    predicted, scanned, float32 (len(instants), compared positions): The fields at the focus instants.
+    rows, int64 (compared positions,): Their bank rows.
+    position_mm, float64 (positions, 2): The bank's grid.
+    spacing_mm: Its spacing; None when it has but one position.
     """
     count = len(instants)
     intended = np.array([position_mm[one.row] for one in instants]).reshape(count, 2)

@@ -34,14 +34,8 @@ def correlation_over_distance(bank: GreenSource, edges_mm: Sequence[float], rows
     The coefficient is that at lag 0, ``<g_i(x), g_i(x')> / (||g_i(x)|| ||g_i(x')||)``, means not removed, for
     each actuator i: what eqs. (10) to (12) need of neighbouring path points.
 
-    Parameters
-    ----------
-    edges_mm : sequence of float
-        Ascending edges of the bins; pairs at an edge count above it.
-    rows : sequence of int
-        Measured positions to pair.
-
-    Raises InputError: there are no two measured positions, or fewer than two edges.
+    edges_mm: Ascending edges of the bins; pairs at an edge count above it.
+    rows: Measured positions to pair.
     """
     chosen = np.asarray(rows, dtype=np.int64)
     edges = np.asarray(edges_mm, dtype=np.float64)

@@ -26,16 +26,10 @@ LEAST_CORRELATION = 0.7
 class ImpulseTravel:
     """Travel of band-limited impulses.
 
-    Parameters
-    ----------
-    group_velocity_m_s : float
-        Inverse slope of the energy's mean arrival over distance.
-    attenuation_db_per_cm : float
-        Loss of energy per distance, spreading removed; positive where waves die away.
-    velocity_error_m_s, attenuation_error_db_per_cm : float
-        Standard errors of the two figures.
-    correlation : float
-        Of arrivals and distances, means of each actuator removed; -1 to 1.
+    group_velocity_m_s: Inverse slope of the energy's mean arrival over distance.
+    attenuation_db_per_cm: Loss of energy per distance, spreading removed; positive where waves die away.
+    velocity_error_m_s, attenuation_error_db_per_cm: Standard errors of the two figures.
+    correlation: Of arrivals and distances, means of each actuator removed; -1 to 1.
     """
 
     group_velocity_m_s: float
@@ -63,16 +57,9 @@ def impulse_travel(
     distance r taking away the spreading of a wave on a surface. Arrival and level over distance are each
     fitted by a straight line, for each actuator with an offset of its own.
 
-    Parameters
-    ----------
-    band_hz : tuple of float, optional
-        Band of the impulse; None: the Green's functions as they are.
-    span_mm : tuple of float
-        Distances that are used, above 0.
-    rows : sequence of int, optional
-        Rows to choose from; by default all usable ones.
-
-    Raises InputError: too few pairs of a measured position and an actuator of known place are that far apart.
+    band_hz: Band of the impulse; None: the Green's functions as they are.
+    span_mm: Distances that are used, above 0.
+    rows: Rows to choose from; by default all usable ones.
     """
     allowed = np.flatnonzero(usable(bank)) if rows is None else np.asarray(rows, dtype=np.int64)
     allowed = allowed[np.unique(np.linspace(0, len(allowed) - 1, min(MOST_ROWS, len(allowed))).astype(np.int64))]

@@ -101,14 +101,8 @@ def focus_peak(
     jinc spot of 8 mm on a grid of 4 mm. With fewer than six such neighbours the field
     itself is fitted; the grid position counts where that has no maximum within one spacing.
 
-    Parameters
-    ----------
-    field : array, shape (positions,)
-        The field at one instant, any unit.
-    near_mm : tuple of float
-        Intended place of the focus.
-
-    Returns None when no position lies within the radius.
+    field, (positions,): The field at one instant, any unit.
+    near_mm: Intended place of the focus.
     """
     rows = np.flatnonzero(np.hypot(*(position_mm - np.asarray(near_mm)).T) <= radius_mm)
     if not rows.size:

@@ -31,18 +31,10 @@ def predict(
 ) -> Field:
     """Predict the response y(x)[n] = sum_i (g_i(x) * f_i)[n], drive samples + L - 1 long.
 
-    Parameters
-    ----------
-    drive : Drive
-        The drives, at the bank's rate; the field starts with them.
-    positions : sequence of int, optional
-        Bank rows in any order; by default all that `measured_positions` gives.
-    dtype, tolerance_db, rate_hz
-        See `Prediction`.
-    on_progress : callable, optional
-        Called with positions done and positions in all.
-
-    Raises InputError: drive and bank do not fit, a position was not measured, or another parameter is not as stated.
+    drive: The drives, at the bank's rate; the field starts with them.
+    positions: Bank rows in any order; by default all that `measured_positions` gives.
+    dtype, tolerance_db, rate_hz: See `Prediction`.
+    on_progress: Called with positions done and positions in all.
     """
     index = chosen_positions(drive, bank, positions)
     prediction = Prediction(drive, bank, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz)

@@ -52,15 +52,9 @@ def path_spectrum(
 ) -> PathSpectrum:
     """Transform each point's response over a window of its own.
 
-    Parameters
-    ----------
-    responses : float array, shape (points, samples of the field)
-    first_sample : int64 array, shape (points,)
-        Begin of each window; outside the field there is silence.
-    samples : int
-        Length of the windows, >= 1; rectangular. Zeros are appended for bins at most `RESOLUTION_HZ` apart.
-
-    Raises InputError: there is no point, or a figure is out of range.
+    responses, float (points, samples of the field).
+    first_sample, int64 (points,): Begin of each window; outside the field there is silence.
+    samples: Length of the windows, >= 1; rectangular. Zeros are appended for bins at most `RESOLUTION_HZ` apart.
     """
     if responses.ndim != 2 or not len(responses) or len(first_sample) != len(responses):
         raise InputError(f"responses of shape {responses.shape} do not go with {len(first_sample)} windows")

@@ -46,25 +46,13 @@ class FieldRows:
 class Prediction:
     """The field of one drive, to be computed a few rows at a time.
 
-    Parameters
-    ----------
-    bank : GreenSource or BankSpectra
-        Measured Green's functions, at the drive's rate; or their spectra, kept for many predictions, which then set
+    bank: Measured Green's functions, at the drive's rate; or their spectra, kept for many predictions, which then set
         rate and tolerance.
-    positions : int64 array
-        Bank rows, measured.
-    dtype : {float32, float64}
-        float64: to 1e-12 of direct evaluation. float32: spectra in complex64, about twice as fast, 1e-6 of
-        each position's largest response.
-    tolerance_db : float, optional
-        Allows leaving out frequency bins, and computing at a lower rate, as long as the proved bound on the
+    dtype, {float32, float64}: float64: to 1e-12 of direct evaluation. float32: spectra in complex64, about twice as
+        fast, 1e-6 of each position's largest response.
+    tolerance_db: Allows leaving out frequency bins, and computing at a lower rate, as long as the proved bound on the
         relative L2 error stays below it for every part of the field, < 0.
-    rate_hz : float, optional
-        Rate of the field, an integer fraction of the bank's; the field is low-passed to it.
-    device : Device, optional
-        By default this processor.
-
-    Raises InputError: a parameter is not as stated here.
+    rate_hz: Rate of the field, an integer fraction of the bank's; the field is low-passed to it.
     """
 
     position_index: Int64Array

@@ -36,14 +36,10 @@ BLOCKS_AT_ONCE = 64
 class ResponseSpectra:
     """Energy spectra of responses.
 
-    Parameters
-    ----------
-    frequency_hz : float64 array, shape (bins,)
-    energy_density : float64 array, shape (positions, bins)
-        Per position, the response's energy (sum of squares over the rate, so unit squared times seconds) per hertz;
-        its sum times the bins' distance is the energy of the response.
-    position_index : int64 array, shape (positions,)
-        Bank rows.
+    energy_density, float64 (positions, bins): Per position, the response's energy (sum of squares over
+        the rate, so unit squared times seconds) per hertz; its sum times the bins' distance is the energy of the
+        response.
+    position_index, int64 (positions,): Bank rows.
     """
 
     frequency_hz: Float64Array

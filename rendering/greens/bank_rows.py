@@ -23,18 +23,10 @@ PLAIN_EXPONENT = 300
 
 
 class BankRows:
-    """The rows that a scene visits, read, judged and regularised.
-
-    Parameters
-    ----------
-    bank : GreenSource
-        Where they come from.
-    regularisation : Regularisation
-        Saturation and normalisation.
-    """
+    """The rows that a scene visits, read, judged and regularised."""
 
     needed_by: Callable[[int, Float64Array], str]
-    """Tells, for a message, which source and path point needs a row at a place."""
+    """Source and path point that need a row at a place, for a message."""
 
     def __init__(self, bank: GreenSource, regularisation: Regularisation) -> None:
         self.bank = bank
@@ -95,19 +87,11 @@ class BankRows:
     ) -> tuple[Float64Array, NDArray[np.bool_]]:
         """Weights of rows, each regularised by another or by itself.
 
-        Parameters
-        ----------
-        rows, regularised_by : int64 array, shape (k,)
-            Bank rows.
-        exponent : int
-            The factors are divided by 2**exponent.
+        rows, regularised_by, int64 (k,): Bank rows.
+        exponent: The factors are divided by 2**exponent.
 
-        Returns
-        -------
-        factors : float64 array, shape (k,)
-            n(regularised_by) times the scale of the row, over 2**(drive_exponent + exponent).
-        saturated : bool array, shape (k,)
-            Where `sigma` is not None.
+        Returns factors : float64 (k,): n(regularised_by) times the scale of the row, over 2**(drive_exponent +
+        exponent); saturated : bool (k,): where `sigma` is not None.
         """
         factors, saturated = np.empty(len(rows)), np.empty(len(rows), dtype=bool)
         for place, (row, by) in enumerate(zip(rows.tolist(), regularised_by.tolist(), strict=True)):

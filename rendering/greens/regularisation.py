@@ -21,20 +21,12 @@ LEAST_TOTAL = 1e-300
 def rms_map(bank: GreenSource) -> Float64Array:
     """rms_i(x) of eq. (14) for every position and actuator.
 
-    Parameters
-    ----------
-    bank : GreenSource
-        Rows whose rms is not stored with the bank (`storage.bank.reading.Bank.rms`) are read, one by one.
+    bank: Rows whose rms is not stored with the bank (`storage.bank.reading.Bank.rms`) are read, one by one.
 
-    Returns
-    -------
-    float64 array, shape (positions, actuators)
-        In the unit of the Green's functions; NaN in rows that are unmeasured, refused or all zeros.
+    Returns float64 (positions, actuators): in the unit of the Green's functions; NaN in rows that are unmeasured,
+    refused or all zeros.
 
-    Raises
-    ------
-    InputError
-        A row in use holds NaN or infinity.
+    Raises InputError: a row in use holds NaN or infinity.
     """
     rms = np.full((bank.positions, bank.actuators), np.nan)
     in_use = usable(bank)
@@ -51,22 +43,12 @@ def rms_map(bank: GreenSource) -> Float64Array:
 def saturation_threshold(regularisation: Regularisation, bank: GreenSource) -> float:
     """Resolve C of eq. (14).
 
-    Parameters
-    ----------
-    regularisation : Regularisation
-        Saturation as a fraction of the median rms over all measured positions and all actuators, or absolute.
-    bank : GreenSource
-        As of `rms_map`, where saturation is a fraction.
+    regularisation: Saturation as a fraction of the median rms over all measured positions and all actuators, or
+        absolute.
+    bank: As of `rms_map`, where saturation is a fraction.
 
-    Returns
-    -------
-    float
-        In the unit of the Green's functions; infinity where saturation is off.
-
-    Raises
-    ------
-    InputError
-        The median is 0, so that a fraction of it means nothing, or so small a fraction of it is 0.
+    Returns float: in the unit of the Green's functions; infinity where saturation is off. Raises InputError: the median
+    is 0, so that a fraction of it means nothing, or so small a fraction of it is 0.
     """
     if regularisation.saturation_absolute:
         return float(regularisation.saturation_absolute)
@@ -91,13 +73,8 @@ def saturation_threshold(regularisation: Regularisation, bank: GreenSource) -> f
 class RowWeights:
     """Regularisation of one focus position.
 
-    Parameters
-    ----------
-    sigma : float64 array, shape (actuators,), or None
-        Saturation factors; None where all are 1.
-    gain : float
-    gain_exponent : int
-        n(x) = gain * 2**gain_exponent; 1 * 2**0 where normalisation is off.
+    sigma, float64 (actuators,), or None: Saturation factors; None where all are 1.
+    gain, gain_exponent: n(x) = gain * 2**gain_exponent; 1 * 2**0 where normalisation is off.
     """
 
     sigma: Float64Array | None
@@ -108,14 +85,9 @@ class RowWeights:
 def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeights:
     """Evaluate eqs. (14) and (15) at one position.
 
-    Parameters
-    ----------
-    row : ScaledRow
-        Its Green's functions, not all zero.
-    threshold : float
-        C, > 0, infinity for off.
-    normalise : bool
-        Whether to form n(x).
+    row: Its Green's functions, not all zero.
+    threshold: C, > 0, infinity for off.
+    normalise: Whether to form n(x).
     """
     sigma = None
     if np.isfinite(threshold):
@@ -136,22 +108,10 @@ def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeig
 def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float64Array:
     """n(x) of eq. (15) over the surface, the paper's figure 3C.
 
-    Parameters
-    ----------
-    bank : GreenSource
-        The bank.
-    saturation : float, optional
-        C as a fraction of the bank's median rms; None or 0: off.
+    saturation: C as a fraction of the bank's median rms; None or 0: off.
 
-    Returns
-    -------
-    float64 array, shape (positions,)
-        NaN where nothing was measured.
-
-    Raises
-    ------
-    InputError
-        The saturation is not allowed, or n(x) does not fit into float64.
+    Returns float64 (positions,): NaN where nothing was measured. Raises InputError: the saturation is not allowed, or
+    n(x) does not fit into float64.
     """
     threshold = saturation_threshold(Regularisation(saturation=saturation or 0.0), bank)
     gain = np.full(bank.positions, np.nan)

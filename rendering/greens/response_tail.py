@@ -22,15 +22,10 @@ LOUD_DB = -40.0
 class ResponseTail:
     """The end of some rows' Green's functions.
 
-    Parameters
-    ----------
-    position : int
-        The row whose end is loudest.
-    last_tenth_db : float
-        Energy of the last tenth of its taps over that of all, all actuators together.
-    beyond_share : float
-        Share of the whole response's energy that lies beyond the window, 0 to 1, if it dies away from half window
-        to half window as it does within: with r the energy of the second half over that of the first, r squared.
+    position: The row whose end is loudest.
+    last_tenth_db: Energy of the last tenth of its taps over that of all, all actuators together.
+    beyond_share: Share of the whole response's energy that lies beyond the window, 0 to 1, if it dies away from half
+        window to half window as it does within: with r the energy of the second half over that of the first, r squared.
     """
 
     position: int
@@ -52,17 +47,8 @@ class ResponseTail:
 def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None:
     """Look at the ends of at most six of the rows, evenly chosen.
 
-    Parameters
-    ----------
-    bank : GreenSource
-        The bank.
-    rows : sequence of int
-        Measured rows.
-
-    Returns
-    -------
-    ResponseTail or None
-        None where there is no row, none that is not silent, or Green's functions have fewer than ten taps.
+    Returns ResponseTail or None: None where there is no row, none that is not silent, or Green's functions have fewer
+    than ten taps.
     """
     if not len(rows) or bank.taps < 10:
         return None

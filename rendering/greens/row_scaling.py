@@ -42,19 +42,10 @@ class ScaledRow:
 def scale_row(raw: NDArray[Any], position: int, *, single: bool = False) -> ScaledRow:
     """Scale one row by a power of two.
 
-    Parameters
-    ----------
-    raw : array, shape (actuators, taps)
-        The row as the bank has it.
-    position : int
-        Its number, for messages.
-    single : bool
-        As float32, without a denormal number, instead of float64.
+    raw, (actuators, taps): The row as the bank has it.
+    single: As float32, without a denormal number, instead of float64.
 
-    Raises
-    ------
-    InputError
-        The row holds NaN or infinity.
+    Raises InputError: the row holds NaN or infinity.
     """
     values, shift = _without_denormals(raw)
     peak = max(float(values.max()), -float(values.min()))

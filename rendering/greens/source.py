@@ -77,22 +77,11 @@ class GreenSource(Protocol):
 class GreenArray:
     """A bank held in memory.
 
-    Parameters
-    ----------
-    values : array, shape (positions, actuators, taps)
-        Green's functions, any real number type, response unit per volt.
-    position_mm : float64 array, shape (positions, 2)
-        Grid in millimetres.
-    sample_rate_hz : float
-        Rate in Hz, > 0.
-    status : uint8 array, shape (positions,), optional
-        Status bits; all rows valid where not given.
-    actuator_mm : float64 array, shape (actuators, 2), optional
-        Actuator positions in millimetres; NaN where not given.
-    band_hz : tuple of float, optional
-        Measured band in Hz.
-    response_unit : str
-        Unit of the Green's functions.
+    values, (positions, actuators, taps): Green's functions, any real number type, response unit per volt.
+    position_mm, float64 (positions, 2): Grid in millimetres.
+    sample_rate_hz: Rate in Hz, > 0.
+    status, uint8 (positions,): Status bits; all rows valid where not given.
+    actuator_mm, float64 (actuators, 2): Actuator positions in millimetres; NaN where not given.
     """
 
     values: NDArray[Any]
@@ -134,17 +123,9 @@ class GreenArray:
 def read_row(bank: GreenSource, position: int) -> ScaledRow:
     """Read one row as float64, scaled by a power of two.
 
-    Parameters
-    ----------
-    bank : GreenSource
-        The bank, of any real number type, byte order or layout.
-    position : int
-        Row, from 0.
+    bank: The bank, of any real number type, byte order or layout.
 
-    Raises
-    ------
-    InputError
-        The row is not real, has the wrong shape, or holds NaN or infinity.
+    Raises InputError: the row is not real, has the wrong shape, or holds NaN or infinity.
     """
     return scale_row(fetch_row(bank, position), position)
 
@@ -157,10 +138,7 @@ def read_rows(bank: GreenSource, positions: Sequence[int]) -> NDArray[np.float32
 def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:
     """Read one row as the bank has it, (actuators, taps).
 
-    Raises
-    ------
-    InputError
-        The row is not real or has the wrong shape.
+    Raises InputError: the row is not real or has the wrong shape.
     """
     raw = np.asarray(bank.green(position))
     if raw.shape != (bank.actuators, bank.taps):
@@ -171,13 +149,7 @@ def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:
 
 
 class RowReader:
-    """Reads scaled rows of a bank for several threads; the bank itself is asked by one at a time.
-
-    Parameters
-    ----------
-    bank : GreenSource
-        The bank.
-    """
+    """Reads scaled rows of a bank for several threads; the bank itself is asked by one at a time."""
 
     def __init__(self, bank: GreenSource) -> None:
         self._bank = bank

@@ -236,16 +236,9 @@ def draw_maps(
 ) -> PolyCollection:
     """Draw maps in rows, on one colour scale; the outer ones alone are labelled.
 
-    Parameters
-    ----------
-    place_px : tuple of float
-        Left and top of the first map's frame (its title is above), and the width of each.
-    rows : int64 array, optional
-        Positions that the values are of; by default all.
-    path_colour : str, optional
-        Draws the paths.
-
-    Returns cells for a colour bar.
+    place_px: Left and top of the first map's frame (its title is above), and the width of each.
+    rows, int64 array: Positions that the values are of; by default all.
+    path_colour: Draws the paths.
     """
     left_px, top_px, width_px = place_px
     height_px = surface.height_px(width_px)

@@ -40,33 +40,18 @@ class RenderWarning(UserWarning):
 class RenderReport:
     """Figures of one render.
 
-    Parameters
-    ----------
-    warnings : tuple of str
-        One sentence each.
-    points, snapped_points : int
-        Path points of all sources, and those that do not lie on a position.
-    largest_snap_mm : float
-        Largest distance of a path point from its nearest position.
-    rows : tuple of int
-        Bank rows that were used, for interpolation or for regularisation.
-    limiting : Limiting
-        Effect of the scene's limits on the drive, and the actuator that decided.
-    relative_rms_drive : float64 array, shape (actuators,)
-        RMS of each actuator's drive relative to the largest (the paper's figure 3B, right).
-    out_of_band : tuple of float or None
-        Per source, the share of the emitted windows' energy outside the bank's band; None where it is unknown.
-    omitted_bound : float
-        Proved bound on the relative error of the drives.
-    bins, kept_bins : int
-        Frequency bins of all sources' blocks, and how many of them were computed.
-    pairs : int
-        (Block, row) pairs that were multiplied: the cost of the render.
-    interpolation_errors : InterpolationErrors or None
-        Estimated error of the Green's functions between the bank's positions, by band; None where the paths keep to the
-        positions, or the bank has too few of them.
-    tail : ResponseTail or None
-        Ends of some of the Green's functions, and an estimate of the response beyond them.
+    points, snapped_points: Path points of all sources, and those that do not lie on a position.
+    largest_snap_mm: Largest distance of a path point from its nearest position.
+    rows: Bank rows that were used, for interpolation or for regularisation.
+    relative_rms_drive, float64 (actuators,): RMS of each actuator's drive relative to the largest (the paper's figure
+        3B, right).
+    out_of_band: Per source, the share of the emitted windows' energy outside the bank's band; None where it is unknown.
+    omitted_bound: Proved bound on the relative error of the drives.
+    bins, kept_bins: Frequency bins of all sources' blocks, and how many of them were computed.
+    pairs: (Block, row) pairs that were multiplied: the cost of the render.
+    interpolation_errors: Estimated error of the Green's functions between the bank's positions, by band; None where the
+        paths keep to the positions, or the bank has too few of them.
+    tail: Ends of some of the Green's functions, and an estimate of the response beyond them.
     """
 
     warnings: tuple[str, ...]

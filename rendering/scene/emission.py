@@ -44,19 +44,13 @@ class Emission(Protocol):
 class ContinuousEmission:
     """A signal that runs on while its source moves (or stands).
 
-    Parameters
-    ----------
-    signal : float64 array, shape (samples,)
-        Emitted from `first_sample`.
-    first_sample : int
-        Start of the emission.
-    stop_sample : int
-        Its end; where the signal is shorter, silence follows.
-    nodes_at : callable
-        Where the source is at samples [start, stop), counted from `first_sample`; a node for each sample, or for
+    signal, float64 (samples,): Emitted from `first_sample`.
+    first_sample: Start of the emission.
+    stop_sample: Its end; where the signal is shorter, silence follows.
+    nodes_at: Where the source is at samples [start, stop), counted from `first_sample`; a node for each sample, or for
         each point where it stands still for a while.
-    focus_sample : int64 array, shape (points,), optional
-        When it comes to those points, counted from scene time zero; without it, `nodes_at` is asked for samples.
+    focus_sample, int64 (points,): When it comes to those points, counted from scene time zero; without it, `nodes_at`
+        is asked for samples.
     """
 
     event_samples = 1
@@ -103,16 +97,9 @@ class PointEmission:
     that of the signal. A long signal is cut into pieces, each of them a signal that starts later, so that a
     block need not hold all of it.
 
-    Parameters
-    ----------
-    signal : float64 array, shape (samples,)
-        The signal.
-    focus_sample : int64 array, shape (points,)
-        Focus instants, ascending; several points may share one.
-    nodes_at : callable
-        Where the path points [start, stop) are.
-    piece_samples : int
-        Length of a piece, > 0.
+    focus_sample, int64 (points,): Focus instants, ascending; several points may share one.
+    nodes_at: Where the path points [start, stop) are.
+    piece_samples: Length of a piece, > 0.
     """
 
     def __init__(self, signal: Float64Array, focus_sample: Int64Array, nodes_at: NodesAt, piece_samples: int) -> None:

@@ -18,24 +18,12 @@ Emission = Literal["continuous", "per_point"]
 class Source:
     """One source that emits `signal` along `path`.
 
-    Parameters
-    ----------
-    path : Path
-        Its path, in surface millimetres.
-    signal : Signal
-        Its signal, peak 1 before `amplitude`.
-    start_s : float
-        Start in scene time, >= 0: the drive array has no room before the lead-in.
-    speed_mm_s : float
-        Speed, > 0 on a path that moves; ignored for a point.
-    step_mm : float
-        Path sample distance d, > 0 on a path that moves.
-    amplitude : float
-        In the bank's response unit when the scene normalises.
-    emission : {"continuous", "per_point"}
-        The signal runs on along the path, or every path point emits all of it anew.
-
-    Raises InputError where a value is out of range.
+    signal: Its signal, peak 1 before `amplitude`.
+    start_s: Start in scene time, >= 0: the drive array has no room before the lead-in.
+    speed_mm_s: Speed, > 0 on a path that moves; ignored for a point.
+    step_mm: Path sample distance d, > 0 on a path that moves.
+    amplitude: In the bank's response unit when the scene normalises.
+    emission, {"continuous", "per_point"}: The signal runs on along the path, or every path point emits all of it anew.
     """
 
     path: Path
@@ -62,18 +50,10 @@ class Source:
 class Scene:
     """Sources that sound together.
 
-    Parameters
-    ----------
-    name : str
-        Its name in pictures and reports.
-    sources : tuple of Source
-        At least one; their drives add.
-    regularisation : Regularisation
-        Saturation and normalisation, the same for all sources.
-    output : Output
-        Interpolation and limit.
-    allow_large : bool
-        It may be larger than the limits of `rendering.scene.size`.
+    sources: At least one; their drives add.
+    regularisation: Saturation and normalisation, the same for all sources.
+    output: Interpolation and limit.
+    allow_large: It may be larger than the limits of `rendering.scene.size`.
     """
 
     name: str

@@ -39,15 +39,9 @@ class Strokes:
     Arc length runs along the strokes only; between two strokes the source jumps. At the joint itself it is
     already at the start of the next stroke.
 
-    Parameters
-    ----------
-    strokes_mm : sequence of float64 arrays, shape (points, 2)
-        The polylines in millimetres; points that repeat count once.
+    strokes_mm, sequence of float64 (points, 2): The polylines in millimetres; points that repeat count once.
 
-    Raises
-    ------
-    InputError
-        A stroke has no point, or a coordinate is not finite.
+    Raises InputError: a stroke has no point, or a coordinate is not finite.
     """
 
     strokes_mm: Sequence[Float64Array]
@@ -102,15 +96,7 @@ class Strokes:
 class Point:
     """A source that stands still.
 
-    Parameters
-    ----------
-    at_mm : tuple of float
-        Where, in millimetres.
-
-    Raises
-    ------
-    InputError
-        A coordinate is not finite.
+    Raises InputError: a coordinate is not finite.
     """
 
     at_mm: PointMm
@@ -179,21 +165,11 @@ class Polyline(DrawnPath):
 class Circle:
     """An arc of a circle, or several turns of it.
 
-    Parameters
-    ----------
-    centre_mm : tuple of float
-        Centre in millimetres.
-    radius_mm : float
-        Radius, >= 0.
-    turns : float
-        Turns from the start; positive anticlockwise as seen from the laser (y up), negative clockwise.
-    start_deg : float
-        Direction of the start from the centre, in degrees anticlockwise from x.
+    radius_mm: Radius, >= 0.
+    turns: Turns from the start; positive anticlockwise as seen from the laser (y up), negative clockwise.
+    start_deg: Direction of the start from the centre, in degrees anticlockwise from x.
 
-    Raises
-    ------
-    InputError
-        A figure is not finite, or the radius is negative.
+    Raises InputError: a figure is not finite, or the radius is negative.
     """
 
     centre_mm: PointMm
@@ -239,21 +215,13 @@ MOST_LETTERS = 1000
 class TextPath(DrawnPath):
     """The outlines of a line of text; each contour is a closed stroke, and the source jumps between them.
 
-    Parameters
-    ----------
-    string : str
-        The text, in characters that DejaVu Sans has; it comes with matplotlib.
-    height_mm : float
-        Height of the drawn outlines' bounding box, > 0.
-    centre_mm : tuple of float
-        Centre of that box, in millimetres.
-    allow_large : bool
-        It may have more than `MOST_LETTERS` letters.
+    string: The text, in characters that DejaVu Sans has; it comes with matplotlib.
+    height_mm: Height of the drawn outlines' bounding box, > 0.
+    centre_mm: Centre of that box, in millimetres.
+    allow_large: It may have more than `MOST_LETTERS` letters.
 
-    Raises
-    ------
-    InputError
-        The text is too long, is blank or has a character without an outline, or a figure is out of range.
+    Raises InputError: the text is too long, is blank or has a character without an outline, or a figure is out of
+    range.
     """
 
     string: str

@@ -31,26 +31,12 @@ LEAST_PIECE_SAMPLES = 2048
 class SampledSource:
     """A source ready to be accumulated.
 
-    Parameters
-    ----------
-    index : int
-        Number of the source in the scene, from 0.
-    emission : Emission
-        Its signal in time and the rows that emit it.
-    arc_length_mm : float64 array, shape (points,)
-        Arc lengths of the path points, m * d.
-    points_mm : float64 array, shape (points, 2)
-        The path points.
-    focus_sample : int64 array, shape (points,)
-        n_m, counted from scene time zero.
-    focus_position : int64 array, shape (points,)
-        Bank row nearest to each path point.
-    snap_mm : float64 array, shape (points,)
-        Distance from each path point to that row's position.
-    signal : float64 array, shape (samples,)
-        The whole signal, amplitude included.
-    nodes : int
-        Bank rows that make one point.
+    arc_length_mm, float64 (points,): Arc lengths of the path points, m * d.
+    focus_sample, int64 (points,): n_m, counted from scene time zero.
+    focus_position, int64 (points,): Bank row nearest to each path point.
+    snap_mm, float64 (points,): Distance from each path point to that row's position.
+    signal, float64 (samples,): The whole signal, amplitude included.
+    nodes: Bank rows that make one point.
     """
 
     index: int

@@ -31,12 +31,8 @@ STEPS_PER_SPACING = 32
 class SceneRows:
     """Rows of a grid, each once, ascending.
 
-    Parameters
-    ----------
-    path : int64 array, shape (n,)
-        Rows that the scene is rendered from, for any method and sample distance of the path.
-    checks : int64 array, shape (m,)
-        Those within 15 mm of a path: there the foci are looked for when the scene is verified.
+    path, int64 (n,): Rows that the scene is rendered from, for any method and sample distance of the path.
+    checks, int64 (m,): Those within 15 mm of a path: there the foci are looked for when the scene is verified.
     """
 
     path: Int64Array

@@ -47,12 +47,8 @@ class Impulse:
 class Sine:
     """A sine of amplitude 1 and phase 0, without a fade.
 
-    Parameters
-    ----------
-    frequency_hz : float
-        Above 0 and below half the bank's rate.
-    duration_s : float
-        Rounded to whole samples (half to even), at least two.
+    frequency_hz: Above 0 and below half the bank's rate.
+    duration_s: Rounded to whole samples (half to even), at least two.
     """
 
     frequency_hz: float
@@ -81,14 +77,9 @@ class Noise:
     Drawn from PCG64 as standard normals, which NumPy keeps stable, and cut to the band (edges included) in
     the domain of its own discrete Fourier transform, so that the same seed gives the same noise everywhere.
 
-    Parameters
-    ----------
-    band_hz : tuple of float
-        Lower and upper edge, 0 <= lower < upper <= half the bank's rate.
-    duration_s : float
-        Rounded to whole samples (half to even), at least one.
-    seed : int
-        >= 0.
+    band_hz: Lower and upper edge, 0 <= lower < upper <= half the bank's rate.
+    duration_s: Rounded to whole samples (half to even), at least one.
+    seed: >= 0.
     """
 
     band_hz: tuple[float, float]
@@ -125,11 +116,8 @@ class Noise:
 class SoundFile:
     """The first channel of a sound file, resampled to the bank's rate, peak 1.
 
-    Parameters
-    ----------
-    path : Path
-        The file, of a kind with a header. Its rate is brought to the bank's by a polyphase low-pass (Kaiser
-        window, 64 zero crossings each side), so that nothing above either Nyquist frequency folds back.
+    path: The file, of a kind with a header. Its rate is brought to the bank's by a polyphase low-pass (Kaiser window,
+        64 zero crossings each side), so that nothing above either Nyquist frequency folds back.
     """
 
     path: Path

@@ -20,16 +20,11 @@ MOST_SIGNAL_SAMPLES = 5 * 10**7
 class SceneSize:
     """Size of the drives of a scene and of what makes them; infinite beyond the range of numbers.
 
-    Parameters
-    ----------
-    seconds, samples : float
-        Length of the drives, lead-in included.
-    drive_bytes : float
-        Of the drives in float64, all actuators.
-    path_points : float
-        Of all sources.
-    signal_samples : float
-        Of all sources; of a sound file as many as it declares, where these are more than at the bank's rate.
+    seconds, samples: Length of the drives, lead-in included.
+    drive_bytes: Of the drives in float64, all actuators.
+    path_points: Of all sources.
+    signal_samples: Of all sources; of a sound file as many as it declares, where these are more than at the bank's
+        rate.
     """
 
     seconds: float

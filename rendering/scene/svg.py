@@ -205,23 +205,14 @@ class SvgPath(DrawnPath):
     The file's y axis points down; it is turned so that the drawing is seen upright. A drawing point (a, b),
     after all `transform` attributes, lies at `origin_mm + scale * (a, -b)`. Each `M` starts a new stroke.
 
-    Parameters
-    ----------
-    file : Path
-        The SVG file. Document types and entities are refused.
-    path_id : str
-        The `id` of the `path` element; empty: the first one.
-    scale : float
-        Millimetres per drawing unit, > 0.
-    origin_mm : tuple of float
-        Place of the drawing's (0, 0) on the surface, in millimetres.
-    allow_large : bool
-        More points are allowed than `rendering.scene.svg.MOST_POINTS`.
+    file: The SVG file. Document types and entities are refused.
+    path_id: The `id` of the `path` element; empty: the first one.
+    scale: Millimetres per drawing unit, > 0.
+    origin_mm: Place of the drawing's (0, 0) on the surface, in millimetres.
+    allow_large: More points are allowed than `rendering.scene.svg.MOST_POINTS`.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, has no such path, its path data is malformed, or it makes too many points.
+    Raises InputError: the file cannot be read, has no such path, its path data is malformed, or it makes too many
+    points.
     """
 
     file: Path

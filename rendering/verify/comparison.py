@@ -30,28 +30,18 @@ MOST_WAVEFORMS = 6
 class FieldComparison:
     """A predicted and a measured field, compared within `band_hz` (None: not limited).
 
-    Parameters
-    ----------
-    error, error_all_frequencies : float
-        ``||scan - prediction|| / ||scan||`` over all compared positions and samples; without limiting the band.
-    correlation : float
-        Zero-lag correlation over all compared positions and samples.
-    level_db : float
-        Gain that fits the prediction best to the scan, ``<scan, prediction> / ||prediction||**2``.
-    delay_samples : float
-        Delay of the scan: the peak, within 20 ms, of the cross-correlation summed over positions.
-    position_index : int64 array, shape (P,)
-        Compared bank rows, ascending.
-    position_error, position_correlation : float64 array, shape (P,)
-        NaN where the scan is silent.
-    position_scanned, position_noise : float64 array, shape (P,)
-        Norm over samples of the scan and of its noise; NaN noise where unknown.
-    excluded : tuple of (int, str)
-        Scanned bank rows that were not compared, and why.
-    predicted_snapshot, scanned_snapshot : float32 array, shape (focus instants, P)
-        The fields at those instants.
-    waveform_index : int64 array, shape (W,)
-        Bank rows of path points whose waveforms, (W, samples) each, are kept.
+    error, error_all_frequencies: ``||scan - prediction|| / ||scan||`` over all compared positions and samples; without
+        limiting the band.
+    correlation: Zero-lag correlation over all compared positions and samples.
+    level_db: Gain that fits the prediction best to the scan, ``<scan, prediction> / ||prediction||**2``.
+    delay_samples: Delay of the scan: the peak, within 20 ms, of the cross-correlation summed over positions.
+    position_index, int64 (P,): Compared bank rows, ascending.
+    position_error, position_correlation, float64 (P,): NaN where the scan is silent.
+    position_scanned, position_noise, float64 (P,): Norm over samples of the scan and of its noise; NaN noise where
+        unknown.
+    excluded: Scanned bank rows that were not compared, and why.
+    predicted_snapshot, scanned_snapshot, float32 (focus instants, P): The fields at those instants.
+    waveform_index, int64 (W,): Bank rows of path points whose waveforms, (W, samples) each, are kept.
     """
 
     band_hz: tuple[float, float] | None

@@ -43,14 +43,9 @@ class FieldPair:
 
     They are in temporary files without names, which the system deletes with the pair.
 
-    Parameters
-    ----------
-    predicted, scanned : float32 array (positions, samples)
-        The fields; a row of `scanned` is NaN where there is no scan.
-    position_index : int64 array (positions,)
-        Bank rows.
-    sample_rate_hz, start_s, response_unit
-        Of both.
+    predicted, scanned, float32 (positions, samples): The fields; a row of `scanned` is NaN where there is no scan.
+    position_index, int64 (positions,): Bank rows.
+    sample_rate_hz, start_s, response_unit: Of both.
     """
 
     def __init__(

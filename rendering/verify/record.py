@@ -90,28 +90,17 @@ class RecordedSource:
 class VerificationRecord:
     """The content of ``verify.json``.
 
-    Parameters
-    ----------
-    scene, scene_file, bank, rig : str
-        Names of what was verified.
-    passed : bool
-        No figure is beyond its limit.
-    band_hz : tuple of float or None
-        To which both fields were limited.
-    figures : tuple of Figure
-        Those with a limit first.
-    focus_s : float64 array (foci,)
-        Focus instants that were compared.
-    outline_mm : float64 array (points, 2) or None
-        Rim of the surface.
-    actuator_mm : float64 array (actuators, 2)
-        NaN where unknown.
-    position_index, position_mm : arrays (positions,) and (positions, 2)
-        Bank rows of the predicted positions, and their places.
-    position_error, position_correlation : float64 array (positions,)
-        NaN where nothing was compared.
-    excluded : mapping of int to str
-        Scanned bank rows that were not compared, and why.
+    scene, scene_file, bank, rig: Names of what was verified.
+    passed: No figure is beyond its limit.
+    band_hz: To which both fields were limited.
+    figures: Those with a limit first.
+    focus_s, float64 (foci,): Focus instants that were compared.
+    outline_mm, float64 (points, 2) or None: Rim of the surface.
+    actuator_mm, float64 (actuators, 2): NaN where unknown.
+    position_index, position_mm, array (positions,) and (positions, 2): Bank rows of the predicted positions, and their
+        places.
+    position_error, position_correlation, float64 (positions,): NaN where nothing was compared.
+    excluded: Scanned bank rows that were not compared, and why.
     """
 
     path: Path

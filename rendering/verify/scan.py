@@ -39,22 +39,15 @@ GIVE_UP_POSITIONS = 5
 class Scan:
     """A measured field, and the quality of its records; arrays have one element or row per position.
 
-    Parameters
-    ----------
-    field : float32 array, shape (positions, drive samples + taps - 1)
-        Response on the playback clock; rows of failed positions are zero.
-    position_index : int64 array
-        Bank rows, ascending.
-    status : uint8 array
-        Status bits as in the bank: valid, over-range, poor signal (the vibrometer lost it) or failed.
-    attempts : int64 array
-        Records taken.
-    noise_rms : float64 array
-        Rms of the response while nothing played, in response units; NaN where unknown.
-    clock_ratio, playback_gain : float64 array
-        DAQ rate over playback rate, and measured over requested voltage of the loopback.
-    faults : tuple of (int, str)
-        Bank row and cause of each failed position.
+    field, float32 (positions, drive samples + taps - 1): Response on the playback clock; rows of failed positions are
+        zero.
+    position_index, int64 array: Bank rows, ascending.
+    status, uint8 array: Status bits as in the bank: valid, over-range, poor signal (the vibrometer lost it) or failed.
+    attempts, int64 array: Records taken.
+    noise_rms, float64 array: Rms of the response while nothing played, in response units; NaN where unknown.
+    clock_ratio, playback_gain, float64 array: DAQ rate over playback rate, and measured over requested voltage of the
+        loopback.
+    faults: Bank row and cause of each failed position.
     """
 
     field: NDArray[np.float32]
@@ -125,21 +118,11 @@ def scan(
     clock. A lost instrument is waited for, as in a campaign. The caller closes `setup`, which mutes the player and
     parks the mirror.
 
-    Parameters
-    ----------
-    on_progress : callable, optional
-        Called with the positions done and the positions planned.
-    publish : callable, optional
-        Receives the events of faults and of waiting for a lost instrument.
+    on_progress: Called with the positions done and the positions planned.
+    publish: Receives the events of faults and of waiting for a lost instrument.
 
-    Returns the field on the samples of ``predict(drive, bank)``.
-
-    Raises
-    ------
-    InputError
-        A position that the bank does not have, a drive that the rig cannot play.
-    InstrumentError, ReferenceMissingError
-        An instrument failed, or was gone, for good, or five positions in a row had to be given up.
+    Raises InputError: a position that the bank does not have, a drive that the rig cannot play. InstrumentError,
+    ReferenceMissingError: an instrument failed, or was gone, for good, or five positions in a row had to be given up.
     """
     publish = EventPublisher({"a subscriber of the scan's events": publish})
     life = Lifecycle(setup.instruments.clock, publish)

@@ -25,16 +25,11 @@ if TYPE_CHECKING:
 class Tolerances:
     """Limits of the agreement of a scan with the prediction.
 
-    Parameters
-    ----------
-    normalised_error, correlation : float
-        Largest relative L2 error, least zero-lag correlation.
-    focus_offset_spacings, prediction_offset_spacings : float
-        Largest median distance of the scanned focus from path point and predicted focus, in grid spacings.
-    focal_width_mm : float
-        Largest median difference between scanned and predicted focal width.
-    usable_share : float
-        Least part of the scanned positions that can be compared.
+    normalised_error, correlation: Largest relative L2 error, least zero-lag correlation.
+    focus_offset_spacings, prediction_offset_spacings: Largest median distance of the scanned focus from path point and
+        predicted focus, in grid spacings.
+    focal_width_mm: Largest median difference between scanned and predicted focal width.
+    usable_share: Least part of the scanned positions that can be compared.
     """
 
     normalised_error: float = 0.05
@@ -49,15 +44,11 @@ class Tolerances:
 class Verification:
     """Result of comparing a prediction with a scan.
 
-    Parameters
-    ----------
-    spacing_mm : float or None
-        Grid spacing of the bank; None for a bank of one position.
-    noise_error : float or None
-        Part of the vibrometer's noise in the normalised error: the rms of each record's silent lead-in, taken as white,
-        over all compared samples and within the band, divided by ``||scan||``. None where the noise was not measured.
-    figures : tuple of Figure
-        Those that have a limit, then the others.
+    spacing_mm: Grid spacing of the bank; None for a bank of one position.
+    noise_error: Part of the vibrometer's noise in the normalised error: the rms of each record's silent lead-in, taken
+        as white, over all compared samples and within the band, divided by ``||scan||``. None where the noise was not
+        measured.
+    figures: Those that have a limit, then the others.
     """
 
     fields: FieldComparison

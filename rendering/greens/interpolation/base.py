@@ -31,16 +31,10 @@ AROUND = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0
 class Nodes:
     """Rows and weights of some points.
 
-    Parameters
-    ----------
-    rows : int64 array, shape (n, k)
-        Bank rows of each point.
-    weights : float64 array, shape (n, k)
-        Their weights; they sum to 1. A weight of 0 means that the row is not used.
-    nearest : int64 array, shape (n,)
-        Nearest row of each point: its regularisation is used, and it is the focus that is reported.
-    distance_mm : float64 array, shape (n,)
-        Distance to the nearest row.
+    rows, int64 (n, k): Bank rows of each point.
+    weights, float64 (n, k): Their weights; they sum to 1. A weight of 0 means that the row is not used.
+    nearest, int64 (n,): Nearest row of each point: its regularisation is used, and it is the focus that is reported.
+    distance_mm, float64 (n,): Distance to the nearest row.
     """
 
     rows: Int64Array

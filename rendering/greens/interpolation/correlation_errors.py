@@ -129,16 +129,10 @@ def _correlation(bank: GreenSource, pairs: Int64Array, frequency_hz: Float64Arra
 class ErrorBands:
     """Relative errors at some points, by band.
 
-    Parameters
-    ----------
-    frequency_hz : float64 array, shape (bands,)
-        Centres of bands, ascending.
-    median, worst : float64 array, shape (bands,)
-        Over the points.
-    power : float64 array, shape (bands,)
-        Mean power of the bank's rows there, up to a factor.
-    kernel : float64 array, shape (bands,)
-        Median error of "kernel"; infinite where it may be no better.
+    frequency_hz, float64 (bands,): Centres of bands, ascending.
+    median, worst, float64 (bands,): Over the points.
+    power, float64 (bands,): Mean power of the bank's rows there, up to a factor.
+    kernel, float64 (bands,): Median error of "kernel"; infinite where it may be no better.
     """
 
     frequency_hz: Float64Array

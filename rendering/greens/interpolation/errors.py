@@ -38,22 +38,12 @@ class InterpolationErrors:
     The error at a point and frequency is the L2 norm over the actuators of what is wrong, over that of what is
     there.
 
-    Parameters
-    ----------
-    kind : str
-        The interpolation.
-    found_by : str
-        ``"leaving positions out"``: error of the kernel regression at positions that are left out of it,
-        scaled to the points by its own variance; for other kinds joined by the difference to that regression.
+    found_by: ``"leaving positions out"``: error of the kernel regression at positions that are left out of it, scaled
+        to the points by its own variance; for other kinds joined by the difference to that regression.
         ``"correlation"``: what fields correlated like neighbouring positions would be wrong by on average.
-    points : int
-        Points looked at.
-    frequency_hz : float64 array, shape (bands,)
-        Centres of bands.
-    emitted : float64 array, shape (bands,)
-        Share of what the sources emit into the band and the bank passes; they sum to 1.
-    median, worst : float64 array, shape (bands,)
-        Relative error over the points.
+    frequency_hz, float64 (bands,): Centres of bands.
+    emitted, float64 (bands,): Share of what the sources emit into the band and the bank passes; they sum to 1.
+    median, worst, float64 (bands,): Relative error over the points.
     """
 
     kind: str

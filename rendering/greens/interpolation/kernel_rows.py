@@ -47,14 +47,7 @@ class KernelRows:
     frequency: the same weights for all actuators. What would come before the first tap or after the last is cut,
     and what lies above the bank's band.
 
-    Parameters
-    ----------
-    measured : GreenSource
-        The bank.
-    waves : WaveModel
-        Its waves.
-    neighbourhoods : Neighbourhoods
-        Its positions that may be used.
+    neighbourhoods: Its positions that may be used.
     """
 
     def __init__(self, measured: GreenSource, waves: WaveModel, neighbourhoods: Neighbourhoods) -> None:

@@ -41,16 +41,9 @@ BISECTIONS = 16
 class NeededGrid:
     """A grid that is close enough.
 
-    Parameters
-    ----------
-    lattice : {"square", "hexagonal"}
-        Its kind.
-    spacing_mm : float
-        Largest distance of neighbouring positions that keeps to the error.
-    positions : int
-        Number that covers the area.
-    error : float
-        Expected relative error at that spacing.
+    spacing_mm: Largest distance of neighbouring positions that keeps to the error.
+    positions: Number that covers the area.
+    error: Expected relative error at that spacing.
     """
 
     lattice: Lattice

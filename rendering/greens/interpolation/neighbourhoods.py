@@ -32,14 +32,9 @@ class SparseError(InputError):
 class Patch:
     """A position and its neighbours.
 
-    Parameters
-    ----------
-    rows : int64 array, shape (n,)
-        Bank rows, that of the position itself first, then by distance and direction.
-    offset_mm : float64 array, shape (n, 2)
-        Places relative to the position; the first is (0, 0).
-    key : bytes
-        Equal for patches of equal shape, for which everything but the rows is the same.
+    rows, int64 (n,): Bank rows, that of the position itself first, then by distance and direction.
+    offset_mm, float64 (n, 2): Places relative to the position; the first is (0, 0).
+    key: Equal for patches of equal shape, for which everything but the rows is the same.
     """
 
     rows: Int64Array
@@ -50,17 +45,11 @@ class Patch:
 class Neighbourhoods:
     """The positions of a bank that may be interpolated from.
 
-    Parameters
-    ----------
-    position_mm : float64 array, shape (positions, 2)
-        Grid in millimetres: square, hexagonal or irregular, with holes and repeated positions.
-    allowed : bool array, shape (positions,)
-        Rows that may be used; the others are holes.
+    position_mm, float64 (positions, 2): Grid in millimetres: square, hexagonal or irregular, with holes and repeated
+        positions.
+    allowed, bool (positions,): Rows that may be used; the others are holes.
 
-    Raises
-    ------
-    InputError
-        No two of the positions are apart, or all lie on one line.
+    Raises InputError: no two of the positions are apart, or all lie on one line.
     """
 
     spacing_mm: float

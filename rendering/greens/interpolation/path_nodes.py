@@ -36,12 +36,7 @@ class PathNodes:
     Green's functions along a path are smooth in arc length but for its corners and gaps; no polynomial
     reaches across those.
 
-    Parameters
-    ----------
-    path : Path
-        A path of some length.
-    spacing_mm : float
-        Largest distance of neighbouring nodes along it, > 0.
+    spacing_mm: Largest distance of neighbouring nodes along it, > 0.
     """
 
     arc_length_mm: Float64Array

@@ -30,12 +30,8 @@ FURTHEST_MM = 1e100
 class Lattice:
     """Positions on the sites of a lattice along x and y, some of which may be empty.
 
-    Parameters
-    ----------
-    origin_mm, pitch_mm : float64 array, shape (2,)
-        Place of the first site, and distance of the sites along x and y.
-    row_at : int64 array, shape (columns, lines)
-        Row at each site, -1 where there is none.
+    origin_mm, pitch_mm, float64 (2,): Place of the first site, and distance of the sites along x and y.
+    row_at, int64 (columns, lines): Row at each site, -1 where there is none.
     """
 
     origin_mm: Float64Array
@@ -66,15 +62,9 @@ class Lattice:
 class PositionGrid:
     """The positions of a bank; of positions that repeat, the lowest index stands for all.
 
-    Parameters
-    ----------
-    position_mm : float64 array, shape (positions, 2)
-        Grid in millimetres.
+    position_mm, float64 (positions, 2): Grid in millimetres.
 
-    Raises
-    ------
-    InputError
-        There is no position, or a coordinate is not finite.
+    Raises InputError: there is no position, or a coordinate is not finite.
     """
 
     spacing_mm: float
