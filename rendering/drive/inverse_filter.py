@@ -95,13 +95,13 @@ def inverse_filter(
     if not (math.isfinite(regularisation_db) and regularisation_db < 0):
         raise InputError(f"regularisation_db is {regularisation_db}; it must be a finite number below 0")
     rate_hz, taps = float(bank.sample_rate_hz), bank.taps
-    kind, sources = sample_scene(scene, bank, "sampled")
+    sampled = sample_scene(scene, bank, "sampled")
+    kind, sources, samples = sampled.kind, sampled.sources, sampled.samples
     nodes = [
-        kind.follow(source.path, sampled.arc_length_mm)(sampled.arc_length_mm)
-        for source, sampled in zip(scene.sources, sources, strict=True)
+        kind.follow(source.path, one.arc_length_mm)(one.arc_length_mm)
+        for source, one in zip(scene.sources, sources, strict=True)
     ]
     rows = BankRows(kind.rows_of(bank), Regularisation(normalise=False))
-    samples = max(source.emission.stop_sample for source in sources) + taps - 1
     length = fast_length(samples + 3 * taps)
     band = _Band(length, rate_hz, bank.band_hz)
     points_mm, place = _control_points(sources)
@@ -132,17 +132,9 @@ def inverse_filter(
     require_finite(drive_v)
     limiting = limit_drive(drive_v, rate_hz, DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
     drive = Drive(
-        drive_v=drive_v,
-        sample_rate_hz=rate_hz,
-        start_s=-(taps - 1) / rate_hz,
-        method="inverse-filter",
-        scale=limiting.scale,
-        omitted_bound=0.0,
-        focus_sample=np.concatenate([source.focus_sample for source in sources]),
-        focus_position=np.concatenate([source.focus_position for source in sources]),
-        focus_source=np.concatenate([np.full(len(one.focus_sample), one.index, dtype=np.int64) for one in sources]),
+        drive_v, rate_hz, sampled.start_s, "inverse-filter", limiting.scale, 0.0, *sampled.foci,
         drive_unit=drive_unit(bank),
-    )
+    )  # fmt: skip
     smallest = singular[:, -1]
     condition = np.divide(singular[:, 0], smallest, out=np.full_like(smallest, np.inf), where=smallest > 0)
     report = InverseReport(

@@ -1,42 +1,38 @@
-"""Drives as they are needed, for playing while they are rendered.
+"""Drives block by block, for playing while they are rendered, and in two passes for scenes of any length.
 
-Memory holds a few blocks and the rows' spectra, besides what the sources say of themselves (their signals and path
-points); it does not grow with the drives.
+Memory holds a few blocks and the rows' spectra, besides the sources' own signals and path points; it does not grow with
+the drives.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+import math
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.band import tolerance_of
+from rendering.band import norm_of, relative_bound, tolerance_of
 from rendering.drive.accumulate import Accumulated, SourceDrives
-from rendering.drive.coil_limits import DriveLimits, RunningLevels
-from rendering.drive.rendering import chosen_method
+from rendering.drive.coil_limits import DriveLimits, Reached, RunningLevels, strictest
+from rendering.drive.rendering import STRICTER
+from rendering.drive.wav import Interface, InterfaceRate, largest_of
 from rendering.greens.bank_rows import BankRows
+from rendering.greens.interpolation.errors import judged_errors
 from rendering.greens.source import GreenSource
+from rendering.report.render_report import RenderReport, report_render
 from rendering.scene.model import Scene
-from rendering.scene.sampling import Method, SampledSource, sample_scene
+from rendering.scene.sampling import Method, SampledScene, sample_scene
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
+OnProgress = Callable[[int, int], None]
 
 SUMMED = 1e-9
 """So far beyond a limit, relatively, an rms may come by rounding."""
-
-
-@dataclass(slots=True)
-class _Source:
-    """One source's drives that are not given out yet."""
-
-    pieces: Generator[tuple[int, Float64Array], None, None]
-    ready: Float64Array
-    """From the sample that is given out next."""
-    done: bool = False
+PIECE_SAMPLES = 4096
 
 
 class LiveDrive:
@@ -44,30 +40,16 @@ class LiveDrive:
 
     The same numbers as `rendering.drive.rendering.render` gives, but for the order in which sources are added up.
 
-    block_samples: Samples to give out at a time, > 0.
-    method, {"sampled", "exact"}: As for `render`.
-    tolerance_db: As for `render`; the bound is available at the end.
-    gain: Factor by which all is multiplied, such as the scale that a first pass found
-        (`rendering.drive.streamed_drive`).
+    method, tolerance_db: As for `render`; the bound is available at the end.
+    gain: Factor by which all is multiplied, such as the scale that a first pass found.
     limits: What no actuator may exceed; by default the scene's. They cannot be met by scaling here, as the largest
         value is not available yet: drives that exceed them are refused when they come.
 
     Raises InputError: as `render` does.
     """
 
-    samples: int
-    """Samples of the whole drive."""
-    gain: float
-    """May be changed before `blocks` is called again."""
-    limits: DriveLimits
-    """Likewise."""
-    sources: list[SampledSource]
+    sampled: SampledScene
     rows: BankRows
-    method: Method
-    start_s: float
-    """Time of the first one."""
-    sample_rate_hz: float
-    actuators: int
     latency_samples: int
     """How much later than a drive sample the source samples may be that it is made of, lead-in included."""
 
@@ -86,28 +68,16 @@ class LiveDrive:
             raise InputError(f"block_samples is {block_samples}; it must be 1 or more")
         if not np.isfinite(gain):
             raise InputError(f"gain is {gain}; it must be a finite number")
-        self._block_samples = block_samples
+        self._block_samples, self._rate_hz = block_samples, float(bank.sample_rate_hz)
         self.gain = gain
         self.limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v) if limits is None else limits
         tolerance = tolerance_of(tolerance_db)
-        chosen = chosen_method(scene, method)
-        kind, sources = sample_scene(scene, bank, chosen)
-        self.sources, self.method = sources, chosen
-        self.rows = BankRows(kind.rows_of(bank), scene.regularisation)
+        self.sampled = sample_scene(scene, bank, method)
+        self.rows = BankRows(self.sampled.kind.rows_of(bank), scene.regularisation)
         self._makers = [
-            SourceDrives(
-                source.emission,
-                self.rows,
-                fft_samples=source.fft_samples(bank.taps, bank.actuators),
-                tolerance=tolerance,
-                band_hz=self.rows.bank.band_hz,
-                live=True,
-            )
-            for source in sources
+            SourceDrives(source, self.rows, tolerance=tolerance, live=True) for source in self.sampled.sources
         ]
-        self.samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
-        self.sample_rate_hz, self.actuators = float(bank.sample_rate_hz), bank.actuators
-        self.start_s = -(bank.taps - 1) / float(bank.sample_rate_hz)
+        self.shape = bank.actuators, self.sampled.samples
         self.latency_samples = 2 * max(maker.block_samples for maker in self._makers)
 
     @property
@@ -120,43 +90,34 @@ class LiveDrive:
 
         Raises InputError: a row on the path cannot be used, or a drive exceeds a limit or does not fit into float64.
         """
-        levels = RunningLevels(self.actuators, self.samples, self.sample_rate_hz, self.limits)
+        levels, first = RunningLevels(*self.shape, self._rate_hz, self.limits), 0
         with ExitStack() as stack:
-            sources = []
-            for maker in self._makers:
-                pieces = stack.enter_context(closing(maker.pieces()))
-                sources.append(_Source(pieces, np.zeros((self.actuators, 0))))
-            for first in range(0, self.samples, self._block_samples):
-                count = min(self._block_samples, self.samples - first)
-                block = np.zeros((self.actuators, count))
-                for index, source in enumerate(sources):
-                    self._fill(index, source, first, count)
-                    block += source.ready[:, :count]
-                    source.ready = source.ready[:, count:].copy()
-                block = np.ldexp(block, self.rows.drive_exponent) * self.gain
+            sources = [stack.enter_context(closing(self._of_source(index))) for index in range(len(self._makers))]
+            for parts in zip(*sources, strict=True):
+                block = np.ldexp(sum(parts, np.zeros(parts[0].shape)), self.rows.drive_exponent) * self.gain
                 self._judge(block, first, levels)
                 yield block
-            for index, source in enumerate(sources):
-                # What is made beyond the last sample is nothing, but the facts are complete only at its end.
-                self.rows.needed_by = self.sources[index].naming
-                while next(source.pieces, None) is not None:
-                    pass
+                first += block.shape[1]
 
-    def _fill(self, index: int, source: _Source, first: int, count: int) -> None:
-        """Make a source's drives until the next `count` samples from `first` are there."""
-        while source.ready.shape[1] < count:
-            self.rows.needed_by = self.sources[index].naming
-            piece = None if source.done else next(source.pieces, None)
-            if piece is None:
-                source.done = True
-                silence = np.zeros((len(source.ready), count - source.ready.shape[1]))
-                source.ready = np.concatenate([source.ready, silence], axis=1)
-                return
-            begin, volts = piece
-            have = first + source.ready.shape[1]
-            if begin > have:
-                volts = np.pad(volts, ((0, 0), (begin - have, 0)))
-            source.ready = np.concatenate([source.ready, volts[:, max(have - begin, 0) :]], axis=1)
+    def _of_source(self, index: int) -> Generator[Float64Array, None, None]:
+        """Drives of one source, block by block, from the first sample of the scene's drives to the last."""
+        actuators, samples = self.shape
+        ready = np.zeros((actuators, 0))
+        with closing(self._makers[index].pieces()) as pieces:
+            for first in range(0, samples, self._block_samples):
+                count = min(self._block_samples, samples - first)
+                while ready.shape[1] < count:
+                    self.rows.needed_by = self.sampled.sources[index].naming
+                    have = first + ready.shape[1]
+                    begin, volts = next(pieces, (have, np.zeros((actuators, first + count - have))))
+                    volts = np.pad(volts, ((0, 0), (max(begin - have, 0), 0)))[:, max(have - begin, 0) :]
+                    ready = np.concatenate([ready, volts], axis=1)
+                yield ready[:, :count]
+                ready = ready[:, count:].copy()
+            # What is made beyond the last sample is nothing, but the facts are complete only at its end.
+            self.rows.needed_by = self.sampled.sources[index].naming
+            for _ in pieces:
+                pass
 
     def _judge(self, block: Float64Array, first: int, levels: RunningLevels) -> None:
         if not np.isfinite(block).all():
@@ -173,3 +134,113 @@ class LiveDrive:
                     f"the drive reaches {most_v:.3g} V{' rms' if one.summed else ''} from sample {first} on, more than"
                     f" {one.key} ({one.limit_v:g}); lower the gain ({self.gain:g})"
                 )
+
+
+class StreamedDrive:
+    """The drives of a scene in two passes over it: the first finds the scale, the second gives the scaled drives.
+
+    By how much a drive has to be scaled is found when all of it was made. A limiter that acts while it plays would
+    change the waveforms, and with them the focus; a bound that is proved before is far from what is reached. Of the
+    first pass only levels are kept: largest magnitudes, largest rms over any second, largest magnitudes between samples
+    at the interface's rate.
+
+    interface: Outputs whose full scale is not to be exceeded between the samples of the drives either.
+    gain: Factor on the drives before they are limited, > 0.
+    method, tolerance_db, interpolation_tolerance: As for `rendering.drive.rendering.render_with_report`, which raises
+        the same InputErrors.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        bank: GreenSource,
+        *,
+        interface: Interface | None = None,
+        gain: float = 1.0,
+        block_samples: int = PIECE_SAMPLES,
+        method: Method | None = None,
+        tolerance_db: float | None = None,
+        interpolation_tolerance: float | None = None,
+    ) -> None:
+        if not (math.isfinite(gain) and gain > 0):
+            raise InputError(f"gain is {gain}; it must be a finite number above 0")
+        self._scene, self._bank, self._interface = scene, bank, interface
+        self._gain, self._block_samples, self._method = gain, block_samples, method
+        self._tolerance, self._interpolation_tolerance = tolerance_of(tolerance_db), interpolation_tolerance
+        self._limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
+        self._rate = None if interface is None else InterfaceRate(float(bank.sample_rate_hz), interface.rate_hz)
+        self._report: RenderReport | None = None
+        self.live = self._live(STRICTER[0])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Actuators and samples of the whole drive."""
+        return self.live.shape
+
+    @property
+    def peak_v(self) -> float:
+        """Largest magnitude of the drives that `blocks` gives."""
+        return float(self._levels.peaks_v.max()) * self.live.gain
+
+    def prepare(self, on_progress: OnProgress | None = None) -> RenderReport:
+        """Make all drives once and find by how much they have to be scaled; the figures are those of `render`.
+
+        on_progress: Called with samples done and samples in all.
+        """
+        signals = [source.signal for source in self.live.sampled.sources]
+        errors, remarks = judged_errors(
+            self._scene, self._bank, self.live.sampled.kind, signals, self._interpolation_tolerance
+        )
+        for share in STRICTER if self._tolerance > 0 else (0.0,):
+            if share != STRICTER[0]:
+                self.live = self._live(share)
+            reached = self._pass(on_progress)
+            error = math.fsum(item.error for item in self.live.accumulated)
+            with np.errstate(over="ignore", under="ignore"):
+                norms = np.ldexp(self._levels.norms, -self.live.rows.drive_exponent)
+            bound = relative_bound(error, norm_of(norms))
+            if bound <= self._tolerance:
+                break
+        limiting = strictest([replace(one, each_v=one.each_v * self._gain) for one in reached])
+        self.live.gain = self._gain * limiting.scale
+        self.live.limits = self._limits
+        self._report = report_render(
+            self._scene, self.live.rows, self.live.sampled.sources, self.live.accumulated, self._levels.norms,
+            limiting=limiting, omitted_bound=bound, errors=errors, remarks=remarks,
+        )  # fmt: skip
+        return self._report
+
+    def blocks(self) -> Iterator[Float64Array]:
+        """Give the drives within their limits, (actuators, block_samples) at a time; `prepare` comes first."""
+        if self._report is None:
+            raise RuntimeError("the first pass is not done")
+        return self.live.blocks()
+
+    def _live(self, share: float) -> LiveDrive:
+        left_out = share * self._tolerance
+        return LiveDrive(
+            self._scene, self._bank, block_samples=self._block_samples, method=self._method, limits=DriveLimits(),
+            tolerance_db=20.0 * math.log10(left_out) if left_out > 0 else None,
+        )  # fmt: skip
+
+    def _pass(self, on_progress: OnProgress | None) -> list[Reached]:
+        """Make all drives and keep the levels that they reach."""
+        actuators, samples = self.live.shape
+        self._levels = RunningLevels(actuators, samples, float(self._bank.sample_rate_hz), self._limits)
+        passing = self._watched(self.live.blocks(), on_progress)
+        if self._rate is None or self._interface is None:
+            for _ in passing:
+                pass
+            return self._levels.reached()
+        pieces = self._rate.pieces(passing, actuators, samples, PIECE_SAMPLES)
+        reached = largest_of(pieces, actuators)
+        return [*self._levels.reached(), self._interface.reached(reached)]
+
+    def _watched(self, blocks: Iterable[Float64Array], on_progress: OnProgress | None) -> Iterator[Float64Array]:
+        done = 0
+        for block in blocks:
+            self._levels.add(block)
+            done += block.shape[1]
+            yield block
+            if on_progress is not None:
+                on_progress(done, self.live.shape[1])

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.blas import one_blas_thread
 from rendering.band import norm_of, relative_bound, row_norms, tolerance_of
 from rendering.device import Device
 from rendering.drive.accumulate import Accumulated, SourceDrives
 from rendering.drive.coil_limits import DriveLimits, limit_drive, require_finite
 from rendering.greens.bank_rows import BankRows
-from rendering.greens.interpolation.errors import interpolation_errors, judge_interpolation
+from rendering.greens.interpolation.errors import judged_errors
 from rendering.greens.source import GreenSource, drive_unit
 from rendering.report.render_report import RenderReport, RenderWarning, report_render
 from rendering.scene.model import Scene
-from rendering.scene.sampling import Method, SampledSource, sample_scene
+from rendering.scene.sampling import Method, SampledScene, sample_scene
 from storage.drive_file import Drive
 from storage.errors import InputError
 
@@ -28,6 +27,8 @@ OnProgress = Callable[[int, int], None]
 
 STRICTER = (1.0, 0.6, 0.2, 0.0)
 """Shares of the tolerance tried one after another until the proved bound holds; 0 computes everything."""
+SOURCE_PARTS = 100
+"""Steps of progress for each source."""
 
 
 def render(
@@ -41,13 +42,9 @@ def render(
 ) -> Drive:
     """Render a scene; warnings are issued as `RenderWarning`. See `render_with_report`."""
     drive, report = render_with_report(
-        scene,
-        bank,
-        method=method,
-        tolerance_db=tolerance_db,
-        interpolation_tolerance=interpolation_tolerance,
+        scene, bank, method=method, tolerance_db=tolerance_db, interpolation_tolerance=interpolation_tolerance,
         on_progress=on_progress,
-    )
+    )  # fmt: skip
     for text in report.warnings:
         warnings.warn(text, RenderWarning, stacklevel=2)
     return drive
@@ -65,12 +62,10 @@ def render_with_report(
 ) -> tuple[Drive, RenderReport]:
     """Render a scene into the drives of all actuators.
 
-    The drive starts at -(L - 1) samples of scene time, L the taps of the bank, even if all sources start
-    later, and ends with the last emitted sample. A continuous emission lasts until n_M, silence included.
+    The drive starts at -(L - 1) samples of scene time, L the taps of the bank, even if all sources start later, and
+    ends with the last emitted sample. A continuous emission lasts until n_M, silence included.
 
-    scene: Sources, regularisation, interpolation and limit.
-    method, {"sampled", "exact"}: Eq. (16) or eq. (9). By default exact, but sampled where every source emits per point,
-        for which the two are the same.
+    method: Eq. (16) or eq. (9), see `sample_scene`.
     tolerance_db: Allows leaving out frequency bins as long as the proved bound on the relative L2 error of the drives
         stays below it, < 0. Without it all is computed, to 1e-12 of direct evaluation.
     interpolation_tolerance: Largest relative error of the Green's functions between the bank's positions, > 0: the
@@ -79,24 +74,18 @@ def render_with_report(
     on_progress: Called with blocks done and blocks in all.
     device: Where to compute, by the array API; by default on this processor.
 
-    Returns Drive: volts, with the foci source by source; RenderReport: warnings and figures. Raises InputError: the
-    scene does not fit the bank: a path off the grid, an unmeasured row on it, an empty signal, a drive that does not
-    fit into float64, an interpolation beyond its tolerance.
+    Raises InputError: the scene does not fit the bank: a path off the grid, an unmeasured row on it, an empty signal, a
+    drive that does not fit into float64, an interpolation beyond its tolerance.
     """
-    chosen = chosen_method(scene, method)
     tolerance = tolerance_of(tolerance_db)
-    kind, sources = sample_scene(scene, bank, chosen)
-    signals = [source.signal for source in sources]
-
-    with one_blas_thread():
-        errors = interpolation_errors(scene, bank, kind, signals, thorough=interpolation_tolerance is not None)
-    remarks = judge_interpolation(errors, interpolation_tolerance)
-    rows = BankRows(kind.rows_of(bank), scene.regularisation)
-    samples = max(source.emission.stop_sample for source in sources) + bank.taps - 1
+    sampled = sample_scene(scene, bank, method)
+    signals = [source.signal for source in sampled.sources]
+    errors, remarks = judged_errors(scene, bank, sampled.kind, signals, interpolation_tolerance)
+    rows = BankRows(sampled.kind.rows_of(bank), scene.regularisation)
     try:
-        drive_v, accumulated, norms, bound = _accumulated(sources, rows, samples, tolerance, on_progress, device)
+        drive_v, accumulated, norms, bound = _accumulated(sampled, rows, tolerance, on_progress, device)
     except MemoryError as error:
-        size = samples * bank.actuators * 8 / 2**30
+        size = sampled.samples * bank.actuators * 8 / 2**30
         raise InputError(f"the drive takes {size:.3g} GiB, which do not fit into memory; shorten the scene") from error
     finite = bool(np.isfinite(norms).all())
     if not finite:
@@ -104,63 +93,31 @@ def render_with_report(
     limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
     limiting = limit_drive(drive_v, float(bank.sample_rate_hz), limits)
     drive = Drive(
-        drive_v=drive_v,
-        sample_rate_hz=float(bank.sample_rate_hz),
-        start_s=-(bank.taps - 1) / bank.sample_rate_hz,
-        method=chosen,
-        scale=limiting.scale,
-        omitted_bound=bound,
-        focus_sample=np.concatenate([source.focus_sample for source in sources]),
-        focus_position=np.concatenate([source.focus_position for source in sources]),
-        focus_source=np.concatenate(
-            [np.full(len(source.focus_sample), source.index, dtype=np.int64) for source in sources]
-        ),
-        drive_unit=drive_unit(bank),
-        known_finite=finite,
-    )
+        drive_v, float(bank.sample_rate_hz), sampled.start_s, sampled.method, limiting.scale, bound, *sampled.foci,
+        drive_unit=drive_unit(bank), known_finite=finite,
+    )  # fmt: skip
     report = report_render(
-        scene, rows, sources, accumulated, norms, limiting=limiting, omitted_bound=bound, errors=errors, remarks=remarks
-    )
+        scene, rows, sampled.sources, accumulated, norms,
+        limiting=limiting, omitted_bound=bound, errors=errors, remarks=remarks,
+    )  # fmt: skip
     return drive, report
 
 
-def chosen_method(scene: Scene, method: str | None) -> Method:
-    """The method asked for, or the default: sampled where all emission is per point, else exact.
-
-    Raises InputError: there is no such method.
-    """
-    if method not in (None, "sampled", "exact"):
-        raise InputError(f"method is {method!r}; allowed are 'sampled' and 'exact'")
-    if method is None:
-        per_point = all(source.emission == "per_point" for source in scene.sources)
-        return "sampled" if per_point else "exact"
-    return "sampled" if method == "sampled" else "exact"
-
-
 def _accumulated(
-    sources: Sequence[SampledSource],
-    rows: BankRows,
-    samples: int,
-    tolerance: float,
-    on_progress: OnProgress | None,
-    device: Device | None,
+    scene: SampledScene, rows: BankRows, tolerance: float, on_progress: OnProgress | None, device: Device | None
 ) -> tuple[Float64Array, list[Accumulated], Float64Array, float]:
+    """Drives, what each source cost, norms of the drives, and the bound on what was left out."""
     for share in STRICTER if tolerance > 0 else (0.0,):
-        drive_v = np.zeros((rows.bank.actuators, samples))
-        progress = _Progress(sources, on_progress)
+        drive_v = np.zeros((rows.bank.actuators, scene.samples))
         accumulated: list[Accumulated] = []
+
         with np.errstate(over="ignore", invalid="ignore"):
-            for source in sources:
+            for source in scene.sources:
                 rows.needed_by = source.naming
                 made = SourceDrives(
-                    source.emission,
-                    rows,
-                    fft_samples=source.fft_samples(rows.bank.taps, rows.bank.actuators),
-                    tolerance=share * tolerance,
-                    band_hz=rows.bank.band_hz,
-                    on_block=progress.of(source),
+                    source, rows, tolerance=share * tolerance, on_block=_counted(on_progress, source.index, scene),
                     device=device,
-                )
+                )  # fmt: skip
                 accumulated.append(made.add_to(drive_v))
         norms = row_norms(drive_v)
         bound = relative_bound(math.fsum(item.error for item in accumulated), norm_of(norms))
@@ -173,20 +130,10 @@ def _accumulated(
     return drive_v, accumulated, norms, bound
 
 
-class _Progress:
-    """Joins the sources' blocks into one count."""
-
-    def __init__(self, sources: Sequence[SampledSource], on_progress: OnProgress | None) -> None:
-        self._sources = sources
-        self._on_progress = on_progress
-
-    def of(self, source: SampledSource) -> OnProgress | None:
-        on_progress = self._on_progress
-        if on_progress is None:
-            return None
-        parts = 100
-
-        def report(done: int, total: int) -> None:
-            on_progress(source.index * parts + parts * done // total, len(self._sources) * parts)
-
-        return report
+def _counted(on_progress: OnProgress | None, source: int, scene: SampledScene) -> OnProgress | None:
+    """Progress of one source as a part of the whole."""
+    if on_progress is None:
+        return None
+    return lambda done, total: on_progress(
+        source * SOURCE_PARTS + SOURCE_PARTS * done // total, len(scene.sources) * SOURCE_PARTS
+    )

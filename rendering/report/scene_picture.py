@@ -84,7 +84,7 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
 def _sources(scene: Scene, bank: GreenSource) -> list[_Drawn]:
     """Sample each source as the renderer does; the positions drawn are those that count for its foci."""
     drawn = []
-    for source, sampled in zip(scene.sources, sample_scene(scene, bank, "sampled")[1], strict=True):
+    for source, sampled in zip(scene.sources, sample_scene(scene, bank, "sampled").sources, strict=True):
         count = min(MOST_LINE_POINTS, max(2, int(4 * source.path.length_mm) + 2))
         drawn.append(
             _Drawn(source, path_line_mm(source, count), sampled.points_mm, sampled.focus_position, sampled.snap_mm)

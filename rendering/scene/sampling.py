@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.drive.block_size import choose_fft_samples
 from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, show_mm
 from rendering.greens.interpolation.registry import scene_interpolation
 from rendering.greens.source import GreenSource
@@ -48,12 +47,6 @@ class SampledSource:
     snap_mm: Float64Array
     signal: Float64Array
     nodes: int
-
-    def fft_samples(self, taps: int, actuators: int) -> int:
-        """Transform length that costs least for Green's functions of so many taps."""
-        reach = taps + self.emission.event_samples - 1
-        span = self.emission.stop_event - self.emission.first_sample
-        return choose_fft_samples(reach, span, actuators, self.focus_position, self.nodes)
 
     def naming(self, row: int, at_mm: Float64Array) -> str:
         """Say which path point needs a row at `at_mm`: the first that is snapped to it, else the closest."""
@@ -188,18 +181,47 @@ class _Whereabouts:
         return nodes.rows, nodes.weights, nodes.nearest
 
 
-def sample_scene(scene: Scene, bank: GreenSource, method: Method) -> tuple[Interpolation, list[SampledSource]]:
+@dataclass(frozen=True, slots=True)
+class SampledScene:
+    """The sources of a scene over a bank: `samples` of drives from `start_s` on, which is the lead-in before 0."""
+
+    kind: Interpolation
+    sources: list[SampledSource]
+    method: Method
+    samples: int
+    start_s: float
+
+    @property
+    def foci(self) -> tuple[Int64Array, Int64Array, Int64Array]:
+        """Sample, bank row and source of each focus, source by source."""
+        return (
+            np.concatenate([source.focus_sample for source in self.sources]),
+            np.concatenate([source.focus_position for source in self.sources]),
+            np.concatenate([np.full(len(one.focus_sample), one.index, dtype=np.int64) for one in self.sources]),
+        )
+
+
+def sample_scene(scene: Scene, bank: GreenSource, method: str | None = None) -> SampledScene:
     """Sample the sources of a scene, once its size is found to be within the limits.
 
-    Raises InputError: the scene is larger than allowed, or does not fit the bank.
+    method: "sampled", eq. (16), or "exact", eq. (9); by default sampled where all emission is per point, for which the
+        two are the same, else exact.
+
+    Raises InputError: the scene is larger than allowed, or does not fit the bank, or there is no such method.
     """
+    if method not in (None, "sampled", "exact"):
+        raise InputError(f"method is {method!r}; allowed are 'sampled' and 'exact'")
+    if method is None:
+        method = "sampled" if all(source.emission == "per_point" for source in scene.sources) else "exact"
+    chosen: Method = "sampled" if method == "sampled" else "exact"
     rate_hz, taps = float(bank.sample_rate_hz), bank.taps
     for index, source in enumerate(scene.sources):
         point_count(source, index)
     check_scene_size(scene, sample_rate_hz=rate_hz, taps=taps, actuators=bank.actuators)
     kind = scene_interpolation(scene, bank)
     sources = [
-        sample_source(source, index, kind, sample_rate_hz=rate_hz, taps=taps, method=method)
+        sample_source(source, index, kind, sample_rate_hz=rate_hz, taps=taps, method=chosen)
         for index, source in enumerate(scene.sources)
     ]
-    return kind, sources
+    samples = max(source.emission.stop_sample for source in sources) + taps - 1
+    return SampledScene(kind, sources, chosen, samples, -(taps - 1) / rate_hz)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rendering.band import Band, choose_band, norm_of, power_over, relative_bound, row_norms, scale, tolerance_of
-from rendering.drive.block_size import choose_fft_samples
+from rendering.drive.accumulate import choose_fft_samples
 from storage.errors import InputError
 
 

@@ -39,7 +39,7 @@ def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(block_sampl
     blocks = list(live.blocks())
     assert {block.shape[1] for block in blocks[:-1]} <= {block_samples}
     np.testing.assert_array_equal(np.concatenate(blocks, axis=1), whole.drive_v)
-    assert (live.samples, live.start_s) == (whole.drive_v.shape[1], whole.start_s)
+    assert (live.shape, live.sampled.start_s) == (whole.drive_v.shape, whole.start_s)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-200])
@@ -90,10 +90,9 @@ def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz, block_samp
     scale_v = 1.5 * float(np.abs(whole.drive_v).max())
     write_wav(tmp_path / "a.wav", whole.drive_v, RATE_HZ, interface_rate_hz=interface_rate_hz, full_scale_v=scale_v)
     live = LiveDrive(scene, make_bank(), block_samples=block_samples)
-    shape = (live.actuators, live.samples)
     stream_wav(
-        tmp_path / "b.wav", live.blocks(), shape, RATE_HZ, interface_rate_hz=interface_rate_hz, full_scale_v=scale_v,
-        chunk_samples=128,
+        tmp_path / "b.wav", live.blocks(), live.shape, RATE_HZ,
+        interface_rate_hz=interface_rate_hz, full_scale_v=scale_v, chunk_samples=128,
     )  # fmt: skip
     expected, rate_hz = soundfile.read(tmp_path / "a.wav")
     found, _ = soundfile.read(tmp_path / "b.wav")
@@ -103,7 +102,6 @@ def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz, block_samp
 
 def test_a_streamed_wav_beyond_full_scale_is_refused_and_leaves_no_file(tmp_path):
     live = LiveDrive(Scene("s", (MOVING,)), make_bank())
-    shape = (live.actuators, live.samples)
     with pytest.raises(InputError, match="beyond the interface's full scale"):
-        stream_wav(tmp_path / "b.wav", live.blocks(), shape, RATE_HZ, interface_rate_hz=1000, full_scale_v=1e-9)
+        stream_wav(tmp_path / "b.wav", live.blocks(), live.shape, RATE_HZ, interface_rate_hz=1000, full_scale_v=1e-9)
     assert not list(tmp_path.iterdir())

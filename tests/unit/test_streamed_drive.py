@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from config.scene import Output, Regularisation
 from rendering.drive.coil_limits import DriveLimits, RunningLevels, largest_rms
+from rendering.drive.live import StreamedDrive
 from rendering.drive.rendering import render_with_report
-from rendering.drive.streamed_drive import StreamedDrive
 from rendering.drive.wav import Interface, InterfaceRate
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Point

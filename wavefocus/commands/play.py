@@ -20,7 +20,7 @@ from config.messages.operate import Playing
 from config.rig import RigConfig
 from drivers.protocols import Clock
 from drivers.timeouts import BoundedPlayer
-from rendering.drive.streamed_drive import StreamedDrive
+from rendering.drive.live import StreamedDrive
 from rendering.drive.wav import InterfaceRate
 from rendering.scene.loading import load_scene
 from rendering.scene.model import Scene

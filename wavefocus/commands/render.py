@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from config.scene import Output, Regularisation
 from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
+from rendering.drive.live import StreamedDrive
 from rendering.drive.rendering import render_with_report
-from rendering.drive.streamed_drive import StreamedDrive
 from rendering.drive.wav import stream_wav, write_wav
 from rendering.field.prediction import predicted_focus_peak
 from rendering.report.render_report import RenderReport
@@ -216,9 +216,15 @@ def _render_streamed(job: _Job) -> _Result:
         say(f"{seconds:.4g} s of drives, {size}, in two passes: the first finds the scale, the second writes")
         with progress("first pass", samples) as report:
             facts = streamed.prepare(report)
-        live, foci = streamed.live, streamed.foci
+        sampled = streamed.live.sampled
         about = DriveAbout(
-            rate_hz, live.start_s, live.method, facts.scale, facts.omitted_bound, *foci, drive_unit=bank.drive_unit
+            rate_hz,
+            sampled.start_s,
+            sampled.method,
+            facts.scale,
+            facts.omitted_bound,
+            *sampled.foci,
+            drive_unit=bank.drive_unit,
         )
         with (
             drive_in_blocks(job.out, about, streamed.shape) as append,
@@ -239,10 +245,10 @@ def _render_streamed(job: _Job) -> _Result:
                     full_scale_v=full_scale_v,
                 )
     return _Result(
-        method=live.method,
+        method=sampled.method,
         shape=streamed.shape,
-        start_s=live.start_s,
-        foci=len(foci[0]),
+        start_s=sampled.start_s,
+        foci=len(sampled.foci[0]),
         peak_v=streamed.peak_v,
         scale=facts.scale,
         omitted_bound=facts.omitted_bound,

@@ -182,7 +182,7 @@ def emission_s(source: Source, sample_rate_hz: float) -> float:
 def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> Drive:
     """The first samples of a drive that is not made as a whole."""
     live = LiveDrive(scene, bank, block_samples=_BLOCK_SAMPLES, tolerance_db=TOLERANCE_DB)
-    drive_v, filled = np.zeros((bank.actuators, min(most, live.samples))), 0
+    drive_v, filled = np.zeros((bank.actuators, min(most, live.shape[1]))), 0
     for block in live.blocks():
         taken = block[:, : drive_v.shape[1] - filled]
         drive_v[:, filled : filled + taken.shape[1]] = taken
@@ -190,13 +190,11 @@ def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> 
         on_progress(filled, drive_v.shape[1])
         if filled == drive_v.shape[1]:
             break
-    ends = round(live.start_s * bank.sample_rate_hz) + filled
-    sample = np.concatenate([one.focus_sample for one in live.sources])
-    position = np.concatenate([one.focus_position for one in live.sources])
-    source = np.concatenate([np.full(len(one.focus_sample), one.index, np.int64) for one in live.sources])
-    there = sample < ends
+    sampled = live.sampled
+    sample, position, source = sampled.foci
+    there = sample < round(sampled.start_s * bank.sample_rate_hz) + filled
     return Drive(
-        drive_v, bank.sample_rate_hz, live.start_s, live.method, 1.0, math.inf, sample[there], position[there],
+        drive_v, bank.sample_rate_hz, sampled.start_s, sampled.method, 1.0, math.inf, sample[there], position[there],
         source[there], bank.drive_unit,
     )  # fmt: skip
 

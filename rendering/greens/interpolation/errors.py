@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.blas import one_blas_thread
 from rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError
 from rendering.greens.interpolation.correlation_errors import ErrorBands, expected_errors
 from rendering.greens.interpolation.registry import scene_points
@@ -84,18 +85,23 @@ class InterpolationErrors:
         return [dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
 
 
-def interpolation_errors(
-    scene: Scene,
-    bank: GreenSource,
-    kind: Interpolation,
-    signals: Sequence[Float64Array],
-    *,
-    thorough: bool,
-) -> InterpolationErrors | None:
-    """Estimate the error along a scene's paths.
+def judged_errors(
+    scene: Scene, bank: GreenSource, kind: Interpolation, signals: Sequence[Float64Array], tolerance: float | None
+) -> tuple[InterpolationErrors | None, list[str]]:
+    """Estimate the error along a scene's paths, and warn of one worth saying.
 
     Returns None where every point lies on a position, or the bank has too few of them.
+
+    Raises InputError: the tolerance is not above 0, or a band exceeds it.
     """
+    with one_blas_thread():
+        errors = _errors(scene, bank, kind, signals, thorough=tolerance is not None)
+    return errors, _remarks(errors, tolerance)
+
+
+def _errors(
+    scene: Scene, bank: GreenSource, kind: Interpolation, signals: Sequence[Float64Array], *, thorough: bool
+) -> InterpolationErrors | None:
     points_mm = scene_points(scene)
     points_mm = points_mm[np.unique(np.linspace(0, len(points_mm) - 1, MOST_POINTS).astype(np.int64))]
     name = scene.output.interpolation
@@ -119,11 +125,7 @@ def interpolation_errors(
     )
 
 
-def judge_interpolation(errors: InterpolationErrors | None, tolerance: float | None) -> list[str]:
-    """Warn of an error worth saying; refuse one beyond the tolerance.
-
-    Raises InputError: the tolerance is not above 0, or a band exceeds it.
-    """
+def _remarks(errors: InterpolationErrors | None, tolerance: float | None) -> list[str]:
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError(f"interpolation_tolerance is {tolerance}; it must be a finite number above 0")
     if errors is None:
