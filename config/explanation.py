@@ -13,6 +13,7 @@ from pydantic.fields import FieldInfo
 
 UNITS = {
     "_at_0_v": "",
+    "_m_s": "m/s",
     "_mm_s": "mm/s", "_mm": "mm", "_mrad": "mrad", "_deg": "degrees", "_s": "s", "_min": "minutes", "_days": "days",
     "_hz": "Hz", "_v": "V", "_db": "dB", "_ppm": "ppm", "_ohm": "ohm", "_w": "W", "_samples": "samples",
 }  # fmt: skip

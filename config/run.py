@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, mistake
+from config.plate import PlateKeys
 
 STAGGER_OVER_RESPONSE = 1.2
 """Staggered responses come apart when each is over before the next begins; measured for this design."""
@@ -164,27 +165,13 @@ def _rising(course: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float
 Course = Annotated[tuple[tuple[NonNegative, Finite], ...], AfterValidator(_rising)]
 
 
-PLATE_KEYS = {"rim_admittance": "stadium", "quality": "thin"}
-"""Keys that only one plate has, and which."""
-
-
-class Virtual(Table):
+class Virtual(PlateKeys):
     """Settings of the virtual rig."""
 
     seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = Field(
         default=1, description="The same seed gives the same bytes"
     )
     noise_v: NonNegative | None = Field(default=None, description="Rms noise at the vibrometer's output")
-    plate: Literal["soft", "stadium", "thin"] = Field(
-        default="soft",
-        description="A gel without a rim, a gel whose rim reflects waves (pip install 'wavefocus[plates]'), or glass",
-    )
-    rim_admittance: NonNegative | None = Field(
-        default=None, description='Of the plate "stadium": 0 is a free edge, 1 absorbs waves at a right angle'
-    )
-    quality: Annotated[Positive, Field(le=1e5)] | None = Field(
-        default=None, description='Of the plate "thin": quality factor of its modes'
-    )
     fault_plan: tuple[Fault, ...] = Field(
         default=(), description="Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
     )
@@ -194,18 +181,6 @@ class Virtual(Table):
     light: Course = Field(
         default=(), description="Share of light that comes back to the vibrometer: pairs of seconds, rising, and 0 to 1"
     )
-
-    @property
-    def plate_keys(self) -> dict[str, float]:
-        """The keys of the plate that are given."""
-        return self.model_dump(include=set(PLATE_KEYS), exclude_none=True)
-
-    @model_validator(mode="after")
-    def _keys_of_this_plate(self) -> Virtual:
-        for key, value in self.plate_keys.items():
-            if PLATE_KEYS[key] != self.plate:
-                raise mistake(key, value, f'belongs to plate = "{PLATE_KEYS[key]}"')
-        return self
 
 
 def _second_look(value: object) -> object:

@@ -280,6 +280,14 @@ def numbers(file: h5py.File, name: str, path: Path, count: int) -> tuple[float, 
     return tuple(float(item) for item in value.reshape(-1))
 
 
+def pair(file: h5py.File, name: str, path: Path) -> tuple[float, float] | None:
+    """Read two finite numbers from a root attribute; None when it is absent."""
+    if name not in file.attrs:
+        return None
+    first, second = numbers(file, name, path, 2)
+    return first, second
+
+
 def text(file: h5py.File, name: str, path: Path) -> str | None:
     """Read a text from a root attribute; None when it is absent."""
     if name not in file.attrs:

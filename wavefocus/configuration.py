@@ -17,6 +17,7 @@ from calibration.rig.mirror_map import MirrorMap
 from config.calibration import load_calibration
 from config.fields import Table
 from config.loading import named_file, printable, read_toml, shown, validated
+from config.plate import PlateKeys
 from config.rig import RigConfig, default_rig
 from config.run import FaultFile, RunConfig, Virtual
 from storage.errors import InputError
@@ -129,6 +130,11 @@ def with_rig(configuration: Configuration, rig: RigConfig, source: str) -> Confi
     return replace(configuration, rig=rig)
 
 
+def plate_behind(rig: RigConfig, run: RunConfig) -> PlateKeys:
+    """The plate that a run is measured on; of real instruments no more is known than that it is one."""
+    return run.virtual if run.virtual is not None and rig.is_virtual else PlateKeys()
+
+
 def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     """Check run and rig against each other.
 
@@ -136,7 +142,7 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     """
     if run.virtual is not None and not rig.is_virtual:
         raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
-    plate = Virtual().plate if run.virtual is None else run.virtual.plate
+    plate = plate_behind(rig, run).plate
     if plate == "thin" and rig.surface.kind != "rectangle":
         raise InputError(f'{source}: virtual.plate = "thin": needs kind = "rectangle" in [surface] of the rig file')
     if plate == "stadium" and find_spec("skfem") is None:

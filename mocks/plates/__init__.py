@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ class Plate(ABC):
         Of the plate.
     chain : callable
         Transfer function of the signal chain over the frequency in Hz; every response includes it.
-    keys : float
+    keys
         Settings that only some plates have, by name.
 
     Attributes
@@ -43,7 +44,7 @@ class Plate(ABC):
         actuator_mm: Float64Array,
         outline: Outline,
         chain: Callable[[Float64Array], Complex128Array],
-        **keys: float,
+        **keys: Any,
     ) -> None:
         self._actuator_mm = actuator_mm
         self._outline = outline
@@ -71,7 +72,7 @@ class Plate(ABC):
     def fir_spectra(
         self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
     ) -> Complex128Array:
-        """Transforms of the FIRs that end after some taps, (positions, actuators, bins), within 1e-6.
+        """Transforms of the FIRs that end after some taps, (positions, actuators, bins), within 1e-5.
 
         Parameters
         ----------

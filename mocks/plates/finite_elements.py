@@ -100,32 +100,32 @@ class Elements:
         node[:, self._straight.p.shape[1] + rim] = triangles.half_mm[first].T / 1e3
         order = skfem.ElementTriP4()
         self._find_cell = self._straight.element_finder()
-        self._basis = skfem.Basis(type(mesh)(node, mesh.t), order, intorder=2 * order.maxdeg + 2)
+        self.basis = skfem.Basis(type(mesh)(node, mesh.t), order, intorder=2 * order.maxdeg + 2)
 
     @cached_property
     def stiffness(self) -> Any:
         """K, sparse (nodes, nodes)."""
         from skfem.helpers import dot, grad
 
-        return _scikit_fem().BilinearForm(lambda u, v, _: dot(grad(u), grad(v))).assemble(self._basis).tocsc()
+        return _scikit_fem().BilinearForm(lambda u, v, _: dot(grad(u), grad(v))).assemble(self.basis).tocsc()
 
     @cached_property
     def mass(self) -> Any:
         """M, sparse (nodes, nodes), in m^2."""
-        return _scikit_fem().BilinearForm(lambda u, v, _: u * v).assemble(self._basis).tocsc()
+        return _scikit_fem().BilinearForm(lambda u, v, _: u * v).assemble(self.basis).tocsc()
 
     @cached_property
     def rim(self) -> Any:
         """B, sparse (nodes, nodes), in m."""
         skfem = _scikit_fem()
-        edge = skfem.FacetBasis(self._basis.mesh, self._basis.elem, intorder=2 * self._basis.elem.maxdeg + 2)
+        edge = skfem.FacetBasis(self.basis.mesh, self.basis.elem, intorder=2 * self.basis.elem.maxdeg + 2)
         return skfem.BilinearForm(lambda u, v, _: u * v).assemble(edge).tocsc()
 
     def basis_at(self, point_mm: Float64Array) -> tuple[NDArray[np.int64], Float64Array]:
         """Nodes whose values make up the value at points (n, 2) of the plate, and their weights; (n, 15) each."""
         point = np.ascontiguousarray(point_mm.T / 1e3)
         cell = self._find_cell(*point)
-        basis = self._basis
+        basis = self.basis
         inside = basis.mapping.invF(point[:, :, None], tind=cell)
         weight = [np.ravel(basis.elem.gbasis(basis.mapping, inside, k, tind=cell)[0]) for k in range(basis.Nbfun)]
         return np.asarray(basis.element_dofs[:, cell].T), np.stack(weight, axis=1)
@@ -142,7 +142,7 @@ class Elements:
         ring_mm = radius_mm * np.sqrt((node + 1) / 2)
         disk_mm = (ring_mm[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
         share = np.repeat(weight / 2, len(angle)) / len(angle)
-        loads = np.zeros((self._basis.N, len(actuator_mm)))
+        loads = np.zeros((self.basis.N, len(actuator_mm)))
         for actuator, centre_mm in enumerate(actuator_mm):
             nodes, weights = self.basis_at(centre_mm + disk_mm)
             np.add.at(loads[:, actuator], nodes, weights * share[:, None])

@@ -12,7 +12,7 @@ from scipy.fft import irfft, rfft
 
 from config.outline import Outline
 from mocks.plates import Complex64Array, Complex128Array, Plate
-from mocks.plates.soft_table import impulse_length
+from mocks.plates.infinite import impulse_length
 
 Float64Array = NDArray[np.float64]
 

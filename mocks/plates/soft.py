@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +36,9 @@ class DampedWave:
     speed_m_s: float
     damping_per_s: float
 
+    plain_from_hz: ClassVar[float] = 100.0
+    """Below, diffusion bends the wavenumber away from that of the plain damped wave."""
+
     def __post_init__(self) -> None:
         if not (np.isfinite(self.speed_m_s) and self.speed_m_s > 0):
             raise ValueError(f"speed_m_s is {self.speed_m_s}; it must be finite and greater than 0")
@@ -44,7 +48,7 @@ class DampedWave:
                 "for the wave would grow as it travels"
             )
 
-    def wavenumber(self, frequency_hz: ArrayLike) -> Complex128Array:
+    def wavenumber(self, frequency_hz: ArrayLike, /) -> Complex128Array:
         """Complex wavenumber in rad/m, Im k <= 0.
 
         Parameters
@@ -78,6 +82,10 @@ class DampedWave:
         wavenumber = self.wavenumber(np.where(still, 1.0, frequency))
         mean = mean_hankel(wavenumber, np.asarray(radius_mm) / 1e3, source_radius_mm / 1e3)
         return np.asarray(np.where(still, 0.0, 0.5 * np.pi * frequency * mean), dtype=np.complex128)
+
+    def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
+        """The velocity as one kernel, (1, frequencies)."""
+        return self.velocity(frequency_hz, radius_mm, source_radius_mm)[None]
 
 
 @dataclass(frozen=True, slots=True)

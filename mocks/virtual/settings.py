@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class VirtualSettings:
         Factor on each actuator's own strength: 0 where it is dead, negative where it is reversed; 1 if absent.
     plate : str
         Name of the plate, as registered in `mocks.plates`.
-    plate_keys : tuple of (str, float)
+    plate_keys : tuple of (str, value)
         Settings that only this plate has, by name.
     outline : Outline
         Of the plate.
@@ -107,7 +108,7 @@ class VirtualSettings:
     output_gain: tuple[float, ...] | None = None
     actuator_strength: tuple[float, ...] | None = None
     plate: str = "soft"
-    plate_keys: tuple[tuple[str, float], ...] = ()
+    plate_keys: tuple[tuple[str, Any], ...] = ()
     outline: Outline = OUTLINE
     mirror: MirrorGeometry = field(default_factory=MirrorGeometry)
     settle_s: float = 0.005

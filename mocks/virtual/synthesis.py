@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len
 
 from mocks.plates import PLATES
-from mocks.plates.soft_table import impulse_length, phase_ramp
+from mocks.plates.infinite import impulse_length, phase_ramp
 from mocks.virtual.chain import actuator_gains, chain_response
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import PlayedSignal

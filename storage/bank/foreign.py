@@ -109,6 +109,7 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
         "run_json": hdf5_reading.text(file, "run", path),
         "plan_sha256": hdf5_reading.text(file, "plan_sha256", path),
         "software": hdf5_reading.text(file, "software", path),
+        "directions_deg": hdf5_reading.pair(file, "directions_deg", path),
     }
     status = _status(file, path, positions)
     return facts, ForeignRows(path, green, status, stack.pop_all())

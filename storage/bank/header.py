@@ -41,6 +41,8 @@ class BankHeader:
         Program and version that made the bank.
     response_unit, drive_unit : str
         Unit of g, and of the drive.
+    directions_deg : tuple of float, optional
+        Directions of force and oscillation in the plane, from x towards y: which elements of Green's tensor these are.
     """
 
     sample_rate_hz: float
@@ -54,6 +56,7 @@ class BankHeader:
     software: str
     response_unit: str = "m/s/V"
     drive_unit: str = "V"
+    directions_deg: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         require_header(self)

@@ -100,6 +100,8 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
         "software": header.software,
     }.items():
         file.attrs[name] = value
+    if header.directions_deg is not None:
+        file.attrs["directions_deg"] = np.array(header.directions_deg, np.float64)
     count, actuators, taps = header.positions, header.actuators, header.taps
     position = scale(file, "position", np.arange(count, dtype="<i4"))
     actuator = scale(file, "actuator", np.arange(actuators, dtype="<i4"))
@@ -175,4 +177,5 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
             hdf5_reading.read_floats(file, "/position_mm", path, (positions, 2)),
             hdf5_reading.read_floats(file, "/actuator_mm", path, (actuators, 2)),
             **words,
+            directions_deg=hdf5_reading.pair(file, "directions_deg", path),
         )

@@ -63,6 +63,7 @@ class Bank(Closing):
     run_json: str | None
     plan_sha256: str | None
     software: str | None
+    directions_deg: tuple[float, float] | None
     rows: BankRows | ForeignRows = field(repr=False)
 
     @property
@@ -180,6 +181,7 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
         run_json=header.run_json,
         plan_sha256=header.plan_sha256,
         software=header.software,
+        directions_deg=header.directions_deg,
         rows=rows,
     )
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
 
 RIG = """
@@ -57,6 +58,7 @@ limit_v = 1.0
         ("soft", "stadium", (90.0, 60.0, 4.0)),
         ("stadium", "rectangle", (90.0, 60.0, 4.0)),
         ("thin", "rectangle", (300.0, 200.0, 20.0)),
+        ("solid", "stadium", (90.0, 60.0, 4.0)),
     ],
 )
 def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
@@ -66,7 +68,7 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
     rig, campaign = RIG.replace("{kind}", kind), RUN.replace("{plate}", plate)
     for name, value in zip(("{length}", "{width}", "{spacing}"), size, strict=True):
         rig, campaign = rig.replace(name, str(value)), campaign.replace(name, str(value))
-    campaign += "quality = 8.0\n" if plate == "thin" else ""
+    campaign += {"thin": "quality = 8.0\n", "solid": "force_deg = 30.0\noscillation_deg = 60.0\n"}.get(plate, "")
     for name, text in (("rig.toml", rig), ("run.toml", campaign), ("scene.toml", SCENE)):
         (tmp_path / name).write_text(text, encoding="utf-8")
     quiet, bank = tmp_path / "quiet.h5", tmp_path / "plate.h5"
@@ -82,6 +84,8 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
     assert run(["resume", str(bank)]) == 0
     assert bank.read_bytes() == quiet.read_bytes()
     assert run(["check", str(bank)]) == 0
+    with open_bank(bank) as measured:
+        assert measured.directions_deg == ((30.0, 60.0) if plate == "solid" else None)
     out = tmp_path / "verify"
     assert run(["verify", str(tmp_path / "scene.toml"), "--bank", str(bank), "--rig", str(tmp_path / "rig.toml"),
                 "--out", str(out)]) == 0  # fmt: skip

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import hankel2
 
+from mocks.plates.infinite import PlateTable
 from mocks.plates.soft import (
     SOFT_PLATE,
     DampedWave,
@@ -15,7 +16,6 @@ from mocks.plates.soft import (
     mean_hankel,
     thin_plate_green,
 )
-from mocks.plates.soft_table import PlateTable
 from mocks.virtual.chain import chain_response
 from mocks.virtual.geometry import MirrorGeometry
 

@@ -23,6 +23,7 @@ from wavefocus.configuration import (
     configuration_from_json,
     load_run,
     named_rig,
+    plate_behind,
     rig_differences,
     with_rig,
 )
@@ -53,6 +54,7 @@ class Blueprint:
             run_json=configuration.run.model_dump_json(),
             plan_sha256=plan.sha256,
             software=f"wavefocus {version('wavefocus')}",
+            directions_deg=plate_behind(configuration.rig, configuration.run).directions_deg,
         )
 
 

@@ -1,18 +1,23 @@
-"""The soft plate tabulated over distance: whole responses, and those of FIRs that end after some taps."""
+"""Plates without a rim, tabulated over distance: whole responses, and those of FIRs that end after some taps.
+
+A response is a sum over kinds of waves (shear and pressure, say) and their kernels: functions of the distance, each
+times a weight of the direction.
+"""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.special import jv
 
 from config.outline import Outline
-from mocks.plates import PLATES, Complex64Array, Plate
-from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, DampedWave
+from mocks.plates import Complex64Array, Plate
+from mocks.plates.soft import MAGNET_RADIUS_MM
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
@@ -22,20 +27,46 @@ ComplexType = type[np.complex64] | type[np.complex128]
 
 NODES = 24  # Chebyshev nodes in log radius; the error they leave is measured in tests/unit/test_plates.py
 PHASE_BLOCK = 256
-LOW_HZ = 100.0  # below, diffusion bends the wavenumber away from that of the plain damped wave
+
+
+class Wave(Protocol):
+    """One kind of wave that leaves a disk."""
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed of the front."""
+        ...
+
+    @property
+    def damping_per_s(self) -> float:
+        """Loss proportional to velocity."""
+        ...
+
+    @property
+    def plain_from_hz(self) -> float:
+        """Frequency from which exp(-j w r / c - b r / (2 c)) is nearly its phase and decay; infinite if none."""
+        ...
+
+    def wavenumber(self, frequency_hz: Float64Array, /) -> Complex128Array:
+        """Complex wavenumber in rad/m."""
+        ...
+
+    def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
+        """Velocities at a distance from a disk that pushes with unit force, (kernels, frequencies)."""
+        ...
 
 
 class PlateTable:
-    """Velocity of the soft plate on a fixed frequency grid, for distances chosen later.
+    """Velocity of one kind of wave on a fixed frequency grid, for distances chosen later.
 
-    The wave is demodulated by a carrier: below 100 Hz exp(-j k r) / sqrt(r), above it the plain damped
+    The wave is demodulated by a carrier: below its `plain_from_hz` exp(-j k r) / sqrt(r), above it the plain damped
     wave exp(-j w r / c - b r / (2 c)) / sqrt(r), which costs two short exponentials. What is left is so
     smooth in log r that a Chebyshev interpolation of low order does for all distances.
 
     Parameters
     ----------
-    wave : DampedWave
-        The plate.
+    wave : Wave
+        The wave.
     step_hz : float
         Spacing of the frequencies in Hz, > 0; they are step_hz * (0, 1, ... bins - 1).
     bins : int
@@ -52,7 +83,7 @@ class PlateTable:
 
     def __init__(
         self,
-        wave: DampedWave,
+        wave: Wave,
         step_hz: float,
         bins: int,
         colour: NDArray[np.complex128],
@@ -75,22 +106,28 @@ class PlateTable:
         self._weights = np.sin(angle) * (-1.0) ** np.arange(NODES)
         low, high = np.log(self._span_mm)
         node_mm = np.exp(low + (high - low) * (self._nodes + 1) / 2)
-        frequency_hz = step_hz * np.arange(bins)
-        table = np.empty((NODES, bins), dtype=self._complex)
-        self._low_wavenumber = wave.wavenumber(frequency_hz[frequency_hz < LOW_HZ])
-        for row, radius_mm in enumerate(node_mm):
+        frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
+        self._low_wavenumber = wave.wavenumber(frequency_hz[frequency_hz < wave.plain_from_hz])
+        rows = []
+        for radius_mm in node_mm.tolist():
             carrier = self._decay(radius_mm) * np.exp(-1j * self._lag(radius_mm) * np.arange(bins))
             carrier[: len(self._low_wavenumber)] = self._low_carrier(radius_mm)
-            table[row] = wave.velocity(frequency_hz, radius_mm, source_radius_mm) * colour / carrier
-        self._table = table.view(self._real)
+            rows.append(wave.kernels(frequency_hz, radius_mm, source_radius_mm) * colour / carrier)
+        table = np.stack(rows, axis=1).astype(self._complex)
+        self._kernels = len(table)
+        self._table = table.reshape(-1, bins).view(self._real)
 
-    def evaluate(self, radius_mm: Float64Array) -> NDArray[np.complex128] | NDArray[np.complex64]:
+    def evaluate(
+        self, radius_mm: Float64Array, weights: Float64Array | None = None
+    ) -> NDArray[np.complex128] | NDArray[np.complex64]:
         """Velocity times colour at some distances.
 
         Parameters
         ----------
         radius_mm : float64 array, shape (distances,)
             Distances in mm, >= 0.
+        weights : float64 array, shape (distances, kernels), optional
+            Of the kernels; 1 where absent.
 
         Returns
         -------
@@ -101,10 +138,15 @@ class PlateTable:
         tabulated = (radius_mm >= low) & (radius_mm <= high)
         held_mm = np.where(tabulated, radius_mm, high)
         result: NDArray[np.complex128] | NDArray[np.complex64] = self._carrier(held_mm)
-        result *= (self._interpolation(held_mm) @ self._table).view(self._complex)
+        factors = self._interpolation(held_mm)
+        if weights is not None:
+            factors = (weights[:, :, None] * factors[:, None, :]).reshape(len(factors), -1).astype(self._real)
+        result *= (factors @ self._table).view(self._complex)
         for row in np.flatnonzero(~tabulated):
-            frequency_hz = self._step_hz * np.arange(self._bins)
-            result[row] = self._colour * self._wave.velocity(frequency_hz, radius_mm[row], self._source_radius_mm)
+            frequency_hz = self._step_hz * np.arange(self._bins, dtype=np.float64)
+            kernels = self._wave.kernels(frequency_hz, float(radius_mm[row]), self._source_radius_mm)
+            weight = np.ones(self._kernels) if weights is None else weights[row]
+            result[row] = self._colour * (weight @ kernels)
         return result
 
     def _interpolation(self, radius_mm: Float64Array) -> NDArray[np.floating]:
@@ -119,6 +161,9 @@ class PlateTable:
 
     def _carrier(self, radius_mm: Float64Array) -> NDArray[np.complex128] | NDArray[np.complex64]:
         """The carrier on the grid, its plain part as an outer product of two short exponentials."""
+        if len(self._low_wavenumber) == self._bins:
+            low = self._low_carrier(radius_mm[:, None])
+            return low.astype(np.complex64) if self._complex is np.complex64 else low
         carrier = phase_ramp(-self._lag(radius_mm), self._bins, self._complex, self._decay(radius_mm))
         carrier[:, : len(self._low_wavenumber)] = self._low_carrier(radius_mm[:, None])
         return carrier
@@ -186,6 +231,10 @@ class TruncatedPlate:
 
     Parameters
     ----------
+    waves : tuple of Wave
+        Of the plate.
+    kernels : int
+        How many each has.
     taps : int
         Length of the FIRs, > 0.
     sample_rate_hz : float
@@ -201,7 +250,15 @@ class TruncatedPlate:
     """
 
     def __init__(
-        self, taps: int, sample_rate_hz: float, length: int, bins: slice, furthest_mm: float, colour: Colour
+        self,
+        waves: tuple[Wave, ...],
+        kernels: int,
+        taps: int,
+        sample_rate_hz: float,
+        length: int,
+        bins: slice,
+        furthest_mm: float,
+        colour: Colour,
     ) -> None:
         # The only one who needs it; starting a rig shall not wait for it.
         from scipy.interpolate import CubicSpline
@@ -210,76 +267,105 @@ class TruncatedPlate:
         self._span_mm = (MAGNET_RADIUS_MM, furthest_mm)
         step_hz = sample_rate_hz / length
         chain = colour(step_hz * np.arange(bins.stop, dtype=np.float64))
-        self._whole = PlateTable(SOFT_PLATE, step_hz, bins.stop, chain, furthest_mm=furthest_mm)
+        self._whole = [PlateTable(wave, step_hz, bins.stop, chain, furthest_mm=furthest_mm) for wave in waves]
         full = impulse_length(taps, sample_rate_hz)
         frequency_hz = sample_rate_hz / full * np.arange(full // 2 + 1, dtype=np.float64)
         # The end is slow. Without the taper, what little there is at half the sample rate would ring through it,
         # at 1e-7 of the response but with a phase that no spline over distance follows.
         tapered = np.cos(0.5 * np.pi * frequency_hz / frequency_hz[-1]) ** 2 * colour(frequency_hz)
-        table = PlateTable(SOFT_PLATE, frequency_hz[1], frequency_hz.size, tapered, furthest_mm=furthest_mm)
+        tables = [
+            PlateTable(wave, frequency_hz[1], frequency_hz.size, tapered, furthest_mm=furthest_mm) for wave in waves
+        ]
         radius_mm = np.linspace(*self._span_mm, int(furthest_mm / TAIL_STEP_MM) + 2)
-        response = irfft(table.evaluate(radius_mm), full)
-        response[:, :taps] = 0
-        # Folded, a transform of any length has the values at its frequencies.
-        folded = np.zeros((radius_mm.size, -(-full // length) * length))
-        folded[:, :full] = response
-        ends = rfft(folded.reshape(radius_mm.size, -1, length).sum(axis=1))[:, bins]
-        self._end = CubicSpline(radius_mm, ends)
+        self._ends = []
+        for kernel in range(kernels):
+            weights = np.tile(np.eye(kernels)[kernel], (radius_mm.size, 1)) if kernels > 1 else None
+            response = irfft(_summed([table.evaluate(radius_mm, weights) for table in tables]), full)
+            response[:, :taps] = 0
+            # Folded, a transform of any length has the values at its frequencies.
+            folded = np.zeros((radius_mm.size, -(-full // length) * length))
+            folded[:, :full] = response
+            ends = rfft(folded.reshape(radius_mm.size, -1, length).sum(axis=1))[:, bins]
+            self._ends.append(CubicSpline(radius_mm, ends))
 
-    def spectra(self, radius_mm: Float64Array) -> Complex128Array:
+    def spectra(self, radius_mm: Float64Array, weights: Float64Array | None = None) -> Complex128Array:
         """Transfer functions at some distances, within 1e-6 of that of the FIR.
 
         Parameters
         ----------
         radius_mm : float64 array, shape (distances,)
             Distances in mm; nearer than the magnet's radius or beyond the span, the cut is left out.
+        weights : float64 array, shape (distances, kernels), optional
+            Of the kernels; 1 where absent.
 
         Returns
         -------
         complex128 array, shape (distances, bins)
         """
-        spectra = self._whole.evaluate(radius_mm)[:, self._bins]
+        spectra = _summed([table.evaluate(radius_mm, weights)[:, self._bins] for table in self._whole])
         low, high = self._span_mm
         within = (radius_mm >= low) & (radius_mm <= high)
-        spectra[within] -= self._end(radius_mm[within])
+        for kernel, end in enumerate(self._ends):
+            cut = end(radius_mm[within])
+            spectra[within] -= cut if weights is None else weights[within, kernel, None] * cut
         return np.asarray(spectra, dtype=np.complex128)
 
 
-@PLATES.register
-class SoftPlate(Plate):
-    """The infinite soft plate: waves leave each actuator and never come back from the rim."""
+def _summed(parts: list[NDArray[np.complexfloating]]) -> NDArray[np.complexfloating]:
+    total = parts[0]
+    for part in parts[1:]:
+        total += part
+    return total
 
-    name = "soft"
 
-    def __init__(self, actuator_mm: Float64Array, outline: Outline, chain: Colour) -> None:
+class InfinitePlate(Plate):
+    """A plate whose waves leave each actuator and never come back.
+
+    Parameters
+    ----------
+    waves : tuple of Wave
+        Kinds of waves that it carries.
+    kernels : int
+        Of each wave.
+    """
+
+    def __init__(
+        self, actuator_mm: Float64Array, outline: Outline, chain: Colour, waves: tuple[Wave, ...], kernels: int = 1
+    ) -> None:
         super().__init__(actuator_mm, outline, chain)
+        self._waves, self._kernels = waves, kernels
         left, bottom, right, top = outline.box_mm
         self._furthest_mm = float(np.hypot(right - left, top - bottom)) + 10
-        self._table = lru_cache(6)(self._make_table)
+        self._table = lru_cache(6)(self._make_tables)
         self._truncated = lru_cache(1)(self._make_truncated)
+
+    @abstractmethod
+    def weights(self, gap_mm: Float64Array) -> Float64Array | None:
+        """Weights of the kernels at gaps (n, 2) from an actuator to a place, (n, kernels); None for 1."""
 
     def response(
         self, place_mm: tuple[float, float], step_hz: float, bins: int, *, single: bool
     ) -> Complex64Array | Complex128Array:
-        distance_mm = np.hypot(*(self._actuator_mm - place_mm).T)
-        return self._table(step_hz, bins, single).evaluate(distance_mm)
+        gap = np.asarray(place_mm, dtype=np.float64) - self._actuator_mm
+        distance_mm, weights = np.hypot(*gap.T), self.weights(gap)
+        return _summed([table.evaluate(distance_mm, weights) for table in self._table(step_hz, bins, single)])
 
     def fir_spectra(
         self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
     ) -> Complex128Array:
         plate = self._truncated(taps, sample_rate_hz, length, bins.start, bins.stop)
-        gap = self._actuator_mm - np.asarray(position_mm, dtype=np.float64).reshape(-1, 1, 2)
-        radius_mm = np.hypot(gap[..., 0], gap[..., 1])
-        return plate.spectra(radius_mm.ravel()).reshape(*radius_mm.shape, -1)
+        place = np.asarray(position_mm, dtype=np.float64).reshape(-1, 1, 2)
+        gap = (place - self._actuator_mm).reshape(-1, 2)
+        spectra = plate.spectra(np.hypot(*gap.T), self.weights(gap))
+        return spectra.reshape(len(place), len(self._actuator_mm), -1)
 
-    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
-        wavenumber = SOFT_PLATE.wavenumber(frequency_hz)
-        argument = wavenumber * MAGNET_RADIUS_MM / 1e3
-        return np.asarray(np.abs(2 * jv(1, argument) / argument) * frequency_hz / np.sqrt(np.abs(wavenumber)))
-
-    def _make_table(self, step_hz: float, bins: int, single: bool) -> PlateTable:
+    def _make_tables(self, step_hz: float, bins: int, single: bool) -> list[PlateTable]:
         chain = self._chain(step_hz * np.arange(bins, dtype=np.float64))
-        return PlateTable(SOFT_PLATE, step_hz, bins, chain, furthest_mm=self._furthest_mm, single=single)
+        return [
+            PlateTable(wave, step_hz, bins, chain, furthest_mm=self._furthest_mm, single=single) for wave in self._waves
+        ]
 
     def _make_truncated(self, taps: int, sample_rate_hz: float, length: int, start: int, stop: int) -> TruncatedPlate:
-        return TruncatedPlate(taps, sample_rate_hz, length, slice(start, stop), self._furthest_mm, self._chain)
+        return TruncatedPlate(
+            self._waves, self._kernels, taps, sample_rate_hz, length, slice(start, stop), self._furthest_mm, self._chain
+        )

@@ -1,0 +1,67 @@
+"""The plate behind a virtual or emulated rig, and the keys that only some plates have."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from config.fields import Finite, NonNegative, Positive, Table, mistake
+
+PLATES_OF_KEY = {
+    "rim_admittance": ("stadium",),
+    "quality": ("thin",),
+    "shear_speed_m_s": ("solid",),
+    "pressure_speed_m_s": ("solid",),
+    "damping_per_s": ("solid",),
+    "force_deg": ("solid",),
+    "oscillation_deg": ("solid",),
+}
+"""Keys that only some plates have, and which."""
+
+
+class PlateKeys(Table):
+    """The keys of a plate, as tables of run and rig files have them."""
+
+    plate: Literal["soft", "stadium", "thin", "solid"] = Field(
+        default="soft",
+        description="A gel without a rim, a gel whose rim reflects waves (pip install 'wavefocus[plates]'), glass, "
+        "or a gel without a rim that moves in its plane",
+    )
+    rim_admittance: NonNegative | None = Field(
+        default=None, description='Of the plate "stadium": 0 is a free edge, 1 absorbs waves at a right angle'
+    )
+    quality: Annotated[Positive, Field(le=1e5)] | None = Field(
+        default=None, description='Of the plate "thin": quality factor of its modes'
+    )
+    shear_speed_m_s: Positive | None = Field(default=None, description='Of the plate "solid": speed of shear waves')
+    pressure_speed_m_s: Positive | None = Field(
+        default=None, description='Of the plate "solid": speed of pressure waves, above 1.155 shear_speed_m_s'
+    )
+    damping_per_s: NonNegative | None = Field(
+        default=None, description='Of the plate "solid": rate of relaxation of its moduli, in 1/s'
+    )
+    force_deg: Finite | None = Field(
+        default=None, description='Of the plate "solid": direction in which actuators push, from x towards y'
+    )
+    oscillation_deg: Finite | None = Field(
+        default=None, description='Of the plate "solid": direction of the velocity that is measured'
+    )
+
+    @property
+    def plate_keys(self) -> dict[str, Any]:
+        """The keys of the plate that are given."""
+        return self.model_dump(include=set(PLATES_OF_KEY), exclude_none=True)
+
+    @property
+    def directions_deg(self) -> tuple[float, float] | None:
+        """Directions of force and oscillation, from x towards y; None of plates that move along one line."""
+        return (self.force_deg or 0.0, self.oscillation_deg or 0.0) if self.plate == "solid" else None
+
+    @model_validator(mode="after")
+    def _keys_of_this_plate(self) -> PlateKeys:
+        for key, value in self.plate_keys.items():
+            if self.plate not in PLATES_OF_KEY[key]:
+                plates = " or ".join(f'"{name}"' for name in PLATES_OF_KEY[key])
+                raise mistake(key, value, f"belongs to plate = {plates}")
+        return self

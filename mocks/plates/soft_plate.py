@@ -1,0 +1,32 @@
+"""The infinite soft plate of the virtual rig: a scalar wave that is damped."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import jv
+
+from config.outline import Outline
+from mocks.plates import PLATES
+from mocks.plates.infinite import Colour, InfinitePlate
+from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
+
+Float64Array = NDArray[np.float64]
+
+
+@PLATES.register
+class SoftPlate(InfinitePlate):
+    """A gel plate without a rim, fitted to the paper's group velocity and attenuation."""
+
+    name = "soft"
+
+    def __init__(self, actuator_mm: Float64Array, outline: Outline, chain: Colour) -> None:
+        super().__init__(actuator_mm, outline, chain, (SOFT_PLATE,))
+
+    def weights(self, gap_mm: Float64Array) -> None:
+        return None
+
+    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
+        wavenumber = SOFT_PLATE.wavenumber(frequency_hz)
+        argument = wavenumber * MAGNET_RADIUS_MM / 1e3
+        return np.asarray(np.abs(2 * jv(1, argument) / argument) * frequency_hz / np.sqrt(np.abs(wavenumber)))

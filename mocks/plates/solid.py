@@ -1,0 +1,152 @@
+"""An elastic solid in plane strain, infinite: the paper's eq. (3), with moduli that are complex.
+
+-rho w^2 u = mu laplacian(u) + (K + mu / 3) grad(div u) + f for time as exp(+j w t). Its Green's tensor is
+
+    G = [g_s I + grad grad (g_s - g_p) / k_s^2] / mu,    g = -j/4 H0(2)(k r),
+
+with k_s^2 = rho w^2 / mu and k_p^2 = rho w^2 / (K + 4 mu / 3) (Eringen and Suhubi 1975, section 5.10). In plane polar
+coordinates G = A I + B n n, n the unit vector from the actuator; A and B have a part that travels with either wave.
+
+The gel relaxes (Maxwell): every modulus is its instantaneous value times 1 / (1 - j b / w), so that k^2 = (w^2 - j w b)
+/ c^2 for both waves, which is the damped wave of the scalar plate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import hankel2, jv
+
+from config.outline import Outline
+from mocks.plates import PLATES
+from mocks.plates.infinite import Colour, InfinitePlate
+from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, DampedWave
+
+Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
+
+PRESSURE_SPEED_M_S = 9.4
+"""Twice the shear speed: pressure waves of a thin free layer of an incompressible gel."""
+
+
+@dataclass(frozen=True, slots=True)
+class SolidWave:
+    """Shear or pressure wave of the solid. Raises ValueError.
+
+    Parameters
+    ----------
+    shear, pressure : DampedWave
+        Both waves; the pressure wave is the faster by more than 2 / sqrt(3), or the bulk modulus would be negative.
+    is_shear : bool
+        Which of them this is.
+    """
+
+    shear: DampedWave
+    pressure: DampedWave
+    is_shear: bool
+
+    plain_from_hz: ClassVar[float] = DampedWave.plain_from_hz
+
+    def __post_init__(self) -> None:
+        slowest = 2 / np.sqrt(3) * self.shear.speed_m_s
+        if not self.pressure.speed_m_s > slowest:
+            raise ValueError(
+                f"pressure_speed_m_s is {self.pressure.speed_m_s:g}; it must be above {slowest:.4g}, 2 / sqrt(3) times"
+                " the shear speed, for the bulk modulus would be negative"
+            )
+
+    @property
+    def own(self) -> DampedWave:
+        """The wave that this is."""
+        return self.shear if self.is_shear else self.pressure
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed of the front."""
+        return self.own.speed_m_s
+
+    @property
+    def damping_per_s(self) -> float:
+        """Rate of relaxation."""
+        return self.own.damping_per_s
+
+    def wavenumber(self, frequency_hz: Float64Array) -> Complex128Array:
+        """Complex wavenumber in rad/m."""
+        return self.own.wavenumber(frequency_hz)
+
+    def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
+        """Parts of A and B that travel with this wave, for a force spread over a disk: j w (rho c_s^2) G.
+
+        Each is a cylinder function times the mean of J0 over the disk; within the disk J and H change places.
+        """
+        frequency = np.asarray(frequency_hz, dtype=np.float64)
+        still = frequency == 0
+        angular = 2 * np.pi * np.where(still, 1.0, frequency)
+        k = self.wavenumber(angular / (2 * np.pi))
+        z, a = k * radius_mm / 1e3, k * source_radius_mm / 1e3
+        if radius_mm >= source_radius_mm:
+            zero, one, two = (2 * jv(1, a) / a * hankel2(order, z) for order in range(3))
+            one = one / z
+        else:
+            mean = 2 * hankel2(1, a) / a
+            zero, two = mean * jv(0, z) - 4j / (np.pi * a * a), mean * jv(2, z)
+            # J1(z) / z, finite at the centre.
+            one = mean * (jv(0, z) + jv(2, z)) / 2
+        if self.is_shear:
+            kernels = np.stack([zero - one, two])
+        else:
+            kernels = (self.shear.speed_m_s / self.pressure.speed_m_s) ** 2 * np.stack([one, -two])
+        softness = (1j * angular + self.shear.damping_per_s) * -0.25j
+        return np.asarray(np.where(still, 0.0, softness * kernels))
+
+
+@PLATES.register
+class SolidPlate(InfinitePlate):
+    """A gel without a rim that moves in its plane: g^{alpha beta} for one direction of force and one of oscillation.
+
+    Parameters
+    ----------
+    actuator_mm, outline, chain
+        As of every plate.
+    shear_speed_m_s, pressure_speed_m_s : float
+        Speeds of the fronts of both waves.
+    damping_per_s : float
+        Rate b of relaxation, >= 0.
+    force_deg, oscillation_deg : float
+        Direction in which every actuator pushes, and in which the velocity is seen, from x towards y.
+    """
+
+    name = "solid"
+
+    def __init__(
+        self,
+        actuator_mm: Float64Array,
+        outline: Outline,
+        chain: Colour,
+        *,
+        shear_speed_m_s: float = SOFT_PLATE.speed_m_s,
+        pressure_speed_m_s: float = PRESSURE_SPEED_M_S,
+        damping_per_s: float = SOFT_PLATE.damping_per_s,
+        force_deg: float = 0.0,
+        oscillation_deg: float = 0.0,
+    ) -> None:
+        both = DampedWave(shear_speed_m_s, damping_per_s), DampedWave(pressure_speed_m_s, damping_per_s)
+        waves = SolidWave(*both, is_shear=True), SolidWave(*both, is_shear=False)
+        super().__init__(actuator_mm, outline, chain, waves, kernels=2)
+        self._force, self._oscillation = (
+            np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians([force_deg, oscillation_deg])
+        )
+
+    def weights(self, gap_mm: Float64Array) -> Float64Array:
+        length = np.hypot(*gap_mm.T)[:, None]
+        outward = gap_mm / np.where(length > 0, length, 1.0)
+        across = np.full(len(gap_mm), self._force @ self._oscillation)
+        return np.stack([across, (outward @ self._force) * (outward @ self._oscillation)], axis=1)
+
+    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
+        wavenumber = self._waves[0].wavenumber(frequency_hz)
+        argument = wavenumber * MAGNET_RADIUS_MM / 1e3
+        return np.asarray(np.abs(2 * jv(1, argument) / argument) * frequency_hz / np.sqrt(np.abs(wavenumber)))

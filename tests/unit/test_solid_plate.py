@@ -1,0 +1,116 @@
+"""The elastic solid against finite elements in plane strain, reciprocity and far fields."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.sparse import block_array
+from scipy.sparse.linalg import splu
+
+from config.outline import Outline
+from mocks.plates.finite_elements import Elements, spacing_mm, triangulate
+from mocks.plates.soft import DampedWave
+from mocks.plates.solid import SolidPlate
+from mocks.virtual.chain import chain_response
+
+DISK = Outline.of("disk", 90.0, 90.0)
+KEYS = {"shear_speed_m_s": 5.0, "pressure_speed_m_s": 8.0, "damping_per_s": 2500.0}
+"""So lossy that nothing comes back from the rim of the disk."""
+SOURCE_MM = np.array([[4.0, -3.0]])
+PLACE_MM = np.array([[-12.0, 9.0], [3.0, 21.0], [14.0, -3.0], [-2.0, -17.0], [5.5, -1.5]])
+
+
+@pytest.fixture(scope="module")
+def elements() -> Elements:
+    return Elements(triangulate(DISK, 0.4 * spacing_mm(DampedWave(5.0, 2500.0), 450.0)))
+
+
+def _solved(elements: Elements, frequency_hz: float) -> np.ndarray:
+    """Velocity (places, oscillation, force) from the weak form of the paper's eq. (3) in units of rho c_s^2."""
+    import skfem
+
+    def gradients(of_u: int, of_v: int) -> object:
+        return skfem.BilinearForm(lambda u, v, _: u.grad[of_u] * v.grad[of_v]).assemble(elements.basis)
+
+    angular, shear, pressure = 2 * np.pi * frequency_hz, KEYS["shear_speed_m_s"], KEYS["pressure_speed_m_s"]
+    modulus = 1 / (1 - 1j * KEYS["damping_per_s"] / angular)
+    lame, mass = ((pressure / shear) ** 2 - 2) * modulus, (angular / shear) ** 2 * elements.mass
+    xx, yy, xy, yx = gradients(0, 0), gradients(1, 1), gradients(1, 0), gradients(0, 1)
+    system = block_array(
+        [
+            [(lame + 2 * modulus) * xx + modulus * yy - mass, lame * xy + modulus * yx],
+            [lame * yx + modulus * xy, (lame + 2 * modulus) * yy + modulus * xx - mass],
+        ]
+    ).tocsc()
+    load, count = elements.forces(SOURCE_MM)[:, 0], elements.mass.shape[0]
+    forces = np.zeros((2 * count, 2), dtype=np.complex128)
+    forces[:count, 0] = forces[count:, 1] = load
+    moved = splu(system).solve(forces)
+    parts = [elements.values_at(PLACE_MM, np.asarray(part)) for part in (moved[:count], moved[count:])]
+    return 1j * angular * np.stack(parts, axis=1)
+
+
+def _plate(force_deg: float, oscillation_deg: float, source_mm: np.ndarray = SOURCE_MM) -> SolidPlate:
+    return SolidPlate(source_mm, DISK, np.ones_like, **KEYS, force_deg=force_deg, oscillation_deg=oscillation_deg)
+
+
+@pytest.mark.parametrize("frequency_hz", [60.0, 450.0])
+def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(
+    elements: Elements, frequency_hz: float
+) -> None:
+    solved = _solved(elements, frequency_hz)
+    for force in (0, 1):
+        for oscillation in (0, 1):
+            plate = _plate(90.0 * force, 90.0 * oscillation)
+            found = [plate.response(tuple(place), frequency_hz, 2, single=False)[0, 1] for place in PLACE_MM]
+            wanted = solved[:, oscillation, force]
+            assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted), (force, oscillation)
+
+
+def test_given_oblique_directions_then_the_response_is_a_sum_of_the_tensor_s_elements() -> None:
+    tensor = np.array(
+        [[_plate(a, b).response((-12.0, 9.0), 50.0, 10, single=False)[0] for a in (0, 90)] for b in (0, 90)]
+    )
+    force, oscillation = (np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians([20.0, 75.0]))
+    found = _plate(20.0, 75.0).response((-12.0, 9.0), 50.0, 10, single=False)[0]
+    np.testing.assert_allclose(found, np.einsum("o,ofb,f->b", oscillation, tensor, force), rtol=1e-12)
+
+
+def test_given_source_and_place_exchanged_then_so_are_the_directions() -> None:
+    there = _plate(10.0, 80.0, np.array([[30.0, 5.0]])).response((-20.0, -8.0), 25.0, 20, single=False)
+    back = _plate(80.0, 10.0, np.array([[-20.0, -8.0]])).response((30.0, 5.0), 25.0, 20, single=False)
+    np.testing.assert_allclose(there, back, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("direction_deg", "wave", "ratio"), [(0.0, "pressure", 5.0 / 8.0), (90.0, "shear", 1.0)])
+def test_far_away_the_motion_along_is_a_pressure_wave_and_across_a_shear_wave(
+    direction_deg: float, wave: str, ratio: float
+) -> None:
+    """The far field of a line force: one wave each way, (c_s / c)^2 / mu times its g (lossless, but for a trace)."""
+    keys = KEYS | {"damping_per_s": 1e-3}
+    source, far_mm = np.zeros((1, 2)), 40_000.0
+    plate = SolidPlate(source, DISK, np.ones_like, **keys, force_deg=direction_deg, oscillation_deg=direction_deg)
+    own = DampedWave(keys[f"{wave}_speed_m_s"], keys["damping_per_s"])
+    for hertz in (100.0, 400.0):
+        found = plate.response((far_mm, 0.0), hertz, 2, single=False)[0, 1]
+        assert found == pytest.approx(ratio**2 * complex(own.velocity(hertz, far_mm)), rel=2e-3)
+
+
+def test_given_taps_then_the_spectra_are_those_of_the_cut_responses() -> None:
+    plate = SolidPlate(np.array([[30.0, 10.0], [-30.0, -20.0]]), DISK, chain_response, force_deg=30.0)
+    rate_hz, taps, length, full = 10_000.0, 1000, 1024, 24_000
+    places = np.array([[5.0, 5.0], [-20.0, 30.0]])
+    spectra = plate.fir_spectra(places, taps, rate_hz, length, slice(3, 52))
+    for place, found in zip(places, spectra, strict=True):
+        response = plate.response(tuple(place), rate_hz / full, full // 2 + 1, single=False)
+        wanted = np.fft.rfft(np.fft.irfft(response, full)[:, :taps], length)[:, 3:52]
+        assert np.linalg.norm(found - wanted) < 1e-5 * np.linalg.norm(wanted)
+    single = plate.response((5.0, 5.0), 10.0, 51, single=True)
+    assert single.dtype == np.complex64
+    exact = plate.response((5.0, 5.0), 10.0, 51, single=False)
+    assert np.linalg.norm(single - exact) < 1e-5 * np.linalg.norm(exact)
+
+
+def test_given_a_pressure_wave_that_is_too_slow_then_it_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"pressure_speed_m_s is 5; it must be above 5\.774"):
+        SolidPlate(SOURCE_MM, DISK, np.ones_like, **KEYS | {"pressure_speed_m_s": 5.0})
