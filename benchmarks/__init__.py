@@ -22,11 +22,13 @@ class Benchmark:
 
 
 BENCHMARKS = {
-    "bank": Benchmark("cost of durability"),
+    "plates": Benchmark("simulated plates"),
+    "bank": Benchmark("commit latency against durability"),
     "estimate": Benchmark("estimators side by side"),
-    "render": Benchmark("renderers side by side", pictures=("render-precision.png",)),
+    "render": Benchmark("renderers and predictors side by side"),
     "interpolation": Benchmark("the bank between its positions"),
     "focusing": Benchmark("focusing methods on one scene"),
+    "commands": Benchmark("commands from the shell"),
     "paper": Benchmark(
         "the paper's figures on the virtual rig",
         on_request=True,

@@ -30,6 +30,7 @@ OFFSET = 200
 POST_ROLL = 1000
 RESPONSE_SNR_DB = 40.0
 REFERENCE_SNR_DB = 60.0
+RIDGES = (1e-4, 1e-9)
 MARK_SPEED = 6.0
 MARK_ERROR_DB = -65.0
 PYFAR = "pyfar deconvolve, whole records"
@@ -54,23 +55,27 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     records, sweep = len(work.truth), work.excitation
     estimator = Estimator(sweep, TAPS)
     methods: dict[str, Method] = {
-        "wavefocus": lambda x, y: estimator.estimate(x, y, range_v=(10.0, 1e3)).green,
+        "wavefocus": _ours(estimator),
+        **{f"wavefocus, ridge {ridge:g}": _ours(Estimator(sweep, TAPS, ridge=ridge)) for ridge in RIDGES},
+        "plain H1 in float64": lambda x, y: _plain_h1(sweep)(x.astype(np.float64), y.astype(np.float64)),
         "plain H1, band mask, cut at 0": _plain_h1(sweep),
         "scipy csd / welch H1": _welch_h1(sweep),
     }
     notes = [f"The noise's own limit is {np.median(_limit_db(work, estimator)):.1f} dB."]
-    try:
-        methods |= _pyfar_methods(sweep)
-    except ImportError:
-        notes.append("pyfar is not installed; 'pip install wavefocus[bench]' adds the comparison.")
+    for peer in (_pyfar_methods, _pyfrf_method):
+        try:
+            methods |= peer(sweep)
+        except ImportError as error:
+            notes.append(f"{error.name} is not installed; 'pip install wavefocus[bench]' adds the comparison.")
     actions = {name: partial(method, work.reference, work.response) for name, method in methods.items()}
-    found = measure(actions, 3 if quick else 7, warm=True)
+    found = measure(actions, 3 if quick else 7, warm=True, memory=True)
     points = []
     for name, timing in found.items():
         error_db = band_error_db(timing.result, work.truth, sweep.sample_rate_hz, sweep.band_hz, sweep.period_samples)
         point = Point(
             work=f"estimating {records} records on one thread",
             method=name,
+            error=10 ** (float(np.median(error_db)) / 20),
             timing=timing,
             figures={
                 "ms_a_record": 1e3 * timing.wall_s / records,
@@ -82,7 +87,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
             else (),
         )
         points.append(point.against(found[PYFAR]) if PYFAR in found else point)
-    for more in (nights.compare_nights, nights.stream_recordings, nights.estimate_audio):
+    for more in (nights.measuring_times, nights.compare_nights, nights.stream_recordings, nights.estimate_audio):
         points += more(quick=quick)
     return Findings(points, "the plate's true Green's functions, relative L2 in band", notes)
 
@@ -144,6 +149,10 @@ def _repeats(recording: NDArray[np.float32], excitation: Excitation) -> NDArray[
     return recording[:, OFFSET : OFFSET + length].reshape(recording.shape[0], excitation.averages, -1)
 
 
+def _ours(estimator: Estimator) -> Method:
+    return lambda x, y: estimator.estimate(x, y, range_v=(10.0, 1e3)).green
+
+
 def _plain_h1(excitation: Excitation) -> Method:
     hertz = np.arange(excitation.period_samples // 2 + 1) * excitation.sample_rate_hz / excitation.period_samples
     mask = ((hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)).astype(np.float32)
@@ -194,3 +203,23 @@ def _pyfar_methods(excitation: Excitation) -> dict[str, Method]:
             averaged(x), averaged(y), wide, regu_inside=1e-10, regu_outside=1e-4
         ),
     }
+
+
+def _pyfrf_method(excitation: Excitation) -> dict[str, Method]:
+    import pyFRF
+
+    rate, period = excitation.sample_rate_hz, excitation.period_samples
+    hertz = np.arange(period // 2 + 1) * rate / period
+    mask = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
+
+    def method(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
+        pairs = zip(_repeats(reference, excitation), _repeats(response, excitation), strict=True)
+        h1 = [
+            np.squeeze(
+                pyFRF.FRF(int(rate), exc=x, resp=y, resp_type="v", fft_len=period).get_FRF("H1", form="mobility")
+            )
+            for x, y in pairs
+        ]
+        return np.asarray(scipy.fft.irfft(np.where(mask, np.stack(h1), 0.0), period)[:, :TAPS])
+
+    return {"pyFRF H1, repeats averaged": method}

@@ -32,6 +32,8 @@ class Timing:
         Medians over the runs of the time on the wall and of the CPU time of all threads together.
     spread_s : float, optional
         Difference of the quartiles of the time on the wall; None for a single run.
+    peak_mb : float, optional
+        Peak of the memory that one more run allocated through Python; None where it was not asked for.
     result : object
         Returned by the last run.
     """
@@ -39,6 +41,7 @@ class Timing:
     wall_s: float
     cpu_s: float
     spread_s: float | None = None
+    peak_mb: float | None = None
     result: Any = None
 
     def times(self, factor: float) -> Timing:
@@ -80,6 +83,8 @@ class Point:
         Targets of figures.
     remark : str
         Note for the reader.
+    paste : str
+        TOML lines, under a comment that names their file, that choose this setting; for ``bench choose``.
     """
 
     work: str
@@ -91,13 +96,16 @@ class Point:
     figures: Mapping[str, Plain] = field(default_factory=dict)
     marks: tuple[Mark, ...] = ()
     remark: str = ""
+    paste: str = ""
 
     @property
     def row(self) -> dict[str, Plain]:
         """Its values, by column."""
         timing = {} if self.timing is None else asdict(replace(self.timing, result=None))
         timing.pop("result", None)
-        known = {**self.parameters, "error": self.error, **timing, "peak_mb": self.peak_mb, **self.figures}
+        known = {**self.parameters, "error": self.error, **timing, **self.figures}
+        if self.peak_mb is not None:
+            known["peak_mb"] = self.peak_mb
         return {"method": self.method, **{name: one for name, one in known.items() if one is not None}}
 
     def judged(self, mark: Mark) -> bool | None:
@@ -140,7 +148,7 @@ class Findings:
 
     def write(self, out: Path, name: str, made: Mapping[str, Any]) -> Path:
         """Write ``NAME.json`` and ``NAME.csv`` into a folder; `made` holds the conditions. Returns the former."""
-        points = [{"work": one.work, **one.row, "remark": one.remark} for one in self.points]
+        points = [{"work": one.work, **one.row, "remark": one.remark, "paste": one.paste} for one in self.points]
         marks = [
             {"work": one.work, "method": one.method, **asdict(mark), "met": one.judged(mark)}
             for one in self.points
@@ -159,11 +167,13 @@ def measure(
     once: Sequence[str] = (),
     slow_s: float = 2.0,
     warm: bool = False,
+    memory: bool = False,
 ) -> dict[str, Timing]:
     """Run actions in turns, so that other load of the machine meets all of them.
 
     Those named in `once` run once, those slower than `slow_s` in every third turn. `warm` runs each once untimed before
-    each timed run, so that none pays for the caches as the one before left them.
+    each timed run, so that none pays for the caches as the one before left them. `memory` runs each once more, untimed,
+    for its peak memory.
     """
     walls: dict[str, list[float]] = {name: [] for name in actions}
     cpus: dict[str, list[float]] = {name: [] for name in actions}
@@ -183,6 +193,7 @@ def measure(
             float(np.median(walls[name])),
             float(np.median(cpus[name])),
             float(np.subtract(*np.percentile(walls[name], [75, 25]))) if len(walls[name]) > 1 else None,
+            peak_mb(actions[name]) if memory and name not in once else None,
             results[name],
         )
         for name in actions
@@ -219,14 +230,14 @@ def table(points: Sequence[Point], *, judged: bool = True) -> list[str]:
     """Lines of a table in Markdown, its columns aligned for a console."""
     parameters = [name for point in points for name in point.parameters]
     columns = list(dict.fromkeys(["method", *parameters, *(name for point in points for name in point.row)]))
-    rows = [[_heading(name) for name in columns]]
+    rows = [[heading(name) for name in columns]]
     rows += [[cell(name, point.row.get(name)) for name in columns] for point in points]
-    for heading, cells in (
+    for title, cells in (
         ("mark", ["; ".join(_words(point, mark) for mark in point.marks) if judged else "" for point in points]),
         ("remark", [point.remark for point in points]),
     ):
         if any(cells):
-            rows = [[*row, one] for row, one in zip(rows, [heading, *cells], strict=True)]
+            rows = [[*row, one] for row, one in zip(rows, [title, *cells], strict=True)]
     return markdown(rows)
 
 
@@ -249,13 +260,14 @@ def cell(name: str, value: Plain) -> str:
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
-def _heading(name: str) -> str:
+def heading(name: str) -> str:
+    """A column's name as tables show it."""
     return " ".join(UNITS.get(word, word) for word in name.split("_"))
 
 
 def _words(point: Point, mark: Mark) -> str:
     met = {True: "met", False: "**not met**", None: "not measured"}[point.judged(mark)]
-    return f"{_heading(mark.figure)} at {'most' if mark.at_most else 'least'} {mark.limit:g}: {met}"
+    return f"{heading(mark.figure)} at {'most' if mark.at_most else 'least'} {mark.limit:g}: {met}"
 
 
 def _csv(rows: Iterable[Mapping[str, Plain]]) -> str:

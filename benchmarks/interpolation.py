@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.schedule.grid import surface_grid
 from benchmarks.harness import Findings, Mark, Point, measure
 from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from config.interpolations import INTERPOLATIONS
@@ -22,7 +23,7 @@ from config.outline import Outline
 from config.scene import Output
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
-from rendering.greens.interpolation.base import Interpolation, OffGridError
+from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError
 from rendering.greens.interpolation.kernel import KernelInterpolation
 from rendering.greens.interpolation.left_out_errors import left_out_errors
 from rendering.greens.interpolation.needed_grid import needed_grid
@@ -44,6 +45,9 @@ QUICK_MM = 36.0
 """A quick run keeps to a square of so many millimetres each way."""
 AREA_MM2 = 24_000.0
 ERRORS = (0.01, 0.05)
+SPACINGS_MM = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+HOURS_A_POSITION = 31.0 / 1500
+"""Of sequential capture, three sweeps of 1 s by 20 actuators."""
 
 
 def run(out: Path | None = None, *, quick: bool = False) -> Findings:
@@ -56,6 +60,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     truth = _transfer(true_bank(rig, points_mm, None), range(len(points_mm)))
     banks = {error_db: true_bank(rig, position_mm, error_db) for error_db in (None, -60.0)}
     points = [point for error_db, bank in banks.items() for point in errors_of(bank, error_db, points_mm, truth)]
+    points += spacings(rig, points_mm, truth, quick=quick)
     points += render_times(banks[-60.0])
     points += grids_needed(banks[-60.0], points_mm, ERRORS[:1] if quick else ERRORS)
     return Findings(points, "the plate's true transfer functions")
@@ -78,9 +83,7 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
             chosen = np.array([place for place in chosen if _in_a_cell(kind, points_mm[place])])
             usable_mm = points_mm[chosen]
         nodes = kind.nodes(usable_mm)
-        rows, place = np.unique(nodes.rows, return_inverse=True)
-        values = _transfer(kind.rows_of(bank), rows.tolist())[place.reshape(nodes.rows.shape)]
-        found = np.einsum("pn,pnfa->pfa", nodes.weights, values)
+        found = _summed(kind, nodes, bank)
         right = truth[chosen]
         error = np.linalg.norm(found - right, axis=2) / np.linalg.norm(right, axis=2)
         found_errors = left_out_errors(kernel, usable_mm, None if name == "kernel" else nodes)
@@ -100,6 +103,50 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
                 )
             )
     return points
+
+
+def spacings(rig: VirtualRig, points_mm: Float64Array, truth: Complex128Array, *, quick: bool) -> list[Point]:
+    """Error at the highest frequency of the table against the hours that a grid costs, for grids of several spacings.
+
+    The time on the wall is that of finding all points' rows and weights and adding the rows up.
+    """
+    points = []
+    for spacing_mm in SPACINGS_MM[1::2] if quick else SPACINGS_MM:
+        position_mm = surface_grid(rig.settings.outline, MARGIN_MM, spacing_mm)
+        if quick:
+            position_mm = position_mm[(np.abs(position_mm) < QUICK_MM).all(axis=1)]
+        bank = true_bank(rig, position_mm, -60.0)
+        for name in INTERPOLATIONS:
+            usable = np.ones(len(points_mm), dtype=bool)
+            made = interpolation_method(name).over(bank, points_mm)
+            if isinstance(made, LatticeInterpolation):
+                usable = np.array([_in_a_cell(made, one) for one in points_mm])
+            places = points_mm[usable]
+            timing = measure({name: partial(_interpolated, name, bank, places)}, 3, memory=True)[name]
+            found, right = timing.result[:, -1], truth[usable, -1]
+            error = np.linalg.norm(found - right, axis=1) / np.linalg.norm(right, axis=1)
+            points.append(
+                Point(
+                    work=f"responses between positions at {FREQUENCIES_HZ[-1]:g} Hz", method=name,
+                    parameters={"spacing_mm": spacing_mm}, error=float(np.median(error)), timing=timing,
+                    figures={"positions": bank.positions, "hours": bank.positions * HOURS_A_POSITION},
+                    paste=f'# run.toml\n[grid]\nspacing_mm = {spacing_mm:g}\n\n'
+                    f'# scene.toml\n[output]\ninterpolation = "{name}"',
+                )
+            )  # fmt: skip
+    return sorted(points, key=lambda one: list(INTERPOLATIONS).index(one.method))
+
+
+def _interpolated(name: str, bank: GreenArray, points_mm: Float64Array) -> Complex128Array:
+    kind = interpolation_method(name).over(bank, points_mm)
+    return _summed(kind, kind.nodes(points_mm), bank)
+
+
+def _summed(kind: Interpolation, nodes: Nodes, bank: GreenArray) -> Complex128Array:
+    """Transfer functions (points, frequencies, actuators) between the positions."""
+    rows, place = np.unique(nodes.rows, return_inverse=True)
+    values = _transfer(kind.rows_of(bank), rows.tolist())[place.reshape(nodes.rows.shape)]
+    return np.asarray(np.einsum("pn,pnfa->pfa", nodes.weights, values))
 
 
 def render_times(bank: GreenArray) -> list[Point]:

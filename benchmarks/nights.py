@@ -20,6 +20,7 @@ import math
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -93,11 +94,36 @@ def compare_nights(*, quick: bool = False) -> list[Point]:
     return points
 
 
-def _night(settings: VirtualSettings, positions: int, *, staggered: bool) -> dict[str, float]:
+def measuring_times(*, quick: bool = False) -> list[Point]:
+    """Error of a night against its hours: length and number of sweeps, one after another and all at once."""
+    settings = VirtualSettings(dropout_probability=0.0, noise_v=NOISE_V)
+    positions = 3 if quick else 12
+    sequential = [(s, n) for s in (0.5, 1.0, 2.0) for n in (1, 3)] if not quick else [(0.5, 1), (1.0, 3)]
+    schedules: list[tuple[str, dict[str, Any]]] = [
+        *(("sequential", {"sweep_s": sweep_s, "averages": averages}) for sweep_s, averages in sequential),
+        *(("staggered", {"periods": periods}) for periods in ((1, 2) if quick else (1, 2, 4, 8))),
+    ]
+    points = []
+    for method, parameters in schedules:
+        night = _night(settings, positions, staggered=method == "staggered", **parameters)
+        keys = {"sweep_s": "duration_s", "averages": "averages", "periods": "periods"}
+        lines = [f"{keys[name]} = {value}" for name, value in parameters.items()]
+        sweep = [f"[sweep]\n{lines.pop(0)}\n"] if method == "sequential" else []
+        points.append(
+            Point(
+                work=f"measuring {NIGHT} x 20 responses, {positions} positions of it tried",
+                method=method, parameters=parameters, error=10 ** (night["median_db"] / 20), figures=night,
+                paste="\n".join(["# run.toml", *sweep, "[capture]", f'excitation = "{method}"', *lines]),
+            )
+        )  # fmt: skip
+    return points
+
+
+def _night(settings: VirtualSettings, positions: int, **schedule: Any) -> dict[str, float]:
     """Measure some positions of the night, evenly spread, through the engine into a bank."""
     rig = VirtualRig(settings)
     rows = np.linspace(0, NIGHT - 1, positions).round().astype(np.int64)
-    plan = sweep_plan(default_grid(rig)[rows], rig, staggered=staggered)
+    plan = sweep_plan(default_grid(rig)[rows], rig, **schedule)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "night.h5"
         setup = rig_setup(rig)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.harness import Findings, Mark, Point, Timing, measure, peak_mb, relative_error
-from benchmarks.render_precision import precision_points
+from benchmarks.render_precision import field_points, precision_points
 from benchmarks.render_workloads import (
     RATE_HZ,
     Workload,
@@ -64,7 +64,8 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     points += compare_fields(bank, repeats, seconds=1.0 if quick else 4.0)
     points += compare_denormals(repeats)
     points += measure_exponents(bank, repeats, 100 if quick else 1000)
-    points += precision_points(out, quick=quick)
+    points += precision_points(quick=quick)
+    points += field_points(bank, quick=quick)
     notes = ["`times` is the peer's time, by the wall or the CPU, whichever is less, over ours; the peer comes first."]
     return Findings(points, "the method that comes first, in float64", notes)
 

@@ -1,14 +1,14 @@
-"""The work-precision picture: error against run time for all renderers of one moving source."""
+"""Error against run time of all renderers of one moving source, and of all predictors of one field."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import scipy.special
+from scipy.signal import oaconvolve
 
 from benchmarks.harness import Point, measure, relative_error
 from benchmarks.render_workloads import (
@@ -17,37 +17,30 @@ from benchmarks.render_workloads import (
     TAPS,
     Workload,
     convolve_and_overlap_add,
+    convolve_positions,
+    field_drive,
     noise,
     sum_directly,
 )
 from config.scene import Output
 from rendering.drive.rendering import render_with_report
+from rendering.field.model import predict
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle
-from storage.output_files import replacement
 
 SPEED_MM_S = 100.0
 STEPS_MM = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 TOLERANCES_DB = (-20.0, -40.0, -60.0, -80.0)
 SAMPLED_TOLERANCE_DB = -60.0
+FEW_ROWS = 100
 WAVE_SPEED_MM_S = 5000.0
-FLOOR = 1e-10
 DIRECT = "direct summation of eq. (9), the reference"
 EXACT = "exact, all bins"
 LOOSE = "exact, left out by a proved bound"
 SAMPLED = "sampled path (the paper's)"
 SAMPLED_LOOSE = "sampled path, to -60 dB"
 PEER = "gpuRIR's method, nearest row"
-STYLES: dict[str, tuple[str, str, tuple[tuple[int, int], ...]]] = {
-    DIRECT: ("#000000", "*", ()),
-    EXACT: ("#0072b2", "o", ()),
-    LOOSE: ("#56b4e9", "s", ((-8, 0), (8, 0))),
-    SAMPLED: ("#009e73", "^", ((10, -5), (10, 5))),
-    SAMPLED_LOOSE: ("#e69f00", "d", ()),
-    PEER: ("#cc79a7", "v", ((0, 12), (6, 10))),
-}
-"""Colours for the colour-blind, markers, and places of the labels at the two ends of a line, if any."""
 
 
 def smooth_bank(columns: int, rows: int) -> GreenArray:
@@ -70,8 +63,8 @@ def smooth_bank(columns: int, rows: int) -> GreenArray:
     return GreenArray(values, position_mm, RATE_HZ, band_hz=(20, 500))
 
 
-def precision_points(out: Path, *, quick: bool) -> list[Point]:
-    """Measure all methods against direct summation of eq. (9) and draw `render-precision.png`.
+def precision_points(*, quick: bool) -> list[Point]:
+    """Measure all methods against direct summation of eq. (9).
 
     All of them take the bank at any place by bilinear interpolation, so that the error is that of the path's
     sampling and of the parts left out alone; gpuRIR's method has the nearest row only.
@@ -97,59 +90,65 @@ def precision_points(out: Path, *, quick: bool) -> list[Point]:
         *((SAMPLED_LOOSE, {"step_mm": step}, ours("sampled", step, SAMPLED_TOLERANCE_DB)) for step in STEPS_MM),
         *((PEER, {"step_mm": step}, partial(convolve_and_overlap_add, load(step))) for step in STEPS_MM),
     ]
-    found = measure({str(number): action for number, (_, _, action) in enumerate(actions)}, repeats, once=("0",))
+    named = {str(number): action for number, (_, _, action) in enumerate(actions)}
+    found = measure(named, repeats, once=("0",), memory=True)
     truth = found["0"].result
     points = []
     for (method, parameters, _), timing in zip(actions, found.values(), strict=True):
         drive_v = timing.result if isinstance(timing.result, np.ndarray) else timing.result[0].drive_v
         # A sampled path may emit a little longer: up to here, nothing emitted after the last sample has come.
         error = None if method == DIRECT else relative_error(drive_v[:, :samples], truth[:, :samples])
-        points.append(Point(work=work, method=method, parameters=parameters, timing=timing, error=error))
-    draw(out / "render-precision.png", points, work)
+        points.append(
+            Point(
+                work=work, method=method, parameters=parameters, timing=timing, error=error,
+                paste="" if method in (DIRECT, PEER) else _paste(method, parameters),
+            )
+        )  # fmt: skip
     return points
 
 
-def draw(path: Path, points: list[Point], title: str) -> None:
-    """Draw error over the path's sample distance, and over run time, on one scale of errors."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def _paste(method: str, parameters: dict[str, float]) -> str:
+    loose_db = parameters.get("tolerance_db", SAMPLED_TOLERANCE_DB if method == SAMPLED_LOOSE else None)
+    options = [
+        f"--method {'exact' if method in (EXACT, LOOSE) else 'sampled'}",
+        *([] if loose_db is None else [f"--tolerance-db {loose_db:g}"]),
+    ]
+    keys = [f"step_mm = {step:g}  # of every source" for name, step in parameters.items() if name == "step_mm"]
+    return "\n".join([f"# scene.toml, rendered with: wavefocus render {' '.join(options)}", *keys])
 
-    figure = Figure(figsize=(11.0, 6.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    over_step, over_time = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.35))
-    for method, (colour, marker, shifts) in STYLES.items():
-        mine = [point for point in points if point.method == method]
-        error = [max(point.error or 0.0, FLOOR) for point in mine]
-        cpu_s = [point.timing.cpu_s for point in mine if point.timing is not None]
-        style = {"color": colour, "marker": marker, "markersize": 6, "linewidth": 1.4}
-        steps = [float(point.parameters["step_mm"] or 0) for point in mine if "step_mm" in point.parameters]
-        if steps:
-            over_step.plot(steps, error, **style)
-        for height, point in zip(error, mine if not steps else [], strict=False):
-            over_step.axhline(height, color=colour, linewidth=1.0, linestyle=(0, (4, 3)))
-            if point.parameters:
-                label = {"ha": "right", "va": "bottom", "fontsize": 8, "color": colour}
-                text = f"tolerance {point.parameters['tolerance_db']:g} dB"
-                over_step.annotate(text, (STEPS_MM[-1], height), **label)
-        over_time.plot(cpu_s, error, label=method, **style)
-        # Labels at its ends show the direction of a line; the steps between are those of the other panel.
-        for place, shift in zip((0, -1), shifts, strict=False):
-            ((name, value),) = mine[place].parameters.items()
-            over_time.annotate(
-                f"{value:g} {'mm' if name == 'step_mm' else 'dB'}", (cpu_s[place], error[place]), shift,
-                textcoords="offset points", fontsize=8, color=colour, va="center",
-                ha="left" if shift[0] >= 0 else "right",
-            )  # fmt: skip
-    over_step.set(xscale="log", yscale="log", xlabel="sample distance d of the path in mm", ylim=(FLOOR / 3, 5.0))
-    over_step.set_xticks(STEPS_MM, [f"{step:g}" for step in STEPS_MM])
-    over_step.minorticks_off()
-    over_step.set_ylabel(f"relative L2 error of the drives (at {FLOOR:g}: that or less)")
-    over_time.set(xscale="log", xlabel="CPU time in s")
-    for axes in (over_step, over_time):
-        axes.grid(visible=True, which="major", alpha=0.25)
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(f"Error against the continuous path, over d and over run time: {title}")
-    labels = over_time.get_legend_handles_labels()
-    figure.legend(*labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
-    with replacement(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+
+def field_points(bank: GreenArray, *, quick: bool) -> list[Point]:
+    """Fields of one drive by all ways, against convolution in float64."""
+    seconds, repeats = (0.5, 1) if quick else (4.0, 3)
+    drive = field_drive(bank, seconds)
+    rows = np.linspace(0, bank.positions - 1, FEW_ROWS).astype(int).tolist()
+    truth_by, together = (
+        "fftconvolve per position and actuator, the reference",
+        "oaconvolve, all actuators of a position",
+    )
+    ways: list[tuple[str, dict[str, float], Callable[[], Any]]] = [
+        (truth_by, {}, lambda: convolve_positions(bank, drive.drive_v, rows)),
+        (together, {}, lambda: np.stack([oaconvolve(drive.drive_v, bank.values[row], axes=1).sum(0) for row in rows])),
+        ("ours, float64", {}, lambda: predict(drive, bank, rows).field),
+        ("ours, float32", {}, lambda: predict(drive, bank, rows, dtype=np.float32).field),
+        *(
+            ("ours, float32, left out by a proved bound", {"tolerance_db": db},
+             lambda db=db: predict(drive, bank, rows, dtype=np.float32, tolerance_db=db).field)
+            for db in TOLERANCES_DB
+        ),
+    ]  # fmt: skip
+    found = measure({str(number): way for number, (_, _, way) in enumerate(ways)}, repeats, once=("0",), memory=True)
+    work = f"field of {seconds:g} s at {FEW_ROWS} positions"
+    return [
+        Point(
+            work=work, method=method, parameters=parameters, timing=timing,
+            error=None if method == truth_by else relative_error(timing.result, found["0"].result),
+            paste=_field_paste(parameters) if method.startswith("ours, float32") else "",
+        )
+        for (method, parameters, _), timing in zip(ways, found.values(), strict=True)
+    ]  # fmt: skip
+
+
+def _field_paste(parameters: dict[str, float]) -> str:
+    options = "".join(f" --tolerance-db {value:g}" for value in parameters.values())
+    return f"# no key of a file: wavefocus predict{options}"

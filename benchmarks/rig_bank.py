@@ -83,11 +83,20 @@ def rig_setup(rig: VirtualRig) -> Setup:
     )
 
 
-def sweep_plan(position_mm: Float64Array, rig: VirtualRig, *, staggered: bool = False) -> Plan:
+def sweep_plan(
+    position_mm: Float64Array,
+    rig: VirtualRig,
+    *,
+    staggered: bool = False,
+    sweep_s: float = 1.0,
+    averages: int = 3,
+    periods: int = 1,
+) -> Plan:
     """The default campaign at some positions: three sweeps of 1 s per actuator, or one period of staggered ones."""
     actuator_mm = np.asarray(rig.settings.actuator_mm, dtype=np.float64)
-    sweep = Excitation(RATE_HZ, *BAND_HZ, 1.0, TAPS / RATE_HZ, 1.0, 3)
-    signal = StaggeredSignal(sweep, rig.settings.actuators, TAPS, round(STAGGER_S * RATE_HZ)) if staggered else None
+    sweep = Excitation(RATE_HZ, *BAND_HZ, sweep_s, TAPS / RATE_HZ, 1.0, averages)
+    stagger = round(STAGGER_S * RATE_HZ)
+    signal = StaggeredSignal(sweep, rig.settings.actuators, TAPS, stagger, 1, periods) if staggered else None
     # Scattered positions of a grid would all be measured twice, which the whole grid is not.
     quality = QualityLimits(second_look="never")
     return Plan(position_mm, actuator_mm, np.arange(len(position_mm)), sweep, TAPS, "0" * 64, quality, staggered=signal)

@@ -1,4 +1,4 @@
-"""Write docs/reference/benchmarks.md and paper-figures.md from what `wavefocus bench` measured.
+"""Write docs/error-against-run-time/ and docs/reference/paper-figures.md from what `wavefocus bench` measured.
 
 Run as ``python tools/benchmark_pages.py bench-out`` from the project's folder, after ``wavefocus bench all --out
 bench-out`` and ``wavefocus bench paper --out bench-out``; `make bench` does all of that. Figures of a quick run are
@@ -17,6 +17,7 @@ from benchmarks import BENCHMARKS
 from benchmarks.harness import markdown
 
 DOCS = Path("docs")
+PAGE = DOCS / "error-against-run-time/README.md"
 BUSY = 0.8
 """Load per core before a benchmark above which the machine is called busy; the benchmark before leaves 0.5 to 0.75."""
 
@@ -35,40 +36,42 @@ def main(arguments: list[str]) -> int:
         return 1
     paper = measured.pop("paper", None)
     if measured:
-        (DOCS / "reference/benchmarks.md").write_text(_page(measured), encoding="utf-8")
+        shutil.rmtree(PAGE.parent, ignore_errors=True)
+        PAGE.parent.mkdir(parents=True)
+        PAGE.write_text(_page(measured), encoding="utf-8")
+        for found in measured.values():
+            for picture in found["diagrams"].values():
+                shutil.copyfile(folder / picture, PAGE.parent / picture)
     if paper is not None:
         (DOCS / "reference/paper-figures.md").write_text(_paper_page(paper), encoding="utf-8")
-    for name in [*measured, *(["paper"] if paper else [])]:
-        for picture in BENCHMARKS[name].pictures:
-            shutil.copyfile(folder / picture, DOCS / "pictures" / _picture(name, picture))
+        for picture in BENCHMARKS["paper"].pictures:
+            shutil.copyfile(folder / picture, DOCS / "pictures" / f"paper-{picture}")
     return 0
 
 
 def _page(measured: dict[str, Any]) -> str:
     parts = [
-        "# Benchmarks, as measured\n\nMade by `make bench`; every time is the median of some runs, the methods taking"
+        "# Error against run time\n\nMade by `make bench`; every time is the median of some runs, the methods taking"
         " turns in one process, its spread\nthe difference of the quartiles. `times` is the peer's wall or CPU time,"
-        " whichever is less, over our wall time. Expect\nratios to vary by a quarter from run to run. [The paper's"
-        " figures](paper-figures.md) and the [stiff and extreme\ncases](stiff-cases.md) have pages of their own.\n",
+        " whichever is less, over our wall time. Expect\nratios to vary by a quarter from run to run. Grey in a diagram"
+        " is the Pareto front: no other setting beats those on it in\nerror and in time. `wavefocus bench choose"
+        " --error-db -60` prints the cheapest settings measured on your machine.\n[The paper's"
+        " figures](../reference/paper-figures.md) and the [stiff and extreme cases](../reference/stiff-cases.md) have\n"
+        "pages of their own.\n",
         _conditions(measured),
     ]
     for name, found in measured.items():
-        one = BENCHMARKS[name]
-        pictures = "".join(f"\n![{one.title}](../pictures/{_picture(name, file)})\n" for file in one.pictures)
-        head = f"## {one.title.capitalize()}\n\n`wavefocus bench {name}`, {found['made']['seconds']:.0f} s"
-        parts.append("\n".join([head, "", *found["lines"], pictures]))
+        head = f"## {BENCHMARKS[name].title.capitalize()}\n\n`wavefocus bench {name}`, {found['made']['seconds']:.0f} s"
+        drawn = {f"**{work}**": ["", f"![{work}]({file})"] for work, file in found["diagrams"].items()}
+        parts.append("\n".join([head, "", *(one for line in found["lines"] for one in (line, *drawn.get(line, [])))]))
     return "\n".join(parts)
 
 
 def _paper_page(found: dict[str, Any]) -> str:
-    pictures = [f"![Figure {file[:2]} of the paper](../pictures/{_picture('paper', file)})\n" for file in
+    pictures = [f"![Figure {file[:2]} of the paper](../pictures/paper-{file})\n" for file in
                 BENCHMARKS["paper"].pictures]  # fmt: skip
     head = ["# The paper's figures on the virtual rig", "", "Made by `wavefocus bench paper`.", ""]
     return "\n".join([*head, *found["lines"], "", "## Figures", "", *pictures])
-
-
-def _picture(benchmark: str, file: str) -> str:
-    return f"paper-{file}" if benchmark == "paper" else file
 
 
 def _conditions(measured: dict[str, Any]) -> str:

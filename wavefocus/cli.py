@@ -415,8 +415,10 @@ COMMANDS = (
     Command(
         "bench", "bench:bench", "Measure error against run time, ours beside peers.",
         (
-            argument("what", nargs="?", choices=(*BENCHMARKS, "all"), default="all", help="Which benchmark."),
-            _out("DIR", "Folder for tables.", required=False, default=Path("bench-out")),
+            argument("what", nargs="?", choices=(*BENCHMARKS, "all", "choose"), default="all",
+                     help="Which benchmark; or print the cheapest settings that keep to an error."),
+            _out("DIR", "Folder for tables, diagrams and a page.", required=False, default=Path("bench-out")),
+            number("--error-db", -300, -1e-6, metavar="DB", help="For choose: largest relative error, below 0."),
             switch("--quick", help="Small sizes, to see that it works."),
             FORCE,
         ),

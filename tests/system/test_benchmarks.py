@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import bank, cluster, focusing, interpolation, paper
+from benchmarks import bank, cluster, commands, focusing, interpolation, paper, plates
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.long]
 
@@ -42,6 +42,23 @@ def test_the_bank_s_benchmark_commits_every_position_and_reads_it_back(tmp_path)
     commit = bank.run(tmp_path, quick=True).points[0]
     assert 0 < commit.figures["median_ms"] <= commit.figures["worst_ms"]
     assert not list(tmp_path.iterdir())
+
+
+def test_the_plates_benchmark_converges():
+    points = plates.run(quick=True).points
+    for method in ("elements of fourth order", "leapfrog at its limit"):
+        error = [one.error for one in points if one.method == method]
+        assert len(error) >= 2
+        assert error == sorted(error)
+    assert all(one.error < 1e-6 for one in points if one.method.startswith("table"))
+
+
+def test_the_commands_benchmark_times_whole_commands_and_a_tolerance_s_error():
+    points = commands.run(quick=True).points
+    assert all(one.timing.wall_s > 0 and one.timing.peak_mb > 10 for one in points)
+    found = {one.parameters.get("tolerance_db"): one.error for one in points if one.parameters}
+    assert 0 < found[-80.0] < 1e-4
+    assert found[-80.0] < found[-40.0] < 1e-2
 
 
 def test_the_cluster_s_benchmark_writes_the_same_bytes_within_its_limit(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,8 +12,13 @@ import numpy as np
 import pytest
 
 from benchmarks import BENCHMARKS
+from benchmarks.choose import chosen_lines
+from benchmarks.diagrams import draw_diagrams, pareto
 from benchmarks.harness import Findings, Mark, Point, Timing, measure
 from benchmarks.machine import conditions, load
+from benchmarks.page import html_page
+from storage.errors import InputError
+from wavefocus.commands.bench import bench
 
 
 def test_every_registered_benchmark_is_a_module() -> None:
@@ -66,3 +72,52 @@ def test_points_are_written_as_json_csv_and_tables_with_their_marks(tmp_path: Pa
 def test_a_mark_of_a_figure_that_was_not_measured_is_not_judged(value: float | None) -> None:
     point = Point(work="w", method="m", figures={"hours": value}, marks=(Mark("hours", 2.0, at_most=True),))
     assert point.judged(point.marks[0]) is (None if value is None else False)
+
+
+def test_the_pareto_front_is_what_nothing_beats_in_cost_and_error() -> None:
+    assert pareto([(3.0, 0.1), (1.0, 0.5), (2.0, 0.6), (2.0, 0.1), (4.0, 0.01)]) == [1, 3, 4]
+
+
+def _precision(method: str, step: float, error: float, wall_s: float) -> Point:
+    paste = f"# scene.toml\nstep_mm = {step:g}" if method == "ours" else ""
+    return Point(
+        work="w", method=method, parameters={"step_mm": step}, error=error, timing=Timing(wall_s, wall_s), paste=paste
+    )
+
+
+def test_a_work_of_three_errors_is_a_diagram_on_a_page_that_needs_no_other_file(tmp_path: Path) -> None:
+    findings = Findings([_precision("ours", 1.0, 1e-4, 3.0), _precision("ours", 2.0, 1e-3, 1.0),
+                         _precision("peer", 1.0, 1e-2, 2.0), Point(work="too few", method="m", error=0.1)])  # fmt: skip
+    diagrams = draw_diagrams(findings, tmp_path, "some")
+    assert set(diagrams) == {"w"}
+    made = conditions("wavefocus bench some") | {"load_after": None}
+    path = findings.write(tmp_path, "some", {"quick": False, "made": made, "diagrams": diagrams})
+    measured = {"some": json.loads(path.read_text(encoding="utf-8"))}
+    page = html_page(measured, {"some": "a <title>"}, tmp_path)
+    assert page.count("data:image/png;base64,") == 1
+    assert page.count("<table>") == page.count("</table>") == 2
+    assert "&lt;title&gt;" in page
+    assert "src='some" not in page
+
+
+def test_the_cheapest_setting_within_the_error_is_chosen_and_is_toml(tmp_path: Path) -> None:
+    findings = Findings([_precision("ours", 1.0, 1e-4, 3.0), _precision("ours", 2.0, 9e-4, 1.0),
+                         _precision("ours", 4.0, 1e-2, 0.5), _precision("peer", 1.0, 1e-6, 0.1)])  # fmt: skip
+    path = findings.write(tmp_path, "some", {})
+    measured = {"some": json.loads(path.read_text(encoding="utf-8"))}
+    assert tomllib.loads("\n".join(chosen_lines(measured, -60.0))) == {"step_mm": 2.0}
+    assert tomllib.loads("\n".join(chosen_lines(measured, -80.0))) == {"step_mm": 1.0}
+    assert tomllib.loads("\n".join(chosen_lines(measured, -90.0))) == {}
+
+
+def test_settings_of_another_machine_or_of_a_quick_run_are_not_chosen(tmp_path: Path) -> None:
+    findings = Findings([_precision("ours", 1.0, 1e-4, 3.0)])
+    made = conditions("wavefocus bench bank")
+    findings.write(tmp_path, "bank", {"quick": True, "made": made})
+    with pytest.raises(InputError, match="no full measurements"):
+        bench("choose", tmp_path, quick=False, error_db=-60.0)
+    findings.write(tmp_path, "bank", {"quick": False, "made": made | {"processor": "another"}})
+    with pytest.raises(InputError, match="another machine"):
+        bench("choose", tmp_path, quick=False, error_db=-60.0)
+    with pytest.raises(InputError, match="--error-db"):
+        bench("choose", tmp_path, quick=False)
