@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-import h5py
 import numpy as np
 
 from benchmarks.harness import Findings, Mark, Point, Timing, measure, relative_error
@@ -24,6 +23,7 @@ from mocks.virtual.rig import VirtualRig
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter, create_bank
+from storage.field_file import read_field
 
 Key = TypeVar("Key")
 TOLERANCES_DB = (None, -80, -60, -40)
@@ -69,8 +69,7 @@ def _tolerances(command: tuple[object, ...], file: Path, repeats: int) -> list[P
     written = {}
     for db in TOLERANCES_DB:
         run_command(*arguments[db])
-        with h5py.File(file, "r") as content:
-            written[db] = np.asarray(content["field"], dtype=np.float64)
+        written[db] = np.asarray(read_field(file).field, dtype=np.float64)
     return [
         Point(
             work="wavefocus predict, the whole command", method="exact" if db is None else "to a tolerance",
