@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from benchmarks.harness import Findings, Mark, Point, measure, relative_error
 from config.outline import Outline
 from mocks.plates.finite_elements import Elements, triangulate
+from mocks.plates.infinite import PlateTable
 from mocks.plates.soft import SOFT_PLATE
-from mocks.plates.soft_table import PlateTable
 from mocks.plates.thin import ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s
 
 Float64Array = NDArray[np.float64]
