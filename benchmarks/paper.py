@@ -16,7 +16,7 @@ from benchmarks import paper_figures as figures
 from benchmarks.harness import Findings, Point, measure
 from benchmarks.paper_measures import CLEAR_MM, SATURATION, Paper, clear_rows, focus_fields, focus_figures
 from benchmarks.rig_bank import paper_bank
-from rendering.field.impulse_travel import impulse_travel
+from rendering.field.wave_figures import impulse_travel
 from storage.output_files import write_whole
 
 FOCI, QUICK_FOCI = 120, 24

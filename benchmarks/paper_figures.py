@@ -24,8 +24,8 @@ from config.scene import Regularisation
 from rendering.field import metrics
 from rendering.field.crosstalk import crosstalk_table
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
-from rendering.field.green_correlation import correlation_over_distance
-from rendering.field.model import predict
+from rendering.field.prediction import predict
+from rendering.field.wave_figures import correlation_over_distance
 from rendering.greens.regularisation import focus_gain_map
 from rendering.report.canvas import FAINT, INK, MAP_GAP_PX, TITLE_PX, Canvas, Panel, Picture, draw_maps
 from rendering.report.figures import PREDICTION, SCAN

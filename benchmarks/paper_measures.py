@@ -13,8 +13,8 @@ from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
 from rendering.field import metrics
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
-from rendering.field.model import predict, predict_rows
-from rendering.field.path_spectrum import PathSpectrum, path_spectrum
+from rendering.field.prediction import Prediction, predict
+from rendering.field.wave_figures import PathSpectrum, path_spectrum
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenArray, read_row, usable
 from rendering.report.canvas import Surface
@@ -112,7 +112,7 @@ def fields_at(drive: Drive, bank: GreenArray, samples: Sequence[int]) -> Float32
     first = round(drive.start_s * drive.sample_rate_hz)
     columns = np.asarray(samples, dtype=np.int64) - first
     found = np.empty((len(columns), bank.positions), dtype=np.float32)
-    for part in predict_rows(drive, bank, range(bank.positions)):
+    for part in Prediction(drive, bank, range(bank.positions)).rows():
         found[:, part.position_index] = part.field[:, columns].T
     return found
 

@@ -34,8 +34,7 @@ from benchmarks.render_workloads import (
 from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
 from rendering.field.bank_spectra import BankSpectra
-from rendering.field.model import predict
-from rendering.field.prediction import Prediction
+from rendering.field.prediction import Prediction, predict
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene
 
@@ -200,7 +199,7 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Point
     some = every[:: bank.positions // NAIVE_POSITIONS][:NAIVE_POSITIONS]
     at_full, at_low = f"ours, to {TOLERANCE_DB:g} dB", f"ours, at {LOWER_HZ:g} Hz"
     making = {
-        at_full: partial(BankSpectra, bank, every, tolerance_db=TOLERANCE_DB),
+        at_full: partial(BankSpectra, bank, every),
         at_low: partial(BankSpectra, bank, every, rate_hz=LOWER_HZ),
     }
     made = measure(making, 1)

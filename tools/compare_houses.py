@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from config.scene import Output, Regularisation
 from rendering.drive.live import StreamedDrive
 from rendering.drive.rendering import render_with_report
-from rendering.field.model import predict
+from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Line, Point

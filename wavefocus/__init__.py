@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from calibration.estimator.raw_estimation import estimate_positions as estimate
     from calibration.estimator.raw_estimation import estimator_of as estimator
     from rendering.drive.rendering import render
-    from rendering.field.model import predict
+    from rendering.field.prediction import predict
     from rendering.scene.loading import load_scene
     from storage.bank.reading import open_bank
     from storage.drive_file import read_drive, write_drive
@@ -32,7 +32,7 @@ _MODULES = {
     "load_scene": "rendering.scene.loading",
     "open_bank": "storage.bank.reading",
     "open_raw": "storage.raw.reading",
-    "predict": "rendering.field.model",
+    "predict": "rendering.field.prediction",
     "read_drive": "storage.drive_file",
     "read_field": "storage.field_file",
     "render": "rendering.drive.rendering",

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from rendering.band import Band, choose_band, relative_bound, row_norms
 from rendering.device import Device, fast_length
-from rendering.field.bank_spectra import BankSpectra, RowsSpectra, transform_rows
-from rendering.field.decimation import Decimation
+from rendering.field.bank_spectra import BankSpectra, Decimation, RowsSpectra, transform_rows
 from rendering.greens.source import RowReader
 from storage.errors import InputError
 
@@ -94,7 +93,7 @@ class Convolution:
     dtype: float32 or float64: of samples, and of the spectra's parts where nothing is left out.
     positions, int64 array: Rows that `respond` will be asked for.
     tolerance: Relative magnitude that may be left out of each part of the field; 0: nothing is.
-    kept: Spectra of the rows, kept from earlier; then `tolerance` is theirs.
+    kept: Spectra of the rows, kept from earlier, of which nothing is left out.
     """
 
     def __init__(
@@ -113,7 +112,8 @@ class Convolution:
         self.samples = -(-(drive_v.shape[1] + reader.taps - 1) // decimation.factor)
         """Samples of a response."""
         self._drive_v = drive_v
-        self._drive = self._spectra(None if kept is None else kept.band.fft_samples)
+        fft_samples = self._fft_samples() if kept is None else kept.band.fft_samples
+        self._drive = DriveSpectra(drive_v, reader.taps, fft_samples, decimation, device)
         self.band = Band(self._drive.fft_samples, self._drive.bins, single=dtype == np.float32)
         if kept is not None:
             self.band = kept.band
@@ -137,18 +137,18 @@ class Convolution:
     def respond(self, positions: Int64Array) -> Response:
         """Responses at some positions; raises InputError where a row cannot be used or a response does not fit."""
         rows = self._rows(positions, self.band) if self._kept is None else self._kept.rows(positions)
-        response = self._convolved(positions, rows, self._drive, self.band)
+        response = self._convolved(positions, rows, self.band)
         if relative_bound(response.error, math.sqrt(response.energy)) <= self._tolerance:
             return response
         band = Band(self._drive.fft_samples, self._drive.bins)
-        return self._convolved(positions, self._rows(positions, band), self._drive, band)
+        return self._convolved(positions, self._rows(positions, band), band)
 
     def _rows(self, positions: Int64Array, band: Band) -> RowsSpectra:
-        bounded = self._tolerance > 0
-        return transform_rows(self._reader, positions.tolist(), band, self._drive.bins, self._device, bounded=bounded)
+        bins = self._drive.bins if self._tolerance else 0
+        return transform_rows(self._reader, positions.tolist(), band, self._device, bounded_bins=bins)
 
-    def _convolved(self, positions: Int64Array, rows: RowsSpectra, drive: DriveSpectra, band: Band) -> Response:
-        xp, count = self._device.xp, len(positions)
+    def _convolved(self, positions: Int64Array, rows: RowsSpectra, band: Band) -> Response:
+        xp, count, drive = self._device.xp, len(positions), self._drive
         total = np.zeros((count, (drive.count - 1) * drive.lower_hop + drive.lower_samples), dtype=band.real)
         squares = np.zeros(count)
         for group in drive.groups():
@@ -162,7 +162,7 @@ class Convolution:
                 first = block * drive.lower_hop
                 total[:, first : first + drive.lower_samples] += parts[:, place]
             if self._tolerance:
-                squares += self._errors(rows, self._device.to_host(blocks), drive, band)
+                squares += self._errors(rows, self._device.to_host(blocks), band)
         lead = self._decimation.half
         field = self._scaled(total[:, lead : lead + self.samples], rows.exponents, drive.exponent, positions)
         if not self._tolerance:
@@ -172,7 +172,7 @@ class Convolution:
             errors = np.ldexp(np.ldexp(errors, rows.exponents), drive.exponent)
         return Response(field, float(np.linalg.norm(errors)), float(np.square(row_norms(field)).sum()))
 
-    def _errors(self, rows: RowsSpectra, blocks: NDArray[Any], drive: DriveSpectra, band: Band) -> Float64Array:
+    def _errors(self, rows: RowsSpectra, blocks: NDArray[Any], band: Band) -> Float64Array:
         """Squares of bounds on the errors of some blocks, added up, (rows,)."""
         assert rows.magnitude is not None
         power = np.square(rows.magnitude)
@@ -180,7 +180,7 @@ class Convolution:
         left_out = np.sqrt(power[:, band.kept :] @ driven[band.kept :])
         coherent = np.sqrt(power.sum(axis=1)[:, None] * driven.max(axis=0))
         errors = left_out + band.rounding_units(rows.kept.shape[2]) * coherent
-        return np.asarray(2.0 / drive.lower_samples * np.square(errors).sum(axis=1))
+        return np.asarray(2.0 / self._drive.lower_samples * np.square(errors).sum(axis=1))
 
     def _scaled(self, field: NDArray[Any], rows: Int64Array, drive: int, positions: Int64Array) -> RealArray:
         total = rows + drive
@@ -210,10 +210,6 @@ class Convolution:
         coherent = drive.overlap * float(power.sum() * driven.max(axis=0).sum())
         actuators = self._reader.actuators
         return choose_band(drive.fft_samples, contribution, energy, coherent, actuators, self._tolerance)
-
-    def _spectra(self, fft_samples: int | None) -> DriveSpectra:
-        length = self._fft_samples() if fft_samples is None else fft_samples
-        return DriveSpectra(self._drive_v, self._reader.taps, length, self._decimation, self._device)
 
     def _fft_samples(self) -> int:
         """Transform length that costs least per row: a transform per actuator, a product and one back per block."""

@@ -39,6 +39,8 @@ class PathResponses:
     rows: Rows of the path's points, at most some dozens.
     signal, float64 (samples,): Emitted by every focus, at the bank's rate; by default an impulse.
     regularisation: Saturation and normalisation; by default normalised, without saturation.
+
+    Raises InputError: a row is not measured, or the responses do not fit into memory.
     """
 
     def __init__(

@@ -103,6 +103,8 @@ def focus_peak(
 
     field, (positions,): The field at one instant, any unit.
     near_mm: Intended place of the focus.
+
+    Returns None when no position lies within the radius.
     """
     rows = np.flatnonzero(np.hypot(*(position_mm - np.asarray(near_mm)).T) <= radius_mm)
     if not rows.size:

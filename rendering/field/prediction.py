@@ -1,4 +1,4 @@
-"""Response of the surface to a drive as the bank predicts it (eqs. 4 and 17), row by row."""
+"""Drives into fields: the response that the bank predicts (eqs. 4 and 17), row by row."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from numpy.typing import DTypeLike, NDArray
 from calibration.blas import one_blas_thread
 from rendering.band import relative_bound, tolerance_of
 from rendering.device import Device, fast_length, host_device
-from rendering.field.bank_spectra import BankSpectra
+from rendering.field.bank_spectra import BankSpectra, Decimation
 from rendering.field.convolution import Convolution
-from rendering.field.decimation import Decimation
 from rendering.field.focus_figures import FocusInstant, emission_windows, evenly
-from rendering.greens.source import GreenSource, RowReader, drive_unit
+from rendering.greens.source import GreenSource, RowReader, drive_unit, refusal, usable
 from rendering.threads import WORKERS, in_order
 from storage.drive_file import Drive
 from storage.errors import InputError
@@ -28,6 +27,7 @@ Int64Array = NDArray[np.int64]
 RealArray = NDArray[np.float32] | NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
+LISTED = 8
 LEAST_ROWS = 8
 """Fewer rows are not worth a thread of their own."""
 LOOKED_AT_ROWS, LOOKED_AT_BLOCKS = 4, 8
@@ -47,21 +47,21 @@ class Prediction:
     """The field of one drive, to be computed a few rows at a time.
 
     bank: Measured Green's functions, at the drive's rate; or their spectra, kept for many predictions, which then set
-        rate and tolerance.
-    dtype, {float32, float64}: float64: to 1e-12 of direct evaluation. float32: spectra in complex64, about twice as
-        fast, 1e-6 of each position's largest response.
-    tolerance_db: Allows leaving out frequency bins, and computing at a lower rate, as long as the proved bound on the
-        relative L2 error stays below it for every part of the field, < 0.
+        the rate of the field.
+    positions, int64 array: Bank rows, measured.
+    dtype: float64: to 1e-12 of direct evaluation. float32: spectra in complex64, about twice as fast, 1e-6 of each
+        position's largest response.
+    tolerance_db: Allows leaving out frequency bins as long as the proved bound on the relative L2 error stays below it
+        for every part of the field, < 0.
     rate_hz: Rate of the field, an integer fraction of the bank's; the field is low-passed to it.
+
+    Raises InputError: a parameter is not as stated here.
     """
 
     position_index: Int64Array
     sample_rate_hz: float
-    """Rate of the field."""
     start_s: float
-    """Time of its first sample."""
     samples: int
-    """Samples of a response."""
     passed_hz: float
     """Frequencies up to this are in the field as they are, to one part in ten thousand."""
     low_pass: LowPass | None
@@ -83,21 +83,19 @@ class Prediction:
             raise InputError(f"dtype is {np.dtype(dtype)}; allowed are float32 and float64")
         self._drive, self._dtype = drive, np.dtype(dtype)
         self._device = host_device() if device is None else device
-        kept: BankSpectra | None = None
         rate = float(drive.sample_rate_hz)
         if isinstance(bank, BankSpectra):
             if rate_hz is not None or tolerance_db is not None:
-                raise InputError("rate_hz and tolerance_db are those of the bank's spectra; give them there")
-            kept, self._bank, decimation, self._tolerance = bank, bank.bank, bank.decimation, bank.tolerance
+                raise InputError("rate_hz and tolerance_db do not go with the bank's spectra, which set the rate")
+            kept, self._bank, decimation = bank, bank.bank, bank.decimation
         else:
-            self._bank, self._tolerance = bank, tolerance_of(tolerance_db)
-            decimation = Decimation(rate, rate if rate_hz is None else rate_hz)
+            kept, self._bank, decimation = None, bank, Decimation(rate, rate if rate_hz is None else rate_hz)
         self.start_s = drive.start_s
         self.sample_rate_hz, self.passed_hz = rate / decimation.factor, decimation.passed_hz
         self.low_pass = LowPass(decimation.passed_hz, decimation.factor) if decimation.factor > 1 else None
         self._convolution = Convolution(
             drive.drive_v, RowReader(self._bank), self._dtype, self.position_index, decimation, self._device,
-            self._tolerance, kept,
+            tolerance_of(tolerance_db), kept,
         )  # fmt: skip
         self.samples = self._convolution.samples
         self._errors = self._energy = 0.0
@@ -131,14 +129,9 @@ class Prediction:
         for rows in self.rows(on_progress):
             whole[rows.first : rows.first + len(rows.field)] = rows.field
         return Field(
-            field=whole,
-            position_index=self.position_index,
-            sample_rate_hz=self.sample_rate_hz,
-            start_s=self.start_s,
-            response_unit=response_unit(self._bank.response_unit, drive_unit(self._bank)),
-            low_pass=self.low_pass,
-            known_finite=True,
-        )
+            whole, self.position_index, self.sample_rate_hz, self.start_s, field_unit(self._bank),
+            low_pass=self.low_pass, known_finite=True,
+        )  # fmt: skip
 
     def parts(self) -> list[range]:
         """Which rows of the field are computed together; the last bits of a row depend on its part."""
@@ -155,31 +148,93 @@ class Prediction:
 
     def lost_share(self) -> float:
         """Share of the response's energy above `passed_hz`: the largest of a few positions, by some of the drive."""
-        if self.passed_hz == float(self._drive.sample_rate_hz) / 2.0:
+        drive_v, rate_hz, taps = self._drive.drive_v, float(self._drive.sample_rate_hz), self._bank.taps
+        if self.passed_hz == rate_hz / 2.0:
             return 0.0
-        drive_v, rate_hz = self._drive.drive_v, float(self._drive.sample_rate_hz)
-        taps = self._bank.taps
         samples = fast_length(2 * taps)
         hop = samples - taps + 1
-        starts = np.unique(np.linspace(0, max(drive_v.shape[1] - hop, 0), LOOKED_AT_BLOCKS).astype(int)).tolist()
         window = np.hanning(hop + 2)[1:-1]
         blocks = []
-        for start in starts:
+        for start in _spread(max(drive_v.shape[1] - hop, 0), LOOKED_AT_BLOCKS):
             block = drive_v[:, start : start + hop]
             blocks.append(np.fft.rfft(block * window[: block.shape[1]], samples, axis=1))
         above = np.fft.rfftfreq(samples, 1.0 / rate_hz) > self.passed_hz
-        chosen = self.position_index[
-            np.unique(np.linspace(0, len(self.position_index) - 1, LOOKED_AT_ROWS).astype(int))
-        ]
         shares = [0.0]
         reader = RowReader(self._bank)
-        for position in chosen.tolist():
+        for position in self.position_index[_spread(len(self.position_index) - 1, LOOKED_AT_ROWS)].tolist():
             green = np.fft.rfft(reader.read(position, single=False).values, samples, axis=1)
             energy = sum(np.square(np.abs((green * block).sum(axis=0))) for block in blocks)
             total = float(np.sum(energy))
             if total > 0:
                 shares.append(float(np.sum(np.asarray(energy)[above])) / total)
         return max(shares)
+
+
+def predict(
+    drive: Drive,
+    bank: GreenSource,
+    positions: Sequence[int] | None = None,
+    *,
+    dtype: DTypeLike = np.float64,
+    tolerance_db: float | None = None,
+    rate_hz: float | None = None,
+    on_progress: OnProgress | None = None,
+) -> Field:
+    """Predict the response y(x)[n] = sum_i (g_i(x) * f_i)[n], drive samples + L - 1 long.
+
+    positions: Bank rows in any order; by default all that `measured_positions` gives.
+    dtype, tolerance_db, rate_hz: See `Prediction`.
+    on_progress: Called with positions done and positions in all.
+
+    Raises InputError: drive and bank do not fit, a position was not measured, or another parameter is not as stated.
+    """
+    index = chosen_positions(drive, bank, positions)
+    prediction = Prediction(drive, bank, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz)
+    return prediction.field(on_progress)
+
+
+def measured_positions(bank: GreenSource) -> tuple[Int64Array, Int64Array]:
+    """Rows of a field by default, and rows left out as not measured."""
+    allowed = usable(bank)
+    return np.flatnonzero(allowed).astype(np.int64), np.flatnonzero(~allowed).astype(np.int64)
+
+
+def field_unit(bank: GreenSource) -> str:
+    """Unit of a field: that of the Green's functions times that of the drive."""
+    return response_unit(bank.response_unit, drive_unit(bank))
+
+
+def chosen_positions(drive: Drive, bank: GreenSource, positions: Sequence[int] | None) -> Int64Array:
+    """Bank rows to predict.
+
+    Raises InputError: drive and bank do not fit, a position does not exist or was not measured, or none is left.
+    """
+    if len(drive.drive_v) != bank.actuators:
+        raise InputError(f"the drive has {len(drive.drive_v)} actuators, the bank {bank.actuators}; they must agree")
+    if abs(drive.sample_rate_hz / bank.sample_rate_hz - 1.0) > 1e-9:
+        raise InputError(
+            f"the drive is at {drive.sample_rate_hz:g} Hz, the bank at {bank.sample_rate_hz:g} Hz; they must agree"
+        )
+    if positions is None:
+        index, _ = measured_positions(bank)
+        if not len(index):
+            raise InputError("the bank has no measured position; nothing can be predicted")
+        return index
+    index = np.asarray(positions, dtype=np.int64).reshape(-1)
+    if not len(index):
+        raise InputError("positions is empty; at least one bank row is needed")
+    missing = index[(index < 0) | (index >= bank.positions)]
+    if len(missing):
+        raise InputError(f"positions holds {missing[0]}; allowed are 0 to {bank.positions - 1}")
+    status = np.asarray(bank.status)
+    refused = [int(row) for row in index if refusal(int(status[row]))]
+    if refused:
+        more = f" and {len(refused) - LISTED} more" if len(refused) > LISTED else ""
+        named = ", ".join(map(str, refused[:LISTED]))
+        raise InputError(
+            f"positions holds {named}{more}: {refusal(int(status[refused[0]]))}; leave them out or measure them"
+        )
+    return index
 
 
 def predicted_focus_peak(drive: Drive, bank: GreenSource) -> float | None:
@@ -202,3 +257,8 @@ def predicted_focus_peak(drive: Drive, bank: GreenSource) -> float | None:
                 part = response[one.start_sample - begin : one.stop_sample - begin]
                 peak = max(peak, float(part.max(initial=0.0)))
     return peak if math.isfinite(peak) else None
+
+
+def _spread(last: int, count: int) -> list[int]:
+    """At most so many different numbers from 0 to `last`, evenly spread."""
+    return [int(one) for one in np.unique(np.linspace(0, last, count).astype(int))]

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from calibration.blas import one_blas_thread
 from rendering.band import Band
 from rendering.device import fast_length, host_device
-from rendering.field.bank_spectra import BankSpectra, transform_rows
-from rendering.greens.source import GreenSource, RowReader, drive_unit
+from rendering.field.bank_spectra import transform_rows
+from rendering.field.prediction import field_unit
+from rendering.greens.source import GreenSource, RowReader
 from storage.drive_file import Drive
-from storage.errors import InputError
-from storage.units import response_unit
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -55,48 +54,35 @@ class ResponseSpectra:
         return np.stack(parts, axis=1)
 
 
-def predict_spectra(
-    drive: Drive, bank: GreenSource | BankSpectra, positions: Sequence[int] | Int64Array
-) -> ResponseSpectra:
+def predict_spectra(drive: Drive, bank: GreenSource, positions: Sequence[int] | Int64Array) -> ResponseSpectra:
     """Estimate the energy spectra of the responses to a drive.
 
     In complex64 (one part in a million). The windows smooth the spectrum over about three of their bins, rate / window
     length apart: a sum over a band much wider than that comes within a few percent of the field's own, less narrow
-    ones within what neighbouring frequencies differ by. Kept spectra give the bins that were kept.
-
-    Raises InputError: the spectra are at another rate.
+    ones within what neighbouring frequencies differ by.
     """
     index = np.asarray(positions, dtype=np.int64)
-    spectra = bank if isinstance(bank, BankSpectra) else None
-    source: GreenSource = bank.bank if isinstance(bank, BankSpectra) else bank
-    if spectra is not None and spectra.decimation.factor > 1:
-        raise InputError("the spectra of a bank at a lower rate do not fit the drive's; make them at the full rate")
-    length = fast_length(int((1.0 + WINDOW_TAPS) * source.taps))
-    band = Band.whole(length, single=True) if spectra is None else spectra.band
-    fft_samples = band.fft_samples
+    band = Band.whole(fast_length(int((1.0 + WINDOW_TAPS) * bank.taps)), single=True)
+    length, bins = band.fft_samples, band.bins
     exponent = int(np.frexp(float(np.abs(drive.drive_v).max(initial=0.0)))[1])
-    blocks = _windowed(np.ldexp(drive.drive_v, -exponent), max(2, min(fft_samples - source.taps + 1, 2 * source.taps)))
-    power = np.zeros((len(index), band.kept))
-    reader = RowReader(source)
+    blocks = _windowed(np.ldexp(drive.drive_v, -exponent), max(2, min(length - bank.taps + 1, 2 * bank.taps)))
+    power = np.zeros((len(index), bins))
+    reader = RowReader(bank)
     with one_blas_thread():
         for first in range(0, len(blocks), BLOCKS_AT_ONCE):
-            whole = np.fft.rfft(blocks[first : first + BLOCKS_AT_ONCE], fft_samples, axis=2)
-            kept = np.ascontiguousarray(whole[:, :, : band.kept].astype(band.complex).transpose(2, 1, 0))
+            whole = np.fft.rfft(blocks[first : first + BLOCKS_AT_ONCE], length, axis=2)
+            driven = np.ascontiguousarray(whole.astype(band.complex).transpose(2, 1, 0))
             for begin in range(0, len(index), ROWS_AT_ONCE):
                 some = index[begin : begin + ROWS_AT_ONCE]
-                rows = (
-                    transform_rows(reader, some.tolist(), band, band.kept, host_device(), bounded=False)
-                    if spectra is None
-                    else spectra.rows(some)
-                )
-                response = np.matmul(rows.kept, kept)
+                rows = transform_rows(reader, some.tolist(), band, host_device())
+                response = np.matmul(rows.kept, driven)
                 squares = (np.square(response.real) + np.square(response.imag)).sum(axis=2, dtype=np.float64)
                 power[begin : begin + len(some)] += np.ldexp(squares.T, 2 * (rows.exponents + exponent)[:, None])
     rate_hz = float(drive.sample_rate_hz)
-    frequency_hz: Float64Array = np.fft.rfftfreq(fft_samples, 1.0 / rate_hz)[: band.kept].astype(np.float64)
+    frequency_hz: Float64Array = np.fft.rfftfreq(length, 1.0 / rate_hz).astype(np.float64)
     # Parseval: two bins each but for 0 and half the rate.
     power *= np.where((frequency_hz == 0) | (frequency_hz == rate_hz / 2), 1.0, 2.0) / rate_hz**2
-    return ResponseSpectra(frequency_hz, power, index, response_unit(source.response_unit, drive_unit(source)))
+    return ResponseSpectra(frequency_hz, power, index, field_unit(bank))
 
 
 def _windowed(drive: Float64Array, length: int) -> Float64Array:

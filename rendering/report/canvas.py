@@ -239,6 +239,8 @@ def draw_maps(
     place_px: Left and top of the first map's frame (its title is above), and the width of each.
     rows, int64 array: Positions that the values are of; by default all.
     path_colour: Draws the paths.
+
+    Returns cells for a colour bar.
     """
     left_px, top_px, width_px = place_px
     height_px = surface.height_px(width_px)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rendering.device import fast_length
 from rendering.drive.accumulate import Accumulated
 from rendering.drive.coil_limits import Limiting, dynamic_range_db
-from rendering.field.impulse_travel import impulse_travel
+from rendering.field.wave_figures import impulse_travel
 from rendering.greens.bank_rows import BankRows
 from rendering.greens.interpolation.errors import InterpolationErrors
 from rendering.greens.response_tail import ResponseTail, response_tail

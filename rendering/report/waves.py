@@ -11,9 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.field.crosstalk import CrosstalkTable, crosstalk_table
-from rendering.field.green_correlation import DistanceCorrelation, correlation_over_distance
-from rendering.field.impulse_travel import IMPULSE_BAND_HZ, SPAN_MM, ImpulseTravel, impulse_travel
-from rendering.field.path_spectrum import PathSpectrum, path_spectrum
+from rendering.field.wave_figures import (
+    IMPULSE_BAND_HZ,
+    SPAN_MM,
+    DistanceCorrelation,
+    ImpulseTravel,
+    PathSpectrum,
+    correlation_over_distance,
+    impulse_travel,
+    path_spectrum,
+)
 from rendering.greens.source import usable
 from rendering.report.canvas import FAINT, Canvas, Picture, drawn_in_style
 from rendering.report.figures import PREDICTION, SCAN

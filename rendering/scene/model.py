@@ -24,6 +24,8 @@ class Source:
     step_mm: Path sample distance d, > 0 on a path that moves.
     amplitude: In the bank's response unit when the scene normalises.
     emission, {"continuous", "per_point"}: The signal runs on along the path, or every path point emits all of it anew.
+
+    Raises InputError where a value is out of range.
     """
 
     path: Path

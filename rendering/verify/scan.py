@@ -21,7 +21,7 @@ from calibration.blas import one_blas_thread
 from calibration.clock.timing import ReferenceMissingError
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Recording, Take
-from rendering.field.model import field_unit
+from rendering.field.prediction import field_unit
 from rendering.verify.scan_signals import Aligned, Alignment, scan_signals
 from storage.errors import InputError
 from storage.point_status import Status
@@ -123,6 +123,8 @@ def scan(
 
     Raises InputError: a position that the bank does not have, a drive that the rig cannot play. InstrumentError,
     ReferenceMissingError: an instrument failed, or was gone, for good, or five positions in a row had to be given up.
+
+    Returns the field on the samples of ``predict(drive, bank)``.
     """
     publish = EventPublisher({"a subscriber of the scan's events": publish})
     life = Lifecycle(setup.instruments.clock, publish)

@@ -14,7 +14,7 @@ from gui.scene.results.messages import Answer, Driven, Finished, FocusFigures, P
 from gui.scene.results.worker import Calculator, SupersededError
 from rendering.drive.coil_limits import DriveLimits
 from rendering.drive.rendering import render_with_report
-from rendering.field.model import predict
+from rendering.field.prediction import predict
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Line, Point
 from rendering.scene.signals import Impulse, Noise, Sine

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rendering.drive.rendering import render_with_report
-from rendering.field.model import predict
+from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
 from rendering.scene.loading import load_scene
 from rendering.scene.model import Scene

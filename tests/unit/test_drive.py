@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from config.scene import Output, Regularisation
 from rendering.drive.rendering import render, render_with_report
-from rendering.field.model import predict
+from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
 from rendering.report.render_report import RenderWarning
 from rendering.scene.model import Scene, Source

@@ -11,7 +11,7 @@ from config.scene import Output, Regularisation
 from rendering.drive.inverse_filter import inverse_filter
 from rendering.drive.rendering import render_with_report
 from rendering.field.metrics import band_limited
-from rendering.field.model import predict
+from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle, Line, Point

@@ -11,10 +11,8 @@ from mocks.plates.soft import SOFT_PLATE, DampedWave
 from mocks.plates.soft import impulse_travel as travel_of_a_wave
 from rendering.field import metrics
 from rendering.field.crosstalk import PathResponses, crosstalk_table
-from rendering.field.green_correlation import correlation_over_distance
-from rendering.field.impulse_travel import impulse_travel
 from rendering.field.metrics import band_limited
-from rendering.field.path_spectrum import path_spectrum
+from rendering.field.wave_figures import correlation_over_distance, impulse_travel, path_spectrum
 from rendering.greens.source import GreenArray
 from storage.errors import InputError
 

@@ -9,7 +9,7 @@ import pytest
 
 from config.scene import Output, Regularisation
 from rendering.drive.rendering import render_with_report
-from rendering.field.model import predict
+from rendering.field.prediction import predict
 from rendering.greens.regularisation import focus_gain_map
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene, Source

@@ -14,7 +14,7 @@ from calibration.clock.timing import ReferenceMissingError
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentLostError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
-from rendering.field.model import predict
+from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
 from rendering.verify.scan import Scan, ScanPlan, scan
 from rendering.verify.verdict import Tolerances, Verification, compare

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.device import cuda_device
-from rendering.field.model import chosen_positions, field_unit
-from rendering.field.prediction import Prediction
+from rendering.field.prediction import Prediction, chosen_positions, field_unit
 from storage.bank.reading import open_bank
 from storage.drive_file import read_drive
 from storage.errors import InputError

@@ -22,7 +22,7 @@ from config.messages.codec import Message, to_line
 from config.messages.verify import VerifyEnded, VerifyStarted, VerifyStep
 from config.rig import RigConfig
 from rendering.field.metrics import grid_spacing_mm
-from rendering.field.model import predict as predict_field
+from rendering.field.prediction import predict as predict_field
 from rendering.report.page import build_report
 from rendering.scene.loading import load_scene
 from rendering.scene.model import Scene

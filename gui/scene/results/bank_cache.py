@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from config.scene import Regularisation
 from gui.surface.surface import Surface, surface_of
-from rendering.field.bank_spectra import BankSpectra
-from rendering.field.decimation import LARGEST_FACTOR, PASSED
-from rendering.field.model import measured_positions
+from rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
+from rendering.field.prediction import measured_positions
 from rendering.greens.regularisation import saturation_threshold
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError

@@ -17,7 +17,7 @@ def between(field: Float32Array, place: float) -> Float32Array:
     Parameters
     ----------
     field : float32 array, shape (samples, positions)
-        With nothing above `rendering.field.decimation.PASSED` of half its rate.
+        With nothing above `rendering.field.bank_spectra.PASSED` of half its rate.
     place : float
         In samples, from 0; need not be whole.
 
@@ -48,7 +48,7 @@ def _weights(away: NDArray[np.floating[Any]], half: int, beta: float) -> Float32
 @cache
 def _window() -> tuple[int, float]:
     """Half the length and the shape of a Kaiser window whose transition ends where the images begin."""
-    from rendering.field.decimation import PASSED, STOPBAND_DB  # the window starts without scipy
+    from rendering.field.bank_spectra import PASSED, STOPBAND_DB  # the window starts without scipy
 
     width = 1.0 - PASSED  # as a part of the rate
     half = int(np.ceil((STOPBAND_DB - 8.0) / (2.285 * 2.0 * np.pi * width) / 2.0))

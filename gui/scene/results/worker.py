@@ -22,8 +22,7 @@ from gui.scene.results.drives import missing_rows, missing_text, render_while_ed
 from gui.scene.results.foci import Snapshots, focus_figures, look_at_foci
 from gui.scene.results.messages import Answer, Finished, Order, PredictedField, Progress, Request
 from gui.shell.front_door import RigLimits
-from rendering.field.model import field_unit
-from rendering.field.prediction import Prediction
+from rendering.field.prediction import Prediction, field_unit
 from rendering.scene.loading import read_scene
 from rendering.scene.model import Scene
 from storage.bank.reading import Bank

@@ -1,18 +1,76 @@
-"""How band-limited impulses travel on the surface, from the bank: group velocity and attenuation (section III)."""
+"""Waves in a bank and in responses: correlation over distance, travel of impulses, spectra at path points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.device import fast_length
 from rendering.field.metrics import band_limited
 from rendering.greens.source import GreenSource, read_row, usable
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceCorrelation:
+    """Correlation coefficients by distance.
+
+    All have one element per bin: mean distance of its pairs; mean, 10 % and 90 % quantile over pairs of positions and
+    over actuators.
+    """
+
+    distance_mm: Float64Array
+    mean: Float64Array
+    low: Float64Array
+    high: Float64Array
+
+
+def correlation_over_distance(bank: GreenSource, edges_mm: Sequence[float], rows: Sequence[int]) -> DistanceCorrelation:
+    """Correlate the Green's functions of pairs of positions.
+
+    The coefficient is that at lag 0, ``<g_i(x), g_i(x')> / (||g_i(x)|| ||g_i(x')||)``, means not removed, for
+    each actuator i: what eqs. (10) to (12) need of neighbouring path points.
+
+    edges_mm: Ascending edges of the bins; pairs at an edge count above it.
+    rows: Measured positions to pair.
+
+    Raises InputError: there are no two measured positions, or fewer than two edges.
+    """
+    chosen = np.asarray(rows, dtype=np.int64)
+    edges = np.asarray(edges_mm, dtype=np.float64)
+    if len(chosen) < 2 or len(edges) < 2 or (np.diff(edges) <= 0).any():
+        raise InputError("a correlation over distance needs two measured positions and ascending edges")
+    unit = np.stack([_unit(np.asarray(read_row(bank, int(row)).values, dtype=np.float64)) for row in chosen])
+    position_mm = np.asarray(bank.position_mm, dtype=np.float64)[chosen]
+    first, second = np.triu_indices(len(chosen), 1)
+    apart_mm = np.hypot(*(position_mm[first] - position_mm[second]).T)
+    gram = np.stack([unit[:, actuator] @ unit[:, actuator].T for actuator in range(bank.actuators)])
+    coefficient = gram[:, first, second]
+    bins = np.digitize(apart_mm, edges) - 1
+    columns: list[list[float]] = []
+    for number in range(len(edges) - 1):
+        here = bins == number
+        known = coefficient[:, here].ravel()
+        known = known[np.isfinite(known)]
+        if known.size:
+            low, high = np.quantile(known, [0.1, 0.9])
+            columns.append([apart_mm[here].mean(), known.mean(), low, high])
+    if not columns:
+        raise InputError(f"no two positions are between {edges[0]:g} and {edges[-1]:g} mm apart")
+    return DistanceCorrelation(*np.array(columns).T)
+
+
+def _unit(green: Float64Array) -> Float64Array:
+    """Each actuator's Green's function over its norm, NaN for one that is silent."""
+    norm = np.linalg.norm(green, axis=1, keepdims=True)
+    return np.asarray(np.divide(green, norm, out=np.full_like(green, np.nan), where=norm > 0))
+
 
 IMPULSE_BAND_HZ = (50.0, 450.0)
 """The paper's band of impulses."""
@@ -60,6 +118,8 @@ def impulse_travel(
     band_hz: Band of the impulse; None: the Green's functions as they are.
     span_mm: Distances that are used, above 0.
     rows: Rows to choose from; by default all usable ones.
+
+    Raises InputError: too few pairs of a measured position and an actuator of known place are that far apart.
     """
     allowed = np.flatnonzero(usable(bank)) if rows is None else np.asarray(rows, dtype=np.int64)
     allowed = allowed[np.unique(np.linspace(0, len(allowed) - 1, min(MOST_ROWS, len(allowed))).astype(np.int64))]
@@ -124,3 +184,62 @@ def _fit(distance_mm: Float64Array, value: Float64Array, actuator: NDArray[np.in
         doubt = max(doubt, float(np.sqrt(jackknife)))
     power = float(np.sqrt((x @ x) * (y @ y)))
     return _Line(slope, doubt, float(x @ y) / power if power else 0.0)
+
+
+Int64Array = NDArray[np.int64]
+RESOLUTION_HZ = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class PathSpectrum:
+    """Magnitudes (points, bins) of the Fourier transform at path points, in the responses' unit times seconds."""
+
+    frequency_hz: Float64Array
+    magnitude: Float64Array
+
+    @property
+    def mean(self) -> Float64Array:
+        """Mean over the points, (bins,): the paper's "average magnitude spectrum"."""
+        return np.asarray(self.magnitude.mean(axis=0))
+
+    @property
+    def centroid_hz(self) -> float:
+        """Mean frequency of the energy of all points; NaN without any."""
+        energy = np.square(self.magnitude).sum(axis=0)
+        total = float(energy.sum())
+        return float(energy @ self.frequency_hz) / total if total > 0 else float("nan")
+
+    def share_within(self, band_hz: tuple[float, float]) -> float:
+        """Share of the energy of all points that lies within a band, 0 to 1; NaN without any energy."""
+        energy = np.square(self.magnitude).sum(axis=0)
+        inside = (self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1])
+        total = float(energy.sum())
+        return float(energy[inside].sum()) / total if total > 0 else float("nan")
+
+
+def path_spectrum(
+    responses: NDArray[np.floating[Any]],
+    sample_rate_hz: float,
+    first_sample: Int64Array,
+    samples: int,
+) -> PathSpectrum:
+    """Transform each point's response over a window of its own.
+
+    responses, float (points, samples of the field).
+    first_sample, int64 (points,): Begin of each window; outside the field there is silence.
+    samples: Length of the windows, >= 1; rectangular. Zeros are appended for bins at most `RESOLUTION_HZ` apart.
+
+    Raises InputError: there is no point, or a figure is out of range.
+    """
+    if responses.ndim != 2 or not len(responses) or len(first_sample) != len(responses):
+        raise InputError(f"responses of shape {responses.shape} do not go with {len(first_sample)} windows")
+    if samples < 1 or not sample_rate_hz > 0:
+        raise InputError(f"a window of {samples} samples at {sample_rate_hz} Hz has no spectrum")
+    windows = np.zeros((len(responses), samples))
+    for window, response, first in zip(windows, responses, first_sample.tolist(), strict=True):
+        begin, end = max(first, 0), min(first + samples, len(response))
+        if end > begin:
+            window[begin - first : end - first] = response[begin:end]
+    length = fast_length(max(samples, int(np.ceil(sample_rate_hz / RESOLUTION_HZ))))
+    magnitude = np.abs(np.fft.rfft(windows, length, axis=1)) / sample_rate_hz
+    return PathSpectrum(np.fft.rfftfreq(length, 1.0 / sample_rate_hz).astype(np.float64), magnitude)
