@@ -24,7 +24,7 @@ from benchmarks.render_workloads import (
 )
 from config.scene import Output
 from rendering.drive.rendering import render_with_report
-from rendering.field.model import predict
+from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle
