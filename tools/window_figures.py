@@ -84,9 +84,8 @@ class OpenWindow:
     def __init__(self, bank: Path) -> None:
         from PyQt5.QtCore import QSettings
 
-        from gui.shell.application import make_application
-        from gui.shell.settings import Settings
-        from gui.shell.window import Window
+        from gui.shell.files import Settings
+        from gui.shell.window import Window, make_application
         from wavefocus.commands.gui import front_door
 
         self.application = make_application()

@@ -1,13 +1,17 @@
-"""The map with its colouring, selection tools and legend."""
+"""The map of a campaign, coloured by status or by a quality figure, selected by mouse and keyboard; its legend."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
-from PyQt5.QtGui import QColor, QPainter, QPixmap
+from PyQt5.QtCore import QPointF, Qt, pyqtSignal
+from PyQt5.QtGui import QColor, QKeyEvent, QPainter, QPixmap, QPolygonF
 from PyQt5.QtWidgets import (
     QComboBox,
+    QGraphicsPolygonItem,
     QHBoxLayout,
     QLabel,
     QSizePolicy,
@@ -17,11 +21,184 @@ from PyQt5.QtWidgets import (
 )
 
 from gui.campaign.model import Campaign
-from gui.campaign.quality import FIGURES, LOOKS, Look, look_index
-from gui.campaign.surface_map import SurfaceMap
+from gui.campaign.quality import FIGURES, LOOKS, Figure, Float32Array, Look, look_index, status_text
 from gui.shell.theme import Theme
 from gui.shell.widgets import named
-from gui.surface.colours import ColourBar
+from gui.surface.field_map import ColourBar
+from gui.surface.surface import Surface
+from gui.surface.view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
+
+# On a large map a few outliers must not press all others into one colour.
+_MANY, _OUTLIERS_PERCENT = 100, 1.0
+
+
+class SurfaceMap(SurfaceView):
+    """The map; arrow keys walk from position to position, Space selects, Ctrl+A selects all, Esc nothing.
+
+    A click shows a position, Ctrl-click selects it; a drag with Shift, or in a selecting `drag_mode`, selects what it
+    surrounds.
+    """
+
+    shown_changed = pyqtSignal(int)
+    selection_changed = pyqtSignal(int)
+
+    def __init__(self) -> None:
+        self.selected: set[int] = set()
+        self.drag_mode = "pan"  # or "rectangle", "lasso"
+        self._status: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._marked_status: bytes = b""
+        self._levels: tuple[float, float] | None = None
+        self.beyond = False, False
+        self._corners: list[PointMm] = []
+        self.colour_map = pyqtgraph.colormap.get("viridis")
+        self._marks = Spots(pxMode=True)
+        self._selection = Spots(symbol="s", size=11, pxMode=True)
+        self._current_rim = Spots(symbol="o", size=17, pxMode=True)
+        self._current = Spots(symbol="o", size=17, pxMode=True)
+        self._selecting = QGraphicsPolygonItem()
+        super().__init__("Map of the surface")
+        self.setAccessibleDescription("Arrow keys go from position to position, Space selects")
+        for depth, item in enumerate((self._marks, self._selection, self._current_rim, self._current)):
+            self.add_item(item, 30 + depth)
+        self.add_item(self._selecting, 100)
+        self._selecting.hide()
+        self.picked.connect(self.show_position)
+
+    @property
+    def shown(self) -> int:
+        """The position whose details are shown, -1 for none."""
+        return self.marked
+
+    @property
+    def levels(self) -> tuple[float, float] | None:
+        """Values at the ends of the colour bar; None while the status is shown."""
+        return self._levels
+
+    def show_surface(self, surface: Surface | None) -> None:
+        super().show_surface(surface)
+        self._status = np.zeros(0 if surface is None else surface.positions, np.uint8)
+        self._marked_status = b""
+        if surface is None:
+            for item in (self._marks, self._current_rim, self._current):
+                item.clear()
+        self.show_position(-1)
+        self.select([])
+
+    def show_status(self, status: NDArray[np.uint8]) -> None:
+        self._status = status
+        self._levels = None
+        colours = np.array([rgba(look.colour(self.theme)) for look in LOOKS], np.uint8)
+        self.paint(colours[look_index(status)])
+        self._draw_marks()
+
+    def show_figure(self, figure: Figure, values: Float32Array, status: NDArray[np.uint8]) -> None:
+        """Colour by a quality figure; positions without one look as not measured."""
+        self._status = status
+        known = values[np.isfinite(values)]
+        outliers = _OUTLIERS_PERCENT if known.size > _MANY and figure.key != "attempts" else 0.0
+        low, high = np.percentile(known, [outliers, 100.0 - outliers]).tolist() if known.size else (0.0, 1.0)
+        self.beyond = bool(known.size and known.min() < low), bool(known.size and known.max() > high)
+        if figure.key == "attempts":
+            low, high = min(low, 1.0), max(high, 2.0)
+        if high - low < 1e-9 * max(1.0, abs(high)):
+            low, high = low - 0.5, high + 0.5
+        self._levels = low, high
+        self.paint(looked_up(self.colour_map, values, (low, high), self.theme.cell))
+        self._draw_marks()
+
+    def show_current(self, position: int) -> None:
+        """Ring the position that is being measured; -1 for none."""
+        for ring in (self._current_rim, self._current):
+            self._put(ring, [position] if position >= 0 else [])
+
+    def show_position(self, position: int) -> None:
+        """Mark the position whose details are shown; -1 for none."""
+        self.mark(position)
+        self.shown_changed.emit(position)
+
+    def select(self, positions: Iterable[int]) -> None:
+        """Select these and no others."""
+        self.selected = {int(position) for position in positions}
+        self._put(self._selection, sorted(self.selected))
+        self.selection_changed.emit(len(self.selected))
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the theme's colours; the owner colours the positions again."""
+        super().apply_theme(theme)
+        self._selection.setPen(pyqtgraph.mkPen(MARK, width=2))
+        self._current_rim.setPen(pyqtgraph.mkPen("#000000", width=4.5))
+        self._current.setPen(pyqtgraph.mkPen("#ffffff", width=2))
+        self._selecting.setPen(pyqtgraph.mkPen(theme.text, style=Qt.PenStyle.DashLine))
+        for item in (self._selection, self._current_rim, self._current):
+            item.setBrush(None)
+        self._marked_status = b""
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        key = event.key()
+        if key == Qt.Key.Key_Space and self.shown >= 0:
+            self.select(self.selected ^ {self.shown})
+        elif key == Qt.Key.Key_A and event.modifiers() & Qt.KeyboardModifier.ControlModifier and self.surface:
+            self.select(range(self.surface.positions))
+        elif key == Qt.Key.Key_Escape and self.selected:
+            self.select([])
+        else:
+            super().keyPressEvent(event)
+
+    def position_text(self, position: int) -> str:
+        return f"{super().position_text(position)}: {status_text(int(self._status[position]))}"
+
+    def click_at(self, at_mm: PointMm, keys: Keys) -> None:
+        position = self.position_at(at_mm)
+        if position >= 0 and keys & Qt.KeyboardModifier.ControlModifier:
+            self.select(self.selected ^ {position})
+        else:
+            super().click_at(at_mm, keys)
+
+    def claims_drag(self, at_mm: PointMm, keys: Keys) -> bool:
+        self._corners = [at_mm]
+        return self.drag_mode != "pan" or bool(keys & Qt.KeyboardModifier.ShiftModifier)
+
+    def drag_to(self, start_mm: PointMm, at_mm: PointMm, keys: Keys, *, ended: bool) -> None:
+        if self.drag_mode == "lasso":
+            self._corners.append(at_mm)
+        else:
+            self._corners = [start_mm, (at_mm[0], start_mm[1]), at_mm, (start_mm[0], at_mm[1])]
+        shape = QPolygonF([QPointF(*corner) for corner in self._corners])
+        self._selecting.setPolygon(shape)
+        self._selecting.setVisible(not ended)
+        if ended and self.surface is not None:
+            places = enumerate(self.surface.position_mm.tolist())
+            inside = {number for number, at in places if shape.containsPoint(QPointF(*at), Qt.FillRule.WindingFill)}
+            self.select(self.selected | inside if keys & Qt.KeyboardModifier.ControlModifier else inside)
+
+    def _draw_marks(self) -> None:
+        """Draw shapes over positions that are not valid; again only when a status has changed."""
+        index = look_index(self._status)
+        if self.surface is None or len(index) != self.surface.positions or index.tobytes() == self._marked_status:
+            return
+        self._marked_status = index.tobytes()
+        ink = "#ffffff" if self._levels is not None else self.theme.text
+        spots = [
+            {
+                "pos": self.surface.position_mm[position],
+                "symbol": LOOKS[index[position]].symbol,
+                "size": 7,
+                "pen": pyqtgraph.mkPen(ink, width=1),
+                "brush": pyqtgraph.mkBrush(self.theme.base),
+            }
+            for position in np.flatnonzero(index < len(LOOKS) - 2)
+        ]
+        self._marks.setData(spots)
+
+    def _put(self, item: Spots, positions: list[int]) -> None:
+        if self.surface is None:
+            item.setData(pos=np.zeros((0, 2)))
+            return
+        inside = [position for position in positions if position < self.surface.positions]
+        item.setData(pos=self.surface.position_mm[inside].reshape(-1, 2))
+        item.setVisible(bool(inside))  # even an empty one takes time to paint
+
 
 _DRAG_MODES = (
     ("pan", "A drag pans the map, the wheel zooms, a double click shows everything"),

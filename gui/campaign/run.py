@@ -12,7 +12,7 @@ from PyQt5.QtWidgets import QAction, QWidget
 
 from acquisition.durations import hours
 from gui.campaign.follower import same_file
-from gui.process.command_process import STOPPED_BY_USER, CommandProcess
+from gui.shell.process import STOPPED_BY_USER, CommandProcess
 from gui.shell.tab import Question, TabContext
 from gui.shell.widgets import show_text
 

@@ -18,7 +18,7 @@ from gui.campaign.position_panel import PositionPanel
 from gui.campaign.quality import NOT_GOOD
 from gui.campaign.run import CampaignRun
 from gui.campaign.state import Extra, Order, possible_orders
-from gui.shell.file_choice import PathField
+from gui.shell.files import PathField
 from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
 from gui.shell.toml_files import TomlKind, runs_on_virtual_rig, toml_kind

@@ -18,9 +18,9 @@ from config.messages.calibrate import (
 )
 from config.messages.codec import message_of
 from config.messages.operate import Faulted, LevelMeasured, Refused
-from gui.process.command_process import STOPPED_BY_USER, CommandProcess, Message
 from gui.rig.manual_session import LASER_ADVICE
 from gui.rig.messages import Pair
+from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.shell.tab import TabContext
 
 

@@ -9,8 +9,7 @@ from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from config.outline import default_marks_mm
-from gui.shell.file_choice import PathField
-from gui.shell.settings import Settings
+from gui.shell.files import PathField, Settings
 from gui.shell.widgets import named, number_box
 
 _PARTS = (

@@ -23,11 +23,10 @@ from config.outline import default_marks_mm
 from config.rig import Surface
 from gui.rig.calibration import Calibration
 from gui.rig.calibration_options import CalibrationOptions
-from gui.rig.jog_controls import Arrows
-from gui.rig.level_meter import LevelMeter
+from gui.rig.jog import Arrows, SurfacePicture
+from gui.rig.manual_page import LevelMeter
 from gui.rig.messages import Pair
-from gui.rig.surface_picture import SurfacePicture
-from gui.shell.settings import Settings
+from gui.shell.files import Settings
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import make_table, named, side_by_side
 

@@ -20,8 +20,8 @@ from PyQt5.QtWidgets import (
 
 from config.messages.codec import from_record
 from config.messages.doctor import Finding, FindingMade
-from gui.process.command_process import STOPPED_BY_USER, CommandProcess, Message
 from gui.rig.messages import button_of, is_bad
+from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.shell.tab import TabContext
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import make_table, named

@@ -17,8 +17,8 @@ from config.messages.operate import (
     Refused,
     SweepTaken,
 )
-from gui.process.command_process import CommandProcess, Message
 from gui.rig.messages import Pair, Spot
+from gui.shell.process import CommandProcess, Message
 from gui.shell.tab import TabContext
 
 LASER_ADVICE = "the laser may stand where it was: park it, or switch it off"

@@ -15,7 +15,7 @@ from gui.rig.examination import ExaminationPage
 from gui.rig.manual_page import ManualPage
 from gui.rig.manual_session import ManualSession
 from gui.rig.rig_file import RigFile, line_of, read_rig_file
-from gui.shell.file_choice import PathField
+from gui.shell.files import PathField
 from gui.shell.tab import Tab, TabContext
 from gui.shell.theme import Theme
 from gui.shell.toml_files import TomlKind, rig_of_run, toml_kind

@@ -13,7 +13,7 @@ from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QWidget
 
 from gui.scene.document import SceneDocument
-from gui.shell.file_choice import choose_place
+from gui.shell.files import choose_place
 from gui.shell.tab import Question, TabContext
 from storage.errors import WavefocusError
 from storage.output_files import replacement

@@ -39,8 +39,7 @@ from gui.scene.draft import NEW_PATHS, NEW_SIGNALS, PointMm, changed, new_source
 from gui.scene.form import ChoiceField, Form, NumberField, align
 from gui.scene.handles import anchor_of, shifted
 from gui.scene.preview import Preview, trace_text
-from gui.shell.file_choice import choose_file
-from gui.shell.settings import Settings
+from gui.shell.files import Settings, choose_file
 from gui.shell.tab import TabContext
 
 _MOST_ROWS = 200

@@ -25,7 +25,7 @@ from gui.scene.document import SceneDocument
 from gui.scene.draft import changed, new_source, read_draft, source_toml
 from gui.scene.handles import box_of, shifted
 from gui.scene.preview import LivePreview, Trace, title_of
-from gui.shell.file_choice import choose_file
+from gui.shell.files import choose_file
 from gui.shell.tab import TabContext
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import copy_text, make_button

@@ -25,7 +25,7 @@ from gui.scene.preview import LivePreview
 from gui.scene.results.panel import ResultsPanel
 from gui.scene.sources import SourceActions, SourceList
 from gui.scene.surface_panel import SurfacePanel
-from gui.shell.file_choice import PathField
+from gui.shell.files import PathField
 from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
 from gui.shell.toml_files import TomlKind, toml_kind

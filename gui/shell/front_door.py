@@ -1,12 +1,16 @@
-"""Services that the command line gives the window."""
+"""Services that the command line gives the window, and the way to open it; loads no Qt before it is needed."""
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from storage.errors import InputError
 
 if TYPE_CHECKING:
     from acquisition.quality.limits import DriftPoint
@@ -63,3 +67,82 @@ class FrontDoor:
     session_failure: Callable[[Path, datetime], str]
     read_pulse: Callable[[Path], Pulse | None]
     read_rig_limits: Callable[[Path], RigLimits]
+
+
+_LIBRARIES = "libgl1 libglib2.0-0 libfontconfig1 libdbus-1-3 libxkbcommon-x11-0 libxcb-icccm4 libxcb-keysyms1"
+
+
+def open_window(front: FrontDoor, files: Sequence[Path]) -> int:
+    """Show the window until it is closed.
+
+    Parameters
+    ----------
+    front : FrontDoor
+        Starts commands.
+    files : sequence of Path
+        What to open: run files and banks.
+
+    Raises
+    ------
+    InputError
+        There is no display, or Qt cannot be loaded.
+    """
+    require_display()
+    try:
+        from gui.shell.window import show
+    except ImportError as missing:
+        raise InputError(_missing(missing)) from missing
+    return show(front, files)
+
+
+def require_display() -> None:
+    """Refuse where Qt would abort for want of a display.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    platform = os.environ.get("QT_QPA_PLATFORM", "").partition(":")[0]
+    if not sys.platform.startswith("linux") or platform not in ("", "xcb", "wayland"):
+        return
+    display, wayland = os.environ.get("DISPLAY"), os.environ.get("WAYLAND_DISPLAY")
+    if {"": display or wayland, "xcb": display, "wayland": wayland}[platform]:
+        if platform in ("", "xcb") and display and not (wayland and not platform):
+            _require_answer(display)
+        return
+    raise InputError(
+        "the window needs a display and there is none (neither DISPLAY nor WAYLAND_DISPLAY is set): run it on the "
+        "desktop, or through ssh -X; every command works without it, wavefocus --help shows them"
+    )
+
+
+def _require_answer(display: str) -> None:
+    """Ask the X server of a local display for a connection; of others Qt has to find out itself."""
+    import socket
+
+    host, colon, number = display.rpartition(":")
+    number = number.partition(".")[0]
+    if not colon or host not in ("", "unix") or not number.isdigit():
+        return
+    for address in (f"/tmp/.X11-unix/X{number}", f"\0/tmp/.X11-unix/X{number}"):
+        with socket.socket(socket.AF_UNIX) as server:
+            server.settimeout(5.0)
+            try:
+                server.connect(address)
+            except OSError:
+                continue
+            return
+    raise InputError(
+        f"the window needs a display, and no X server answers at DISPLAY={display}: run it on the desktop, or through "
+        "ssh -X; every command works without it, wavefocus --help shows them"
+    )
+
+
+def _missing(missing: ImportError) -> str:
+    told = " ".join(str(missing).split())
+    if isinstance(missing, ModuleNotFoundError):
+        return f"the window needs PyQt5 and pyqtgraph ({told}): python -m pip install PyQt5 pyqtgraph"
+    return (
+        f"Qt cannot be loaded ({told}): install what it needs, on Debian and Ubuntu: sudo apt-get install {_LIBRARIES}"
+    )

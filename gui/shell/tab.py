@@ -10,12 +10,10 @@ from pathlib import Path
 from PyQt5.QtCore import QObject
 from PyQt5.QtWidgets import QAction, QSplitter, QWidget
 
-from gui.process.background import Background
-from gui.process.command_process import CommandProcess, Message
-from gui.shell.error_hook import error_text
+from gui.shell.files import Settings
 from gui.shell.front_door import FrontDoor
-from gui.shell.message_bar import MessageBar
-from gui.shell.settings import Settings
+from gui.shell.messages import MessageBar, error_text
+from gui.shell.process import Background, CommandProcess, Message
 from gui.shell.theme import Theme
 from storage.errors import WavefocusError
 

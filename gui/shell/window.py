@@ -1,13 +1,14 @@
-"""The window: tabs, menus, messages, dropped files, closing."""
+"""The application and its window: tabs, menus, messages, dropped files, closing."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import QSize, Qt, QTimer
-from PyQt5.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QGuiApplication, QKeySequence
+from PyQt5.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QFontDatabase, QGuiApplication, QKeySequence
 from PyQt5.QtWidgets import (
     QAction,
     QActionGroup,
@@ -22,15 +23,14 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.process.background import Background
-from gui.shell.error_hook import ErrorHook
-from gui.shell.file_choice import dropped_files, make_dialog
+from gui.shell.files import Settings, dropped_files, make_dialog
 from gui.shell.front_door import FrontDoor
-from gui.shell.message_bar import MessageBar
-from gui.shell.settings import Settings
+from gui.shell.messages import ErrorHook, MessageBar
+from gui.shell.process import Background
 from gui.shell.tab import Act, Question, Tab, TabContext, make_tabs
-from gui.shell.theme import CHOICES, resized_text, set_theme, theme_named
+from gui.shell.theme import CHOICES, BoxStyle, resized_text, set_theme, theme_named
 from gui.shell.widgets import copy_text, make_action
+from storage.errors import InputError
 
 _REFRESH_EVERY_MS = 50
 _SIZE, _LEAST, _FRAME = QSize(1240, 720), QSize(800, 560), QSize(16, 48)
@@ -244,3 +244,58 @@ def _add(menu: QMenu, text: str, act: Callable[[], object], *keys: QKeySequence.
     action = make_action(menu, text, act, *keys)
     menu.addAction(action)
     return action
+
+
+# Fontconfig's own names, which Qt lists even without fonts.
+_NAMES_WITHOUT_FONTS = {"Monospace", "Sans Serif", "Serif"}
+
+
+def make_application(arguments: Sequence[str] = ("wavefocus",)) -> QApplication:
+    """Make the application, sharp at any scaling.
+
+    Raises
+    ------
+    InputError
+        The system has no font: Qt would show no text.
+    """
+    QApplication.setAttribute(Qt.ApplicationAttribute.AA_EnableHighDpiScaling, True)
+    QApplication.setAttribute(Qt.ApplicationAttribute.AA_UseHighDpiPixmaps, True)
+    QGuiApplication.setHighDpiScaleFactorRoundingPolicy(Qt.HighDpiScaleFactorRoundingPolicy.PassThrough)
+    application = QApplication(list(arguments))
+    application.setApplicationName("wavefocus")
+    application.setApplicationDisplayName("wavefocus")
+    application.setStyle(BoxStyle())
+    require_fonts()
+    return application
+
+
+def require_fonts() -> None:
+    """Refuse where Qt finds no font.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    if not set(QFontDatabase().families()) - _NAMES_WITHOUT_FONTS:
+        raise InputError(
+            "the window would show no text, for the system has no font: install one, on Debian and Ubuntu: "
+            "sudo apt-get install fonts-dejavu-core"
+        )
+
+
+def show(front: FrontDoor, files: Sequence[Path]) -> int:
+    """Show the window until it is closed."""
+    application = make_application()
+    window = Window(front, Settings())
+    for path in files:
+        window.open_file(path)
+    if not files:
+        window.restore_settings()
+    window.show()
+    former = signal.signal(signal.SIGTERM, lambda _number, _frame: window.close_at_once())
+    try:
+        return int(application.exec_())
+    finally:
+        signal.signal(signal.SIGTERM, former)
+        window.shut_down()

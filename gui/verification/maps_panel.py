@@ -7,8 +7,7 @@ from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from gui.shell.theme import Theme
-from gui.surface.colours import ColourBar, scaled_unit, symmetric_levels
-from gui.surface.field_map import FieldMap
+from gui.surface.field_map import ColourBar, FieldMap, scaled_unit, symmetric_levels
 from gui.surface.time_slider import TimeSlider
 from gui.verification.results import Results
 

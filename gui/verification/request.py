@@ -9,7 +9,7 @@ from pathlib import Path
 
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QSpinBox, QWidget
 
-from gui.shell.file_choice import PathField
+from gui.shell.files import PathField
 from gui.shell.tab import TabContext
 from gui.shell.toml_files import names_virtual_rig
 from gui.shell.widgets import named

@@ -13,9 +13,9 @@ from PyQt5.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QWid
 from acquisition.engine.events import Fault, ReconnectTried, State, StateChanged
 from config.messages.codec import MessageError, message_of
 from config.messages.verify import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
-from gui.process.command_process import STOPPED_BY_USER, CommandProcess
-from gui.process.log_tail import LogTail
-from gui.shell.error_hook import error_text
+from gui.campaign.follower import LogTail
+from gui.shell.messages import error_text
+from gui.shell.process import STOPPED_BY_USER, CommandProcess
 from gui.shell.tab import Question, TabContext
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import Badge, finish_text, make_action, make_button, put

@@ -9,9 +9,9 @@ from PyQt5.QtCore import Qt, QUrl
 from PyQt5.QtGui import QDesktopServices, QDragEnterEvent, QDropEvent
 from PyQt5.QtWidgets import QAction, QLabel, QStackedWidget, QVBoxLayout
 
-from gui.process.background import Background
-from gui.shell.error_hook import error_text
-from gui.shell.file_choice import choose_file, dropped_files
+from gui.shell.files import choose_file, dropped_files
+from gui.shell.messages import error_text
+from gui.shell.process import Background
 from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
 from gui.shell.widgets import copy_text, side_by_side, stacked

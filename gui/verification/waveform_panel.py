@@ -10,7 +10,7 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QGraphicsItem, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from gui.shell.theme import Theme
-from gui.surface.colours import scaled_unit
+from gui.surface.field_map import scaled_unit
 from gui.surface.plot import Plot, thinned
 from gui.verification.results import Results
 

@@ -19,9 +19,8 @@ from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
 from gui.campaign.tab import CampaignTab
-from gui.shell.application import require_fonts
-from gui.shell.settings import Settings
-from gui.shell.window import Window
+from gui.shell.files import Settings
+from gui.shell.window import Window, require_fonts
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
 

@@ -14,8 +14,8 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
+from gui.campaign.map_panel import SurfaceMap
 from gui.campaign.quality import DAMAGED, LOOKS
-from gui.campaign.surface_map import SurfaceMap
 from gui.campaign.tab import CampaignTab
 from gui.shell.window import Window
 from storage.bank.reading import open_bank

@@ -14,11 +14,10 @@ import pytest
 
 from acquisition.engine.events import State
 from gui.campaign.events import Weight
-from gui.campaign.follower import Follower, Life, Records
+from gui.campaign.follower import Follower, Life, LogTail, Records
 from gui.campaign.model import KEPT_LINES, Campaign
 from gui.campaign.quality import per_position
 from gui.campaign.state import CampaignState, Extra, Order, possible_orders
-from gui.process.log_tail import LogTail
 from gui.shell.front_door import Pulse
 from gui.surface.surface import raster_of
 from storage.ledger.owner import Owner

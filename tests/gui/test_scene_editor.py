@@ -37,7 +37,7 @@ from gui.scene.document import SceneDocument
 from gui.scene.draft import NEW_PATHS, NEW_SCENE, changed, new_source, read_draft, scene_toml, with_source
 from gui.scene.handles import handles_of, shifted, with_handle_at
 from gui.scene.tab import SceneTab
-from gui.shell.settings import Settings
+from gui.shell.files import Settings
 from gui.shell.window import Window
 from rendering.scene import paths
 from rendering.scene.loading import build_scene, load_scene

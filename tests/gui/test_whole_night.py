@@ -13,8 +13,7 @@ from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QLis
 from pytestqt.qtbot import QtBot
 
 from gui.scene.tab import SceneTab
-from gui.shell.file_choice import PathField
-from gui.shell.settings import Settings
+from gui.shell.files import PathField, Settings
 from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
 from rendering.verify.record import RECORD_NAME

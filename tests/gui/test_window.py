@@ -25,7 +25,7 @@ from PyQt5.QtWidgets import (
 from pytestqt.qtbot import QtBot
 
 from gui.scene.tab import SceneTab
-from gui.shell.settings import Settings
+from gui.shell.files import Settings
 from gui.shell.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
 from gui.shell.window import Window
 from storage.errors import InputError
@@ -39,8 +39,8 @@ import os
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 from pathlib import Path
 from PyQt5.QtCore import QSettings
-from gui.shell.application import make_application
-from gui.shell.settings import Settings
+from gui.shell.window import make_application
+from gui.shell.files import Settings
 from gui.shell.window import Window
 from wavefocus.commands.gui import front_door
 application = make_application()

@@ -9,7 +9,7 @@ from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QAction, QHBoxLayout, QLabel, QSizePolicy, QSpinBox, QToolButton, QVBoxLayout, QWidget
 
 from gui.scene.results.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, Playing, Saving
-from gui.shell.file_choice import PathField, choose_place
+from gui.shell.files import PathField, choose_place
 from gui.shell.tab import TabContext
 from gui.shell.theme import Theme
 from gui.shell.toml_files import VIRTUAL

@@ -10,10 +10,10 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
 from acquisition.durations import hours
-from gui.process.command_process import STOPPED_BY_USER, CommandProcess, Message
 from gui.scene.document import SceneDocument
 from gui.scene.draft import scene_toml
-from gui.shell.error_hook import error_text
+from gui.shell.messages import error_text
+from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.shell.tab import TabContext
 from gui.shell.toml_files import names_virtual_rig
 

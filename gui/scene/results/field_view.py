@@ -13,8 +13,7 @@ from gui.scene.results.instants import between
 from gui.scene.results.messages import Driven, PredictedField
 from gui.shell.theme import Theme
 from gui.shell.widgets import named, stacked
-from gui.surface.colours import ColourBar, scaled_unit
-from gui.surface.field_map import FieldMap
+from gui.surface.field_map import ColourBar, FieldMap, scaled_unit
 from gui.surface.plot import Plot, thinning_curve
 from gui.surface.time_slider import TimeSlider
 from storage.units import quantity

@@ -1,1 +1,0 @@
-"""Child processes, background work and logs that the window follows."""
