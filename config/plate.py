@@ -11,6 +11,7 @@ from config.fields import Finite, NonNegative, Positive, Table, mistake
 PLATES_OF_KEY = {
     "rim_admittance": ("stadium",),
     "quality": ("thin",),
+    "edge": ("thin",),
     "shear_speed_m_s": ("solid",),
     "pressure_speed_m_s": ("solid",),
     "damping_per_s": ("solid",),
@@ -32,7 +33,10 @@ class PlateKeys(Table):
         default=None, description='Of the plate "stadium": 0 is a free edge, 1 absorbs waves at a right angle'
     )
     quality: Annotated[Positive, Field(le=1e5)] | None = Field(
-        default=None, description='Of the plate "thin": quality factor of its modes'
+        default=None, description='Of the plate "thin": quality factor of its modes and waves'
+    )
+    edge: Literal["supported", "infinite"] | None = Field(
+        default=None, description='Of the plate "thin": a rectangle that is simply supported, or none'
     )
     shear_speed_m_s: Positive | None = Field(default=None, description='Of the plate "solid": speed of shear waves')
     pressure_speed_m_s: Positive | None = Field(

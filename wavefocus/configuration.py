@@ -142,10 +142,13 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     """
     if run.virtual is not None and not rig.is_virtual:
         raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
-    plate = plate_behind(rig, run).plate
-    if plate == "thin" and rig.surface.kind != "rectangle":
-        raise InputError(f'{source}: virtual.plate = "thin": needs kind = "rectangle" in [surface] of the rig file')
-    if plate == "stadium" and find_spec("skfem") is None:
+    plate = plate_behind(rig, run)
+    if plate.plate == "thin" and plate.edge != "infinite" and rig.surface.kind != "rectangle":
+        raise InputError(
+            f'{source}: virtual.plate = "thin": needs kind = "rectangle" in [surface] of the rig file, '
+            'or edge = "infinite"'
+        )
+    if plate.plate == "stadium" and find_spec("skfem") is None:
         raise InputError(f'{source}: virtual.plate = "stadium": needs scikit-fem: pip install "wavefocus[plates]"')
     actuators = len(rig.actuators.position_mm)
     if run.capture.groups > actuators:

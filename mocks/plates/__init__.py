@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -89,6 +89,20 @@ class Plate(ABC):
     @abstractmethod
     def loudness(self, frequency_hz: Float64Array) -> Float64Array:
         """How strongly it responds to each frequency > 0, at no place in particular; the chain left out."""
+
+
+def make_plate(
+    name: str,
+    actuator_mm: Float64Array,
+    outline: Outline,
+    chain: Callable[[Float64Array], Complex128Array],
+    keys: Mapping[str, Any],
+) -> Plate:
+    """Make a plate by its name and the keys of its table. Raises ValueError."""
+    own = {key: value for key, value in keys.items() if key != "edge"}
+    if keys.get("edge") == "infinite":
+        name = f"{name}, infinite"
+    return PLATES.all()[name](actuator_mm, outline, chain, **own)
 
 
 PLATES: Registry[type[Plate]] = Registry("mocks.plates")

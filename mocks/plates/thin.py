@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Float64Array = NDArray[np.float64]
+Complex128Array = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ class ThinPlate:
         sample_rate_hz : float
             Their rate.
         quality : float
-            Quality factor Q of every mode, > 0: amplitudes fall as exp(-w t / (2 Q)).
+            Quality factor Q of every mode, > 0.5: amplitudes fall as exp(-w t / (2 Q)).
         band_hz : tuple of float
             Modes within it are summed.
 
@@ -81,18 +82,76 @@ class ThinPlate:
         float64 array, shape (points, sources, samples)
             In m/s per N s.
         """
+        time_s = np.arange(samples) / sample_rate_hz
+        total = np.zeros((len(points_m), len(sources_m), samples))
+        for across, along in self.modes(band_hz):
+            rate, start = self.ringing(self.mode_hz(across, along), quality)
+            at, of = self.shape(across, along, points_m), self.shape(across, along, sources_m)
+            total += (at[:, None] * of)[..., None] * (start * np.exp(rate * time_s)).real
+        return total
+
+    def modes(self, band_hz: tuple[float, float]) -> list[tuple[int, int]]:
+        """Half waves along x and y of the modes within a band."""
         most = int(np.ceil(np.sqrt(2.0 * band_hz[1] / (np.pi * self.kappa_m2_s)) * max(self.length_m, self.width_m)))
         m, n = (part.ravel() for part in np.meshgrid(np.arange(1, most + 1), np.arange(1, most + 1)))
         frequency_hz = self.mode_hz(m, n)
         chosen = (frequency_hz >= band_hz[0]) & (frequency_hz <= band_hz[1])
-        time_s = np.arange(samples) / sample_rate_hz
-        modal_mass = self.mass_kg_m2 * self.length_m * self.width_m / 4.0
-        total = np.zeros((len(points_m), len(sources_m), samples))
-        for across, along, hertz in zip(m[chosen].tolist(), n[chosen].tolist(), frequency_hz[chosen], strict=True):
-            ringing = np.exp(-np.pi * hertz * time_s / quality) * np.cos(2.0 * np.pi * hertz * time_s)
-            at, of = self.shape(across, along, points_m), self.shape(across, along, sources_m)
-            total += (at[:, None] * of)[..., None] * (ringing / modal_mass)
-        return total
+        return list(zip(m[chosen].tolist(), n[chosen].tolist(), strict=True))
+
+    def ringing(self, mode_hz: ArrayLike, quality: float) -> tuple[Complex128Array, Complex128Array]:
+        """Rates in 1/s and starts in m/s per N s: a mode's velocity after a unit impulse is Re(start exp(rate t)).
+
+        Raises ValueError: the quality factor is 0.5 or less, where nothing rings, or negative, where waves grow.
+        """
+        if not quality > 0.5:
+            raise ValueError(f"quality is {quality:g}; it must be above 0.5 for modes to ring, and not to grow")
+        angular, loss = 2.0 * np.pi * np.asarray(mode_hz, dtype=np.float64), 0.5 / quality
+        turn = np.sqrt(1.0 - loss**2)
+        start = (1.0 + 1j * loss / turn) / (self.mass_kg_m2 * self.length_m * self.width_m / 4.0)
+        return angular * (-loss + 1j * turn), np.full_like(angular, start, dtype=np.complex128)
+
+
+class ExactPlate:
+    """Every mode steps by its own complex exponential: exact in time at any step. Raises ValueError.
+
+    Parameters
+    ----------
+    plate : ThinPlate
+        The plate.
+    points_m, sources_m : float64 array, shape (points, 2) and (sources, 2)
+        In m.
+    step_s : float
+        Time step, > 0.
+    quality, band_hz
+        As of `ThinPlate.impulse_velocity`.
+    """
+
+    def __init__(
+        self,
+        plate: ThinPlate,
+        points_m: Float64Array,
+        sources_m: Float64Array,
+        step_s: float,
+        *,
+        quality: float,
+        band_hz: tuple[float, float],
+    ) -> None:
+        modes = plate.modes(band_hz)
+        rate, self._start = plate.ringing([plate.mode_hz(*mode) for mode in modes], quality)
+        self._turn = np.exp(rate * step_s)
+        self._at, self._of = (
+            np.stack([plate.shape(*mode, places) for mode in modes], axis=1) for places in (points_m, sources_m)
+        )
+
+    def driven(self, impulse_n_s: Float64Array) -> Float64Array:
+        """Velocities (points, steps) at each step, just after the impulses (sources, steps) in N s of that step."""
+        state = np.zeros(len(self._turn), dtype=np.complex128)
+        velocity = np.empty((len(self._at), impulse_n_s.shape[1]))
+        pushes = (impulse_n_s.T @ self._of) * self._start
+        for step, push in enumerate(pushes):
+            state = state * self._turn + push
+            velocity[:, step] = self._at @ state.real
+        return velocity
 
 
 class ExplicitPlate:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len
 
-from mocks.plates import PLATES
+from mocks.plates import make_plate
 from mocks.plates.infinite import impulse_length, phase_ramp
 from mocks.virtual.chain import actuator_gains, chain_response
 from mocks.virtual.settings import VirtualSettings
@@ -64,8 +64,8 @@ class Synthesis:
         self._output_gain = settings.output_gain or (1.0,) * settings.player_channels
         self._output_late_s = settings.output_latency_s or (0.0,) * settings.player_channels
         self._uneven = settings.output_gain is not None or settings.output_latency_s is not None
-        self._plate = PLATES.all()[settings.plate](
-            actuator_mm, settings.outline, chain_response, **dict(settings.plate_keys)
+        self._plate = make_plate(
+            settings.plate, actuator_mm, settings.outline, chain_response, dict(settings.plate_keys)
         )
         self._transfer = lru_cache(4)(self._make_transfer)
         self._shift = lru_cache(4)(_quarter_shifts)

@@ -58,6 +58,7 @@ limit_v = 1.0
         ("soft", "stadium", (90.0, 60.0, 4.0)),
         ("stadium", "rectangle", (90.0, 60.0, 4.0)),
         ("thin", "rectangle", (300.0, 200.0, 20.0)),
+        ("thin, infinite", "stadium", (300.0, 200.0, 20.0)),
         ("solid", "stadium", (90.0, 60.0, 4.0)),
     ],
 )
@@ -65,10 +66,12 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plate: str, kind: str, size: tuple[float, float, float]
 ) -> None:
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
-    rig, campaign = RIG.replace("{kind}", kind), RUN.replace("{plate}", plate)
-    for name, value in zip(("{length}", "{width}", "{spacing}"), size, strict=True):
-        rig, campaign = rig.replace(name, str(value)), campaign.replace(name, str(value))
-    campaign += {"thin": "quality = 8.0\n", "solid": "force_deg = 30.0\noscillation_deg = 60.0\n"}.get(plate, "")
+    name, _, edge = plate.partition(", ")
+    rig, campaign = RIG.replace("{kind}", kind), RUN.replace("{plate}", name)
+    for key, value in zip(("{length}", "{width}", "{spacing}"), size, strict=True):
+        rig, campaign = rig.replace(key, str(value)), campaign.replace(key, str(value))
+    campaign += {"thin": "quality = 8.0\n", "solid": "force_deg = 30.0\noscillation_deg = 60.0\n"}.get(name, "")
+    campaign += f'edge = "{edge}"\n' if edge else ""
     for name, text in (("rig.toml", rig), ("run.toml", campaign), ("scene.toml", SCENE)):
         (tmp_path / name).write_text(text, encoding="utf-8")
     quiet, bank = tmp_path / "quiet.h5", tmp_path / "plate.h5"

@@ -12,11 +12,12 @@ from config.outline import Outline
 from config.run import Virtual
 from mocks.plates import PLATES
 from mocks.plates.finite_elements import Elements, ritz_modes, spacing_mm, triangulate
-from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
+from mocks.plates.glass import HIGHEST_HZ as HIGHEST_HZ_GLASS
+from mocks.plates.glass import INFINITE_STRENGTH, KAPPA_M2_S, MASS_KG_M2, STRENGTH, InfiniteGlass, ThinRectangle
+from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, thin_plate_green
 from mocks.plates.stadium import StadiumPlate
 from mocks.plates.thin import ThinPlate
-from mocks.plates.thin_rectangle import HIGHEST_HZ as HIGHEST_HZ_GLASS
-from mocks.plates.thin_rectangle import KAPPA_M2_S, STRENGTH, ThinRectangle
+from mocks.virtual.chain import chain_response
 
 HIGHEST_HZ = 500.0
 SPACING_MM = spacing_mm(SOFT_PLATE, HIGHEST_HZ)
@@ -141,7 +142,8 @@ def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(
 
 def test_the_run_file_takes_every_plate() -> None:
     for name in PLATES.all():
-        assert Virtual(plate=name).plate == name  # type: ignore[arg-type]
+        plate, _, edge = name.partition(", ")
+        assert Virtual.model_validate({"plate": plate, "edge": edge or None}).plate == plate
 
 
 def test_given_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_time() -> None:
@@ -160,3 +162,34 @@ def test_given_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_
 def test_given_glass_of_another_outline_then_it_is_refused() -> None:
     with pytest.raises(ValueError, match="rectangle"):
         ThinRectangle(ACTUATOR_MM, STADIUM, np.ones_like)
+
+
+def test_given_glass_without_an_edge_and_little_loss_then_its_response_is_the_closed_form() -> None:
+    plate = InfiniteGlass(np.array([[60.0, 30.0]]), STADIUM, np.ones_like, quality=1e7)
+    hertz = 50.0 * np.arange(1, 11)
+    angular = 2 * np.pi * hertz
+    wavenumber = np.sqrt(angular / KAPPA_M2_S)
+    argument = wavenumber * MAGNET_RADIUS_MM / 1e3
+    green = thin_plate_green(wavenumber, np.hypot(100.0, 20.0) / 1e3) / (MASS_KG_M2 * KAPPA_M2_S**2)
+    found = plate.response((-40.0, 10.0), 50.0, 11, single=False)[0, 1:]
+    # Averaged over a small disk, both parts change by (k a)^2 / 8.
+    np.testing.assert_allclose(found, INFINITE_STRENGTH * 1j * angular * green, rtol=float(argument.max() ** 2 / 4))
+
+
+def test_given_glass_so_large_and_lossy_that_no_edge_is_felt_then_its_modes_add_up_to_the_closed_form() -> None:
+    outline, actuator_mm = Outline.rectangle(800.0, 700.0), np.array([[20.0, -10.0], [-30.0, 40.0]])
+    modes = ThinRectangle(actuator_mm, outline, np.ones_like, quality=1.0)
+    waves = InfiniteGlass(actuator_mm, outline, np.ones_like, quality=1.0)
+    for place in ((-20.0, 15.0), (60.0, 30.0)):
+        found, wanted = (plate.response(place, 100.0, 11, single=False)[:, 5:] for plate in (modes, waves))
+        found *= INFINITE_STRENGTH / STRENGTH
+        assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted)
+
+
+def test_given_taps_then_the_spectra_of_infinite_glass_are_those_of_the_cut_responses() -> None:
+    plate = InfiniteGlass(ACTUATOR_MM, STADIUM, chain_response, quality=50.0)
+    rate_hz, taps, length, full = 10_000.0, 1000, 1024, 24_000
+    (found,) = plate.fir_spectra(PLACE_MM[:1] / 2, taps, rate_hz, length, slice(3, 52))
+    response = plate.response(tuple(PLACE_MM[0] / 2), rate_hz / full, full // 2 + 1, single=False)
+    wanted = np.fft.rfft(np.fft.irfft(response, full)[:, :taps], length)[:, 3:52]
+    assert np.linalg.norm(found - wanted) < 1e-4 * np.linalg.norm(wanted)

@@ -1,0 +1,165 @@
+"""Thin plates of the virtual rig, 1 mm of glass: a simply supported rectangle by its modes, and one without an edge.
+
+kappa^2 biharmonic(w) - (kappa / Q) laplacian(w') + w'' = q / (rho h): every wave loses the same share per period, and
+the modes of the rectangle all have the quality factor Q (Kirchhoff-Love; Timoshenko and Woinowsky-Krieger 1959).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import jv
+
+from config.outline import Outline
+from mocks.plates import PLATES, Complex128Array
+from mocks.plates.infinite import InfinitePlate
+from mocks.plates.modal import ModalPlate
+from mocks.plates.soft import MAGNET_RADIUS_MM, mean_hankel
+from mocks.plates.thin import ThinPlate
+
+Float64Array = NDArray[np.float64]
+
+KAPPA_M2_S = 1.57
+"""sqrt(D / (rho h)) of 1 mm of glass."""
+MASS_KG_M2 = 2.5
+QUALITY = 100.0
+HIGHEST_HZ = 8000.0
+"""Modes up to here are summed; those beyond move each response by less than 1 % in a band to 500 Hz."""
+STRENGTH = 5.0
+"""Force of an actuator relative to that on the soft plate, so that the same converters suit both."""
+
+INFINITE_STRENGTH = 150.0
+"""The same without an edge, where nothing resonates."""
+
+
+@PLATES.register
+class ThinRectangle(ModalPlate):
+    """A simply supported rectangle of glass.
+
+    Parameters
+    ----------
+    actuator_mm, outline, chain
+        As of every plate; the outline is a rectangle. Raises ValueError.
+    quality : float
+        Quality factor of every mode, > 0, to 1e4: amplitudes decay as exp(-w t / (2 Q)).
+    """
+
+    name = "thin"
+
+    def __init__(
+        self,
+        actuator_mm: Float64Array,
+        outline: Outline,
+        chain: Callable[[Float64Array], Complex128Array],
+        *,
+        quality: float = QUALITY,
+    ) -> None:
+        super().__init__(actuator_mm, outline, chain)
+        if not (np.isfinite(quality) and quality > 0):
+            raise ValueError(f"quality is {quality}; it must be finite and greater than 0")
+        left, bottom, right, top = outline.box_mm
+        if outline.area_mm2 < (1 - 1e-6) * (right - left) * (top - bottom):
+            raise ValueError('the plate "thin" is a rectangle; set kind = "rectangle" in [surface] of the rig file')
+        self._corner_m = np.array([left, bottom]) / 1e3
+        self._plate = plate = ThinPlate((right - left) / 1e3, (top - bottom) / 1e3, KAPPA_M2_S, MASS_KG_M2)
+        most = [int(np.sqrt(2 * HIGHEST_HZ / (np.pi * KAPPA_M2_S)) * side) for side in (plate.length_m, plate.width_m)]
+        across, along = (part.ravel() for part in np.meshgrid(*(np.arange(1, count + 1) for count in most)))
+        hertz = plate.mode_hz(across, along)
+        within = hertz <= HIGHEST_HZ
+        self._across, self._along = across[within], along[within]
+        self._angular, self._quality = 2 * np.pi * hertz[within], quality
+        self._modal_mass_kg = plate.mass_kg_m2 * plate.length_m * plate.width_m / 4
+        # Mean of a mode over the disk of an actuator: its value at the centre times a factor of its wave number.
+        argument = np.sqrt(self._angular / KAPPA_M2_S) * MAGNET_RADIUS_MM / 1e3
+        self._force = self._shapes(actuator_mm) * 2 * jv(1, argument) / argument
+
+    def coefficients(self, place_mm: Float64Array) -> Float64Array:
+        return np.asarray(self._shapes(place_mm)[:, None, :] * self._force)
+
+    def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
+        angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+        own = self._angular[:, None]
+        stiffness = own**2 - angular**2 + 1j * angular * own / self._quality
+        return np.asarray(STRENGTH * 1j * angular / (self._modal_mass_kg * stiffness))
+
+    def _shapes(self, place_mm: Float64Array) -> Float64Array:
+        """Shapes of all modes at places (n, 2): (n, modes)."""
+        x, y = (np.asarray(place_mm, dtype=np.float64) / 1e3 - self._corner_m).T
+        plate = self._plate
+        return np.asarray(
+            np.sin(np.pi * x[:, None] * self._across / plate.length_m)
+            * np.sin(np.pi * y[:, None] * self._along / plate.width_m)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FlexuralWave:
+    """One of the two waves of the infinite thin plate. Raises ValueError.
+
+    (k^2 - k1^2) (k^2 - k2^2) = k^4 + j (w / kappa) k^2 / Q - (w / kappa)^2 has the roots k1^2 = (w / kappa) e^{-j phi},
+    which travels, and k2^2 = -(w / kappa) e^{j phi}, which stays near the source; sin(phi) = 1 / (2 Q).
+
+    Parameters
+    ----------
+    quality : float
+        Q, > 0.5.
+    travels : bool
+        Which of the two it is.
+    """
+
+    quality: float
+    travels: bool
+
+    plain_from_hz: ClassVar[float] = np.inf
+    speed_m_s: ClassVar[float] = np.inf
+    damping_per_s: ClassVar[float] = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.quality > 0.5:
+            raise ValueError(f"quality is {self.quality:g}; without an edge it must be above 0.5, or nothing travels")
+
+    @property
+    def _phi(self) -> float:
+        return float(np.arcsin(0.5 / self.quality))
+
+    def wavenumber(self, frequency_hz: Float64Array) -> Complex128Array:
+        """Complex wavenumber in rad/m."""
+        turn = np.exp(-0.5j * self._phi) if self.travels else -1j * np.exp(0.5j * self._phi)
+        return np.asarray(np.sqrt(2 * np.pi * frequency_hz / KAPPA_M2_S) * turn)
+
+    def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
+        """Part of (H0(2)(k1 r) - H0(2)(k2 r)) / (8 sqrt(D rho h) cos(phi)); H0(2)(-j z) = (2j / pi) K0(z)."""
+        still = frequency_hz == 0
+        wavenumber = self.wavenumber(np.where(still, 1.0, frequency_hz))
+        mean = mean_hankel(wavenumber, radius_mm / 1e3, source_radius_mm / 1e3)
+        mobility = INFINITE_STRENGTH / (8 * MASS_KG_M2 * KAPPA_M2_S * np.cos(self._phi))
+        return np.asarray(np.where(still, 0.0, (mobility if self.travels else -mobility) * mean))[None]
+
+
+@PLATES.register
+class InfiniteGlass(InfinitePlate):
+    """Glass without an edge: waves leave and never come back; `quality` as of the rectangle."""
+
+    name = "thin, infinite"
+
+    def __init__(
+        self,
+        actuator_mm: Float64Array,
+        outline: Outline,
+        chain: Callable[[Float64Array], Complex128Array],
+        *,
+        quality: float = QUALITY,
+    ) -> None:
+        waves = FlexuralWave(quality, travels=True), FlexuralWave(quality, travels=False)
+        super().__init__(actuator_mm, outline, chain, waves)
+
+    def weights(self, gap_mm: Float64Array) -> None:
+        return None
+
+    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
+        argument = np.sqrt(2 * np.pi * frequency_hz / KAPPA_M2_S) * MAGNET_RADIUS_MM / 1e3
+        return np.asarray(np.abs(jv(1, argument)) / argument**1.5)
