@@ -1,4 +1,4 @@
-"""Draw the picture of docs/explanation/how-a-recording-becomes-a-greens-function.md from one virtual record.
+"""Draw the pictures of docs/explanation: one virtual record to its Green's function, one scene to its drives and field.
 
 python -m tools.explanation_pictures docs/pictures
 """
@@ -13,13 +13,21 @@ import numpy as np
 from calibration.estimator.sequential import Estimator
 from calibration.excitation.sweeps import Excitation
 from mocks.virtual.rig import VirtualRig
+from rendering.drive.rendering import render_with_report
+from rendering.field.prediction import predict
+from rendering.greens.bank_rows import BankRows
+from rendering.scene.model import Scene, Source
+from rendering.scene.paths import Line
+from rendering.scene.sampling import sample_scene
+from rendering.scene.signals import Noise
+from tools.compare_houses import bank_of
 
 RATE_HZ, TAPS, PPM, START = 10_000.0, 2000, 30e-6, 412.37
 PLACE_MM, ACTUATOR = (22.0, 12.0), 3
 NOISE_V, M_S_PER_V = 5e-3, 0.125
 
 
-def draw(folder: Path) -> None:
+def draw_recording(folder: Path) -> None:
     """Write recording-to-green.png into a folder."""
     from matplotlib.figure import Figure
 
@@ -97,5 +105,55 @@ def _in_band(fir: np.ndarray, period: int, band: np.ndarray) -> np.ndarray:
     return np.asarray(np.fft.irfft(np.where(band, spectrum, 0), period)[: len(fir)])
 
 
+def draw_scene(folder: Path) -> None:
+    """Write scene-to-drive.png into a folder: a noise source that moves over the bank of `tools.compare_houses`."""
+    from matplotlib.figure import Figure
+
+    bank = bank_of()
+    rate_hz = float(bank.sample_rate_hz)
+    path = Line((-12.0, 0.0), (12.0, 0.0))
+    scene = Scene("line", (Source(path, Noise((50, 400), 0.14, 2), 0.0, 200.0, 4.0),))
+    drive, _ = render_with_report(scene, bank, method="sampled")
+    field = predict(drive, bank)
+    source = sample_scene(scene, bank, "sampled").sources[0]
+    rows, hop = BankRows(bank, scene.regularisation), round(0.02 * rate_hz)
+    emitted = source.emission.events(0, 3 * hop)
+    visited = emitted.rows[::hop, 0]
+    gain, _ = rows.weigh(visited, visited)
+
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    axes = figure.subplots(2, 2)
+    time_ms = 1e3 * np.arange(3 * hop) / rate_hz
+    for row, factor in zip(visited.tolist(), gain / gain.max(), strict=True):
+        window = np.where(emitted.rows[:, 0] == row, factor * emitted.values, 0.0)
+        axes[0, 0].plot(time_ms, window, lw=1.4, label=f"row {row}")
+    axes[0, 0].plot(time_ms, 0.7 * emitted.values, color="#777777", lw=0.7, label="signal")
+    axes[0, 0].set(title="1. Windows: samples that each row emits in a block", xlabel="time in ms", yticks=[])
+    axes[0, 0].legend(loc="upper left", fontsize=8, frameon=False, ncols=2)
+    green, tap_ms = bank.values[visited[0], 3], 1e3 * np.arange(bank.taps) / rate_hz
+    axes[0, 1].plot(tap_ms, green, color="#999999", label="g(t), as measured")
+    axes[0, 1].plot(tap_ms, green[::-1], label="reversed in time")
+    axes[0, 1].set(title="2. One Green's function of a row", xlabel="time in ms", yticks=[])
+    axes[0, 1].legend(loc="lower center", fontsize=8, frameon=False)
+    drive_ms = 1e3 * (drive.start_s + np.arange(drive.drive_v.shape[1]) / rate_hz)
+    for actuator, volts in enumerate(drive.drive_v):
+        axes[1, 0].plot(drive_ms, actuator + 0.5 * volts / np.abs(drive.drive_v).max(), color="#1f77b4", lw=0.7)
+    axes[1, 0].axvline(0.0, color="#444444", lw=0.8, ls="--")
+    axes[1, 0].set(title="3. Drives of all actuators", xlabel="time in ms (0: first focus)", ylabel="actuator")
+    focus = round((0.05 - field.start_s) * rate_hz)
+    sample = focus + int(np.argmax(np.abs(field.field[visited[2], focus - hop // 2 : focus + hop // 2]))) - hop // 2
+    snapshot = field.field[:, sample]
+    most = float(np.abs(snapshot).max())
+    axes[1, 1].tripcolor(*bank.position_mm.T, snapshot, shading="gouraud", cmap="RdBu_r", vmin=-most, vmax=most)
+    axes[1, 1].plot(*path.point_at([0.0, path.length_mm]).T, color="black", lw=1.0)
+    shown_ms = 1e3 * (field.start_s + sample / rate_hz)
+    title = f"4. Predicted field, {shown_ms:.0f} ms after the first focus"
+    axes[1, 1].set(title=title, xlabel="x in mm", ylabel="y in mm", aspect="equal")
+    for one in axes.ravel():
+        one.spines[["top", "right"]].set_visible(False)
+    figure.savefig(folder / "scene-to-drive.png", dpi=100)
+
+
 if __name__ == "__main__":
-    draw(Path(sys.argv[1]))
+    draw_recording(Path(sys.argv[1]))
+    draw_scene(Path(sys.argv[1]))
