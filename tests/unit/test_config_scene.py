@@ -201,7 +201,7 @@ MISTAKES = [
     (POINT + "[output]\nlimit_v = 0", "output.limit_v = 0: must be above 0"),
     (
         POINT + "[output]\ninterpolation = 'cubic'",
-        'output.interpolation = "cubic": must be "nearest", "bilinear", "bicubic" or "kernel"',
+        'output.interpolation = "cubic": must be "nearest", "bilinear"',
     ),
     (POINT + "[output]\nemission = 'x'", 'output.emission = "x": unknown key; it belongs to [[source]]'),
 ]

@@ -107,7 +107,7 @@ class Calculation:
                 self._connection.send(order)
 
     def _read(self, connection: Connection) -> None:
-        for module in ("scipy.spatial", "rendering.field.decimation", "rendering.field.focus_figures"):
+        for module in ("scipy.spatial", "rendering.field.bank_spectra", "rendering.field.focus_figures"):
             import_module(module)  # in this thread, before there is anything to show
         with suppress(EOFError, OSError):
             while True:
