@@ -292,12 +292,8 @@ class EventPublisher:
 
     A subscriber that failed gets the later events too: what failed may pass, as a full disk does.
 
-    Parameters
-    ----------
-    subscribers : mapping from str to callable
-        By the name under which a failure is reported.
-    report : callable
-        Receives one sentence about the first failure of a subscriber; by default it goes to Python's log.
+    subscribers: By the name under which a failure is reported.
+    report: Receives one sentence about the first failure of a subscriber; by default it goes to Python's log.
     """
 
     def __init__(self, subscribers: Mapping[str, Subscriber], report: Callable[[str], object] = LOG.error) -> None:
