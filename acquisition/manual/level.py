@@ -25,7 +25,10 @@ class GatedPlayer:
     Whoever owns the instruments may be in the middle of a record when a person says mute: the other thread shuts the
     gate, which silences what sounds and lets nothing more begin until the owner has opened it as often as it was shut.
 
-    player: The player; its `mute` may be called from any thread, as its role demands.
+    Parameters
+    ----------
+    player : Player
+        The player; its `mute` may be called from any thread, as its role demands.
     """
 
     def __init__(self, player: Player) -> None:
@@ -117,10 +120,21 @@ def level_of(recording: Recording, range_v: tuple[float, float]) -> InputLevels:
 def listen(setup: Setup, seconds: float, sample_rate_hz: float, number: int) -> Recording:
     """Record while nothing plays.
 
-    seconds: How long, > 0.
-    number: Which record of its kind this is, for messages.
+    Parameters
+    ----------
+    setup : Setup
+        The rig.
+    seconds : float
+        How long, > 0.
+    sample_rate_hz : float
+        Rate of the record.
+    number : int
+        Which record of its kind this is, for messages.
 
-    Raises InstrumentError: of the recorder, which was stopped.
+    Raises
+    ------
+    InstrumentError
+        Of the recorder, which was stopped.
     """
     recorder = setup.instruments.recorder
     request = RecordRequest(
@@ -136,7 +150,15 @@ def listen(setup: Setup, seconds: float, sample_rate_hz: float, number: int) -> 
 
 
 class LevelMeter:
-    """Hears both inputs again and again, in silence or while one actuator plays short sweeps."""
+    """Hears both inputs again and again, in silence or while one actuator plays short sweeps.
+
+    Parameters
+    ----------
+    setup : Setup
+        The rig.
+    sample_rate_hz : float
+        Rate of the records.
+    """
 
     def __init__(self, setup: Setup, sample_rate_hz: float) -> None:
         self._setup = setup
@@ -157,7 +179,10 @@ class LevelMeter:
     def measure(self) -> InputLevels:
         """Levels now.
 
-        Raises InstrumentError: of the instrument that failed.
+        Raises
+        ------
+        InstrumentError
+            Of the instrument that failed.
         """
         self._number += 1
         setup = self._setup

@@ -18,10 +18,14 @@ from drivers.protocols import Float64Array, Recording
 class Play:
     """What one record plays, and which part of it counts.
 
-    actuator: The actuator that sounds; the first of them where several do.
-    signals_v, mapping from player channel to float64 (samples,): Output volts, all of one length, the loopback channel
-        included.
-    used: Samples of the record that count; it ends with them. All, if absent.
+    Parameters
+    ----------
+    actuator : int
+        The actuator that sounds; the first of them where several do.
+    signals_v : mapping from player channel to float64 array, shape (samples,)
+        Output volts, all of one length, the loopback channel included.
+    used : slice, optional
+        Samples of the record that count; it ends with them. All, if absent.
     """
 
     actuator: int
@@ -42,8 +46,12 @@ class Play:
 class Measuring:
     """How every position of a campaign is measured.
 
-    plays: The records of a position, in order.
-    estimator: What their recordings become.
+    Parameters
+    ----------
+    plays : tuple of Play
+        The records of a position, in order.
+    estimator : PositionEstimator
+        What their recordings become.
     """
 
     plays: tuple[Play, ...]
@@ -63,8 +71,12 @@ def measuring_of(plan: Plan, setup: Setup) -> Measuring:
 def position_estimator(plan: Plan, channels: Channels) -> PositionEstimator:
     """The estimator for the recordings of a plan.
 
-    plan: What was played.
-    channels: How the recorder's channels see it.
+    Parameters
+    ----------
+    plan : Plan
+        What was played.
+    channels : Channels
+        How the recorder's channels see it.
     """
     with one_blas_thread():
         if plan.staggered is not None:

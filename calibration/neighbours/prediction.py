@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from calibration.blas import one_blas_thread
 from calibration.neighbours.wave_fit import fit_waves
@@ -28,6 +27,8 @@ SAME_SPACINGS = 1e-3
 THIN = 1e-3
 """Neighbours whose extent across is this part of that along lie on a line."""
 FIT_PATCHES, FIT_SHAPES, FIT_FREQUENCIES = 12, 2, 11
+CHUNK = 256
+"""Rows of the table of distances that are made at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,15 +175,27 @@ def _patches(position_mm: Float64Array, usable: BoolArray) -> tuple[dict[int, Pa
     if len(rows) <= LEAST_NEIGHBOURS:
         return {}, 0.0
     place_mm = position_mm[rows]
-    tree = cKDTree(place_mm)
-    found = tree.query(place_mm, k=min(2 * MOST_NEIGHBOURS, len(rows)))
-    distance_mm, index = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
+    distance_mm, index = _nearest(place_mm, min(2 * MOST_NEIGHBOURS, len(rows)))
     apart_mm = distance_mm[:, 1]
     if not np.any(apart_mm > 0):
         return {}, 0.0
     spacing_mm = float(np.median(apart_mm[apart_mm > 0]))
     shapes = _shapes(place_mm, distance_mm / spacing_mm, index, spacing_mm)
     return {int(rows[one]): Patch(rows[near], offset_mm, key) for one, near, offset_mm, key in shapes}, spacing_mm
+
+
+def _nearest(place_mm: Float64Array, count: int) -> tuple[Float64Array, Int64Array]:
+    """Distances and rows of the `count` nearest of places (n, 2) to each of them, itself first, (n, count)."""
+    distance_mm, index = np.empty((len(place_mm), count)), np.empty((len(place_mm), count), dtype=np.int64)
+    for low in range(0, len(place_mm), CHUNK):
+        some = slice(low, low + CHUNK)
+        across, along = (place_mm[some, axis, None] - place_mm[:, axis] for axis in (0, 1))
+        table = np.sqrt(across**2 + along**2)
+        near = np.sort(np.argpartition(table, count - 1, axis=1)[:, :count], axis=1)
+        apart = np.take_along_axis(table, near, 1)
+        order = np.argsort(apart, axis=1, kind="stable")
+        distance_mm[some], index[some] = np.take_along_axis(apart, order, 1), np.take_along_axis(near, order, 1)
+    return distance_mm, index
 
 
 def _shapes(

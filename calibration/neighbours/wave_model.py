@@ -12,14 +12,15 @@ signal, as power) come from the bank, by leaving positions out.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j1
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
+Disk = Callable[[Float64Array], Float64Array]
 
 DISK_RADIUS = 1.15
 """Radius a of the disk, in wave numbers: room for what the damping smears."""
@@ -73,6 +74,8 @@ class PatchKernel:
         Waves at the frequencies wanted.
     offset_mm : float64 array, shape (n, 2)
         Positions relative to the first.
+    disk : callable
+        `disk_kernel` or `disk_integral`.
 
     Attributes
     ----------
@@ -80,8 +83,8 @@ class PatchKernel:
         Of the covariance among the positions, ridge included.
     """
 
-    def __init__(self, model: WaveModel, offset_mm: Float64Array) -> None:
-        self._offset_mm = offset_mm
+    def __init__(self, model: WaveModel, offset_mm: Float64Array, disk: Disk | None = None) -> None:
+        self._offset_mm, self._disk = offset_mm, disk or disk_kernel
         self._share = model.disk_share[:, None, None]
         self._wavenumber, self._directions = _resolved(model.wavenumber_rad_mm, offset_mm)
         self._waves = self._plane_waves(offset_mm)
@@ -132,7 +135,7 @@ class PatchKernel:
     def _covariance(
         self, waves: Complex128Array, points_mm: Float64Array, others: Complex128Array, others_mm: Float64Array
     ) -> Complex128Array:
-        ring, disk = _parts(self._wavenumber, waves, points_mm, others, others_mm)
+        ring, disk = _parts(self._wavenumber, waves, points_mm, others, others_mm, self._disk)
         return np.asarray((1.0 - self._share) * ring + self._share * disk)
 
 
@@ -171,13 +174,28 @@ def kernel_parts(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) ->
     """
     wavenumber, directions = _resolved(wavenumber_rad_mm, offset_mm)
     waves = _plane_waves(wavenumber, directions, offset_mm)
-    return _parts(wavenumber, waves, offset_mm, waves, offset_mm)
+    return _parts(wavenumber, waves, offset_mm, waves, offset_mm, disk_kernel)
 
 
 def disk_kernel(radians: Float64Array) -> Float64Array:
     """2 J1(z) / z, the covariance of fields whose wave numbers fill a disk; 1 at 0."""
+    from scipy.special import j1  # slow to load; a grid is planned with `disk_integral`
+
     safe = np.maximum(np.abs(radians), 1e-8)
     return np.asarray(2.0 * j1(safe) / safe)
+
+
+def disk_integral(radians: Float64Array) -> Float64Array:
+    """`disk_kernel` by Poisson's integral, the mean of ``2 sin(t)^2 cos(z cos(t))``, without SciPy, to 1e-12.
+
+    Meant for lattices, on which few distances differ: each is integrated once.
+    """
+    different, inverse = np.unique(np.round(np.abs(radians), 12), return_inverse=True)
+    # The trapezoidal rule over a half turn errs by the Bessel functions of orders above twice its points.
+    count = int(np.ceil(0.5 * different[-1])) + 16
+    angle = np.pi / 2 * (np.arange(count) + 0.5) / count
+    found = np.cos(np.outer(different, np.cos(angle))) @ (2.0 / count * np.square(np.sin(angle)))
+    return np.asarray(found[inverse].reshape(radians.shape))
 
 
 def _resolved(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tuple[Complex128Array, Float64Array]:
@@ -202,9 +220,10 @@ def _parts(
     points_mm: Float64Array,
     others: Complex128Array,
     others_mm: Float64Array,
+    disk_of: Disk,
 ) -> tuple[Complex128Array, Float64Array]:
     gap_mm = points_mm[..., :, None, :] - others_mm[..., None, :, :]
     apart_mm = np.hypot(gap_mm[..., 0], gap_mm[..., 1])
-    disk = disk_kernel(DISK_RADIUS * np.abs(wavenumber_rad_mm)[:, None, None] * apart_mm)
+    disk = disk_of(DISK_RADIUS * np.abs(wavenumber_rad_mm)[:, None, None] * apart_mm)
     ring = waves @ others.conj().transpose(0, 2, 1) / waves.shape[2]
     return np.asarray(ring), disk

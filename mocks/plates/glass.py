@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import jv
 
 from config.outline import Outline
 from mocks.plates import PLATES, Complex128Array
@@ -75,7 +75,7 @@ class ThinRectangle(ModalPlate):
         self._modal_mass_kg = plate.mass_kg_m2 * plate.length_m * plate.width_m / 4
         # Mean of a mode over the disk of an actuator: its value at the centre times a factor of its wave number.
         argument = np.sqrt(self._angular / KAPPA_M2_S) * MAGNET_RADIUS_MM / 1e3
-        self._force = self._shapes(actuator_mm) * 2 * jv(1, argument) / argument
+        self._force = self._shapes(actuator_mm) * 2 * scipy.special.jv(1, argument) / argument
 
     def coefficients(self, place_mm: Float64Array) -> Float64Array:
         return np.asarray(self._shapes(place_mm)[:, None, :] * self._force)
@@ -162,4 +162,4 @@ class InfiniteGlass(InfinitePlate):
 
     def loudness(self, frequency_hz: Float64Array) -> Float64Array:
         argument = np.sqrt(2 * np.pi * frequency_hz / KAPPA_M2_S) * MAGNET_RADIUS_MM / 1e3
-        return np.asarray(np.abs(jv(1, argument)) / argument**1.5)
+        return np.asarray(np.abs(scipy.special.jv(1, argument)) / argument**1.5)

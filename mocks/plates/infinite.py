@@ -12,8 +12,8 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
 
 from config.outline import Outline
 from mocks.plates import Complex64Array, Plate
@@ -221,7 +221,7 @@ ROOM_S = 1.0
 
 def impulse_length(taps: int, sample_rate_hz: float) -> int:
     """Samples of a transform in which impulse responses do not wrap."""
-    return int(next_fast_len(taps + round(ROOM_S * sample_rate_hz), real=True))
+    return int(scipy.fft.next_fast_len(taps + round(ROOM_S * sample_rate_hz), real=True))
 
 
 class TruncatedPlate:
@@ -280,12 +280,12 @@ class TruncatedPlate:
         self._ends = []
         for kernel in range(kernels):
             weights = np.tile(np.eye(kernels)[kernel], (radius_mm.size, 1)) if kernels > 1 else None
-            response = irfft(_summed([table.evaluate(radius_mm, weights) for table in tables]), full)
+            response = scipy.fft.irfft(_summed([table.evaluate(radius_mm, weights) for table in tables]), full)
             response[:, :taps] = 0
             # Folded, a transform of any length has the values at its frequencies.
             folded = np.zeros((radius_mm.size, -(-full // length) * length))
             folded[:, :full] = response
-            ends = rfft(folded.reshape(radius_mm.size, -1, length).sum(axis=1))[:, bins]
+            ends = scipy.fft.rfft(folded.reshape(radius_mm.size, -1, length).sum(axis=1))[:, bins]
             self._ends.append(CubicSpline(radius_mm, ends))
 
     def spectra(self, radius_mm: Float64Array, weights: Float64Array | None = None) -> Complex128Array:

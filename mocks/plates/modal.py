@@ -7,8 +7,8 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft, rfft
 
 from config.outline import Outline
 from mocks.plates import Complex64Array, Complex128Array, Plate
@@ -78,8 +78,8 @@ class ModalPlate(Plate):
         spectra = self.mode_velocities(frequency_hz) * self._chain(frequency_hz)
         # Folded, a transform of any length has the values at its frequencies.
         folded = np.zeros((len(spectra), -(-taps // length) * length))
-        folded[:, :taps] = irfft(spectra, full)[:, :taps]
-        return np.asarray(rfft(folded.reshape(len(spectra), -1, length).sum(axis=1))[:, start:stop])
+        folded[:, :taps] = scipy.fft.irfft(spectra, full)[:, :taps]
+        return np.asarray(scipy.fft.rfft(folded.reshape(len(spectra), -1, length).sum(axis=1))[:, start:stop])
 
     def _find_mean_power(self) -> Float64Array:
         """Mean square of every mode's coefficients, over places within and actuators."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import hankel2, jv, kv
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
@@ -120,10 +120,12 @@ def mean_hankel(wavenumber: ArrayLike, radius_m: ArrayLike, source_radius_m: flo
     mean = np.empty(k.shape, dtype=np.complex128)
     outside = r >= a
     ka = k[outside] * a
-    mean[outside] = hankel2(0, k[outside] * r[outside]) * 2 * jv(1, ka) / ka
+    mean[outside] = scipy.special.hankel2(0, k[outside] * r[outside]) * 2 * scipy.special.jv(1, ka) / ka
     inside = ~outside
     ka = k[inside] * a
-    mean[inside] = 2 / ka * jv(0, k[inside] * r[inside]) * hankel2(1, ka) - 4j / (np.pi * ka * ka)
+    mean[inside] = 2 / ka * scipy.special.jv(0, k[inside] * r[inside]) * scipy.special.hankel2(1, ka) - 4j / (
+        np.pi * ka * ka
+    )
     return mean
 
 
@@ -146,7 +148,7 @@ def thin_plate_green(wavenumber: ArrayLike, radius_m: ArrayLike) -> Complex128Ar
     shape = np.ones(k.shape, dtype=np.complex128)
     away = r > 0
     z = k[away] * r[away]
-    shape[away] = hankel2(0, z) - 2j / np.pi * kv(0, z)
+    shape[away] = scipy.special.hankel2(0, z) - 2j / np.pi * scipy.special.kv(0, z)
     return np.asarray(-1j / (8 * k * k) * shape, dtype=np.complex128)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import jv
 
 from config.outline import Outline
 from mocks.plates import PLATES
@@ -29,4 +29,6 @@ class SoftPlate(InfinitePlate):
     def loudness(self, frequency_hz: Float64Array) -> Float64Array:
         wavenumber = SOFT_PLATE.wavenumber(frequency_hz)
         argument = wavenumber * MAGNET_RADIUS_MM / 1e3
-        return np.asarray(np.abs(2 * jv(1, argument) / argument) * frequency_hz / np.sqrt(np.abs(wavenumber)))
+        return np.asarray(
+            np.abs(2 * scipy.special.jv(1, argument) / argument) * frequency_hz / np.sqrt(np.abs(wavenumber))
+        )

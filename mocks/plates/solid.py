@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import hankel2, jv
 
 from config.outline import Outline
 from mocks.plates import PLATES
@@ -88,13 +88,13 @@ class SolidWave:
         k = self.wavenumber(angular / (2 * np.pi))
         z, a = k * radius_mm / 1e3, k * source_radius_mm / 1e3
         if radius_mm >= source_radius_mm:
-            zero, one, two = (2 * jv(1, a) / a * hankel2(order, z) for order in range(3))
+            zero, one, two = (2 * scipy.special.jv(1, a) / a * scipy.special.hankel2(order, z) for order in range(3))
             one = one / z
         else:
-            mean = 2 * hankel2(1, a) / a
-            zero, two = mean * jv(0, z) - 4j / (np.pi * a * a), mean * jv(2, z)
+            mean = 2 * scipy.special.hankel2(1, a) / a
+            zero, two = mean * scipy.special.jv(0, z) - 4j / (np.pi * a * a), mean * scipy.special.jv(2, z)
             # J1(z) / z, finite at the centre.
-            one = mean * (jv(0, z) + jv(2, z)) / 2
+            one = mean * (scipy.special.jv(0, z) + scipy.special.jv(2, z)) / 2
         if self.is_shear:
             kernels = np.stack([zero - one, two])
         else:
@@ -149,4 +149,6 @@ class SolidPlate(InfinitePlate):
     def loudness(self, frequency_hz: Float64Array) -> Float64Array:
         wavenumber = self._waves[0].wavenumber(frequency_hz)
         argument = wavenumber * MAGNET_RADIUS_MM / 1e3
-        return np.asarray(np.abs(2 * jv(1, argument) / argument) * frequency_hz / np.sqrt(np.abs(wavenumber)))
+        return np.asarray(
+            np.abs(2 * scipy.special.jv(1, argument) / argument) * frequency_hz / np.sqrt(np.abs(wavenumber))
+        )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from functools import cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from drivers.protocols import Take
 
@@ -16,10 +17,14 @@ Float32Array = NDArray[np.float32]
 LATENCY, NOISE, DROPOUT, GROWING = range(4)  # what is drawn for a take, each from a stream of its own
 EVERY_RECORD = 0xFFFF_FFFF  # in place of a record: one stream for the whole attempt
 
+
 # A normal distribution as 65,536 equally likely values (the middle quantiles, unit variance). Drawing
 # from it is six times faster than a ziggurat, and after a 16-bit converter no test can tell them apart.
-_QUANTILES = ndtri((np.arange(65_536) + 0.5) / 65_536)
-NORMAL_VALUES: Float32Array = (_QUANTILES / _QUANTILES.std()).astype(np.float32)
+@cache
+def normal_values() -> Float32Array:
+    """The values, in their order."""
+    quantiles = scipy.special.ndtri((np.arange(65_536) + 0.5) / 65_536)
+    return np.asarray((quantiles / quantiles.std()).astype(np.float32))
 
 
 def take_generator(seed: int, take: Take, stream: int, *, whole_attempt: bool = False) -> np.random.Generator:
@@ -72,4 +77,4 @@ def normal(generator: np.random.Generator, samples: int) -> Float32Array:
     """
     words = np.asarray(generator.bit_generator.random_raw(-(-samples // 4)), dtype="<u8")
     # No index can be out of bounds, and numpy's check for it would cost as much as the rest.
-    return NORMAL_VALUES.take(words.view("<u2")[:samples], mode="wrap")
+    return normal_values().take(words.view("<u2")[:samples], mode="wrap")

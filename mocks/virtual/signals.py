@@ -7,8 +7,8 @@ from collections import OrderedDict
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import fft, ifft, irfft, next_fast_len
 
 Float64Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -97,7 +97,7 @@ class PlayedSignal:
         term = spectrum * np.exp(turn * delay)
         pieces = np.zeros((ORDER + 1, length), dtype=np.float32)
         for order in range(ORDER + 1):
-            pieces[order] = irfft(term, length)
+            pieces[order] = scipy.fft.irfft(term, length)
             term *= turn / (order + 1)
         return pieces
 
@@ -164,8 +164,8 @@ def fourier_sum(signal: Float64Array, turn: float, first: int, bins: int) -> NDA
     index = np.arange(signal.size, dtype=np.float64)
     bin_index = np.arange(bins, dtype=np.float64)
     between = np.arange(1 - signal.size, bins, dtype=np.float64)
-    length = next_fast_len(between.size)
+    length = scipy.fft.next_fast_len(between.size)
     down = signal * np.exp(-1j * turn * index * (first + 0.5 * index))
     up = np.exp(0.5j * turn * between**2)
-    product = ifft(fft(down, length) * fft(up, length))[signal.size - 1 : between.size]
+    product = scipy.fft.ifft(scipy.fft.fft(down, length) * scipy.fft.fft(up, length))[signal.size - 1 : between.size]
     return np.asarray(product * np.exp(-0.5j * turn * bin_index**2), dtype=np.complex128)

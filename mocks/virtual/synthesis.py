@@ -8,8 +8,8 @@ from functools import lru_cache
 from math import ceil
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len
 
 from mocks.plates import make_plate
 from mocks.plates.infinite import impulse_length, phase_ramp
@@ -171,7 +171,7 @@ class Synthesis:
         length = impulse_length(taps, sample_rate_hz)
         response = self._plate.response(place_mm, sample_rate_hz / length, length // 2 + 1, single=False)
         spectrum = response * self._velocity_per_volt[:, None]
-        return np.asarray(irfft(spectrum, length, axis=1)[:, :taps], dtype=np.float64)
+        return np.asarray(scipy.fft.irfft(spectrum, length, axis=1)[:, :taps], dtype=np.float64)
 
     def green_spectra(
         self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
@@ -210,8 +210,8 @@ class Synthesis:
         """
         quarter, bins = length // 4, spectrum.size
         if length % 8 or bins > quarter // 2:
-            return np.asarray(irfft(spectrum, length), dtype=np.float32)
-        return np.asarray(irfft(spectrum * self._shift(length, bins), quarter).T, order="C").reshape(-1)
+            return np.asarray(scipy.fft.irfft(spectrum, length), dtype=np.float32)
+        return np.asarray(scipy.fft.irfft(spectrum * self._shift(length, bins), quarter).T, order="C").reshape(-1)
 
     def _count_bins(self, signal: PlayedSignal, length: int, scale: float, rate_hz: float, samples: int) -> int:
         """Bins outside which the response has no energy to speak of."""
@@ -233,7 +233,7 @@ class Synthesis:
             ends_s = requested_s + self._settings.latency_s[1] + play.duration_s + TAIL_S
             last = max(last, ends_s * rate_hz)
         # Rounded up so that records of nearly one length share their tables.
-        return int(next_fast_len(2000 * ceil((last - first + 100) / 2000), real=True))
+        return int(scipy.fft.next_fast_len(2000 * ceil((last - first + 100) / 2000), real=True))
 
 
 def _delay(samples: float, bins: int, length: int) -> Complex64Array:

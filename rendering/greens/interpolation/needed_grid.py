@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.neighbours.wave_model import PatchKernel, WaveModel, plane_waves
+from calibration.neighbours.wave_model import PatchKernel, WaveModel, disk_integral, plane_waves
 from rendering.greens.interpolation.base import GridInterpolation
 from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS
 from rendering.greens.interpolation.on_grid import LatticeInterpolation
@@ -141,19 +141,20 @@ def expected_error(
         raise InputError(f"the wave number is {wavenumber_rad_mm} rad/mm; it must be finite, Re k > 0 and Im k <= 0")
     if not (math.isfinite(spacing_mm) and spacing_mm > 0):
         raise InputError(f"spacing_mm is {spacing_mm}; it must be a finite number above 0")
-    method = interpolation_method(kind)
-    if issubclass(method, LatticeInterpolation) and lattice == "hexagonal":
+    # The kernel's own class loads SciPy; its weights are here.
+    method = None if kind == "kernel" else interpolation_method(kind)
+    if method and issubclass(method, LatticeInterpolation) and lattice == "hexagonal":
         raise InputError(f"interpolation {kind!r} goes with a square grid alone; use 'nearest' or 'kernel'")
     noise = 10.0 ** (noise_db / 10.0)
     position_mm = spacing_mm * _rings(lattice)
     places_mm = spacing_mm * _cell(lattice)
     wavenumber = np.array([wavenumber_rad_mm])
-    if issubclass(method, GridInterpolation):
+    if method and issubclass(method, GridInterpolation):
         weights = _grid_weights(method, lattice)
     else:
         share, ridge = (TRUSTED_SHARE if trusted else 1.0), max(noise, LEAST_RIDGE)
         model = WaveModel(np.ones(1), wavenumber, np.array([share]), np.array([ridge]))
-        weights = PatchKernel(model, position_mm).weights(places_mm)[0]
+        weights = PatchKernel(model, position_mm, disk_integral).weights(places_mm)[0]
     # Relative to the first position, so that the damped waves' strength is that of the middle.
     waves = plane_waves(wavenumber, np.concatenate([position_mm, places_mm]))[0]
     measured, wanted = waves[: len(position_mm)], waves[len(position_mm) :]
