@@ -26,28 +26,17 @@ FORMAT = "wavefocus-drive"
 class Drive:
     """What each actuator plays, and which instants it was made for; out of range, InputError.
 
-    Parameters
-    ----------
-    drive_v : float64 array (N, n)
-        Volts at each actuator, finite.
-    sample_rate_hz : float
-        Rate in Hz, > 0.
-    start_s : float
-        Time of the first sample, negative because of the lead-in.
-    method : str
-        How it was rendered.
-    scale : float
-        Factor by which a limit scaled it down, 0 < scale; 1 if nothing did.
-    omitted_bound : float
-        Bound on the relative L2 error from everything left out, >= 0; 0 when exact.
-    focus_sample, focus_position, focus_source : int64 array (K,)
-        Each focus: its sample n_m after time zero, its row of the bank, its source.
-    drive_unit : str
-        Unit of the drive, that of the bank.
-    verified : bool
-        Whether the file that it was read from carries checksums of all its values.
-    known_finite : bool
-        Whether the check that the volts are finite is skipped, because the caller made it.
+    drive_v, float64 (N, n): Volts at each actuator, finite.
+    sample_rate_hz: Rate in Hz, > 0.
+    start_s: Time of the first sample, negative because of the lead-in.
+    method: How it was rendered.
+    scale: Factor by which a limit scaled it down, 0 < scale; 1 if nothing did.
+    omitted_bound: Bound on the relative L2 error from everything left out, >= 0; 0 when exact.
+    focus_sample, focus_position, focus_source, int64 (K,): Each focus: its sample n_m after time zero, its row of the
+        bank, its source.
+    drive_unit: Unit of the drive, that of the bank.
+    verified: Whether the file that it was read from carries checksums of all its values.
+    known_finite: Whether the check that the volts are finite is skipped, because the caller made it.
     """
 
     drive_v: Float64Array
@@ -112,24 +101,11 @@ def drive_in_blocks(
 ) -> Iterator[Callable[[Float64Array], None]]:
     """Write a drive file block by block, replacing an older one only when the new one is whole.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    about : DriveAbout or Drive
-        What it says of the drive.
-    shape : tuple of int
-        Actuators and samples of the whole drive.
+    about: What it says of the drive.
+    shape: Actuators and samples of the whole drive.
 
-    Yields
-    ------
-    callable
-        Writes the next block, float64 array (actuators, any number of samples), volts.
-
-    Raises
-    ------
-    InputError
-        The folder is missing or cannot be written.
+    Yields a callable that writes the next block, volts as float64 (actuators, any number of samples).
+    Raises InputError: the folder is missing or cannot be written.
     """
     path = Path(path)
     data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 3 * len(about.focus_sample))
@@ -163,10 +139,8 @@ def drive_in_blocks(
 def read_drive(path: str | Path) -> Drive:
     """Read a drive file; what only describes it (method, scale, omitted_bound, foci) may be missing.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, damaged, no drive file, of a future version, or holds values out of range.
+    Raises InputError: when the file is missing, damaged, no drive file, of a future version, or holds values out of
+    range.
     """
     path = Path(path)
     with hdf5_reading.opened_as(path, FORMAT) as file:

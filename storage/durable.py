@@ -51,12 +51,8 @@ class Closing:
 class PositionedFile:
     """An open file that is read and written at stated offsets, unbuffered; failures are ``OSError``.
 
-    Parameters
-    ----------
-    path : Path
-        An existing file; it is never created and never truncated.
-    write : bool
-        Whether it is opened for writing.
+    path: An existing file; it is never created and never truncated.
+    write: Whether it is opened for writing.
     """
 
     def __init__(self, path: Path, *, write: bool = False) -> None:
@@ -231,10 +227,7 @@ class OpenFile(Protocol):
 def publish_new(temporary: Path, final: Path) -> None:
     """Give a finished, synced temporary file its name, and never replace a file of that name.
 
-    Raises
-    ------
-    FileExistsError
-        When ``final`` exists; both files stay as they are.
+    Raises FileExistsError: when ``final`` exists; both files stay as they are.
     """
     try:
         publish_by_link(temporary, final)

@@ -29,12 +29,8 @@ AT_ONCE_BYTES = 32 << 20
 class LowPass:
     """What a field lost when it was made at a fraction of the bank's rate; out of range, InputError.
 
-    Parameters
-    ----------
-    passed_hz : float
-        Frequencies up to this are in the field as they are, > 0.
-    factor : int
-        The bank's rate over the field's, >= 2.
+    passed_hz: Frequencies up to this are in the field as they are, > 0.
+    factor: The bank's rate over the field's, >= 2.
     """
 
     passed_hz: float
@@ -51,24 +47,14 @@ class LowPass:
 class Field:
     """The response at positions of a bank over time; out of range, InputError.
 
-    Parameters
-    ----------
-    field : float32 or float64 array (K, n)
-        Response of each position, finite.
-    position_index : int64 array (K,)
-        Each row's position in the bank, >= 0.
-    sample_rate_hz : float
-        Rate in Hz, > 0.
-    start_s : float
-        Time of the first sample.
-    response_unit : str
-        Unit of the response, ``"m/s"`` for a vibrometer.
-    low_pass : LowPass, optional
-        That it is at a fraction of the bank's rate; None where nothing was low-passed.
-    verified : bool
-        Whether the file that it was read from carries checksums of all its values.
-    known_finite : bool
-        Whether the check that the responses are finite is skipped, because the caller made it.
+    field, float32 or float64 (K, n): Response of each position, finite.
+    position_index, int64 (K,): Each row's position in the bank, >= 0.
+    sample_rate_hz: Rate in Hz, > 0.
+    start_s: Time of the first sample.
+    response_unit: Unit of the response, ``"m/s"`` for a vibrometer.
+    low_pass: That it is at a fraction of the bank's rate; None where nothing was low-passed.
+    verified: Whether the file that it was read from carries checksums of all its values.
+    known_finite: Whether the check that the responses are finite is skipped, because the caller made it.
     """
 
     field: FieldArray
@@ -149,23 +135,12 @@ def field_in_rows(
 ) -> Iterator[FieldWriter]:
     """Write a field file row by row, replacing an older one only when all rows were written.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    position_index : sequence of int (K,)
-        Positions of the rows to come.
-    samples : int
-        Samples per row, >= 1.
-    sample_rate_hz, start_s, response_unit, low_pass
-        As :class:`Field`.
-    dtype : dtype
-        float32 as the contract has it; float64 keeps more digits.
+    position_index, sequence of int (K,): Positions of the rows to come.
+    samples: Samples per row, >= 1.
+    sample_rate_hz, start_s, response_unit, low_pass: As :class:`Field`.
+    dtype: float32 as the contract has it; float64 keeps more digits.
 
-    Raises
-    ------
-    InputError
-        When a value is outside what is stated here, or the file cannot be written.
+    Raises InputError: when a value is outside what is stated here, or the file cannot be written.
     """
     path, index = Path(path), _indices(position_index, len(position_index))
     if not len(index) or samples < 1:
@@ -209,19 +184,11 @@ def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32
 class FieldRowReader(Closing):
     """A field file open for reading a few rows at a time, for fields that do not fit into memory; a context manager.
 
-    Attributes
-    ----------
-    position_index : int64 array (K,)
-        Bank row of each row of the field.
-    samples, sample_rate_hz, start_s, response_unit, low_pass
-        As of :class:`Field`.
-    verified : bool
-        Whether the file carries checksums of all its values.
+    position_index, int64 (K,): Bank row of each row of the field.
+    samples, sample_rate_hz, start_s, response_unit, low_pass: As of :class:`Field`.
+    verified: Whether the file carries checksums of all its values.
 
-    Raises
-    ------
-    InputError
-        The file is missing, damaged, no field file, or of a future version.
+    Raises InputError: the file is missing, damaged, no field file, or of a future version.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -254,10 +221,8 @@ class FieldRowReader(Closing):
     def blocks(self) -> Iterator[tuple[int, NDArray[Any]]]:
         """Give the first row's number and the values (rows, samples) of some rows at a time.
 
-        Raises
-        ------
-        InputError
-            A row cannot be read, or holds NaN or infinities; after the last one, their checksum does not hold.
+        Raises InputError: a row cannot be read, or holds NaN or infinities; after the last one, their checksum does not
+        hold.
         """
         digest = hdf5_digest.RunningDigest(self._field.dtype)
         at_once = max(1, AT_ONCE_BYTES // (8 * self.samples))
@@ -297,10 +262,8 @@ class FieldRowReader(Closing):
 def read_field(path: str | Path) -> Field:
     """Read a field file.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, damaged, no field file, of a future version, or holds values out of range.
+    Raises InputError: when the file is missing, damaged, no field file, of a future version, or holds values out of
+    range.
     """
     with FieldRowReader(path) as rows:
         return rows.whole()

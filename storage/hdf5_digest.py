@@ -139,10 +139,7 @@ def require_values(found: str, expected: str | None, name: str, path: Path) -> N
 def require_all(file: h5py.File, path: Path, apart: str) -> bool:
     """Verify the contents and every dataset but one that the caller verifies; False when one carries no checksum.
 
-    Raises
-    ------
-    InputError
-        A checksum does not hold.
+    Raises InputError: a checksum does not hold.
     """
     require_contents(file, path)
     complete = True

@@ -60,10 +60,7 @@ def _size(count: int) -> str:
 def opened(path: Path, *, cache_bytes: int = 1 << 20) -> Iterator[h5py.File]:
     """Open a file for reading without locks; whatever HDF5 says about it becomes one sentence.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, not a regular file, not HDF5, truncated or damaged.
+    Raises InputError: when the file is missing, not a regular file, not HDF5, truncated or damaged.
     """
     require_regular(path)
     try:
@@ -99,21 +96,12 @@ def plain_dataset(
 ) -> h5py.Dataset:
     """Return a dataset of plain numbers stored in this file.
 
-    Parameters
-    ----------
-    file, path : h5py.File, Path
-        The open file, and its name for messages.
-    name : str
-        The dataset's name, as ``"/green"``.
-    shape : tuple of int, optional
-        The shape it must have.
-    packed : bool
-        Whether the caller unpacks values by `packing_of`; a packed dataset is refused otherwise.
+    file, path: The open file, and its name for messages.
+    name: The dataset's name, as ``"/green"``.
+    shape: The shape it must have.
+    packed: Whether the caller unpacks values by `packing_of`; a packed dataset is refused otherwise.
 
-    Raises
-    ------
-    InputError
-        When it is packed, missing, linked or stored elsewhere, not numeric or of another shape.
+    Raises InputError: when it is packed, missing, linked or stored elsewhere, not numeric or of another shape.
     """
     dataset = _find(file, name)
     if dataset is None:

@@ -28,20 +28,12 @@ _METADATA_BYTES = 1 << 16
 def created(path: Path, data_bytes: int = 0, *, laid_out_once: bool = False) -> Iterator[h5py.File]:
     """Make an HDF5 file that every HDF5 since 1.8 reads, with a checksum on every object header.
 
-    Parameters
-    ----------
-    path : Path
-        A file that does not exist.
-    data_bytes : int
-        Bytes of all datasets together, reserved before anything is written.
-    laid_out_once : bool
-        For a file that is never opened for writing through HDF5 again: its metadata share no page with its data,
-        and nothing is reserved.
+    path: A file that does not exist.
+    data_bytes: Bytes of all datasets together, reserved before anything is written.
+    laid_out_once: For a file that is never opened for writing through HDF5 again: its metadata share no page with its
+        data, and nothing is reserved.
 
-    Raises
-    ------
-    OSError
-        There is no room, or the disk failed; the file is of no use then.
+    Raises OSError: there is no room, or the disk failed; the file is of no use then.
     """
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     disk = durable.open_file(path, write=True)

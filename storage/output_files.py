@@ -34,17 +34,10 @@ _KINDS = (
 def replacement(path: Path, *, new: bool = False) -> Iterator[Path]:
     """Write a file whole: yields a path that does not exist yet and gets the name `path` when the block ends well.
 
-    Parameters
-    ----------
-    path : Path
-        The file; an older one of that name is replaced at the end.
-    new : bool
-        Whether an older one stays, and FileExistsError is raised.
+    path: The file; an older one of that name is replaced at the end.
+    new: Whether an older one stays, and FileExistsError is raised.
 
-    Raises
-    ------
-    InputError
-        It cannot be written; an older file of that name is there as before.
+    Raises InputError: it cannot be written; an older file of that name is there as before.
     """
     with _named_failures(path):
         clear_leftovers(path.parent)
@@ -66,10 +59,7 @@ def staged_folder(folder: Path, last: str) -> Iterator[Path]:
 
     The file named `last` is moved last: who finds it new finds all others new. The folder is made where missing.
 
-    Raises
-    ------
-    InputError
-        They cannot be written; older files are there as before.
+    Raises InputError: they cannot be written; older files are there as before.
     """
     with _named_failures(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -98,10 +88,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 def require_room(path: Path, size: int) -> None:
     """Refuse a file that the disk, a quota or a limit of the process has no room for; `path` stays missing.
 
-    Raises
-    ------
-    OSError
-        There is no room for `size` bytes.
+    Raises OSError: there is no room for `size` bytes.
     """
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
     try:
@@ -117,20 +104,12 @@ def require_room(path: Path, size: int) -> None:
 def require_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None], *, force: bool) -> None:
     """Refuse output files that would replace what must stay, before anything is computed.
 
-    Parameters
-    ----------
-    outputs : iterable of Path or None
-        Files that are to be written; None for those that are not.
-    inputs : iterable of Path or None
-        Files that are read.
-    force : bool
-        Whether older files may be replaced; inputs, banks and raw recordings never are.
+    outputs: Files that are to be written; None for those that are not.
+    inputs: Files that are read.
+    force: Whether older files may be replaced; inputs, banks and raw recordings never are.
 
-    Raises
-    ------
-    InputError
-        An output is an input, a bank, a raw file, another output, no regular file or write-protected, or exists and
-        may not be replaced; or its folder is missing.
+    Raises InputError: an output is an input, a bank, a raw file, another output, no regular file or write-protected, or
+    exists and may not be replaced; or its folder is missing.
     """
     wanted = [path for path in outputs if path is not None]
     read = [path for path in inputs if path is not None]

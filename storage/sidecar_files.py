@@ -30,10 +30,7 @@ def is_replaceable(path: Path) -> bool:
 def create(path: Path) -> io.FileIO:
     """Create a file for writing under a name that is free, readable as the umask allows.
 
-    Raises
-    ------
-    OSError
-        Something of that name exists, a link included, or it cannot be made.
+    Raises OSError: something of that name exists, a link included, or it cannot be made.
     """
     return io.FileIO(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _NOT_THROUGH_LINKS | _BINARY, 0o666), "w")
 
@@ -43,15 +40,7 @@ class Log:
 
     A name that is a link, no regular file, or a file that holds something else is left alone: each write fails then.
 
-    Parameters
-    ----------
-    path : Path
-        The log.
-
-    Raises
-    ------
-    OSError
-        It cannot be opened.
+    Raises OSError: it cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
@@ -71,10 +60,7 @@ class Log:
     def write(self, line: str) -> None:
         """Append a line with its end.
 
-        Raises
-        ------
-        OSError
-            It cannot be written.
+        Raises OSError: it cannot be written.
         """
         if self._file is None:
             raise OSError(errno.EEXIST, "it is a link or a file of another program")

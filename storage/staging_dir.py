@@ -67,12 +67,8 @@ def clear_leftovers(folder: Path, only: str = "*") -> None:
 
     A folder whose maker lives, or that holds anything else, stays as it is.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the files belong.
-    only : str
-        Name of the one file whose makers are meant; by default those of any.
+    folder: Where the files belong.
+    only: Name of the one file whose makers are meant; by default those of any.
     """
     pattern = "*" if only == "*" else glob.escape(only)
     for leftover in sorted(folder.glob(f".{pattern}.*.partial")):

@@ -13,15 +13,9 @@ LARGEST_BYTES = 16 * 2**20
 def read_text(path: Path) -> str:
     """Read a UTF-8 text file, with or without a byte-order mark.
 
-    Parameters
-    ----------
-    path : Path
-        The file; at most `LARGEST_BYTES` long.
+    path: The file; at most `LARGEST_BYTES` long.
 
-    Raises
-    ------
-    InputError
-        The file is missing, not a regular file, not readable, too large or not UTF-8.
+    Raises InputError: the file is missing, not a regular file, not readable, too large or not UTF-8.
     """
     try:
         if not path.exists():

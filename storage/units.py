@@ -9,13 +9,9 @@ _ONE = ("", "1")
 def response_unit(green_unit: str, drive_unit: str = "V") -> str:
     """Unit of a response: that of the Green's functions times that of the drive.
 
-    Parameters
-    ----------
-    green_unit : str
-        Unit of g, as ``"m/s/V"``, ``"(m/s)/V"``, ``"Pa per V"`` or ``"m s-1 V-1"``. One that is not per drive unit
-        is taken to be the response's own.
-    drive_unit : str
-        Unit of the drive.
+    green_unit: Unit of g, as ``"m/s/V"``, ``"(m/s)/V"``, ``"Pa per V"`` or ``"m s-1 V-1"``. One that is not per drive
+        unit is taken to be the response's own.
+    drive_unit: Unit of the drive.
     """
     unit, drive = green_unit.strip(), drive_unit.strip()
     for one in _VOLTS if drive in _VOLTS else (drive,):

@@ -36,14 +36,8 @@ POOR_RESIDUAL_DB = -30.0
 class ActuatorsTask:
     """Where and how loudly the actuators are checked.
 
-    Parameters
-    ----------
-    position_mm : float64 array, shape (actuators, 2)
-        Where each is listened to.
-    amplitude_v : float
-        Peak of the sweep in volts.
-    sample_rate_hz : float
-        Rate of the records.
+    position_mm, float64 (actuators, 2): Where each is listened to.
+    amplitude_v: Peak of the sweep in volts.
     """
 
     position_mm: NDArray[np.float64]
@@ -54,16 +48,10 @@ class ActuatorsTask:
 def listening_places(actuator_mm: NDArray[np.float64], distance_mm: float) -> NDArray[np.float64]:
     """Places at one distance from each actuator, on the way to the surface's centre.
 
-    Parameters
-    ----------
-    actuator_mm : float64 array, shape (actuators, 2)
-        Where the actuators are.
-    distance_mm : float
-        Distance from each, > 0.
+    actuator_mm, float64 (actuators, 2): Where the actuators are.
+    distance_mm: Distance from each, > 0.
 
-    Returns
-    -------
-    float64 array, shape (actuators, 2)
+    Returns float64 (actuators, 2).
     """
     from_centre_mm = np.hypot(*actuator_mm.T)[:, np.newaxis]
     outwards = np.where(from_centre_mm > 0, actuator_mm / np.maximum(from_centre_mm, 1e-9), [[-1.0, 0.0]])
@@ -73,21 +61,12 @@ def listening_places(actuator_mm: NDArray[np.float64], distance_mm: float) -> ND
 def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int, int], None]) -> ActuatorComparison:
     """Listen to each actuator at the same distance and compare them.
 
-    Parameters
-    ----------
-    task : ActuatorsTask
-        Where and how loudly.
-    setup : Setup
-        The rig, the vibrometer plugged into its response input.
-    progress : callable
-        Called with the actuators done and the actuators there are.
+    task: Where and how loudly.
+    setup: The rig, the vibrometer plugged into its response input.
+    progress: Called with the actuators done and the actuators there are.
 
-    Raises
-    ------
-    NotMeasuredError
-        No signal from the loopback, or a response is too loud for its input.
-    InstrumentError
-        Of the instrument that failed for good.
+    Raises NotMeasuredError: no signal from the loopback, or a response is too loud for its input. InstrumentError: of
+    the instrument that failed for good.
     """
     excitation = Excitation(
         sample_rate_hz=task.sample_rate_hz,

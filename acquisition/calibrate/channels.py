@@ -19,24 +19,11 @@ MOST_DELAY_S = 1e-3
 def measure_inputs(probe: Probe, operator: Operator) -> Figures:
     """Listen to one signal on both inputs; the response channel is later by as much as it is sampled earlier.
 
-    Parameters
-    ----------
-    probe : Probe
-        What plays.
-    operator : Operator
-        Plugs the loopback into both inputs.
+    operator: Plugs the loopback into both inputs.
 
-    Returns
-    -------
-    Figures
-        `late_s` is the inter-channel delay: how much later the response is sampled than the reference.
-
-    Raises
-    ------
-    NotMeasuredError
-        The signal is not on both inputs, or not alike.
-    InstrumentError
-        Of the instrument that failed for good.
+    Returns figures whose `late_s` is the inter-channel delay: how much later the response is sampled.
+    Raises NotMeasuredError: the signal is not on both inputs, or not alike. InstrumentError: of the instrument that
+    failed for good.
     """
     while True:
         operator.connect(BOTH)
@@ -68,18 +55,10 @@ def measure_inputs(probe: Probe, operator: Operator) -> Figures:
 class OutputFigures:
     """One output of the player.
 
-    Parameters
-    ----------
-    channel : int
-        The output.
-    latency_s : float
-        How much later it is than the loopback output.
-    full_scale_v : float, optional
-        Volts at full scale, by the recorder; None where the gain on the way is not given.
-    polarity : int
-        -1 where its wires are crossed.
-    spread_s : float
-        Largest less smallest latency over the records.
+    latency_s: How much later it is than the loopback output.
+    full_scale_v: Volts at full scale, by the recorder; None where the gain on the way is not given.
+    polarity: -1 where its wires are crossed.
+    spread_s: Largest less smallest latency over the records.
     """
 
     channel: int
@@ -93,22 +72,13 @@ class OutputFigures:
 class OutputsTask:
     """Inputs of the measurement of outputs.
 
-    Parameters
-    ----------
-    channels : tuple of int
-        The outputs to measure, the loopback not among them.
-    loopback_channel : int
-        The loopback output.
-    full_scale_v : sequence of float
-        Volts at full scale of every output from 0, as the rig believes.
-    reference_gain : float
-        Volts at the reference input per volt of the loopback output.
-    inter_channel_delay_s : float
-        How much later the response input is sampled.
-    summing_box : bool
-        All outputs are plugged into the response input at once, through a box.
-    box_gain : float, optional
-        Its gain, where it is given.
+    channels: The outputs to measure, the loopback not among them.
+    loopback_channel: The loopback output.
+    full_scale_v: Volts at full scale of every output from 0, as the rig believes.
+    reference_gain: Volts at the reference input per volt of the loopback output.
+    inter_channel_delay_s: How much later the response input is sampled.
+    summing_box: All outputs are plugged into the response input at once, through a box.
+    box_gain: Its gain, where it is given.
     """
 
     channels: tuple[int, ...]
@@ -125,28 +95,13 @@ def measure_outputs(
 ) -> tuple[OutputFigures, ...]:
     """Compare each output with the loopback output.
 
-    Parameters
-    ----------
-    task : OutputsTask
-        Inputs of the measurement.
-    probe : Probe
-        What plays.
-    operator : Operator
-        Plugs the response input into each output in turn, or into the summing box.
-    progress : callable
-        Called with the outputs done and the outputs there are.
+    task: Inputs of the measurement.
+    operator: Plugs the response input into each output in turn, or into the summing box.
+    progress: Called with the outputs done and the outputs there are.
 
-    Returns
-    -------
-    tuple of OutputFigures
-        The loopback's own first; an output that the operator gave up is left out.
-
-    Raises
-    ------
-    NotMeasuredError
-        The loopback itself has no signal, the summing box is not there, or the probe is too loud.
-    InstrumentError
-        Of the instrument that failed for good.
+    Returns figures of the outputs, the loopback's own first; an output that the operator gave up is left out.
+    Raises NotMeasuredError: the loopback itself has no signal, the summing box is not there, or the probe is too loud.
+    InstrumentError: of the instrument that failed for good.
     """
     if task.summing_box:
         _plug_box(probe, operator)

@@ -34,20 +34,9 @@ def read_fiducials(path: Path) -> tuple[tuple[Pair, ...], tuple[Pair, ...] | Non
 
     Blank lines and lines that start with ``#`` are passed over.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    tuple
-        Places in millimetres, and angles in milliradians or None where the file has none.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or a line is not as many finite numbers as the header; the message names the line.
+    Returns places in millimetres, and angles in milliradians or None where the file has none.
+    Raises InputError: the file cannot be read, or a line is not as many finite numbers as the header; the message names
+    the line.
     """
     rows = [
         (number, line.strip())
@@ -121,27 +110,14 @@ def measure_mirror(
     Each mark is approached with the map so far: the rig's own, moved to meet the marks done, and from
     the fifth mark on a fit through them. The operator judges what comes of it and may meet a mark once more.
 
-    Parameters
-    ----------
-    setup : Setup
-        The rig, with a first guess of the map.
-    marks_mm : sequence of (float, float)
-        Where the marks lie on the surface, four or more.
-    limit_mrad : float
-        Largest angle that the mirror may be sent to.
-    operator : Operator
-        Jogs the beam and says when it is there.
-    limit_mm : float
-        Largest residual that is reported as good enough.
+    setup: The rig, with a first guess of the map.
+    marks_mm: Where the marks lie on the surface, four or more.
+    limit_mrad: Largest angle that the mirror may be sent to.
+    operator: Jogs the beam and says when it is there.
+    limit_mm: Largest residual that is reported as good enough.
 
-    Raises
-    ------
-    InputError
-        Marks that no map can be fitted through.
-    NotMeasuredError
-        The operator leaves the map, or has moved the beam at too few marks.
-    InstrumentError
-        Of the mirror.
+    Raises InputError: marks that no map can be fitted through. NotMeasuredError: the operator leaves the map, or has
+    moved the beam at too few marks. InstrumentError: of the mirror.
     """
     found: list[Place] = []
     moved: set[int] = set()
@@ -221,10 +197,7 @@ def _view(
 def fitted_marks(marks_mm: Sequence[Place], angles_mrad: Sequence[Place]) -> MirrorFigures:
     """Fit the map through marks with measured angles.
 
-    Raises
-    ------
-    InputError
-        Marks that no map can be fitted through.
+    Raises InputError: marks that no map can be fitted through.
     """
     place, angles = np.array(marks_mm, dtype=np.float64), np.array(angles_mrad, dtype=np.float64)
     return MirrorFigures(place, angles, fit_mirror_map(place, angles))

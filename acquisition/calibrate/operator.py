@@ -19,18 +19,11 @@ def output(channel: int) -> str:
 class JogView:
     """What a person sees while bringing the beam onto a mark.
 
-    Parameters
-    ----------
-    number, of : int
-        Which mark this is, from 1, and how many there are.
-    place_mm : tuple of float
-        Where the mark lies on the surface.
-    at_mrad : tuple of float
-        Where the mirror stands now.
-    note : str
-        What came of the last step, where it was not done; else empty.
-    moved : bool
-        The beam was moved for this mark.
+    number, of: Which mark this is, from 1, and how many there are.
+    place_mm: Where the mark lies on the surface.
+    at_mrad: Where the mirror stands now.
+    note: What came of the last step, where it was not done; else empty.
+    moved: The beam was moved for this mark.
     """
 
     number: int
@@ -55,10 +48,7 @@ class Operator(Protocol):
     def connect(self, source: str) -> None:
         """Plug something into the response input.
 
-        Parameters
-        ----------
-        source : str
-            ``"vibrometer"``, ``"output K"`` (output K of the player), ``"sum"`` (the summing box that all outputs
+        source: ``"vibrometer"``, ``"output K"`` (output K of the player), ``"sum"`` (the summing box that all outputs
             for actuators are plugged into) or ``"both"`` (the loopback, which the reference input gets too).
         """
         ...

@@ -33,16 +33,10 @@ class NotMeasuredError(WavefocusError):
 class Figures:
     """The median over a few records of one signal on both channels.
 
-    Parameters
-    ----------
-    late_s : float
-        How much later the signal is on the response channel.
-    spread_s : float
-        Largest less smallest of that over the records.
-    reference_gain, response_gain : float
-        Volts recorded per volt asked for; negative where wires are crossed.
-    clock_ppm : float
-        How much faster the recorder's clock runs than the player's.
+    late_s: How much later the signal is on the response channel.
+    spread_s: Largest less smallest of that over the records.
+    reference_gain, response_gain: Volts recorded per volt asked for; negative where wires are crossed.
+    clock_ppm: How much faster the recorder's clock runs than the player's.
     """
 
     late_s: float
@@ -55,14 +49,7 @@ class Figures:
 class Probe:
     """Plays a band-limited sweep and compares the two inputs.
 
-    Parameters
-    ----------
-    setup : Setup
-        The rig.
-    sample_rate_hz : float
-        Rate of the records.
-    amplitude_v : float
-        Peak of the sweep in volts, by the full scale that the rig believes in.
+    amplitude_v: Peak of the sweep in volts, by the full scale that the rig believes in.
     """
 
     def __init__(self, setup: Setup, sample_rate_hz: float, amplitude_v: float) -> None:
@@ -84,21 +71,11 @@ class Probe:
     def compare(self, output: int | None) -> Figures:
         """Play the loopback, and one output beside it, and compare the two inputs.
 
-        Parameters
-        ----------
-        output : int, optional
-            The output; None for the loopback alone.
+        output: The output; None for the loopback alone.
 
-        Raises
-        ------
-        ReferenceMissingError
-            No signal from the loopback at the reference input.
-        ResponseMissingError
-            No signal at the response input.
-        NotMeasuredError
-            The signal reaches the end of an input's range.
-        InstrumentError
-            Of the instrument that failed for good.
+        Raises ReferenceMissingError: no signal from the loopback at the reference input. ResponseMissingError: no
+        signal at the response input. NotMeasuredError: the signal reaches the end of an input's range. InstrumentError:
+        of the instrument that failed for good.
         """
         found = [self._once(output, record) for record in range(RECORDS)]
         late_s = [one.late_s for one in found]
@@ -113,17 +90,10 @@ class Probe:
     def detects(self, output: int | None) -> bool:
         """Whether the response input has a cable to what plays: the loopback, and one output with it.
 
-        Parameters
-        ----------
-        output : int, optional
-            The output; None for the loopback alone.
+        output: The output; None for the loopback alone.
 
-        Raises
-        ------
-        NotMeasuredError
-            The loopback is not on the reference input.
-        InstrumentError
-            Of the instrument that failed for good.
+        Raises NotMeasuredError: the loopback is not on the reference input. InstrumentError: of the instrument that
+        failed for good.
         """
         try:
             found = self._comparer.compare(*self._played(output, 0).volts)

@@ -57,30 +57,16 @@ class VibrometerFacts(Protocol):
 class RigUnderTest:
     """A rig to examine: how each instrument is opened, and how they belong together.
 
-    Parameters
-    ----------
-    clock : Clock
-        The time that the instruments live by.
-    mirror, recorder, player, vibrometer : callable
-        Open the instrument, or raise InstrumentError.
-    mirror_map : MirrorMap
-        From surface millimetres to mirror angles.
-    corners_mm : sequence of (float, float)
-        Places on the surface that the mirror is sent to.
-    limit_mrad : float
-        Largest angle of the mirror.
-    actuator_channels : tuple of int
-        Player channel of each actuator.
-    loopback_channel : int
-        Player channel that is looped back.
-    range_v : tuple of float
-        Input ranges of (reference, response).
-    reference_gain, inter_channel_delay_s, pre_roll_s, post_roll_s
-        As of `Setup`.
-    amplitude_v : float
-        Peak of what is played, well within the limits.
-    sample_rate_hz : float
-        Rate of the records.
+    clock: The time that the instruments live by.
+    mirror, recorder, player, vibrometer: Open the instrument, or raise InstrumentError.
+    mirror_map: From surface millimetres to mirror angles.
+    corners_mm: Places on the surface that the mirror is sent to.
+    limit_mrad: Largest angle of the mirror.
+    actuator_channels: Player channel of each actuator.
+    loopback_channel: Player channel that is looped back.
+    range_v: Input ranges of (reference, response).
+    reference_gain, inter_channel_delay_s, pre_roll_s, post_roll_s: As of `Setup`.
+    amplitude_v: Peak of what is played, well within the limits.
     """
 
     clock: Clock
@@ -105,19 +91,10 @@ class RigUnderTest:
 def examine(rig: RigUnderTest, publish: Callable[[Finding], None], *, play: bool) -> dict[str, DeviceIdentity]:
     """Open, identify and exercise every instrument, and put it to rest.
 
-    Parameters
-    ----------
-    rig : RigUnderTest
-        The rig.
-    publish : callable
-        Gets every finding as it is made.
-    play : bool
-        Whether anything may sound.
+    publish: Gets every finding as it is made.
+    play: Whether anything may sound.
 
-    Returns
-    -------
-    dict from role to DeviceIdentity
-        Of the instruments that answered.
+    Returns the identities of the instruments that answered, by role.
     """
     examination = _Examination(rig, Findings(publish), play)
     examination.run()

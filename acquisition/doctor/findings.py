@@ -17,10 +17,7 @@ HUNG_REMEDY = "unplug it and plug it in again, or switch it off and on; then run
 class Findings:
     """Collects findings; a check that raises becomes one.
 
-    Parameters
-    ----------
-    publish : callable
-        Gets each finding as it is made.
+    publish: Gets each finding as it is made.
     """
 
     def __init__(self, publish: Callable[[Finding], None]) -> None:
@@ -40,18 +37,10 @@ class Findings:
     def ask(self, instrument: str, check: str, question: Callable[[], Answer], deadline_s: float) -> Answer | None:
         """Ask an instrument; once more after a passing fault; what fails for good is a finding.
 
-        Parameters
-        ----------
-        instrument, check : str
-            Who is asked, and which check it is for.
-        question : callable
-            The question.
-        deadline_s : float
-            Longest wait.
+        instrument, check: Who is asked, and which check it is for.
+        deadline_s: Longest wait.
 
-        Returns
-        -------
-        answer, or None where there is none: then it is reported
+        Returns the answer, or None where there is none: then a finding says why.
         """
         if instrument in self._hung:
             self.skip(instrument, check, "it did not come back from the check before")

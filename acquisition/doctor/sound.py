@@ -31,10 +31,7 @@ ACTUATORS_HEARD = 3
 def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[float, float]) -> list[Finding]:
     """Record while nothing plays: whether a record comes, and what it holds.
 
-    Raises
-    ------
-    InstrumentError
-        Of the recorder.
+    Raises InstrumentError: of the recorder.
     """
     request = RecordRequest(
         samples=round(SILENCE_S * sample_rate_hz),
@@ -88,10 +85,7 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
 def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
     """Play on the loopback alone: level, latency, clock ratio and what else is on the line.
 
-    Raises
-    ------
-    InstrumentError
-        Of the player or the recorder.
+    Raises InstrumentError: of the player or the recorder.
     """
     signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
     recording = take_record(setup, {setup.loopback_channel: signal_v}, sample_rate_hz, Take(0, 1, 1, "doctor"))
@@ -124,10 +118,7 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
 def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
     """Listen to silence and to a few actuators at the middle of the surface: whether the vibrometer detects them.
 
-    Raises
-    ------
-    InstrumentError
-        Of any instrument.
+    Raises InstrumentError: of any instrument.
     """
     signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
     point_at(setup, 0.0, 0.0)

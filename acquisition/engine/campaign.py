@@ -74,21 +74,11 @@ class Campaign:
     While a position is recorded, the estimate, the judgement and the commit of the one before run in a second thread.
     An instrument that is lost is waited for, and the attempt that it interrupted is taken again from its first record.
 
-    Parameters
-    ----------
-    plan : Plan
-        What to measure.
-    setup : Setup
-        With what.
-    bank : BankWriter
-        Open for writing; its status says what is committed.
-    publish : callable
-        Receives every event, in order, in the thread that calls :meth:`run`. If it fails, that is reported once,
+    bank: Open for writing; its status says what is committed.
+    publish: Receives every event, in order, in the thread that calls :meth:`run`. If it fails, that is reported once,
         and the campaign goes on.
-    stop : StopRequest
-        Where a person asks for a stop.
-    raw : RawWriter, optional
-        Open for writing; keeps the recordings of what goes into the bank.
+    stop: Where a person asks for a stop.
+    raw: Open for writing; keeps the recordings of what goes into the bank.
     """
 
     def __init__(
@@ -132,29 +122,15 @@ class Campaign:
     ) -> SessionEnded:
         """Measure what is to do, or the given positions once more; then, in a pass, what did not become valid.
 
-        Parameters
-        ----------
-        positions : sequence of int, optional
-            Bank rows to measure again; by default those not measured yet.
-        accept_drift : bool
-            Go on although the sentinel position has changed.
-        replaceable : collection of int
-            Bank rows that are valid and may all the same be replaced by others, which two attempts agree on. A valid
-            row is else replaced by one that agrees with it, and by no other.
+        positions: Bank rows to measure again; by default those not measured yet.
+        accept_drift: Go on although the sentinel position has changed.
+        replaceable: Bank rows that are valid and may all the same be replaced by others, which two attempts agree on. A
+            valid row is else replaced by one that agrees with it, and by no other.
 
-        Returns
-        -------
-        SessionEnded
-            Also published, as the last event.
-
-        Raises
-        ------
-        DriftError
-            The sentinel position is not what the bank holds; the message says whether anything was added.
-        SuspendedTooLongError
-            A watched condition left its band and did not come back.
-        InstrumentError
-            An instrument failed, or was gone, for good; all that was committed is safe.
+        Returns the last event that was published.
+        Raises DriftError: the sentinel position is not what the bank holds; the message says whether anything was
+        added. SuspendedTooLongError: a watched condition left its band and did not come back. InstrumentError: an
+        instrument failed, or was gone, for good; all that was committed is safe.
         """
         self._replaceable, self._drift.accept_drift = frozenset(replaceable), accept_drift
         status = self._bank.status

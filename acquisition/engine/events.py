@@ -269,10 +269,17 @@ def event_line(event: Event) -> str:
 def read_event(line: bytes) -> Logged | None:
     """The event of a line; None for a torn line, and for an event of another version that is not understood."""
     try:
-        record = json.loads(line)
-        at, kind = datetime.fromisoformat(record["at"]), _KINDS[record["event"]]
+        return event_of(json.loads(line))
+    except (ValueError, RecursionError):
+        return None
+
+
+def event_of(record: Mapping[str, object]) -> Logged | None:
+    """The event of a log's JSON object; None for one of another version that is not understood."""
+    try:
+        at, kind = datetime.fromisoformat(record["at"]), _KINDS[record["event"]]  # type: ignore[arg-type, index]
         event = message_of(record, (kind,))
-    except (KeyError, TypeError, ValueError, RecursionError, MessageError):
+    except (KeyError, TypeError, ValueError, MessageError):
         return None
     return None if event is None or at.tzinfo is None else Logged(at, event)
 
@@ -285,12 +292,8 @@ class EventPublisher:
 
     A subscriber that failed gets the later events too: what failed may pass, as a full disk does.
 
-    Parameters
-    ----------
-    subscribers : mapping from str to callable
-        By the name under which a failure is reported.
-    report : callable
-        Receives one sentence about the first failure of a subscriber; by default it goes to Python's log.
+    subscribers: By the name under which a failure is reported.
+    report: Receives one sentence about the first failure of a subscriber; by default it goes to Python's log.
     """
 
     def __init__(self, subscribers: Mapping[str, Subscriber], report: Callable[[str], object] = LOG.error) -> None:

@@ -33,16 +33,10 @@ def back_off_s(number: int) -> float:
 class Recovery:
     """Brings lost instruments back, for a campaign as for a scan.
 
-    Parameters
-    ----------
-    setup : Setup
-        The instruments, and how long a lost one is waited for.
-    life : Lifecycle
-        The session's state; it is "recovering" meanwhile.
-    publish : callable
-        Receives an event for each fault and each try.
-    stop : StopRequest
-        Ends the waiting.
+    setup: The instruments, and how long a lost one is waited for.
+    life: The session's state; it is "recovering" meanwhile.
+    publish: Receives an event for each fault and each try.
+    stop: Ends the waiting.
     """
 
     def __init__(self, setup: Setup, life: Lifecycle, publish: Subscriber, stop: StopRequest) -> None:
@@ -58,21 +52,12 @@ class Recovery:
     ) -> Result:
         """Measure, from the beginning again after each instrument that was lost and came back.
 
-        Parameters
-        ----------
-        measure : callable
-            Points, plays and records; what it did before an interruption must not matter.
-        position, attempt : int, optional
-            What is measured, for the events.
+        measure: Points, plays and records; what it did before an interruption must not matter.
+        position, attempt: What is measured, for the events.
 
-        Raises
-        ------
-        StoppedWhileWaitingError
-            A person asked for a stop.
-        InstrumentLostError
-            The instrument did not come back in time, or did not stay.
-        InstrumentError
-            Any other failure, at once; passing ones are for :meth:`renew_if_repeated`.
+        Raises StoppedWhileWaitingError: a person asked for a stop. InstrumentLostError: the instrument did not come
+        back in time, or did not stay. InstrumentError: any other failure, at once; passing ones are for
+        :meth:`renew_if_repeated`.
         """
         while True:
             try:

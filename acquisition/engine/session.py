@@ -39,18 +39,9 @@ from storage.point_status import status_counts
 class Session:
     """Publishes the events of one session, timed by its lifecycle.
 
-    Parameters
-    ----------
-    plan : Plan
-        What is measured.
-    setup : Setup
-        With what.
-    bank : BankWriter
-        Its status is what counts as done.
-    life : Lifecycle
-        The session's state and time.
-    publish : callable
-        Receives every event.
+    bank: Its status is what counts as done.
+    life: The session's state and time.
+    publish: Receives every event.
     """
 
     def __init__(self, plan: Plan, setup: Setup, bank: BankWriter, life: Lifecycle, publish: Subscriber) -> None:

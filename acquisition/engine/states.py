@@ -19,12 +19,8 @@ class IllegalStateError(RuntimeError):
 class Lifecycle:
     """State and working time of a session; each change is published.
 
-    Parameters
-    ----------
-    clock : Clock
-        The rig's clock; times count from now.
-    publish : callable
-        Receives every event.
+    clock: The rig's clock; times count from now.
+    publish: Receives every event.
     """
 
     # Recovering and suspended return to where they came from; nothing follows what ends a session.

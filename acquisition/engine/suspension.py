@@ -24,22 +24,11 @@ LOOKED_FOR_S = 0.1
 class Suspension:
     """Pauses and suspends a session, outputs muted and the mirror parked.
 
-    Parameters
-    ----------
-    setup : Setup
-        The rig.
-    life : Lifecycle
-        The session's state.
-    session : Session
-        Publishes conditions and faults.
-    stop : StopRequest
-        Requests of a person.
-    conditions : Conditions
-        Watched conditions.
-    records : PositionRecords
-        Takes probing records.
-    recovery : Recovery
-        Brings lost instruments back meanwhile.
+    session: Publishes conditions and faults.
+    stop: Requests of a person.
+    conditions: Watched conditions.
+    records: Takes probing records.
+    recovery: Brings lost instruments back meanwhile.
     """
 
     def __init__(
@@ -85,14 +74,8 @@ class Suspension:
         A condition that has left its band at one position alone (a dark spot) is for the point quality to judge: where
         the last good position is still good, the session is not suspended.
 
-        Raises
-        ------
-        SuspendedTooLongError
-            The conditions did not come back in time.
-        StoppedWhileWaitingError
-            A person asked for a stop.
-        InstrumentError
-            An instrument failed for good meanwhile.
+        Raises SuspendedTooLongError: the conditions did not come back in time. StoppedWhileWaitingError: a person asked
+        for a stop. InstrumentError: an instrument failed for good meanwhile.
         """
         while True:
             recordings = take()

@@ -25,10 +25,7 @@ class GatedPlayer:
     Whoever owns the instruments may be in the middle of a record when a person says mute: the other thread shuts the
     gate, which silences what sounds and lets nothing more begin until the owner has opened it as often as it was shut.
 
-    Parameters
-    ----------
-    player : Player
-        The player; its `mute` may be called from any thread, as its role demands.
+    player: The player; its `mute` may be called from any thread, as its role demands.
     """
 
     def __init__(self, player: Player) -> None:
@@ -120,21 +117,10 @@ def level_of(recording: Recording, range_v: tuple[float, float]) -> InputLevels:
 def listen(setup: Setup, seconds: float, sample_rate_hz: float, number: int) -> Recording:
     """Record while nothing plays.
 
-    Parameters
-    ----------
-    setup : Setup
-        The rig.
-    seconds : float
-        How long, > 0.
-    sample_rate_hz : float
-        Rate of the record.
-    number : int
-        Which record of its kind this is, for messages.
+    seconds: How long, > 0.
+    number: Which record of its kind this is, for messages.
 
-    Raises
-    ------
-    InstrumentError
-        Of the recorder, which was stopped.
+    Raises InstrumentError: of the recorder, which was stopped.
     """
     recorder = setup.instruments.recorder
     request = RecordRequest(
@@ -150,15 +136,7 @@ def listen(setup: Setup, seconds: float, sample_rate_hz: float, number: int) -> 
 
 
 class LevelMeter:
-    """Hears both inputs again and again, in silence or while one actuator plays short sweeps.
-
-    Parameters
-    ----------
-    setup : Setup
-        The rig.
-    sample_rate_hz : float
-        Rate of the records.
-    """
+    """Hears both inputs again and again, in silence or while one actuator plays short sweeps."""
 
     def __init__(self, setup: Setup, sample_rate_hz: float) -> None:
         self._setup = setup
@@ -179,10 +157,7 @@ class LevelMeter:
     def measure(self) -> InputLevels:
         """Levels now.
 
-        Raises
-        ------
-        InstrumentError
-            Of the instrument that failed.
+        Raises InstrumentError: of the instrument that failed.
         """
         self._number += 1
         setup = self._setup

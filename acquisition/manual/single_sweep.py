@@ -32,16 +32,10 @@ _FLOOR_V = 1e-12
 class SweepOrder:
     """Which sweep.
 
-    Parameters
-    ----------
-    actuator : int
-        From 0.
-    amplitude_v : float
-        Peak, > 0.
-    start_hz, stop_hz : float
-        Band.
-    duration_s : float
-        Length, > 0.
+    actuator: From 0.
+    amplitude_v: Peak, > 0.
+    start_hz, stop_hz: Band.
+    duration_s: Length, > 0.
     """
 
     actuator: int
@@ -55,20 +49,13 @@ class SweepOrder:
 class SweepResult:
     """A recorded sweep.
 
-    Parameters
-    ----------
-    reference_v, response_v : float32 array, shape (samples,)
-        Both inputs in V.
-    sample_rate_hz : float
-        Of the record.
-    level : InputLevels
-        Of the record.
-    frequency_hz, response_db, noise_db : float64 array, shape (bins,)
-        Spectral densities of the response with the sweep and in silence, in dB re 1 V / sqrt(Hz).
-    figures : SweepFigures or None
-        None without a signal from the loopback; `trouble` then says why.
-    trouble : str
-        Why there are no figures; else empty.
+    reference_v, response_v, float32 (samples,): Both inputs in V.
+    sample_rate_hz: Of the record.
+    level: Of the record.
+    frequency_hz, response_db, noise_db, float64 (bins,): Spectral densities of the response with the sweep and in
+        silence, in dB re 1 V / sqrt(Hz).
+    figures: None without a signal from the loopback; `trouble` then says why.
+    trouble: Why there are no figures; else empty.
     """
 
     reference_v: Float32Array
@@ -85,10 +72,7 @@ class SweepResult:
 def excitation_of(order: SweepOrder, sample_rate_hz: float) -> Excitation:
     """The signal of an order.
 
-    Raises
-    ------
-    InputError
-        An order that no signal can be made for.
+    Raises InputError: an order that no signal can be made for.
     """
     return Excitation(
         sample_rate_hz=sample_rate_hz,
@@ -102,15 +86,7 @@ def excitation_of(order: SweepOrder, sample_rate_hz: float) -> Excitation:
 
 
 class SingleSweeps:
-    """Takes sweeps; what the estimator computes of a sweep's form is kept for the next one of the same form.
-
-    Parameters
-    ----------
-    setup : Setup
-        The rig.
-    sample_rate_hz : float
-        Rate of the records.
-    """
+    """Takes sweeps; what the estimator computes of a sweep's form is kept for the next one of the same form."""
 
     def __init__(self, setup: Setup, sample_rate_hz: float) -> None:
         self._setup = setup
@@ -121,17 +97,9 @@ class SingleSweeps:
     def take(self, order: SweepOrder) -> SweepResult:
         """Listen to silence for as long, play the sweep once, and look at what came back.
 
-        Parameters
-        ----------
-        order : SweepOrder
-            Which sweep.
+        order: Which sweep.
 
-        Raises
-        ------
-        InputError
-            An order that no signal can be made for.
-        InstrumentError
-            Of the instrument that failed.
+        Raises InputError: an order that no signal can be made for. InstrumentError: of the instrument that failed.
         """
         self._number += 1
         setup, rate_hz = self._setup, self._rate_hz

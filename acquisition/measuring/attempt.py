@@ -118,20 +118,12 @@ def evaluate(
     An attempt without recordings, or whose reference cannot be found, is judged
     ``Status.FAILED``: nothing of it can be used.
 
-    Parameters
-    ----------
-    recorded : Recorded
-        The attempt's recordings.
-    estimator : PositionEstimator
-        What they become.
-    range_v : tuple of float
-        Configured input ranges in volts of (reference, response); an attempt may have had a larger one.
-    limits : QualityLimits
-        When the position is good enough.
-    distance_mm : float64 array, shape (actuators,), optional
-        From the actuators to the position.
-    before_db : float, optional
-        Level of the reference at the positions before, as of `acquisition.quality.judgement.judge`.
+    recorded: The attempt's recordings.
+    estimator: What they become.
+    range_v: Configured input ranges in volts of (reference, response); an attempt may have had a larger one.
+    limits: When the position is good enough.
+    distance_mm, float64 (actuators,): From the actuators to the position.
+    before_db: Level of the reference at the positions before, as of `acquisition.quality.judgement.judge`.
     """
     if recorded.attempt.response_range_v is not None:
         range_v = (range_v[0], recorded.attempt.response_range_v)
@@ -167,23 +159,13 @@ def commit_attempt(
 ) -> AttemptResult:
     """Commit the best attempt at a position, unless the bank already holds a better one.
 
-    Parameters
-    ----------
-    bank : BankWriter
-        Open for writing.
-    result : AttemptResult
-        The best attempt of this session.
-    attempts : int
-        Tries at this position so far, for the bank's ``attempts``.
-    raw : RawWriter, optional
-        Where its recordings are kept, before the bank's row.
-    count_anyway : bool
-        Let the bank count the tries although it keeps what it has, so that the pass counts as over.
+    bank: Open for writing.
+    result: The best attempt of this session.
+    attempts: Tries at this position so far, for the bank's ``attempts``.
+    raw: Where its recordings are kept, before the bank's row.
+    count_anyway: Let the bank count the tries although it keeps what it has, so that the pass counts as over.
 
-    Returns
-    -------
-    AttemptResult
-        `result` without its recordings, final, and saying whether it was committed.
+    Returns `result` without its recordings, final, and saying whether it was committed.
     """
     position = result.attempt.position
     held = Status(int(bank.status[position]))
@@ -234,26 +216,13 @@ def next_attempt(
     Over-range takes the next larger range. A signal that was lost in several records, or twice at one place, is
     looked for a fraction of a millimetre aside, for speckle is that fine; all else is tried again in place.
 
-    Parameters
-    ----------
-    attempt : Attempt
-        The try that was not good enough.
-    judgement : Judgement
-        Why.
-    earlier : Status
-        Bits of the tries at this position before it, in this session.
-    setup : Setup
-        Knows the recorder's ranges.
-    limits : QualityLimits
-        How far a step aside is.
-    place_mm : float64 array, shape (2,)
-        The position.
-    joint : bool
-        Whether several actuators sound in a record: then one loss shows in all of them, and is tried again in place.
-
-    Returns
-    -------
-    Attempt
+    attempt: The try that was not good enough.
+    judgement: Why.
+    earlier: Bits of the tries at this position before it, in this session.
+    setup: Knows the recorder's ranges.
+    limits: How far a step aside is.
+    place_mm, float64 (2,): The position.
+    joint: Whether several actuators sound in a record: then one loss shows in all of them, and is tried again in place.
     """
     following = attempt.next()
     if judgement.status & Status.OVER_RANGE:
@@ -294,16 +263,10 @@ def attempts_again(
     ``n * max_attempts + 1``, however few tries came before. So a campaign that is killed in a pass goes on where
     it was. What was over-range starts with the largest range.
 
-    Parameters
-    ----------
-    order : int64 array, shape (positions,)
-        Bank rows that the session covers, in the order of measurement.
-    status, attempts : arrays, shape (positions,)
-        As the bank has them.
-    setup : Setup
-        Knows the recorder's ranges.
-    limits : QualityLimits
-        How many tries a round has, and how many passes there are.
+    order, int64 (positions,): Bank rows that the session covers, in the order of measurement.
+    status, attempts, arrays, shape (positions,): As the bank has them.
+    setup: Knows the recorder's ranges.
+    limits: How many tries a round has, and how many passes there are.
     """
     usable = (status[order] != 0) & (status[order] & (Status.VALID | Status.DISABLED) == 0)
     for number in range(1, limits.remeasure_pass + 1):
@@ -323,12 +286,8 @@ def attempts_again(
 def is_futile(order: NDArray[np.int64], status: NDArray[np.uint8], attempts: NDArray[np.int64], before: int) -> bool:
     """Whether the latest positions that a pass measured again have all stayed as they were.
 
-    Parameters
-    ----------
-    order, status, attempts
-        As of `attempts_again`.
-    before : int
-        Tries that a position can have had before the pass.
+    order, status, attempts: As of `attempts_again`.
+    before: Tries that a position can have had before the pass.
     """
     latest = order[attempts[order] > before][-FUTILE_IN_A_ROW:]
     return latest.size == FUTILE_IN_A_ROW and not np.any(status[latest] & Status.VALID)

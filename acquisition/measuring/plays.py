@@ -18,14 +18,10 @@ from drivers.protocols import Float64Array, Recording
 class Play:
     """What one record plays, and which part of it counts.
 
-    Parameters
-    ----------
-    actuator : int
-        The actuator that sounds; the first of them where several do.
-    signals_v : mapping from player channel to float64 array, shape (samples,)
-        Output volts, all of one length, the loopback channel included.
-    used : slice, optional
-        Samples of the record that count; it ends with them. All, if absent.
+    actuator: The actuator that sounds; the first of them where several do.
+    signals_v, mapping from player channel to float64 (samples,): Output volts, all of one length, the loopback channel
+        included.
+    used: Samples of the record that count; it ends with them. All, if absent.
     """
 
     actuator: int
@@ -46,12 +42,8 @@ class Play:
 class Measuring:
     """How every position of a campaign is measured.
 
-    Parameters
-    ----------
-    plays : tuple of Play
-        The records of a position, in order.
-    estimator : PositionEstimator
-        What their recordings become.
+    plays: The records of a position, in order.
+    estimator: What their recordings become.
     """
 
     plays: tuple[Play, ...]
@@ -71,12 +63,8 @@ def measuring_of(plan: Plan, setup: Setup) -> Measuring:
 def position_estimator(plan: Plan, channels: Channels) -> PositionEstimator:
     """The estimator for the recordings of a plan.
 
-    Parameters
-    ----------
-    plan : Plan
-        What was played.
-    channels : Channels
-        How the recorder's channels see it.
+    plan: What was played.
+    channels: How the recorder's channels see it.
     """
     with one_blas_thread():
         if plan.staggered is not None:

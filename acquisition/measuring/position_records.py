@@ -33,16 +33,9 @@ class Reports(Protocol):
 class PositionRecords:
     """Takes the records of positions.
 
-    Parameters
-    ----------
-    plan : Plan
-        Where the positions are, at which rate.
-    setup : Setup
-        With what.
-    plays : tuple of Play
-        What each record of a position plays.
-    reports : Reports
-        Receives records and faults.
+    plan: Where the positions are, at which rate.
+    plays: What each record of a position plays.
+    reports: Receives records and faults.
     """
 
     def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], reports: Reports) -> None:
@@ -54,19 +47,12 @@ class PositionRecords:
     def take(self, attempt: Attempt, purpose: str, between: Callable[[], None]) -> tuple[Recording, ...]:
         """Point at a position and take all its records.
 
-        Parameters
-        ----------
-        attempt : Attempt
-            Which position, and which try at it.
-        purpose : str
-            ``"capture"`` or ``"sentinel"``, for the instruments' logs.
-        between : callable
-            Called after each record.
+        attempt: Which position, and which try at it.
+        purpose: ``"capture"`` or ``"sentinel"``, for the instruments' logs.
+        between: Called after each record.
 
-        Raises
-        ------
-        InstrumentError
-            Of the instrument that failed; a passing fault only when repeated records did not cure it.
+        Raises InstrumentError: of the instrument that failed; a passing fault only when repeated records did not cure
+        it.
         """
         point_at(self._setup, *self._place_mm(attempt))
         recordings: list[Recording] = []
@@ -81,10 +67,7 @@ class PositionRecords:
     def probe(self, attempt: Attempt) -> Recording:
         """Point at a position and take one record, to see how things stand; it goes nowhere.
 
-        Raises
-        ------
-        InstrumentError
-            As :meth:`take` does.
+        Raises InstrumentError: as :meth:`take` does.
         """
         point_at(self._setup, *self._place_mm(attempt))
         play = self.plays[0]

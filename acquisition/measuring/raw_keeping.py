@@ -34,15 +34,9 @@ MEASURED = int(Status.VALID | Status.OVER_RANGE | Status.POOR_SIGNAL)
 def raw_header(plan: Plan, setup: Setup, *, rig_json: str, run_json: str, software: str) -> RawHeader:
     """What the raw file of a plan says of itself.
 
-    Parameters
-    ----------
-    plan : Plan
-        What is measured.
-    setup : Setup
-        With what. One count is a 32768th of the range that the campaign begins with: counts of the widest range would
-        bury quiet positions in their rounding.
-    rig_json, run_json, software : str
-        As of the bank's header.
+    setup: With what. One count is a 32768th of the range that the campaign begins with: counts of the widest range
+        would bury quiet positions in their rounding.
+    rig_json, run_json, software: As of the bank's header.
     """
     excitation, signal, used = plan.excitation, plan.staggered, used_samples(plan, setup)
     channels = channels_of(setup)
@@ -73,10 +67,7 @@ def raw_header(plan: Plan, setup: Setup, *, rig_json: str, run_json: str, softwa
 def require_same(raw: RawWriter, wanted: RawHeader) -> None:
     """Refuse to add recordings to a file whose others were scaled otherwise.
 
-    Raises
-    ------
-    InputError
-        Sensitivity, gain, delay or range is not what the file says.
+    Raises InputError: sensitivity, gain, delay or range is not what the file says.
     """
     for name in ("response_per_volt", "reference_gain", "inter_channel_delay_s", "volts_per_count"):
         then, now = getattr(raw.header, name), getattr(wanted, name)
@@ -93,10 +84,7 @@ def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recordin
     Of an attempt that was taken in a wider range, what lies beyond the file's counts is cut to them: an estimate then
     marks the position as over-range, while the bank has it right.
 
-    Raises
-    ------
-    WavefocusError
-        The disk failed; positions committed earlier are intact.
+    Raises WavefocusError: the disk failed; positions committed earlier are intact.
     """
     kept = []
     for channel, step_v in enumerate(raw.header.volts_per_count):
@@ -108,11 +96,7 @@ def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recordin
 def without_recordings(status: NDArray[np.uint8], raw: RawWriter) -> list[int]:
     """Positions that a bank holds Green's functions of and the raw file no recordings, as where it was damaged.
 
-    Parameters
-    ----------
-    status : uint8 array, shape (positions,)
-        The bank's.
-    raw : RawWriter
-        The file of recordings.
+    status, uint8 (positions,): The bank's.
+    raw: The file of recordings.
     """
     return [int(row) for row in np.flatnonzero((status & MEASURED > 0) & ~raw.recorded)]

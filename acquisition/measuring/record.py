@@ -45,30 +45,14 @@ def take_record(
     audio-level signal, so start offset and clock ratio are found from the reference
     channel afterwards.
 
-    Parameters
-    ----------
-    setup : Setup
-        The rig.
-    signals_v : mapping from player channel to float64 array, shape (samples,)
-        Output volts, all of one length.
-    sample_rate_hz : float
-        Rate of the signals and of the record.
-    take : Take
-        What the record is for.
-    samples : int, optional
-        Samples of the record; by default ``record_samples(...)``, so that it outlasts the signal.
+    signals_v, mapping from player channel to float64 (samples,): Output volts, all of one length.
+    sample_rate_hz: Rate of the signals and of the record.
+    take: What the record is for.
+    samples: Samples of the record; by default ``record_samples(...)``, so that it outlasts the signal.
 
-    Returns
-    -------
-    Recording
-        So many samples of both channels.
-
-    Raises
-    ------
-    InstrumentError
-        Of the instrument that failed, with its role; the player is muted and the recorder
-        stopped. An instrument that cannot even be silenced after a passing failure counts
-        as lost.
+    Returns as many samples of both channels.
+    Raises InstrumentError: of the instrument that failed, with its role; the player is muted and the recorder stopped.
+    An instrument that cannot even be silenced after a passing failure counts as lost.
     """
     signal_samples = len(next(iter(signals_v.values())))
     request = RecordRequest(
@@ -100,10 +84,7 @@ def take_record(
 def start_move(setup: Setup, x_mm: float, y_mm: float) -> None:
     """Let the mirror set out for a place, and return at once.
 
-    Raises
-    ------
-    InstrumentError
-        Of the mirror.
+    Raises InstrumentError: of the mirror.
     """
     x_mrad, y_mrad = setup.mirror_map.angles_mrad(x_mm, y_mm)
     with asking("mirror"):
@@ -113,10 +94,7 @@ def start_move(setup: Setup, x_mm: float, y_mm: float) -> None:
 def point_at(setup: Setup, x_mm: float, y_mm: float) -> None:
     """Point at a place and wait until the beam stands; where the move is under way already, this only waits.
 
-    Raises
-    ------
-    InstrumentError
-        Of the mirror.
+    Raises InstrumentError: of the mirror.
     """
     start_move(setup, x_mm, y_mm)
     with asking("mirror"):

@@ -17,37 +17,22 @@ from drivers.timeouts import Role
 class Setup:
     """The instruments of a rig, how they are wired and how they are calibrated.
 
-    Parameters
-    ----------
-    instruments : Instruments
-        Mirror, recorder, player and the clock they live by.
-    mirror_map : MirrorMap
-        From surface millimetres to mirror angles.
-    actuator_channels : tuple of int
-        Player channel of each actuator, in the bank's order of actuators.
-    loopback_channel : int
-        Player channel that is wired to the recorder's reference input.
-    range_v : tuple of float
-        Input ranges in volts of (reference, response).
-    response_per_volt : float
-        Response unit per DAQ volt, by default (m/s)/V: the vibrometer's sensitivity.
-    reference_gain : float
-        DAQ volts on the reference channel per volt of drive.
-    inter_channel_delay_s : float
-        How much later the response channel is sampled than the reference channel.
-    vibrometer_latency_s : float
-        How much later the vibrometer's voltage is than the velocity that it stands for.
-    pre_roll_s, post_roll_s : float
-        Recording before the player starts, and after it should have ended; the
-        post-roll covers the player's unknown latency.
-    settle_timeout_s : float
-        Longest wait for the mirror to stand still.
-    recovery_s : float
-        How long a lost instrument is waited for before the session ends, >= 0.
-    watch : Watch
-        Conditions under which measuring makes sense.
-    response_ranges_v : tuple of float
-        Input ranges that the response may be measured with when it is over the configured one; none, if unknown.
+    instruments: Mirror, recorder, player and the clock they live by.
+    mirror_map: From surface millimetres to mirror angles.
+    actuator_channels: Player channel of each actuator, in the bank's order of actuators.
+    loopback_channel: Player channel that is wired to the recorder's reference input.
+    range_v: Input ranges in volts of (reference, response).
+    response_per_volt: Response unit per DAQ volt, by default (m/s)/V: the vibrometer's sensitivity.
+    reference_gain: DAQ volts on the reference channel per volt of drive.
+    inter_channel_delay_s: How much later the response channel is sampled than the reference channel.
+    vibrometer_latency_s: How much later the vibrometer's voltage is than the velocity that it stands for.
+    pre_roll_s, post_roll_s: Recording before the player starts, and after it should have ended; the post-roll covers
+        the player's unknown latency.
+    settle_timeout_s: Longest wait for the mirror to stand still.
+    recovery_s: How long a lost instrument is waited for before the session ends, >= 0.
+    watch: Conditions under which measuring makes sense.
+    response_ranges_v: Input ranges that the response may be measured with when it is over the configured one; none, if
+        unknown.
     """
 
     instruments: Instruments
@@ -79,12 +64,8 @@ class Setup:
     def close(self) -> None:
         """Mute the player, park the mirror and release every instrument, whatever fails on the way.
 
-        Raises
-        ------
-        ExceptionGroup
-            Of all that failed, after everything was tried.
-        KeyboardInterrupt
-            An impatient Ctrl-C; it cut one step short, and the others were tried.
+        Raises ExceptionGroup: of all that failed, after everything was tried. KeyboardInterrupt: an impatient Ctrl-C;
+        it cut one step short, and the others were tried.
         """
         failures: list[Exception] = []
         interrupt: KeyboardInterrupt | None = None
@@ -115,10 +96,7 @@ class Setup:
 def asking(role: Role) -> Iterator[None]:
     """Note the role on an error that its instrument raises: drivers name devices, recovery needs the role.
 
-    Parameters
-    ----------
-    role : str
-        Whose methods are called inside.
+    role: Whose methods are called inside.
     """
     try:
         yield
@@ -147,12 +125,8 @@ def instrument_of(instruments: Instruments, role: str) -> Instrument:
 def names_of(instruments: Instruments) -> tuple[str, str, str]:
     """What mirror, recorder and player say they are.
 
-    Raises
-    ------
-    InstrumentLostError
-        One does not say; not even passingly may that fail in an instrument that was just opened.
-    InstrumentError
-        It says that it is another.
+    Raises InstrumentLostError: one does not say; not even passingly may that fail in an instrument that was just
+    opened. InstrumentError: it says that it is another.
     """
     try:
         with asking("mirror"):
@@ -168,10 +142,7 @@ def names_of(instruments: Instruments) -> tuple[str, str, str]:
 def silence(instruments: Instruments) -> list[InstrumentError]:
     """Mute the player and drop a record under way, each whatever the other does.
 
-    Returns
-    -------
-    list of InstrumentError
-        What failed, with its role; empty when all is silent.
+    Returns what failed, with its role; empty when all is silent.
     """
     failures: list[InstrumentError] = []
     roles: tuple[Role, Role] = ("player", "recorder")

@@ -19,14 +19,9 @@ PER_MM = 0.6
 class Row:
     """One measurement of a position.
 
-    Parameters
-    ----------
-    spectrum : complex128 array, shape (actuators, bins)
-        Green's functions in the band of the sweep, as of `in_band`.
-    snr_db : float32 array, shape (actuators,)
-        Signal-to-noise ratios, NaN where unknown.
-    moved_mm : float
-        How far beside the position; NaN where unknown.
+    spectrum, complex128 (actuators, bins): Green's functions in the band of the sweep, as of `in_band`.
+    snr_db, float32 (actuators,): Signal-to-noise ratios, NaN where unknown.
+    moved_mm: How far beside the position; NaN where unknown.
     """
 
     spectrum: NDArray[np.complex128]
@@ -38,14 +33,10 @@ class Row:
 class Difference:
     """How two measurements of a position differ.
 
-    Parameters
-    ----------
-    actuators : tuple of int
-        Whose Green's functions differ by more than they may, the farthest beyond first; none where the two agree.
-    level_db : float
-        Energy of the first of them now over then, in dB.
-    relative : float
-        Norm of its difference over that of the louder one.
+    actuators: Whose Green's functions differ by more than they may, the farthest beyond first; none where the two
+        agree.
+    level_db: Energy of the first of them now over then, in dB.
+    relative: Norm of its difference over that of the louder one.
     """
 
     actuators: tuple[int, ...]
@@ -65,14 +56,8 @@ class Difference:
 def in_band(green: NDArray[np.floating], sample_rate_hz: float, band_hz: tuple[float, float]) -> NDArray[np.complex128]:
     """Spectra of Green's functions in the band of the sweep: outside of it, and at its edges, noise is magnified.
 
-    Parameters
-    ----------
-    green : array, shape (actuators, taps)
-        Green's functions.
-    sample_rate_hz : float
-        Their rate in Hz.
-    band_hz : tuple of float
-        Lowest and highest frequency of the sweep in Hz.
+    green, (actuators, taps): Green's functions.
+    band_hz: Lowest and highest frequency of the sweep in Hz.
     """
     hertz = np.fft.rfftfreq(green.shape[1], 1 / sample_rate_hz)
     inside = (hertz >= band_hz[0]) & (hertz <= band_hz[1])
@@ -85,10 +70,7 @@ def difference(then: Row, now: Row) -> Difference:
     Each may differ by 2 %, or by `OVER_NOISE` times what the noise of both explains of it. Noise is spread over all
     of a Green's function, and little of it is in its level, so that the level is also compared by itself.
 
-    Parameters
-    ----------
-    then, now : Row
-        Of one position.
+    then, now: Of one position.
     """
     first, second = then.spectrum, now.spectrum
     energies = np.sum(np.abs(first) ** 2, axis=1), np.sum(np.abs(second) ** 2, axis=1)

@@ -25,14 +25,8 @@ NOISE_SAMPLES = 8192
 class Conditions:
     """Finds the values of all watched conditions.
 
-    Parameters
-    ----------
-    watch : Watch
-        What is watched.
-    setup : Setup
-        Whose records they are.
-    excitation : Excitation
-        Rate and band of what is played.
+    setup: Whose records they are.
+    excitation: Rate and band of what is played.
     """
 
     def __init__(self, watch: Watch, setup: Setup, excitation: Excitation) -> None:
@@ -46,10 +40,7 @@ class Conditions:
     def values(self, plays: Sequence[Play], recordings: Sequence[Recording]) -> dict[str, float]:
         """Values after these records; a sensor that fails is listed in `mute`.
 
-        Parameters
-        ----------
-        plays, recordings : sequences of equal length
-            What was played, and what was recorded of it.
+        plays, recordings: What was played, and what was recorded of it.
         """
         values: dict[str, float] = {}
         if REFERENCE in self.watch.bands:

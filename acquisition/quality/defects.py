@@ -42,18 +42,11 @@ class Cure(IntEnum):
 class Defect:
     """One thing that is wrong with an attempt at a position.
 
-    Parameters
-    ----------
-    name : str
-        Its name, the same in events, log and documentation: ``"hum"``, ``"lost sample"``.
-    actuators : tuple of int
-        Whose records show it, the worst first.
-    sentence : str
-        What was seen and what to do about it.
-    cure : Cure
-        What the engine can try by itself.
-    over_range : bool
-        Whether something was at the end of its range.
+    name: Its name, the same in events, log and documentation: ``"hum"``, ``"lost sample"``.
+    actuators: Whose records show it, the worst first.
+    sentence: What was seen and what to do about it.
+    cure: What the engine can try by itself.
+    over_range: Whether something was at the end of its range.
     """
 
     name: str
@@ -67,12 +60,8 @@ class Defect:
 class DefectLimits:
     """From where on a defect counts.
 
-    Parameters
-    ----------
-    residual_db : float
-        Energy of a defect in the record's residual, in dB of the response.
-    harmonic_db : float
-        Third harmonic in dB of the fundamental.
+    residual_db: Energy of a defect in the record's residual, in dB of the response.
+    harmonic_db: Third harmonic in dB of the fundamental.
     """
 
     residual_db: float
@@ -91,19 +80,11 @@ def named_defects(
 
     Of one record the defect that explains the others is named alone: a lost sample also leaves a burst.
 
-    Parameters
-    ----------
-    estimate : Estimate
-        Figures of all records of the attempt.
-    limits : DefectLimits
-        From where on they count.
-    distance_mm : float64 array, shape (actuators,), optional
-        From the actuators to the position; NaN where unknown.
+    estimate: Figures of all records of the attempt.
+    limits: From where on they count.
+    distance_mm, float64 (actuators,): From the actuators to the position; NaN where unknown.
 
-    Returns
-    -------
-    tuple of Defect
-        The surest first; none for a clean attempt.
+    Returns defects, the surest first; none for a clean attempt.
     """
     figures = estimate.defects
     dead = dead_records(estimate)

@@ -21,27 +21,14 @@ from storage.bank.writer import BankWriter
 class DriftWatch:
     """Measures the sentinel position and compares it with what the bank holds.
 
-    Parameters
-    ----------
-    plan : Plan
-        Which positions, in which order, and how far the sentinel may drift.
-    bank : BankWriter
-        What was measured first.
-    life : Lifecycle
-        Tells the time.
-    session : Session
-        Told what was found.
-    records : PositionRecords
-        Takes the records.
-    recovery : Recovery
-        Brings lost instruments back.
-    evaluate : callable
-        From recordings to a judged estimate.
-
-    Attributes
-    ----------
-    accept_drift : bool
-        Continue although it has changed; the change is reported.
+    plan: Which positions, in which order, and how far the sentinel may drift.
+    bank: What was measured first.
+    life: Tells the time.
+    session: Told what was found.
+    records: Takes the records.
+    recovery: Brings lost instruments back.
+    evaluate: From recordings to a judged estimate.
+    accept_drift: Continue although it has changed; the change is reported.
     """
 
     def __init__(
@@ -84,12 +71,8 @@ class DriftWatch:
     def check(self) -> None:
         """Measure the sentinel again before a session adds anything, if there is one.
 
-        Raises
-        ------
-        DriftError
-            The sentinel position is not what the bank holds, or cannot be measured; nothing was added.
-        InstrumentError
-            An instrument failed for good.
+        Raises DriftError: the sentinel position is not what the bank holds, or cannot be measured; nothing was added.
+        InstrumentError: an instrument failed for good.
         """
         position = sentinel_of(self._plan, self._bank.status)
         if position is None:
@@ -105,12 +88,8 @@ class DriftWatch:
     def check_again(self) -> None:
         """Measure the sentinel again during a session, and once more before it is believed that it has changed.
 
-        Raises
-        ------
-        DriftError
-            It has; the positions measured since it was last as it should be are named.
-        InstrumentError
-            An instrument failed for good.
+        Raises DriftError: it has; the positions measured since it was last as it should be are named. InstrumentError:
+        an instrument failed for good.
         """
         position = sentinel_of(self._plan, self._bank.status)
         if position is None:

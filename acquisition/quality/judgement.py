@@ -61,26 +61,16 @@ def judge(
     A figure that is not a number never counts as good: a record without signal-to-noise ratio or residual makes
     the position poor. Figures that compare sweeps may be unknown, for a single sweep has none.
 
-    Parameters
-    ----------
-    estimate : Estimate
-        Figures of all records of the attempt.
-    over_range : bool
-        Whether any record reached the end of the converter's range.
-    limits : QualityLimits
-        When the position is good enough.
-    distance_mm : float64 array, shape (actuators,), optional
-        From the actuators to the position; where given, a silent actuator is distinguished from a far one.
-    before_db : float, optional
-        Level of the reference at the positions before, in dB of its calibration; by default the median of this
+    estimate: Figures of all records of the attempt.
+    over_range: Whether any record reached the end of the converter's range.
+    limits: When the position is good enough.
+    distance_mm, float64 (actuators,): From the actuators to the position; where given, a silent actuator is
+        distinguished from a far one.
+    before_db: Level of the reference at the positions before, in dB of its calibration; by default the median of this
         attempt's records stands for it.
-    calibrated : bool
-        Whether the played signal is calibrated, so that the level of the reference can be judged.
+    calibrated: Whether the played signal is calibrated, so that the level of the reference can be judged.
 
-    Returns
-    -------
-    Judgement
-        ``Status.VALID`` alone, or the bits of all that is wrong.
+    Returns ``Status.VALID`` alone, or the bits of all that is wrong.
     """
     dead = dead_records(estimate)
     finite = np.isfinite(estimate.snr_db) & np.isfinite(estimate.residual_db) & np.isfinite(estimate.noise_v)

@@ -14,32 +14,21 @@ from numpy.typing import NDArray
 class QualityLimits:
     """When a position is good enough.
 
-    Parameters
-    ----------
-    poor_residual_db : float
-        A record is suspect when the fitted response leaves more than this unexplained,
-        in dB of the response.
-    excess_noise_db : float
-        A suspect record makes the position poor when its residual in volts is also this much
-        above the residual of the position's quietest record. Both must hold: a far
-        actuator's record is mostly noise and still honest, a near one's residual is
-        large in volts and still small beside its response.
-    poor_snr_db : float
-        The position is poor when even its best record has less signal-to-noise ratio.
-    max_attempts : int
-        Attempts at a position before it is committed as it is.
-    poor_harmonic_db : float
-        A record is clipped or distorted when the third harmonic at its loudest moment is above this, in dB of the
-        fundamental.
-    speckle_step_mm : float
-        How far the mirror moves aside where the light does not come back, >= 0.
-    remeasure_pass : int
-        How often, at the end of a campaign, all that is not valid is measured again, >= 0.
-    second_look : str
-        ``"auto"``: the pass also measures what neighbours cannot judge, and two measurements must agree; ``"never"``.
-    reference_db : float
-        How far the level of the reference may be from that of the records before, in dB, > 0. From its calibration
-        it may be `CALIBRATION_SPARE` times as far.
+    poor_residual_db: A record is suspect when the fitted response leaves more than this unexplained, in dB of the
+        response.
+    excess_noise_db: A suspect record makes the position poor when its residual in volts is also this much above the
+        residual of the position's quietest record. Both must hold: a far actuator's record is mostly noise and still
+        honest, a near one's residual is large in volts and still small beside its response.
+    poor_snr_db: The position is poor when even its best record has less signal-to-noise ratio.
+    max_attempts: Attempts at a position before it is committed as it is.
+    poor_harmonic_db: A record is clipped or distorted when the third harmonic at its loudest moment is above this, in
+        dB of the fundamental.
+    speckle_step_mm: How far the mirror moves aside where the light does not come back, >= 0.
+    remeasure_pass: How often, at the end of a campaign, all that is not valid is measured again, >= 0.
+    second_look: ``"auto"``: the pass also measures what neighbours cannot judge, and two measurements must agree;
+        ``"never"``.
+    reference_db: How far the level of the reference may be from that of the records before, in dB, > 0. From its
+        calibration it may be `CALIBRATION_SPARE` times as far.
     """
 
     poor_residual_db: float = -50.0
@@ -64,18 +53,11 @@ class DriftLimits:
 
     At the default noise a re-measured position correlates above 0.999.
 
-    Parameters
-    ----------
-    every_positions : int
-        Measured again after so many positions, > 0.
-    every_s : float
-        And after so long on the rig's clock, whichever comes first, > 0.
-    warn_level_db, stop_level_db : float
-        Largest change of level, either way, before a warning, and before the campaign stops.
-    warn_delay_samples, stop_delay_samples : float
-        Largest shift in time, either way.
-    warn_correlation, stop_correlation : float
-        Smallest correlation.
+    every_positions: Measured again after so many positions, > 0.
+    every_s: And after so long on the rig's clock, whichever comes first, > 0.
+    warn_level_db, stop_level_db: Largest change of level, either way, before a warning, and before the campaign stops.
+    warn_delay_samples, stop_delay_samples: Largest shift in time, either way.
+    warn_correlation, stop_correlation: Smallest correlation.
     """
 
     every_positions: int = 50
@@ -99,15 +81,10 @@ class DriftLimits:
 class DriftFigures:
     """How a re-measured sentinel differs from the first measurement.
 
-    Parameters
-    ----------
-    level_db : float
-        Energy now over energy then, in dB.
-    delay_samples : float
-        Lag of the largest cross-correlation, refined by a parabola; positive when the
-        response comes later now.
-    correlation : float
-        Cross-correlation at that lag over the root of both energies, 0 to 1.
+    level_db: Energy now over energy then, in dB.
+    delay_samples: Lag of the largest cross-correlation, refined by a parabola; positive when the response comes later
+        now.
+    correlation: Cross-correlation at that lag over the root of both energies, 0 to 1.
     """
 
     level_db: float
@@ -151,16 +128,9 @@ class DriftFigures:
 def compare_sentinel(then: NDArray[np.float32], now: NDArray[np.float32]) -> DriftFigures:
     """Compare two measurements of one position.
 
-    Parameters
-    ----------
-    then, now : float32 array, shape (actuators, taps)
-        Green's functions of the first and of the new measurement.
+    then, now, float32 (actuators, taps): Green's functions of the first and of the new measurement.
 
-    Returns
-    -------
-    DriftFigures
-        Pooled over all actuators, so that the strong responses, which carry the
-        information, decide.
+    Returns figures pooled over all actuators, so that the strong responses, which carry the information, decide.
     """
     first, second = then.astype(np.float64), now.astype(np.float64)
     energy_then, energy_now = float(np.sum(first**2)), float(np.sum(second**2))
@@ -185,16 +155,10 @@ def compare_sentinel(then: NDArray[np.float32], now: NDArray[np.float32]) -> Dri
 class DriftPoint:
     """The sentinel position measured again, against its first measurement.
 
-    Parameters
-    ----------
-    at : datetime
-        When, with a time zone.
-    level_db, delay_samples, correlation : float
-        As of `acquisition.quality.limits.DriftFigures`.
-    verdict : str
-        ``"steady"``, ``"warn"`` or ``"stop"``.
-    suspect : tuple of int
-        Positions measured since it was last steady, where the verdict is to stop.
+    at: When, with a time zone.
+    level_db, delay_samples, correlation: As of `acquisition.quality.limits.DriftFigures`.
+    verdict: ``"steady"``, ``"warn"`` or ``"stop"``.
+    suspect: Positions measured since it was last steady, where the verdict is to stop.
     """
 
     at: datetime

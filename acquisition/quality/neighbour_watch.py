@@ -40,12 +40,8 @@ class NeighbourWatch:
     Verdicts depend on the bank alone, so that a campaign that is killed anywhere goes on as one that is not: until a
     pass replaces it, a row that is marked counts as it did before.
 
-    Parameters
-    ----------
-    plan : Plan
-        Where positions and actuators are.
-    bank : BankWriter
-        Open for writing.
+    plan: Where positions and actuators are.
+    bank: Open for writing.
     """
 
     def __init__(self, plan: Plan, bank: BankWriter) -> None:
@@ -66,15 +62,9 @@ class NeighbourWatch:
         Rows that had a repeat in a pass are not judged once more. Whatever of it an interrupted session marked, the
         marks come out the same.
 
-        Parameters
-        ----------
-        covered : int64 array
-            Positions to judge, in the order of measurement, all of them measured.
+        covered: Positions to judge, in the order of measurement, all of them measured.
 
-        Yields
-        ------
-        tuple of int and Judgement
-            Each position as it is marked.
+        Yields each position as it is marked.
         """
         self._marked.clear()
         status, attempts = self._bank.status, self._bank.attempts
@@ -105,16 +95,10 @@ class NeighbourWatch:
         A valid row is replaced only by one that agrees with it; where it may be replaced by another one, two attempts
         must agree with each other. So must two where neighbours cannot judge a repeat.
 
-        Parameters
-        ----------
-        result : AttemptResult
-            Judged by its own records.
-        earlier : AttemptResult, optional
-            The best attempt before it in this session.
-        repeat : bool
-            Whether the position is measured after all others, even where the bank holds nothing of it.
-        replaceable : bool
-            Whether a valid row may be replaced by another one.
+        result: Judged by its own records.
+        earlier: The best attempt before it in this session.
+        repeat: Whether the position is measured after all others, even where the bank holds nothing of it.
+        replaceable: Whether a valid row may be replaced by another one.
         """
         position, judgement = result.attempt.position, result.judgement
         row = row_of(result, self._plan)
@@ -149,21 +133,11 @@ class NeighbourWatch:
         Where it differs from its neighbours without a cause in level, time, wiring or place, and what the bank holds
         differs in the same way, it is the plate that differs there: the repeat is good.
 
-        Parameters
-        ----------
-        position : int
-            Bank row.
-        green : float32 array, shape (actuators, taps)
-            The repeat.
-        before : Judgement
-            By its own records.
+        position: Bank row.
+        green, float32 (actuators, taps): The repeat.
+        before: By its own records.
 
-        Returns
-        -------
-        Judgement
-            By its own records and its neighbours.
-        bool
-            Whether neighbours could judge it.
+        Returns the judgement by its own records and its neighbours, and whether neighbours could judge it.
         """
         usable = (self._bank.status == Status.VALID) | self._alone()
         usable[position] = True

@@ -20,18 +20,11 @@ class Sensor(Protocol):
 class Band:
     """Where a condition must stay.
 
-    Parameters
-    ----------
-    words : str
-        What it is, for people: ``"reference level"``.
-    unit : str
-        Of all limits.
-    leaves_below, leaves_above : float
-        Beyond these measuring is suspended; infinite where there is no limit.
-    returns_above, returns_below : float
-        Within these it may go on: inside the limits above, so that nothing flutters.
-    settle_s : float
-        How long it must have been back before measuring goes on.
+    words: What it is, for people: ``"reference level"``.
+    unit: Of all limits.
+    leaves_below, leaves_above: Beyond these measuring is suspended; infinite where there is no limit.
+    returns_above, returns_below: Within these it may go on: inside the limits above, so that nothing flutters.
+    settle_s: How long it must have been back before measuring goes on.
     """
 
     words: str
@@ -59,18 +52,11 @@ class Band:
 class Watch:
     """What is watched in a campaign.
 
-    Parameters
-    ----------
-    bands : mapping from name to Band
-        ``"reference"`` (energy of the reference against what the drive makes, in dB) and ``"noise"`` (of the
-        response above the sweep's band, as rms of white noise, in V) come from records; any other name needs a
-        sensor.
-    sensors : mapping from name to Sensor
-        What is asked after each position.
-    probe_every_s : float
-        How often it is looked whether all is well again, > 0.
-    give_up_after_s : float
-        Longest suspension.
+    bands: ``"reference"`` (energy of the reference against what the drive makes, in dB) and ``"noise"`` (of the
+        response above the sweep's band, as rms of white noise, in V) come from records; any other name needs a sensor.
+    sensors: What is asked after each position.
+    probe_every_s: How often it is looked whether all is well again, > 0.
+    give_up_after_s: Longest suspension.
     """
 
     bands: Mapping[str, Band]

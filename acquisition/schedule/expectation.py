@@ -16,16 +16,10 @@ ASSUMED_SNR_DB = 40.0
 class Expectation:
     """What may be expected of one schedule.
 
-    Parameters
-    ----------
-    name : str
-        What it is called.
-    seconds : float
-        The whole campaign's.
-    additive_db : float
-        Expected relative L2 error in band where noise is always the same, in dB.
-    proportional_db : float
-        The same where noise grows with all that sounds.
+    name: What it is called.
+    seconds: The whole campaign's.
+    additive_db: Expected relative L2 error in band where noise is always the same, in dB.
+    proportional_db: The same where noise grows with all that sounds.
     """
 
     name: str
@@ -56,15 +50,8 @@ def schedule_name(plan: Plan) -> str:
 def expect(plan: Plan, rolls: Rolls, snr_db: float = ASSUMED_SNR_DB) -> Expectation:
     """Expect hours and errors of a plan under both models of noise.
 
-    Parameters
-    ----------
-    plan : Plan
-        What is measured.
-    rolls : Rolls
-        How long a record is before and after its signal.
-    snr_db : float
-        Response of one actuator that sounds alone, while it sounds, over the noise from 0 to half the sample
-        rate.
+    rolls: How long a record is before and after its signal.
+    snr_db: Response of one actuator that sounds alone, while it sounds, over the noise from 0 to half the sample rate.
     """
 
     def error_db(noise: Noise) -> float:

@@ -31,26 +31,12 @@ def surface_grid(
     equally far. Even rows, counted from the bottom, run to the right and odd rows to the left, so that the
     mirror moves by one spacing at a time.
 
-    Parameters
-    ----------
-    outline : Outline
-        Of the surface.
-    margin_mm : float
-        Distance kept from the outline in millimetres, >= 0.
-    spacing_mm : float
-        Distance of neighbouring positions in millimetres, > 0.
-    lattice : {"square", "hexagonal"}
-        Kind of grid.
+    margin_mm: Distance kept from the outline in millimetres, >= 0.
+    spacing_mm: Distance of neighbouring positions in millimetres, > 0.
+    lattice, {"square", "hexagonal"}: Kind of grid.
 
-    Returns
-    -------
-    float64 array, shape (positions, 2)
-        x and y in millimetres.
-
-    Raises
-    ------
-    InputError
-        No position is left inside the margin, or there would be more than `MOST_POSITIONS`.
+    Returns float64 (positions, 2): x and y in millimetres.
+    Raises InputError: no position is left inside the margin, or there would be more than `MOST_POSITIONS`.
     """
     left, bottom, right, top = outline.box_mm
     length_mm, width_mm = right - left, top - bottom
@@ -87,23 +73,11 @@ def read_positions_file(path: Path, outline: Outline) -> NDArray[np.float64]:
 
     Blank lines and lines that start with ``#`` are passed over.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    outline : Outline
-        Of the surface; every position must lie on it.
+    outline: Of the surface; every position must lie on it.
 
-    Returns
-    -------
-    float64 array, shape (positions, 2)
-        x and y in millimetres.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or a line is not two finite numbers, lies outside the surface or repeats
-        another line; the message names file and line.
+    Returns float64 (positions, 2): x and y in millimetres.
+    Raises InputError: the file cannot be read, or a line is not two finite numbers, lies outside the surface or repeats
+    another line; the message names file and line.
     """
     rows = [
         (number, line)

@@ -16,10 +16,7 @@ class Pace:
     do not move it. How many attempts a position takes is their mean over as many positions: repeats are rare and
     cost time all the same. Outages are not counted, for `working_s` stands still meanwhile.
 
-    Parameters
-    ----------
-    working_s : float
-        What the clock says at the beginning.
+    working_s: What the clock says at the beginning.
     """
 
     def __init__(self, working_s: float) -> None:
@@ -53,14 +50,9 @@ class Pace:
     def remaining_s(self, positions: int, sentinel_passes: int, working_s: float | None = None) -> float:
         """Seconds for so many positions and measurements of the sentinel.
 
-        Parameters
-        ----------
-        positions : int
-            Positions not begun yet.
-        sentinel_passes : int
-            Measurements of the sentinel to come.
-        working_s : float, optional
-            What the clock says, where one more position is being recorded: what that still takes counts, too.
+        positions: Positions not begun yet.
+        sentinel_passes: Measurements of the sentinel to come.
+        working_s: What the clock says, where one more position is being recorded: what that still takes counts, too.
         """
         under_way_s = 0.0 if working_s is None else max(0.0, self.position_s - (working_s - self._last_s))
         # Before the first, a sentinel is taken for a position like any other.

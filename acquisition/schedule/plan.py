@@ -27,26 +27,15 @@ GROUP = 5
 class Plan:
     """A campaign: which positions, in which order, with what excitation.
 
-    Parameters
-    ----------
-    position_mm : float64 array, shape (positions, 2)
-        The grid, in the bank's order.
-    actuator_mm : float64 array, shape (actuators, 2)
-        Where the actuators are.
-    order : int64 array, shape (positions,)
-        Bank rows in the order of measurement.
-    excitation : Excitation
-        What plays in each record where actuators sound one after the other.
-    taps : int
-        Length L of the Green's functions.
-    sha256 : str
-        Hash of all that a resume must not change.
-    quality : QualityLimits
-        When a position is good enough.
-    staggered : StaggeredSignal, optional
-        What plays instead where several actuators sound at once.
-    drift : DriftLimits
-        How often the sentinel position is measured again, and how far it may drift.
+    position_mm, float64 (positions, 2): The grid, in the bank's order.
+    actuator_mm, float64 (actuators, 2): Where the actuators are.
+    order, int64 (positions,): Bank rows in the order of measurement.
+    excitation: What plays in each record where actuators sound one after the other.
+    taps: Length L of the Green's functions.
+    sha256: Hash of all that a resume must not change.
+    quality: When a position is good enough.
+    staggered: What plays instead where several actuators sound at once.
+    drift: How often the sentinel position is measured again, and how far it may drift.
     """
 
     position_mm: Float64Array
@@ -99,12 +88,8 @@ class Plan:
     def second_looks(self, rows: NDArray[np.int64], speed_m_s: float = GEL_SPEED_M_S) -> int:
         """Number of positions that no neighbour can be expected to judge, so that they are measured twice.
 
-        Parameters
-        ----------
-        rows : int64 array
-            The positions that are measured.
-        speed_m_s : float
-            Phase speed of the plate's waves at the upper end of the band, > 0.
+        rows: The positions that are measured.
+        speed_m_s: Phase speed of the plate's waves at the upper end of the band, > 0.
         """
         if not self.quality.confirms or not len(rows):
             return 0

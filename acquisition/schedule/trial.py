@@ -40,18 +40,11 @@ GROWS_DB = 3.0
 class Candidate:
     """A schedule, tried.
 
-    Parameters
-    ----------
-    name : str
-        What it is called.
-    groups : int
-        Records of a position in which several actuators sound; 0 where they sound one after the other.
-    level_db : float
-        Its drive over the one that was asked for.
-    campaign_s : float
-        Seconds that the whole campaign would take.
-    error_db : float
-        Relative L2 error in band of the median actuator; inf where an input's range was left.
+    name: What it is called.
+    groups: Records of a position in which several actuators sound; 0 where they sound one after the other.
+    level_db: Its drive over the one that was asked for.
+    campaign_s: Seconds that the whole campaign would take.
+    error_db: Relative L2 error in band of the median actuator; inf where an input's range was left.
     """
 
     name: str
@@ -72,14 +65,8 @@ class Verdict:
 class Band:
     """Relative energies of Green's functions in a band.
 
-    Parameters
-    ----------
-    band_hz : tuple of float
-        Lowest and highest frequency in Hz.
-    sample_rate_hz : float
-        Rate in Hz.
-    taps : int
-        Length L of the FIRs.
+    band_hz: Lowest and highest frequency in Hz.
+    taps: Length L of the FIRs.
     """
 
     def __init__(self, band_hz: tuple[float, float], sample_rate_hz: float, taps: int) -> None:
@@ -96,12 +83,8 @@ class Band:
     def own_noise(self, estimate: Estimate, window_s: float) -> Float64Array:
         """Share of energy (actuators,) that noise has in the FIRs, by their residuals.
 
-        Parameters
-        ----------
-        estimate : Estimate
-            Of sequential records.
-        window_s : float
-            A sweep and its silence in seconds, on which the noise is seen.
+        estimate: Of sequential records.
+        window_s: A sweep and its silence in seconds, on which the noise is seen.
         """
         seen = 2 * self.width_hz * window_s
         return np.asarray(10 ** (-0.1 * estimate.snr_db.astype(np.float64)) * min(self.freedom / seen, 1.0))
@@ -121,18 +104,11 @@ def sequential_errors(
     A cubic term changes a response by the square of its level, so that what differs at half the drive is three
     quarters of what is wrong at full drive.
 
-    Parameters
-    ----------
-    full, half : complex128 array, shape (actuators, bins)
-        Spectra measured at the two levels.
-    noise_full, noise_half : float64 array, shape (actuators,)
-        Share of energy that their own noise has.
+    full, half, complex128 (actuators, bins): Spectra measured at the two levels.
+    noise_full, noise_half, float64 (actuators,): Share of energy that their own noise has.
 
-    Returns
-    -------
-    tuple
-        Median errors in dB at (full, half) drive; the reference spectra; the share of energy that noise has in
-        them.
+    Returns median errors in dB at (full, half) drive; the reference spectra; the share of energy that noise has in
+    them.
     """
     apart = relative(full, half, full)
     noise = noise_full + noise_half
@@ -150,19 +126,11 @@ def repeated_error(takes: list[Complex128Array], reference: Complex128Array, noi
     Noise is what the two takes that agree best do not have in common: a moment of speckle in another one does
     not count. To it comes what both have in common and the reference has not.
 
-    Parameters
-    ----------
-    takes : list of complex128 array, shape (actuators, bins)
-        Spectra of two takes or more.
-    reference : complex128 array, shape (actuators, bins)
-        Spectra measured otherwise.
-    noise : float64 array, shape (actuators,)
-        Share of energy that noise has in the reference.
+    takes, list of complex128 (actuators, bins): Spectra of two takes or more.
+    reference, complex128 (actuators, bins): Spectra measured otherwise.
+    noise, float64 (actuators,): Share of energy that noise has in the reference.
 
-    Returns
-    -------
-    float
-        Median over the actuators, in dB.
+    Returns median over the actuators, in dB.
     """
     pairs = itertools.combinations(takes, 2)
     one, other = min(pairs, key=lambda pair: float(np.median(relative(pair[0], pair[1], reference))))
@@ -182,12 +150,8 @@ def decibel_of_median(share: Float64Array) -> float:
 def choose(candidates: list[Candidate], allowed_loss_db: float) -> Verdict:
     """Take the quickest schedule that errs little more than sequential capture.
 
-    Parameters
-    ----------
-    candidates : list of Candidate
-        The one that was asked for first, those with groups 0 among them.
-    allowed_loss_db : float
-        How much more it may err than sequential capture at the better of its levels, in dB.
+    candidates: The one that was asked for first, those with groups 0 among them.
+    allowed_loss_db: How much more it may err than sequential capture at the better of its levels, in dB.
     """
     asked = candidates[0]
     sequential = min((one for one in candidates if not one.groups), key=lambda one: (one.error_db, one.campaign_s))
@@ -226,18 +190,10 @@ TAKES = 3
 class Trial:
     """What was tried, and what follows.
 
-    Parameters
-    ----------
-    position : int
-        Where.
-    candidates : tuple of Candidate
-        The schedule that was asked for first.
-    verdict : Verdict
-        Which is taken, and why.
-    decay : Decay or None
-        How the responses fall; None where noise hides it.
-    took_s : float
-        Seconds on the rig's clock.
+    candidates: The schedule that was asked for first.
+    verdict: Which is taken, and why.
+    decay: How the responses fall; None where noise hides it.
+    took_s: Seconds on the rig's clock.
     """
 
     position: int
@@ -256,21 +212,10 @@ def check_position(plan: Plan) -> int:
 def run_trial(plan: Plan, setup: Setup, allowed_loss_db: float) -> Trial:
     """Measure one position by every schedule that comes into question, and choose.
 
-    Parameters
-    ----------
-    plan : Plan
-        The staggered plan that was asked for.
-    setup : Setup
-        With what.
-    allowed_loss_db : float
-        As of `acquisition.schedule.trial.choose`.
+    plan: The staggered plan that was asked for.
+    allowed_loss_db: As of `acquisition.schedule.trial.choose`.
 
-    Raises
-    ------
-    InputError
-        The responses ring longer than the plan's taps.
-    InstrumentError
-        An instrument failed.
+    Raises InputError: the responses ring longer than the plan's taps. InstrumentError: an instrument failed.
     """
     if plan.staggered is None:
         raise InputError("the plan is sequential; only a staggered one needs a trial")

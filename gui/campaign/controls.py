@@ -8,8 +8,7 @@ from collections.abc import Callable
 from PyQt5.QtWidgets import QAction, QGridLayout, QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QToolButton, QWidget
 
 from acquisition.engine.events import State
-from gui.campaign.model import Pace
-from gui.campaign.state import GOING, TROUBLED, CampaignState, Order
+from gui.campaign.model import GOING, CampaignState, Extra, Order, Pace
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import Badge, finish_text, make_action, make_button, put
 
@@ -99,7 +98,7 @@ class ProgressRow(QWidget):
         """Show a state and its reason; `report` of the capture replaces the reason while it has none."""
         theme, word = self._theme, state.word
         colour = (
-            theme.fault if word in TROUBLED
+            theme.fault if word in (State.FAILED, Extra.GONE, Extra.SILENT)
             else theme.warning if word in GOING and word is not State.RUNNING
             else theme.good if state.measuring or word is State.FINISHED
             else theme.faint
@@ -123,5 +122,4 @@ class ProgressRow(QWidget):
 
 def _pace_text(pace: Pace) -> str:
     text = f"{pace.per_hour:.0f} positions an hour" if not math.isnan(pace.per_hour) else ""
-    finish_s = pace.told_s + pace.wall_remaining_s
-    return text if math.isnan(finish_s) else f"{text}  ·  {finish_text(finish_s)}"
+    return text if math.isnan(pace.finish_s) else f"{text}  ·  {finish_text(pace.finish_s)}"

@@ -3,16 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from enum import IntEnum
 
 from acquisition.durations import hours
+from acquisition.engine.events import (
+    ConditionsSeen,
+    Drift,
+    Event,
+    Fault,
+    Logged,
+    PassStarted,
+    PositionCommitted,
+    PositionKept,
+    PositionRepeated,
+    PositionStarted,
+    Progress,
+    ReconnectTried,
+    RecordTaken,
+    ScheduleSettled,
+    SessionEnded,
+    SessionStarted,
+    State,
+    StateChanged,
+    event_of,
+)
 from gui.campaign.quality import status_text
 from storage.bank.ledger import VALID
 
-Record = Mapping[str, object]
+_LONGEST = 200
 
 
 class Weight(IntEnum):
@@ -34,24 +55,18 @@ class Line:
     position: int = -1
 
 
-def number(record: Record, key: str) -> float:
-    """A number of an event, NaN where it is missing."""
-    value = record.get(key)
-    return float(value) if isinstance(value, int | float) else float("nan")
-
-
-def whole(record: Record, key: str) -> int:
-    """An integer of an event, -1 where it is missing."""
-    value = record.get(key)
-    return value if isinstance(value, int) and not isinstance(value, bool) else -1
-
-
-def instant_s(record: Record) -> float:
-    """Time of an event, in seconds since 1970; NaN when the log has none."""
+def read_record(record: Mapping[str, object]) -> Logged | Line:
+    """Read a record of the log; one of another version becomes a line that holds whatever it says."""
+    logged = event_of(record)
+    if logged is not None:
+        return logged
+    facts = ", ".join(f"{key} {value}" for key, value in record.items() if key not in ("at", "event", "time_s"))
+    text = f"{record.get('event')}: {facts}" if facts else str(record.get("event"))
     try:
-        return datetime.fromisoformat(str(record.get("at"))).timestamp()
+        at_s = datetime.fromisoformat(str(record.get("at"))).timestamp()
     except ValueError:
-        return float("nan")
+        at_s = math.nan
+    return Line(at_s, Weight.DETAIL, text[:_LONGEST])
 
 
 def clock(at_s: float) -> str:
@@ -59,98 +74,62 @@ def clock(at_s: float) -> str:
     return "" if math.isnan(at_s) else datetime.fromtimestamp(at_s).astimezone().strftime("%a %H:%M:%S")
 
 
-def line_of(record: Record) -> Line | None:
+def line_of(logged: Logged) -> Line | None:
     """Line of an event; None for progress, which is shown otherwise."""
-    kind = str(record.get("event"))
-    if kind in ("progress", "record_taken"):
+    if isinstance(logged.event, Progress | RecordTaken):
         return None
-    text_of = _TEXTS.get(kind)
-    weight, text = (Weight.DETAIL, kind) if text_of is None else text_of(record)
-    return Line(instant_s(record), weight, text, whole(record, "position"))
+    position: int | None = getattr(logged.event, "position", None)
+    return Line(logged.at.timestamp(), *_sentence(logged.event), position=-1 if position is None else position)
 
 
-def _session_started(record: Record) -> tuple[Weight, str]:
-    done, to_do = whole(record, "done"), whole(record, "to_do")
-    return Weight.NOTE, (
-        f"session begins: {done} of {whole(record, 'positions')} positions measured, {to_do} to do with "
-        f"{whole(record, 'actuators')} actuators; planned: {hours(number(record, 'planned_s'))}"
-    )
-
-
-def _state_changed(record: Record) -> tuple[Weight, str]:
-    weights = {"failed": Weight.FAULT, "recovering": Weight.WARNING, "suspended": Weight.WARNING}
-    return weights.get(str(record.get("state")), Weight.NOTE), f"{record.get('state')}: {record.get('reason')}"
-
-
-def _position_started(record: Record) -> tuple[Weight, str]:
-    again = f", attempt {whole(record, 'attempt')}" if whole(record, "attempt") > 1 else ""
-    x_mm, y_mm = number(record, "x_mm"), number(record, "y_mm")
-    return Weight.DETAIL, f"position {whole(record, 'position')} at ({x_mm:.1f}, {y_mm:.1f}) mm begins{again}"
-
-
-def _position_committed(record: Record) -> tuple[Weight, str]:
-    status = whole(record, "status")
-    return Weight.DETAIL if status == VALID else Weight.WARNING, (
-        f"position {whole(record, 'position')} is measured: {status_text(status)}, signal-to-noise ratio "
-        f"{number(record, 'snr_db'):.1f} dB, residual {number(record, 'residual_db'):.1f} dB"
-    )
-
-
-def _fault(record: Record) -> tuple[Weight, str]:
-    then = "trying again" if record.get("retried") else "not tried again"
-    return Weight.FAULT, (
-        f"{record.get('instrument')}: {record.get('operation')}: {record.get('cause')}; {record.get('remedy')} ({then})"
-    )
-
-
-def _reconnect_tried(record: Record) -> tuple[Weight, str]:
-    attempt = f"{record.get('instrument')}: attempt {whole(record, 'number')} to reconnect"
-    if record.get("connected"):
-        return Weight.NOTE, f"{attempt} succeeded"
-    next_s = number(record, "next_try_s")
-    then = "" if math.isnan(next_s) else f"; next attempt in {hours(next_s)}"
-    return Weight.WARNING, f"{attempt} failed: {record.get('outcome')}{then}"
-
-
-def _drift(record: Record) -> tuple[Weight, str]:
-    verdict = str(record.get("verdict"))
-    cause = f" ({record['cause']})" if record.get("cause") else ""
-    return {"steady": Weight.NOTE, "warn": Weight.WARNING}.get(verdict, Weight.FAULT), (
-        f"sentinel position {whole(record, 'position')}: level {number(record, 'level_db'):+.2f} dB, delay "
-        f"{number(record, 'delay_samples'):+.3f} samples, correlation {number(record, 'correlation'):.5f}: "
-        f"{verdict}{cause}"
-    )
-
-
-def _session_ended(record: Record) -> tuple[Weight, str]:
-    counts = record.get("counts")
-    told = ", ".join(f"{count} {word}" for word, count in counts.items() if count) if isinstance(counts, dict) else ""
-    return Weight.NOTE, (
-        f"session over, {record.get('state')}: {whole(record, 'done')} of {whole(record, 'total')} positions ({told}); "
-        f"{hours(number(record, 'time_s'))} on the rig's clock"
-    )
-
-
-_TEXTS: dict[str, Callable[[Record], tuple[Weight, str]]] = {
-    "session_started": _session_started,
-    "schedule_settled": lambda event: (Weight.NOTE, f"schedule: {event.get('chosen')}: {event.get('reason')}"),
-    "state_changed": _state_changed,
-    "position_started": _position_started,
-    "position_committed": _position_committed,
-    "position_repeated": lambda event: (
-        Weight.WARNING,
-        f"position {whole(event, 'position')} is measured again: {event.get('reason')}",
-    ),
-    "position_kept": lambda event: (
-        Weight.NOTE,
-        f"position {whole(event, 'position')} keeps its earlier measurement: {event.get('reason')}",
-    ),
-    "fault": _fault,
-    "reconnect_tried": _reconnect_tried,
-    "drift": _drift,
-    "conditions_seen": lambda event: (
-        Weight.NOTE,
-        f"{'conditions are back' if event.get('back') else 'still suspended'}: {event.get('reason')}",
-    ),
-    "session_ended": _session_ended,
-}
+def _sentence(event: Event) -> tuple[Weight, str]:
+    match event:
+        case SessionStarted():
+            return Weight.NOTE, (
+                f"session begins: {event.done} of {event.positions} positions measured, {event.to_do} to do with "
+                f"{event.actuators} actuators; planned: {hours(event.planned_s)}"
+            )
+        case ScheduleSettled():
+            return Weight.NOTE, f"schedule: {event.chosen}: {event.reason}"
+        case StateChanged(state=state):
+            weights = {State.FAILED: Weight.FAULT, State.RECOVERING: Weight.WARNING, State.SUSPENDED: Weight.WARNING}
+            return weights.get(state, Weight.NOTE), f"{state}: {event.reason}"
+        case PositionStarted():
+            again = f", attempt {event.attempt}" if event.attempt > 1 else ""
+            return Weight.DETAIL, f"position {event.position} at ({event.x_mm:.1f}, {event.y_mm:.1f}) mm begins{again}"
+        case PositionCommitted():
+            return Weight.DETAIL if event.status == VALID else Weight.WARNING, (
+                f"position {event.position} is measured: {status_text(event.status)}, signal-to-noise ratio "
+                f"{event.snr_db:.1f} dB, residual {event.residual_db:.1f} dB"
+            )
+        case PositionRepeated():
+            return Weight.WARNING, f"position {event.position} is measured again: {event.reason}"
+        case PositionKept():
+            return Weight.NOTE, f"position {event.position} keeps its earlier measurement: {event.reason}"
+        case PassStarted():
+            return Weight.NOTE, f"{len(event.positions)} positions that are not valid are measured again"
+        case Fault():
+            then = "trying again" if event.retried else "not tried again"
+            return Weight.FAULT, f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})"
+        case ReconnectTried():
+            attempt = f"{event.instrument}: attempt {event.number} to reconnect"
+            if event.connected:
+                return Weight.NOTE, f"{attempt} succeeded"
+            then = "" if event.next_try_s is None else f"; next attempt in {hours(event.next_try_s)}"
+            return Weight.WARNING, f"{attempt} failed: {event.outcome}{then}"
+        case Drift():
+            weight = {"steady": Weight.NOTE, "warn": Weight.WARNING}.get(event.verdict, Weight.FAULT)
+            return weight, (
+                f"sentinel position {event.position}: level {event.level_db:+.2f} dB, delay "
+                f"{event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: {event.verdict}"
+                f"{f' ({event.cause})' if event.cause else ''}"
+            )
+        case ConditionsSeen():
+            return Weight.NOTE, f"{'conditions are back' if event.back else 'still suspended'}: {event.reason}"
+        case SessionEnded():
+            counts = ", ".join(f"{count} {word}" for word, count in event.counts.items() if count)
+            return Weight.NOTE, (
+                f"session over, {event.state}: {event.done} of {event.total} positions ({counts}); "
+                f"{hours(event.time_s)} on the rig's clock"
+            )
+    return Weight.DETAIL, event.tag["event"]

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.engine.events import Drift, Logged, PositionCommitted, SessionEnded
+from gui.campaign.events import Line, read_record
 from gui.campaign.quality import DAMAGED, Float32Array, per_position
 from gui.shell.front_door import FrontDoor, Pulse
 from gui.surface.surface import Surface, surface_of
@@ -102,7 +104,7 @@ class Opened:
 class Records:
     """New events; `anew` when the log was replaced."""
 
-    records: list[dict[str, object]]
+    records: list[Logged | Line]
     anew: bool
 
 
@@ -196,10 +198,11 @@ class Follower:
             self._look_at_bank()
         records, anew = self._tail.read()
         if records or anew:
-            kinds = {record.get("event") for record in records}
-            self._stale |= not kinds.isdisjoint({"position_committed", "session_ended"})
-            self._seen.put(Records(records, anew))
-            if "drift" in kinds:
+            entries = [read_record(record) for record in records]
+            kinds = {type(entry.event) if isinstance(entry, Logged) else Line for entry in entries}
+            self._stale |= not kinds.isdisjoint({PositionCommitted, SessionEnded, Line})
+            self._seen.put(Records(entries, anew))
+            if Drift in kinds:
                 self._seen.put(DriftSeen(self._front.read_drift(self.bank)))
         if self._stale and self._identity is not None and time.monotonic() >= self._ledger_due_s:
             with _opened(self.bank) as bank:

@@ -195,7 +195,7 @@ class InstrumentList(QWidget):
         if self._drawn == self._campaign.revision["instruments"]:
             return
         self._drawn = self._campaign.revision["instruments"]
-        instruments, theme = self._campaign.instruments.all, self._theme
+        instruments, theme = self._campaign.instruments, self._theme
         self.table.setRowCount(len(instruments))
         colours = {"in use": theme.good, "at rest": theme.faint, "faulty": theme.warning, "away": theme.fault}
         for row, instrument in enumerate(instruments):

@@ -1,20 +1,34 @@
-"""Model of the followed campaign, made from the follower's findings, without Qt."""
+"""State of the followed campaign, made from the follower's findings, without Qt; orders that make sense in it."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine.events import State
-from gui.campaign.events import Line, Record, instant_s, line_of, number, whole
+from acquisition.engine.events import (
+    Event,
+    Fault,
+    Logged,
+    PositionCommitted,
+    PositionKept,
+    PositionRepeated,
+    PositionStarted,
+    Progress,
+    ReconnectTried,
+    SessionStarted,
+    State,
+    StateChanged,
+)
+from gui.campaign.events import Line, line_of
 from gui.campaign.follower import DriftSeen, Ledger, Life, Opened, Records, Seen, Trouble
 from gui.campaign.quality import DAMAGED, Float32Array
-from gui.campaign.state import GOING, OVER, CampaignState, Extra
 from gui.shell.front_door import Pulse
 from gui.surface.surface import Surface
 
@@ -28,30 +42,88 @@ _DROPPED_AT = 22_000
 # A killed process may have logged its last event after its owner was last asked for.
 _ASKED_AFTER_S = 0.05
 _ROLES = ("mirror", "recorder", "player")
-_RATE = "wall_positions_per_hour"
+
+GOING = frozenset(
+    {State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.RECOVERING, State.STOPPING},
+)
+_OVER = frozenset({State.IDLE, State.STOPPED, State.FINISHED, State.FAILED})
+
+
+class Extra(StrEnum):
+    """States that only the window sees."""
+
+    NO_BANK = "no bank"
+    STARTING = "starting"
+    PREPARING = "preparing"
+    SILENT = "silent"
+    GONE = "gone"
+
+
+class Order(StrEnum):
+    """Orders of the buttons."""
+
+    START = "start"
+    PAUSE = "pause"
+    CONTINUE = "go-on"
+    STOP = "stop"
+    RESUME = "resume"
+    REMEASURE = "remeasure"
+
+
+_ORDERS: dict[State | Extra, frozenset[Order]] = {
+    State.RUNNING: frozenset({Order.PAUSE, Order.STOP}),
+    State.RECOVERING: frozenset({Order.PAUSE, Order.STOP}),
+    State.PAUSING: frozenset({Order.CONTINUE, Order.STOP}),
+    State.PAUSED: frozenset({Order.CONTINUE, Order.STOP}),
+    State.SUSPENDED: frozenset({Order.PAUSE, Order.STOP}),
+    State.STOPPING: frozenset(),
+    Extra.STARTING: frozenset(),
+    Extra.PREPARING: frozenset({Order.STOP}),
+    Extra.SILENT: frozenset({Order.STOP}),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignState:
+    """A state and its reason."""
+
+    word: State | Extra
+    reason: str = ""
+
+    @property
+    def measuring(self) -> bool:
+        """Whether a process owns the bank, in whatever state."""
+        return self.word in _ORDERS
+
+
+def possible_orders(state: CampaignState, *, has_run: bool, has_bank: bool, left: int) -> frozenset[Order]:
+    """Orders that make sense: `has_run` with a run file and a bank name, `left` positions not measured."""
+    if state.measuring:
+        return _ORDERS[state.word]
+    allowed = {Order.START: has_run, Order.REMEASURE: has_bank, Order.RESUME: has_bank and left > 0}
+    return frozenset(order for order, makes_sense in allowed.items() if makes_sense)
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One line of a position's quality history; `status` 0 and NaN where nothing was committed, `number` -1 unknown."""
+    """One line of a position's quality history; `status` 0 and NaN where nothing was committed."""
 
     at_s: float
     number: int
     outcome: str
     status: int = 0
-    snr_db: float = float("nan")
-    residual_db: float = float("nan")
+    snr_db: float = math.nan
+    residual_db: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """Progress and rate of the session, as the capture last reported."""
+    """Progress and rate of the session, as the capture last reported; its finish in seconds since 1970."""
 
     done: int
     total: int
     per_hour: float
-    wall_remaining_s: float
-    told_s: float
+    finish_s: float
 
 
 @dataclass(slots=True)
@@ -61,50 +133,7 @@ class Instrument:
     name: str
     state: str = "in use"
     message: str = ""
-    at_s: float = float("nan")
-
-
-class Instruments:
-    """States of the instruments, from events."""
-
-    def __init__(self) -> None:
-        self.all: list[Instrument] = []
-
-    def take(self, record: Record) -> bool:
-        match record:
-            case {"event": "session_started", "instruments": list(names)}:
-                self.all = [Instrument(str(name)) for name in names]
-            case {"event": "fault", "instrument": str(name)}:
-                self._note(name, "faulty", record)
-            case {"event": "reconnect_tried", "instrument": str(name), "connected": connected}:
-                self._note(name, "in use" if connected else "away", record)
-            case {"event": "position_committed"}:  # a measured position used all instruments
-                return self._change_all({"at rest", "faulty", "away"}, "in use")
-            case {"event": "state_changed", "state": "finished" | "stopped" | "failed"}:
-                return self._change_all({"in use"}, "at rest")
-            case _:
-                return False
-        return True
-
-    def _note(self, name: str, state: str, record: Record) -> None:
-        line, instrument = line_of(record), self._find(name, str(record.get("role", "")))
-        instrument.state, instrument.at_s = state, instant_s(record)
-        instrument.message = line.text.removeprefix(f"{name}: ") if line else ""
-
-    def _find(self, name: str, role: str) -> Instrument:
-        """The instrument of a name, or else of a role; a new one where there is none."""
-        for wanted in filter(None, (name, role or next((role for role in _ROLES if role in name), ""))):
-            for instrument in self.all:
-                if wanted in instrument.name or instrument.name in wanted:
-                    return instrument
-        self.all.append(Instrument(name))
-        return self.all[-1]
-
-    def _change_all(self, former: set[str], state: str) -> bool:
-        concerned = [instrument for instrument in self.all if instrument.state in former]
-        for instrument in concerned:
-            instrument.state = state
-        return bool(concerned)
+    at_s: float = math.nan
 
 
 @dataclass(eq=False)
@@ -117,7 +146,7 @@ class Campaign:
     lines: list[Line] = field(default_factory=list)
     trimmed: int = 0
     history: dict[int, list[Attempt]] = field(default_factory=dict)
-    instruments: Instruments = field(default_factory=Instruments)
+    instruments: list[Instrument] = field(default_factory=list)
     drift: list[DriftPoint] = field(default_factory=list)
     pace: Pace | None = None
     current: int = -1
@@ -170,7 +199,7 @@ class Campaign:
             if pulse is not None and pulse.silent and pulse.pid == owner.pid:
                 reason = f"process {owner.pid} on {owner.host} is stopped, or its machine is asleep or hung"
                 return CampaignState(Extra.SILENT, reason)
-            if logged.word in OVER:
+            if logged.word in _OVER:
                 return CampaignState(Extra.PREPARING, "checking the bank and the instruments")
             return logged
         if logged.word in GOING:
@@ -186,14 +215,14 @@ class Campaign:
     def _forget_log(self) -> None:
         self.lines.clear()
         self.history.clear()
-        self.instruments = Instruments()
+        self.instruments.clear()
         self.pace, self.current = None, -1
         self._logged = CampaignState(State.IDLE)
         self.trimmed += 1
         self._changed("lines", "history", "instruments", "map")
 
-    def _take_record(self, record: Record) -> None:
-        line = line_of(record)
+    def _take_record(self, record: Logged | Line) -> None:
+        line = record if isinstance(record, Line) else line_of(record)
         if line is not None:
             self.lines.append(line)
             if len(self.lines) > _DROPPED_AT:
@@ -201,48 +230,72 @@ class Campaign:
                 self.trimmed += 1
             self._changed("lines")
         self._logged_s = time.monotonic()
-        if self.instruments.take(record):
-            self._changed("instruments")
-        position = whole(record, "position")
-        match record.get("event"):
-            case "session_started":
+        if isinstance(record, Logged):
+            self._take_event(record.event, record.at.timestamp(), "" if line is None else line.text)
+
+    def _take_event(self, event: Event, at_s: float, text: str) -> None:
+        match event:
+            case SessionStarted():
                 self._logged, self.pace = CampaignState(State.IDLE), None
-            case "state_changed" if record.get("state") in set(State):  # not one of a later version
-                self._logged = CampaignState(State(str(record["state"])), str(record.get("reason", "")))
-                if self._logged.word in OVER:
+                self.instruments = [Instrument(name) for name in event.instruments]
+                self._changed("instruments")
+            case StateChanged(state=state, reason=reason):
+                self._logged = CampaignState(state, reason)
+                if state in _OVER:
                     self.current = -1
                     self._changed("map")
-            case "position_started":
+                    self._change_instruments({"in use"}, "at rest")
+            case PositionStarted(position=position):
                 self.current = position
                 self._changed("map")
-            case "position_committed":
-                self._commit(record, position)
-            case "position_repeated" | "position_kept" as kind:
-                outcome = "repeated" if kind == "position_repeated" else "earlier measurement kept"
-                self._note(position, Attempt(instant_s(record), whole(record, "attempt"),
-                                             f"{outcome}: {record.get('reason')}"))  # fmt: skip
-            case "progress":
-                self.pace = Pace(
-                    whole(record, "done"),
-                    whole(record, "total"),
-                    number({_RATE: record.get("positions_per_hour"), **record}, _RATE),  # the former key of old logs
-                    number(record, "wall_remaining_s"),
-                    instant_s(record),
-                )
+            case PositionCommitted():
+                self._commit(event, at_s)
+                self._change_instruments({"at rest", "faulty", "away"}, "in use")  # it used all of them
+            case PositionRepeated(position=position, attempt=attempt, reason=reason):
+                self._note(position, Attempt(at_s, attempt, f"repeated: {reason}"))
+            case PositionKept(position=position, attempt=attempt, reason=reason):
+                self._note(position, Attempt(at_s, attempt, f"earlier measurement kept: {reason}"))
+            case Fault(instrument=name):
+                role = next((role for role in _ROLES if role in name), "")
+                self._change_instrument(name, role, "faulty", text, at_s)
+            case ReconnectTried(instrument=name, role=role, connected=connected):
+                self._change_instrument(name, role, "in use" if connected else "away", text, at_s)
+            case Progress():
+                per_hour = event.wall_positions_per_hour or event.positions_per_hour  # old logs have only the latter
+                self.pace = Pace(event.done, event.total, per_hour, at_s + event.wall_remaining_s)
 
-    def _commit(self, record: Record, position: int) -> None:
-        status = whole(record, "status")
+    def _commit(self, event: PositionCommitted, at_s: float) -> None:
+        position, status = event.position, event.status
         if 0 <= position < len(self.status) and 0 < status < 256 and self.status[position] != status:
             self.status = self.status.copy()
             self.status[position] = status
         self._changed("map")
-        snr_db, residual_db = number(record, "snr_db"), number(record, "residual_db")
-        attempts = whole(record, "attempts")
-        self._note(position, Attempt(instant_s(record), attempts, "committed", status, snr_db, residual_db))
+        self._note(position, Attempt(at_s, event.attempts, "committed", status, event.snr_db, event.residual_db))
 
     def _note(self, position: int, attempt: Attempt) -> None:
         self.history.setdefault(position, []).append(attempt)
         self._changed("history")
+
+    def _change_instrument(self, name: str, role: str, state: str, text: str, at_s: float) -> None:
+        """Change the instrument of a name, or else of a role; a new one where there is none."""
+        known = (
+            one
+            for wanted in (name, role)
+            if wanted
+            for one in self.instruments
+            if wanted in one.name or one.name in wanted
+        )
+        instrument = next(known, None)
+        if instrument is None:
+            self.instruments.append(instrument := Instrument(name))
+        instrument.state, instrument.message, instrument.at_s = state, text.removeprefix(f"{name}: "), at_s
+        self._changed("instruments")
+
+    def _change_instruments(self, former: set[str], state: str) -> None:
+        for instrument in self.instruments:
+            if instrument.state in former:
+                instrument.state = state
+                self._changed("instruments")
 
     def _changed(self, *parts: str) -> None:
         for part in parts:

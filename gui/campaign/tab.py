@@ -13,11 +13,10 @@ from gui.campaign.controls import Controls, ProgressRow
 from gui.campaign.follower import Follower, same_file
 from gui.campaign.lists import EventList, InstrumentList
 from gui.campaign.map_panel import MapPanel
-from gui.campaign.model import Campaign
+from gui.campaign.model import Campaign, Extra, Order, possible_orders
 from gui.campaign.position_panel import PositionPanel
 from gui.campaign.quality import NOT_GOOD
 from gui.campaign.run import CampaignRun
-from gui.campaign.state import Extra, Order, possible_orders
 from gui.shell.files import PathField
 from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme

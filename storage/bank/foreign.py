@@ -67,10 +67,7 @@ class ForeignRows:
 def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[str, Any], ForeignRows]:
     """Read all but the rows of a foreign bank, by the names of `Bank`; the rows take over what `stack` closes.
 
-    Raises
-    ------
-    InputError
-        When something needed is missing, or something present has the wrong shape, kind or value.
+    Raises InputError: when something needed is missing, or something present has the wrong shape, kind or value.
     """
     hdf5_reading.require_format(file, path, BANK.name, may_lack=True)
     green = hdf5_reading.plain_dataset(file, "/green", path, packed=True)

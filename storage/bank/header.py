@@ -21,28 +21,17 @@ Float64Array = NDArray[np.float64]
 class BankHeader:
     """What a bank says about itself and what no resume may change; out of range, InputError.
 
-    Parameters
-    ----------
-    sample_rate_hz : float
-        Rate of the Green's functions in Hz, > 0.
-    taps : int
-        Length L of each Green's function in samples, >= 1.
-    band_hz : tuple of float
-        Lowest and highest measured frequency in Hz, 0 <= low < high <= half the rate.
-    position_mm : array (P, 2)
-        Grid positions in millimetres, finite.
-    actuator_mm : array (N, 2)
-        Actuator positions in millimetres, NaN where unknown.
-    rig_json, run_json : str
-        The validated configuration as JSON text, secrets left out.
-    plan_sha256 : str
-        Hash of all that a resume must not change.
-    software : str
-        Program and version that made the bank.
-    response_unit, drive_unit : str
-        Unit of g, and of the drive.
-    directions_deg : tuple of float, optional
-        Directions of force and oscillation in the plane, from x towards y: which elements of Green's tensor these are.
+    sample_rate_hz: Rate of the Green's functions in Hz, > 0.
+    taps: Length L of each Green's function in samples, >= 1.
+    band_hz: Lowest and highest measured frequency in Hz, 0 <= low < high <= half the rate.
+    position_mm, (P, 2): Grid positions in millimetres, finite.
+    actuator_mm, (N, 2): Actuator positions in millimetres, NaN where unknown.
+    rig_json, run_json: The validated configuration as JSON text, secrets left out.
+    plan_sha256: Hash of all that a resume must not change.
+    software: Program and version that made the bank.
+    response_unit, drive_unit: Unit of g, and of the drive.
+    directions_deg: Directions of force and oscillation in the plane, from x towards y: which elements of Green's tensor
+        these are.
     """
 
     sample_rate_hz: float

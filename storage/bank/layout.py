@@ -41,21 +41,11 @@ _NETCDF_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
 def create_bank(path: str | Path, header: BankHeader, *, open_file: durable.OpenFile = durable.open_file) -> None:
     """Make an unmeasured bank with all its space reserved; an existing file is never touched.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file that does not exist, in a folder that does.
-    header : BankHeader
-        What the bank says about itself.
-    open_file : durable.OpenFile
-        How the file is opened when its space is reserved.
+    header: What the bank says about itself.
+    open_file: How the file is opened when its space is reserved.
 
-    Raises
-    ------
-    ExistsError
-        When the path exists.
-    InputError
-        When the folder is missing, or the disk is too small; nothing is left behind.
+    Raises ExistsError: when the path exists. InputError: when the folder is missing, or the disk is too small; nothing
+    is left behind.
     """
     create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header), open_file)
 
@@ -68,10 +58,8 @@ def quality_shape(name: str, positions: int, actuators: int) -> tuple[int, ...]:
 def read_layout(file: h5py.File, path: Path, *, contents: bool = True) -> LedgerLayout:
     """Read and verify header and offsets of a bank that this program made, and its other contents where wished.
 
-    Raises
-    ------
-    InputError
-        When the file is of another format or version, is no bank of this program, is truncated or damaged.
+    Raises InputError: when the file is of another format or version, is no bank of this program, is truncated or
+    damaged.
     """
     require_ledger(file, path, BANK)
     header = _read_header(file, path)

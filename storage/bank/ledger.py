@@ -43,22 +43,14 @@ _QUALITY_AT = 48
 class PointRecord:
     """Status and quality of one position; out of range, InputError.
 
-    Parameters
-    ----------
-    status : int
-        Bits: 1 valid, 2 over-range, 4 poor signal, 8 failed, 16 disabled by the user; at least one.
-    attempts : int
-        How often it was measured until this record, >= 0.
-    snr_db, residual_db, coherence, peak_v : array (N,)
-        Signal-to-noise ratio, what the fitted FIRs leave unexplained, coherence (0 to 1) and largest
-        response in DAQ volts per actuator; NaN where unknown.
-    moved_mm : float
-        Distance of the laser from the position, 0 to 65 mm; NaN where unknown.
-    reference_db : float
-        Level of the reference in dB of its calibration, median over the records; NaN where unknown.
-    judged : int
-        Number of positions that were judged against their neighbours together, on those that were marked for it and on
-        the last of them, with 2**23 added where neighbours could not judge; 0 elsewhere.
+    status: Bits: 1 valid, 2 over-range, 4 poor signal, 8 failed, 16 disabled by the user; at least one.
+    attempts: How often it was measured until this record, >= 0.
+    snr_db, residual_db, coherence, peak_v, (N,): Signal-to-noise ratio, what the fitted FIRs leave unexplained,
+        coherence (0 to 1) and largest response in DAQ volts per actuator; NaN where unknown.
+    moved_mm: Distance of the laser from the position, 0 to 65 mm; NaN where unknown.
+    reference_db: Level of the reference in dB of its calibration, median over the records; NaN where unknown.
+    judged: Number of positions that were judged against their neighbours together, on those that were marked for it and
+        on the last of them, with 2**23 added where neighbours could not judge; 0 elsewhere.
     """
 
     status: int
@@ -84,15 +76,10 @@ class PointRecord:
 class Figures:
     """What the ledger says of all positions.
 
-    Parameters
-    ----------
-    status, judged : uint8 and int64 arrays (P,)
-        Status bits and `PointRecord.judged`, 0 where the row does not hold.
-    quality : dict of float32 arrays
-        As ``/quality``: (P, N); ``attempts``, ``moved_mm`` and ``reference_db`` (P,).
-    rms : float64 array (P, N)
-        Root mean square over the taps of each Green's function; NaN where the row does not hold, is silent, or was
-        written by an older version.
+    status, judged, uint8 and int64 arrays (P,): Status bits and `PointRecord.judged`, 0 where the row does not hold.
+    quality: As ``/quality``: (P, N); ``attempts``, ``moved_mm`` and ``reference_db`` (P,).
+    rms, float64 (P, N): Root mean square over the taps of each Green's function; NaN where the row does not hold, is
+        silent, or was written by an older version.
     """
 
     status: NDArray[np.uint8]

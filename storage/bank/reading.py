@@ -34,18 +34,13 @@ class Bank(Closing):
     What it says about itself is as of `storage.bank.header.BankHeader`, None where the file does not say, with
     ``"m/s/V"`` and ``"V"`` for units that it does not name.
 
-    Parameters
-    ----------
-    time_s : array (L,)
-        Tap times in seconds.
-    quality : dict of float32 arrays
-        ``snr_db``, ``residual_db``, ``coherence``, ``peak_v`` (P, N) and ``attempts``, ``moved_mm``, ``reference_db``
-        (P,); NaN (attempts 0) where the file does not say.
-    rms : array (P, N)
-        Root mean square over the taps of each Green's function, float64, as computed when the position was committed
-        and covered by its checksum; NaN in rows that are not measured or silent, of an older version, or foreign.
-    rows : BankRows or ForeignRows
-        Where the rows come from.
+    time_s, (L,): Tap times in seconds.
+    quality: ``snr_db``, ``residual_db``, ``coherence``, ``peak_v`` (P, N) and ``attempts``, ``moved_mm``,
+        ``reference_db`` (P,); NaN (attempts 0) where the file does not say.
+    rms, (P, N): Root mean square over the taps of each Green's function, float64, as computed when the position was
+        committed and covered by its checksum; NaN in rows that are not measured or silent, of an older version, or
+        foreign.
+    rows: Where the rows come from.
     """
 
     path: Path
@@ -88,21 +83,11 @@ class Bank(Closing):
     def green(self, position: int) -> GreenArray:
         """Read one position's Green's functions.
 
-        Parameters
-        ----------
-        position : int
-            Row of the bank, 0 to P - 1.
+        position: Row of the bank, 0 to P - 1.
 
-        Returns
-        -------
-        array (N, L)
-            float32, or float64 where a foreign bank holds float64 or integers; zeros where it is not
-            measured.
-
-        Raises
-        ------
-        InputError
-            When there is no such position, its checksum does not hold, or it holds NaN or infinities.
+        Returns float32 (N, L), or float64 where a foreign bank holds float64 or integers; zeros where it is not
+        measured.
+        Raises InputError: when there is no such position, its checksum does not hold, or it holds NaN or infinities.
         """
         if not 0 <= position < self.positions:
             raise InputError(f"position {position} is not in bank {self.path}; 0 to {self.positions - 1} are")
@@ -144,18 +129,11 @@ class Bank(Closing):
 def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
     """Open a bank for reading, without locks, also while a run is on.
 
-    Parameters
-    ----------
-    path : str or Path
-        An HDF5 file with at least ``/green``, ``/position_mm`` and the attribute ``sample_rate_hz``.
-    contents : bool
-        Whether to verify `contents_sha256`, which covers all that is not rows, as well as header and ledger.
+    path: An HDF5 file with at least ``/green``, ``/position_mm`` and the attribute ``sample_rate_hz``.
+    contents: Whether to verify `contents_sha256`, which covers all that is not rows, as well as header and ledger.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, damaged, of another format or version, or holds what contract section 2
-        does not allow.
+    Raises InputError: when the file is missing, damaged, of another format or version, or holds what contract section 2
+    does not allow.
     """
     path = Path(path)
     with ExitStack() as stack:

@@ -51,24 +51,14 @@ class BankWriter(LedgerWriter):
     def commit(self, position: int, green: Float32Array, record: PointRecord) -> None:
         """Keep one position for good; when this returns, no crash loses it.
 
-        Parameters
-        ----------
-        position : int
-            Row of the bank, 0 to P - 1.
-        green : float32 array (N, L)
-            Its Green's functions, finite; zeros where nothing could be measured.
-        record : PointRecord
-            Its status and quality.
+        position: Row of the bank, 0 to P - 1.
+        green, float32 (N, L): Its Green's functions, finite; zeros where nothing could be measured.
+        record: Its status and quality.
 
-        Raises
-        ------
-        InputError
-            When position, shape or values are outside what is stated here; nothing is written.
-        FileLostError
-            When the file was deleted, replaced, truncated or overwritten; what it still held, and this
-            position, are in a file that the message names.
-        WavefocusError
-            When the disk failed; positions committed earlier are intact.
+        Raises InputError: when position, shape or values are outside what is stated here; nothing is written.
+        FileLostError: when the file was deleted, replaced, truncated or overwritten; what it still held, and this
+        position, are in a file that the message names. WavefocusError: when the disk failed; positions committed
+        earlier are intact.
         """
         self._require_position(position)
         if np.shape(green) != self._shape.dimensions:
@@ -85,12 +75,7 @@ class BankWriter(LedgerWriter):
     def disable(self, position: int) -> None:
         """Exclude a position: its status loses the valid bit and gains 16; what was measured stays.
 
-        Raises
-        ------
-        InputError
-            When there is no such position.
-        WavefocusError
-            When the disk failed.
+        Raises InputError: when there is no such position. WavefocusError: when the disk failed.
         """
         self._require_position(position)
         if self._status[position]:

@@ -12,18 +12,11 @@ from dataclasses import dataclass
 class Export:
     """A format that ``wavefocus export --to`` writes.
 
-    Parameters
-    ----------
-    module : str
-        Module with ``write(path, rows, on_progress)``; one that writes a folder has ``file_names(rows)`` too.
-    title : str
-        The format's name in the command's help.
-    folder : bool
-        It writes a folder of files instead of one file.
-    holds_nan : bool
-        It can hold rows without a measurement.
-    text_bytes : int
-        Bytes per tap of a format in ASCII; 0 for a binary one.
+    module: Module with ``write(path, rows, on_progress)``; one that writes a folder has ``file_names(rows)`` too.
+    title: The format's name in the command's help.
+    folder: It writes a folder of files instead of one file.
+    holds_nan: It can hold rows without a measurement.
+    text_bytes: Bytes per tap of a format in ASCII; 0 for a binary one.
     """
 
     module: str

@@ -28,18 +28,10 @@ MOST_BYTES = 4 * 2**30
 class BankRows:
     """The rows of a bank that are exported.
 
-    Parameters
-    ----------
-    bank : Bank
-        The bank.
-    row : int64 array, shape (rows,)
-        Their numbers in the bank.
-    known : bool array, shape (rows,)
-        Rows that hold a measurement; the others are exported as NaN.
-    left_out : int
-        Number of rows that were asked for and are not exported.
-    per : {"position", "actuator"}
-        Content of one file, in formats that write a folder of files.
+    row, int64 (rows,): Their numbers in the bank.
+    known, bool (rows,): Rows that hold a measurement; the others are exported as NaN.
+    left_out: Number of rows that were asked for and are not exported.
+    per, {"position", "actuator"}: Content of one file, in formats that write a folder of files.
     """
 
     bank: Bank

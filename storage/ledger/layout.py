@@ -29,18 +29,11 @@ JOURNAL = "/durability/journal"
 class LedgerLayout:
     """The table of offsets, in bytes from the start of the file.
 
-    Parameters
-    ----------
-    header : BankHeader or RawHeader
-        What the file says about itself.
-    shape : RowShape
-        Sizes of a position's data and of its ledger row.
-    chunk_offset : array (datasets, P)
-        Each position's data in each dataset.
-    ledger_offset, journal_offset : int
-        The first byte of each.
-    figures : dict
-        (offset, bytes per position) of datasets that follow from the ledger and can be rebuilt from it.
+    header: What the file says about itself.
+    shape: Sizes of a position's data and of its ledger row.
+    chunk_offset, (datasets, P): Each position's data in each dataset.
+    ledger_offset, journal_offset: The first byte of each.
+    figures: (offset, bytes per position) of datasets that follow from the ledger and can be rebuilt from it.
     """
 
     header: Any
@@ -138,23 +131,12 @@ def find_layout(
 ) -> LedgerLayout:
     """Find where everything lies.
 
-    Parameters
-    ----------
-    file, path : h5py.File, Path
-        The open file, and its name for messages.
-    header : BankHeader or RawHeader
-        Its header.
-    shape : RowShape
-        Sizes of a position's data and of its ledger row.
-    count : int
-        Number of positions.
-    figures : dict
-        Shape and type of the datasets that follow from the ledger.
+    file, path: The open file, and its name for messages.
+    shape: Sizes of a position's data and of its ledger row.
+    count: Number of positions.
+    figures: Shape and type of the datasets that follow from the ledger.
 
-    Raises
-    ------
-    InputError
-        Something is missing or laid out otherwise.
+    Raises InputError: something is missing or laid out otherwise.
     """
 
     def offset(name: str, expected: tuple[int, ...], dtype: str) -> int:
@@ -207,23 +189,12 @@ def create_file(
 ) -> None:
     """Make a ledger file with all its space reserved; an existing file is never touched.
 
-    Parameters
-    ----------
-    path : Path
-        A file that does not exist, in a folder that does.
-    about_bytes : int
-        How large it will be, a little rounded up.
-    lay_out : callable
-        Writes attributes and datasets and returns where they lie.
-    open_file : durable.OpenFile
-        How the file is opened when its space is reserved.
+    about_bytes: How large it will be, a little rounded up.
+    lay_out: Writes attributes and datasets and returns where they lie.
+    open_file: How the file is opened when its space is reserved.
 
-    Raises
-    ------
-    ExistsError
-        When the path exists.
-    InputError
-        When the folder is missing, or the disk is too small; nothing is left behind.
+    Raises ExistsError: when the path exists. InputError: when the folder is missing, or the disk is too small; nothing
+    is left behind.
     """
     clear_leftovers(path.parent, path.name)
     taken = ExistsError(f"{path} exists already; choose another name, or resume it")

@@ -24,14 +24,9 @@ _PAUSE_S = 0.02
 class Owner:
     """The process that writes a file.
 
-    Parameters
-    ----------
-    host : str
-        Name of its machine, ``"unknown host"`` when it could not be read.
-    pid : int
-        Its process id, 0 when it could not be read.
-    started : str
-        When it opened the file, ISO 8601 with time zone, empty when it could not be read.
+    host: Name of its machine, ``"unknown host"`` when it could not be read.
+    pid: Its process id, 0 when it could not be read.
+    started: When it opened the file, ISO 8601 with time zone, empty when it could not be read.
     """
 
     host: str
@@ -47,10 +42,7 @@ def owner_path(path: Path) -> Path:
 def bank_owner(path: str | Path) -> Owner | None:
     """Return the process that owns a file now, or None; a name that a dead process left counts for nothing.
 
-    Raises
-    ------
-    InputError
-        When the file is missing or may not be read.
+    Raises InputError: when the file is missing or may not be read.
     """
     path = Path(path)
     require_regular(path)

@@ -26,22 +26,13 @@ Bytes = bytes | bytearray | memoryview
 class LedgerFormat:
     """How banks and raw files differ.
 
-    Parameters
-    ----------
-    name : str
-        The root attribute `format`.
-    kind : str
-        What messages call such a file.
-    datasets : tuple of str
-        Datasets (position, ...) that hold the data, a chunk for each position.
-    dtype : str
-        Their type.
-    row_name, journal_name : bytes
-        How ledger rows and the journal begin.
-    crc_at : int
-        Where in a ledger row the CRC-32 of each dataset's chunk stand, in bytes.
-    remedy : str
-        What to do about a damaged position, `{path}` standing for the file.
+    name: The root attribute `format`.
+    kind: What messages call such a file.
+    datasets: Datasets (position, ...) that hold the data, a chunk for each position.
+    dtype: Their type.
+    row_name, journal_name: How ledger rows and the journal begin.
+    crc_at: Where in a ledger row the CRC-32 of each dataset's chunk stand, in bytes.
+    remedy: What to do about a damaged position, `{path}` standing for the file.
     """
 
     name: str
@@ -58,14 +49,9 @@ class LedgerFormat:
 class RowShape:
     """Sizes of a position's data and of its ledger row.
 
-    Parameters
-    ----------
-    format : LedgerFormat
-        Whose rows they are.
-    dimensions : tuple of int
-        The two dimensions of each dataset of a position.
-    row_bytes : int
-        Bytes of a ledger row, whole pages.
+    format: Whose rows they are.
+    dimensions: The two dimensions of each dataset of a position.
+    row_bytes: Bytes of a ledger row, whole pages.
     """
 
     format: LedgerFormat

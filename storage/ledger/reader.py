@@ -55,12 +55,7 @@ class LedgerReader:
     def chunks(self, position: int) -> tuple[memoryview, ...] | None:
         """Data of a position in each dataset; None where the ledger holds nothing for it.
 
-        Raises
-        ------
-        DamagedError
-            A checksum does not hold.
-        InputError
-            The file cannot be read.
+        Raises DamagedError: a checksum does not hold. InputError: the file cannot be read.
         """
         if self._replacing and self._replacing.position == position:
             return self._replaced(self._replacing)  # as its ledger row was taken from the journal

@@ -60,23 +60,12 @@ class LedgerWriter(Closing):
     ) -> Self:
         """Own a file and bring it into order.
 
-        Parameters
-        ----------
-        path : str or Path
-            A file that this program made.
-        plan_sha256 : str, optional
-            The plan about to be measured; any plan is accepted when None.
-        open_file : durable.OpenFile
-            How the file is opened.
+        path: A file that this program made.
+        plan_sha256: The plan about to be measured; any plan is accepted when None.
+        open_file: How the file is opened.
 
-        Raises
-        ------
-        InputError
-            When it is no such file, damaged beyond its rows, or belongs to another plan; it is left untouched.
-        BankBusyError
-            When another process owns it.
-        WavefocusError
-            When it cannot be written.
+        Raises InputError: when it is no such file, damaged beyond its rows, or belongs to another plan; it is left
+        untouched. BankBusyError: when another process owns it. WavefocusError: when it cannot be written.
         """
         path, kind = Path(path), cls._format.kind
         if path.is_symlink():
@@ -105,10 +94,7 @@ class LedgerWriter(Closing):
     def close(self) -> None:
         """Sync, take the owner's name away and release the file; closing twice does nothing.
 
-        Raises
-        ------
-        FileLostError, WavefocusError
-            As a commit.
+        Raises FileLostError, WavefocusError: as a commit.
         """
         if self._closed:
             return

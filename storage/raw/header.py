@@ -40,42 +40,24 @@ MOST_POSITION_BYTES = 1 << 29
 class RawHeader:
     """What a raw file says about itself; out of range, InputError.
 
-    Parameters
-    ----------
-    sample_rate_hz : float
-        Rate of the recordings in Hz, > 0.
-    samples : int
-        Samples of each record, >= 1.
-    taps : int
-        Length L of the Green's functions that they are for, 1 to `samples`.
-    band_hz : tuple of float
-        Lowest and highest frequency played in Hz, 0 <= low < high <= half the rate.
-    schedule : Schedule
-        What plays when.
-    position_mm : array (P, 2)
-        Grid positions in millimetres, finite.
-    actuator_mm : array (N, 2)
-        Actuator positions in millimetres, NaN where unknown.
-    response_per_volt : float
-        Response unit per DAQ volt, not 0.
-    response_unit : str
-        That unit.
-    reference_gain : float
-        DAQ volts on the reference channel per volt of drive, > 0.
-    inter_channel_delay_s : float
-        How much later the response channel is sampled than the reference channel.
-    volts_per_count : tuple of float
-        Volts of one count of (reference, response), > 0.
-    averages : int, optional
-        Sweeps of a sequential record.
-    sweep_s, decay_s : float, optional
-        Length of a sweep and of the silence after it in seconds.
-    same_clock : bool
-        Whether one clock played and recorded; then any excitation is allowed.
-    sweep_law : str
-        "linear", "exponential" or "other" where the file says how the sweeps run, else empty.
-    rig_json, run_json, plan_sha256, software : str
-        As of `storage.bank.header.BankHeader`; empty where the file does not say.
+    sample_rate_hz: Rate of the recordings in Hz, > 0.
+    samples: Samples of each record, >= 1.
+    taps: Length L of the Green's functions that they are for, 1 to `samples`.
+    band_hz: Lowest and highest frequency played in Hz, 0 <= low < high <= half the rate.
+    schedule: What plays when.
+    position_mm, (P, 2): Grid positions in millimetres, finite.
+    actuator_mm, (N, 2): Actuator positions in millimetres, NaN where unknown.
+    response_per_volt: Response unit per DAQ volt, not 0.
+    response_unit: That unit.
+    reference_gain: DAQ volts on the reference channel per volt of drive, > 0.
+    inter_channel_delay_s: How much later the response channel is sampled than the reference channel.
+    volts_per_count: Volts of one count of (reference, response), > 0.
+    averages: Sweeps of a sequential record.
+    sweep_s, decay_s: Length of a sweep and of the silence after it in seconds.
+    same_clock: Whether one clock played and recorded; then any excitation is allowed.
+    sweep_law: "linear", "exponential" or "other" where the file says how the sweeps run, else empty.
+    rig_json, run_json, plan_sha256, software: As of `storage.bank.header.BankHeader`; empty where the file does not
+        say.
     """
 
     sample_rate_hz: float

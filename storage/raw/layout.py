@@ -36,10 +36,8 @@ def create_raw(path: str | Path, header: RawHeader, *, open_file: durable.OpenFi
 def read_raw_layout(file: h5py.File, path: Path) -> LedgerLayout:
     """Read and verify header and offsets of a raw file that this program made.
 
-    Raises
-    ------
-    InputError
-        When the file is of another format or version, was made by another program, is truncated or damaged.
+    Raises InputError: when the file is of another format or version, was made by another program, is truncated or
+    damaged.
     """
     require_ledger(file, path, RAW)
     layout = _find_layout(file, read_raw_header(file, path), path)
@@ -52,10 +50,7 @@ def read_raw_layout(file: h5py.File, path: Path) -> LedgerLayout:
 def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
     """Read what a raw file of any program says about itself.
 
-    Raises
-    ------
-    InputError
-        When something needed is missing, or something present has the wrong shape, kind or value.
+    Raises InputError: when something needed is missing, or something present has the wrong shape, kind or value.
     """
     hdf5_reading.require_format(file, path, RAW.name)
     reference, response = (hdf5_reading.plain_dataset(file, name, path) for name in RAW.datasets)

@@ -30,13 +30,9 @@ _FOREIGN_CACHE_BYTES = 32 << 20  # a compressed chunk may hold many positions
 class Recordings:
     """All records of one position.
 
-    Parameters
-    ----------
-    reference_v, response_v : float32 array, shape (records, samples)
-        The two DAQ channels in volts.
-    range_v : tuple of float
-        Largest input magnitude in volts on (reference, response); where the file holds floats, twice the
-        largest there is.
+    reference_v, response_v, float32 (records, samples): The two DAQ channels in volts.
+    range_v: Largest input magnitude in volts on (reference, response); where the file holds floats, twice the largest
+        there is.
     """
 
     reference_v: Float32Array
@@ -48,14 +44,8 @@ class Recordings:
 class RawFile(Closing):
     """Raw recordings open for reading; a context manager, made by :func:`open_raw`.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : RawHeader
-        What it says about itself.
-    rows : RawRows or ForeignRows
-        Where the recordings come from.
+    header: What it says about itself.
+    rows: Where the recordings come from.
     """
 
     path: Path
@@ -65,12 +55,8 @@ class RawFile(Closing):
     def read(self, position: int) -> Recordings | None:
         """Read all records of a position; None where nothing was recorded.
 
-        Raises
-        ------
-        InputError
-            When there is no such position, or it holds NaN or infinities.
-        DamagedError
-            When its checksum does not hold.
+        Raises InputError: when there is no such position, or it holds NaN or infinities. DamagedError: when its
+        checksum does not hold.
         """
         if not 0 <= position < self.header.positions:
             raise InputError(f"position {position} is not in {self.path}; 0 to {self.header.positions - 1} are")
@@ -99,16 +85,10 @@ class RawFile(Closing):
 def open_raw(path: str | Path) -> RawFile:
     """Open raw recordings for reading, without locks, also while a run is on.
 
-    Parameters
-    ----------
-    path : str or Path
-        An HDF5 file after contract section 3, made by this program or any other.
+    path: An HDF5 file after contract section 3, made by this program or any other.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, damaged, of another format or version, or holds what the contract does not
-        allow.
+    Raises InputError: when the file is missing, damaged, of another format or version, or holds what the contract does
+    not allow.
     """
     path = Path(path)
     with ExitStack() as stack:

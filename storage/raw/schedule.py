@@ -22,17 +22,12 @@ class Schedule:
     Out of range, InputError; also where a record plays nothing or an actuator twice, or where no record plays an
     actuator below the highest.
 
-    Parameters
-    ----------
-    actuator : int32 array, shape (records, slots)
-        Actuators from 0; -1 is an empty slot.
-    delay_s : float64 array, shape (records, slots)
-        Delay of each slot against the base signal in seconds on the playback clock, >= 0.
-    gain : float64 array, shape (records, slots)
-        Drive volts of each slot per volt of the base signal, not 0.
-    period_s : float
-        Period of the base signal on the playback clock, which is then already running when a record starts;
-        0 where each record begins and ends in silence.
+    actuator, int32 (records, slots): Actuators from 0; -1 is an empty slot.
+    delay_s, float64 (records, slots): Delay of each slot against the base signal in seconds on the playback clock, >=
+        0.
+    gain, float64 (records, slots): Drive volts of each slot per volt of the base signal, not 0.
+    period_s: Period of the base signal on the playback clock, which is then already running when a record starts; 0
+        where each record begins and ends in silence.
     """
 
     actuator: Int32Array
@@ -110,19 +105,11 @@ def staggered(actuators: int, stagger_s: float, groups: int = 1) -> Schedule:
     Actuator k plays in group k modulo `groups`, so that those that are neighbours on the rim sound in
     different records or far apart.
 
-    Parameters
-    ----------
-    actuators : int
-        How many, >= 1.
-    stagger_s : float
-        Delay from slot to slot in seconds, > 0.
-    groups : int
-        Records per position, 1 to `actuators`.
+    actuators: How many, >= 1.
+    stagger_s: Delay from slot to slot in seconds, > 0.
+    groups: Records per position, 1 to `actuators`.
 
-    Raises
-    ------
-    InputError
-        A value outside the range above.
+    Raises InputError: a value outside the range above.
     """
     if not 1 <= groups <= actuators:
         raise InputError(f"groups is {groups}; 1 to the number of actuators, {actuators}, is needed")

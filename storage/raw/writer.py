@@ -35,18 +35,11 @@ class RawWriter(LedgerWriter):
     def commit(self, position: int, reference_v: Float32Array, response_v: Float32Array) -> None:
         """Keep the recordings of one position for good; when this returns, no crash loses them.
 
-        Parameters
-        ----------
-        position : int
-            Row of the file, 0 to P - 1.
-        reference_v, response_v : float32 array, shape (records, samples)
-            The two DAQ channels in volts, a record per row; whole multiples of the header's volts per count,
-            within the range of 16 bits.
+        position: Row of the file, 0 to P - 1.
+        reference_v, response_v, float32 (records, samples): The two DAQ channels in volts, a record per row; whole
+            multiples of the header's volts per count, within the range of 16 bits.
 
-        Raises
-        ------
-        InputError, FileLostError, WavefocusError
-            As `storage.bank.writer.BankWriter.commit`.
+        Raises InputError, FileLostError, WavefocusError: as `storage.bank.writer.BankWriter.commit`.
         """
         self._require_position(position)
         steps = self.header.volts_per_count

@@ -20,6 +20,7 @@ from pytestqt.qtbot import QtBot
 
 from gui.campaign.tab import CampaignTab
 from gui.shell.files import Settings
+from gui.shell.front_door import FrontDoor
 from gui.shell.window import Window, require_fonts
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
@@ -102,8 +103,8 @@ def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Windo
     opened: list[Window] = []
     require_fonts()
 
-    def make(*files: Path) -> Window:
-        window = Window(front_door(), memory)
+    def make(*files: Path, front: FrontDoor | None = None) -> Window:
+        window = Window(front or front_door(), memory)
         opened.append(window)
         for path in files:
             window.open_file(path)

@@ -12,16 +12,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.engine.events import State
-from gui.campaign.events import Weight
+from acquisition.engine.events import (
+    Event,
+    Fault,
+    Logged,
+    PositionCommitted,
+    PositionRepeated,
+    ReconnectTried,
+    SessionEnded,
+    SessionStarted,
+    State,
+    StateChanged,
+    event_line,
+)
+from gui.campaign.events import Line, Weight, line_of, read_record
 from gui.campaign.follower import Follower, Life, LogTail, Records
-from gui.campaign.model import KEPT_LINES, Campaign
+from gui.campaign.model import KEPT_LINES, Campaign, CampaignState, Extra, Order, possible_orders
 from gui.campaign.quality import per_position
-from gui.campaign.state import CampaignState, Extra, Order, possible_orders
 from gui.shell.front_door import Pulse
 from gui.surface.surface import raster_of
 from storage.ledger.owner import Owner
 from wavefocus.commands.gui import front_door
+
+AT = datetime(2026, 1, 1, tzinfo=UTC)
 
 
 def test_given_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path: Path) -> None:
@@ -51,29 +64,28 @@ def test_given_a_log_that_was_replaced_then_it_is_read_anew(tmp_path: Path) -> N
     assert tail.read() == ([], True)
 
 
-def _said(campaign: Campaign, **record: object) -> None:
-    campaign.take(Records([{"at": "2026-01-01T00:00:00+00:00", **record}], anew=False))
+def _said(campaign: Campaign, *events: Event) -> None:
+    campaign.take(Records([Logged(AT, event) for event in events], anew=False))
 
 
 def _asked(campaign: Campaign, *, owned: bool, silent: bool = False) -> None:
     owner = Owner("here", 7) if owned else None
-    pulse = Pulse(datetime.now(UTC), 7, "running", "", 3, silent)
-    campaign.take(Life(owner, pulse, time.monotonic() + 1.0))
+    campaign.take(Life(owner, Pulse(AT, 7, "running", "", 3, silent), time.monotonic() + 1.0))
 
 
-def test_given_events_and_an_owner_then_the_standing_tells_who_is_at_it_and_who_is_gone() -> None:
+def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_gone() -> None:
     campaign = Campaign()
     assert campaign.state().word is Extra.NO_BANK
     assert campaign.state(starting=True).word is Extra.STARTING
     _asked(campaign, owned=True)
     assert campaign.state().word is Extra.PREPARING
-    _said(campaign, event="state_changed", state="running", reason="6 positions to do")
+    _said(campaign, StateChanged(0.0, State.RUNNING, "6 positions to do"))
     assert campaign.state() == CampaignState(State.RUNNING, "6 positions to do")
     _asked(campaign, owned=True, silent=True)
     assert campaign.state().word is Extra.SILENT
     _asked(campaign, owned=False)
     assert campaign.state().word is Extra.GONE
-    _said(campaign, event="state_changed", state="finished", reason="every position is committed")
+    _said(campaign, StateChanged(1.0, State.FINISHED, "every position is committed"))
     assert campaign.state().word is not State.RUNNING
 
 
@@ -100,39 +112,59 @@ def test_given_a_finished_bank_then_there_is_nothing_to_resume() -> None:
 def test_given_faults_then_the_instrument_they_name_is_shown_with_its_last_message() -> None:
     campaign = Campaign()
     _said(
-        campaign, event="session_started", instruments=["virtual mirror, within +-250 mrad", "virtual recorder, 2 ch"]
+        campaign, SessionStarted(0.0, "plate.h5", 6, 3, 0, 6, 60.0, ("virtual mirror, 250 mrad", "virtual recorder, 2"))
     )
-    fault = {"instrument": "virtual recorder", "operation": "recording", "cause": "no answer", "remedy": "look"}
-    _said(campaign, event="fault", retried=True, **fault)
-    mirror, recorder = campaign.instruments.all
+    fault = Fault(1.0, "virtual recorder", "recording", "no answer", "look", None, None, True)
+    _said(campaign, fault)
+    mirror, recorder = campaign.instruments
     assert (mirror.state, recorder.state) == ("in use", "faulty")
     assert "no answer" in recorder.message
     assert campaign.lines[-1].weight is Weight.FAULT
-    _said(campaign, event="reconnect_tried", instrument="virtual recorder", role="recorder", connected=False, number=1)
+    _said(campaign, ReconnectTried(2.0, "recorder", "virtual recorder", 1, False, "gone", 1.0, 9.0))
     assert recorder.state == "away"
-    _said(campaign, event="position_committed", position=1, status=1, attempts=1)
+    _said(campaign, PositionCommitted(3.0, 0, 1, 1, 60.0, -60.0, 0.0, 0.0))
     assert recorder.state == "in use"
-    _said(campaign, event="fault", retried=False, **fault)
-    _said(campaign, event="state_changed", state="failed", reason="no answer")
+    assert campaign.lines[-1].position == 0
+    _said(campaign, fault, StateChanged(4.0, State.FAILED, "no answer"))
     assert (mirror.state, recorder.state) == ("at rest", "faulty")
 
 
 def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept() -> None:
     campaign = Campaign()
-    record = {"event": "position_repeated", "position": 1, "attempt": 1, "reason": "a burst"}
     for _ in range(30):
-        campaign.take(Records([dict(record) for _ in range(1000)], anew=False))
+        _said(campaign, *[PositionRepeated(0.0, 1, 1, "a burst")] * 1000)
     assert KEPT_LINES <= len(campaign.lines) <= 1.1 * KEPT_LINES
 
 
-def test_given_records_of_a_later_version_then_they_are_shown_and_harm_nothing() -> None:
+@pytest.mark.parametrize(
+    "record",
+    [
+        {"event": "new_kind", "position": "x"},
+        {"event": ["of no kind"]},
+        {"event": "state_changed", "state": "dancing", "reason": "later", "time_s": 0.0},
+        {"event": "position_committed", "position": None, "status": "x"},
+        {},
+    ],
+)
+def test_given_a_record_of_a_later_version_then_it_is_a_plain_line_and_changes_nothing(
+    record: dict[str, object],
+) -> None:
     campaign = Campaign()
-    _said(campaign, event="new_kind", position="x")
-    _said(campaign, event="state_changed", state="dancing", reason=3)
-    _said(campaign, event="position_committed", position=None, status="x")
-    _said(campaign)
+    line = read_record({"at": AT.isoformat(), **record})
+    assert isinstance(line, Line)
+    assert (line.weight, line.at_s) == (Weight.DETAIL, AT.timestamp())
+    assert all(str(value) in line.text for key, value in record.items() if key != "time_s")
+    campaign.take(Records([line], anew=False))
+    assert campaign.lines == [line]
     assert campaign.state().word is Extra.NO_BANK
-    assert len(campaign.lines) == 4
+
+
+def test_given_an_event_then_its_line_is_a_sentence() -> None:
+    logged = read_record(json.loads(event_line(SessionEnded(17.0, State.FINISHED, 6, 6, {"valid": 6}))))
+    assert isinstance(logged, Logged)
+    line = line_of(logged)
+    assert line is not None
+    assert line.text == "session over, finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"
 
 
 def test_given_figures_per_actuator_then_each_position_has_its_own_and_unmeasured_ones_none() -> None:
@@ -154,13 +186,6 @@ def test_given_any_grid_then_every_position_has_pixels_of_its_own_and_a_click_fi
         assert set(np.unique(raster.index)) == set(range(len(position_mm) + 1))
         assert [raster.nearest(*point) for point in position_mm.tolist()] == list(range(len(position_mm)))
         assert raster.nearest(1e4, 0.0) == -1
-
-
-def test_given_json_lines_of_a_real_kind_then_they_are_sentences() -> None:
-    campaign = Campaign()
-    line = json.loads('{"event": "session_ended", "state": "finished", "done": 6, "total": 6, "counts": {"valid": 6}}')
-    _said(campaign, **line, time_s=17.0)
-    assert campaign.lines[-1].text == "session over, finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"
 
 
 def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mocks.plates.soft import SOFT_PLATE, mean_hankel, thin_plate_green
-from mocks.plates.thin import ExactPlate, ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s
+from mocks.plates.thin import ExactPlate, ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s, leapfrog_growth
 
 GLASS = ThinPlate(0.24, 0.16, 1.566)
 """Glass of 1 mm: 70 GPa, 0.22, 2500 kg/m^3."""
@@ -49,6 +49,13 @@ def test_row_31_time_stepping_beyond_its_limit_is_refused_before_the_first_step(
     rough = np.random.default_rng(0).standard_normal(len(plate.points_m))
     history = plate.released(rough, 2000)
     assert np.abs(history).max() < 1e4 * np.abs(rough).max()
+
+
+@pytest.mark.parametrize("spacing_m", [0.008, 0.004])
+def test_row_31_the_limit_is_where_runs_begin_to_grow(spacing_m):
+    limit_s = explicit_limit_s(GLASS, spacing_m)
+    assert leapfrog_growth(GLASS, spacing_m, 0.99 * limit_s, 1000) < 1e3
+    assert leapfrog_growth(GLASS, spacing_m, 1.03 * limit_s, 1000) > 1e9
 
 
 def test_row_31_within_the_limit_a_mode_rings_at_its_frequency():
