@@ -23,12 +23,11 @@ from config.outline import Outline
 from config.scene import Output
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
-from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError
+from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, interpolation_method
+from rendering.greens.interpolation.error_estimates import left_out_errors
 from rendering.greens.interpolation.kernel import KernelInterpolation
-from rendering.greens.interpolation.left_out_errors import left_out_errors
 from rendering.greens.interpolation.needed_grid import needed_grid
 from rendering.greens.interpolation.on_grid import LatticeInterpolation
-from rendering.greens.interpolation.registry import interpolation_method
 from rendering.greens.source import GreenArray, GreenSource
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Circle

@@ -1,10 +1,12 @@
-"""Where arrays are computed: this processor, or a GPU through CuPy; both by the array API's names alone."""
+"""Where arrays are computed, by the array API's names alone: this processor and its threads, or a GPU through CuPy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,3 +84,34 @@ def cuda_device() -> Device:
     if not count:
         raise InputError(f"--device cuda: there is no GPU; {REMEDY}")
     return Device("cuda", cupy, cupy.asnumpy, free_bytes // 8)
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+WORKERS = 2
+
+
+def in_order(task: Callable[[Item], Result], items: Iterable[Item], workers: int = WORKERS) -> Iterator[Result]:
+    """Results of a task for each item, in the items' order, computed by threads at most `workers` items ahead.
+
+    An error is raised when its result is due; what was not begun is dropped.
+
+    task: Called by several threads at a time.
+    items: Taken one by one in the calling thread, as results are asked for.
+    workers: Threads; with one, the calling thread does the work.
+    """
+    if workers == 1:
+        yield from map(task, items)
+        return
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="render")
+    try:
+        pending: deque[Future[Result]] = deque()
+        for item in items:
+            pending.append(pool.submit(task, item))
+            if len(pending) > workers:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -15,7 +15,7 @@ from calibration.excitation.sweeps import Excitation
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
 from rendering.field.prediction import predict
-from rendering.greens.bank_rows import BankRows
+from rendering.greens.regularisation import BankRows
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Line
 from rendering.scene.sampling import sample_scene

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from calibration.estimator.raw_estimation import estimator_of as estimator
     from rendering.drive.rendering import render
     from rendering.field.prediction import predict
-    from rendering.scene.loading import load_scene
+    from rendering.scene.model import load_scene
     from storage.bank.reading import open_bank
     from storage.drive_file import read_drive, write_drive
     from storage.errors import InputError
@@ -29,7 +29,7 @@ _MODULES = {
     "InputError": "storage.errors",
     "estimate": "calibration.estimator.raw_estimation:estimate_positions",
     "estimator": "calibration.estimator.raw_estimation:estimator_of",
-    "load_scene": "rendering.scene.loading",
+    "load_scene": "rendering.scene.model",
     "open_bank": "storage.bank.reading",
     "open_raw": "storage.raw.reading",
     "predict": "rendering.field.prediction",

@@ -231,7 +231,7 @@ class _Step(QUndoCommand):
 
 
 def _read(draft: SceneConfig, folder: Path | None, place: Path, allow_large: bool) -> Scene:
-    from rendering.scene.loading import read_scene  # loads scipy, in a thread
+    from rendering.scene.model import read_scene  # loads scipy, in a thread
 
     if not draft.source:
         raise InputError(EMPTY)

@@ -273,7 +273,7 @@ def _signal(draft: SourceTable, ground: Ground, allow_large: bool) -> Float64Arr
 @lru_cache(maxsize=256)
 def _source(draft: SourceTable, _times: tuple[int, ...], allow_large: bool) -> Source | str:
     """A source as commands make it, or why they refuse it."""
-    from rendering.scene.loading import read_scene
+    from rendering.scene.model import read_scene
 
     place = Path.cwd() / "scene.toml"
     try:

@@ -18,12 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.band import Band, choose_band, norm_of, scale
-from rendering.device import Device, fast_length, host_device
-from rendering.drive.row_spectra import RowSpectra
-from rendering.drive.windows import Windows
-from rendering.greens.bank_rows import BankRows
+from rendering.device import WORKERS, Device, fast_length, host_device, in_order
+from rendering.drive.windows import RowSpectra, Windows
+from rendering.greens.regularisation import BankRows
 from rendering.scene.sampling import SampledSource
-from rendering.threads import WORKERS, in_order
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]

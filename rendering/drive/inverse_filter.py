@@ -22,8 +22,8 @@ from config.scene import Regularisation
 from rendering.device import fast_length
 from rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive, require_finite
 from rendering.field.metrics import band_weights
-from rendering.greens.bank_rows import BankRows
 from rendering.greens.interpolation.base import Nodes
+from rendering.greens.regularisation import BankRows
 from rendering.greens.source import GreenSource, drive_unit
 from rendering.scene.model import Scene
 from rendering.scene.sampling import SampledSource, sample_scene

@@ -19,8 +19,8 @@ from rendering.drive.accumulate import Accumulated, SourceDrives
 from rendering.drive.coil_limits import DriveLimits, Reached, RunningLevels, strictest
 from rendering.drive.rendering import STRICTER
 from rendering.drive.wav import Interface, InterfaceRate, largest_of
-from rendering.greens.bank_rows import BankRows
 from rendering.greens.interpolation.errors import judged_errors
+from rendering.greens.regularisation import BankRows
 from rendering.greens.source import GreenSource
 from rendering.report.render_report import RenderReport, report_render
 from rendering.scene.model import Scene

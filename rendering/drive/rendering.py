@@ -13,8 +13,8 @@ from rendering.band import norm_of, relative_bound, row_norms, tolerance_of
 from rendering.device import Device
 from rendering.drive.accumulate import Accumulated, SourceDrives
 from rendering.drive.coil_limits import DriveLimits, limit_drive, require_finite
-from rendering.greens.bank_rows import BankRows
 from rendering.greens.interpolation.errors import judged_errors
+from rendering.greens.regularisation import BankRows
 from rendering.greens.source import GreenSource, drive_unit
 from rendering.report.render_report import RenderReport, RenderWarning, report_render
 from rendering.scene.model import Scene

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendering.band import Band
-from rendering.device import Device, fast_length, host_device
+from rendering.device import Device, fast_length, host_device, in_order
 from rendering.greens.source import GreenSource, RowReader
-from rendering.threads import in_order
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]

@@ -11,12 +11,11 @@ from numpy.typing import DTypeLike, NDArray
 
 from calibration.blas import one_blas_thread
 from rendering.band import relative_bound, tolerance_of
-from rendering.device import Device, fast_length, host_device
+from rendering.device import WORKERS, Device, fast_length, host_device, in_order
 from rendering.field.bank_spectra import BankSpectra, Decimation
 from rendering.field.convolution import Convolution
 from rendering.field.focus_figures import FocusInstant, emission_windows, evenly
 from rendering.greens.source import GreenSource, RowReader, drive_unit, refusal, usable
-from rendering.threads import WORKERS, in_order
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.field_file import Field, LowPass

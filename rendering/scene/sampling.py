@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, show_mm
-from rendering.greens.interpolation.registry import scene_interpolation
+from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, scene_interpolation, show_mm
 from rendering.greens.source import GreenSource
 from rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from rendering.scene.model import Scene, Source

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
+from rendering.greens.interpolation.base import interpolation_method
 from rendering.greens.interpolation.on_grid import Nearest
 from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.interpolation.registry import interpolation_method
 from rendering.scene.model import Scene
 from rendering.scene.paths import Path
 from rendering.scene.sampling import MOST_POINTS as LARGEST_POINTS

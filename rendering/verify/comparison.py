@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.field.band_limit import MOST_DELAY_S, BandLimit
 from rendering.field.focus_figures import FocusInstant, emission_windows, evenly, focus_instants
 from rendering.field.metrics import RealArray, level_db
+from rendering.verify.field_pair import MOST_DELAY_S, BandLimit
 from rendering.verify.scan import Scan
 from storage.errors import InputError
 from storage.point_status import Status

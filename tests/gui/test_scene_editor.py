@@ -40,7 +40,7 @@ from gui.scene.tab import SceneTab
 from gui.shell.files import Settings
 from gui.shell.window import Window
 from rendering.scene import paths
-from rendering.scene.loading import build_scene, load_scene
+from rendering.scene.model import build_scene, load_scene
 from storage.errors import InputError
 from tests.gui.conftest import wait
 from tests.gui.test_details import click, drag, pixel

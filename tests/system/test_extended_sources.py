@@ -11,8 +11,7 @@ import pytest
 from rendering.drive.rendering import render_with_report
 from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
-from rendering.scene.loading import load_scene
-from rendering.scene.model import Scene
+from rendering.scene.model import Scene, load_scene
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/render-and-play.md"
 

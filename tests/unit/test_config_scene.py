@@ -6,8 +6,7 @@ import pytest
 
 from config.scene import Output, Regularisation, SceneConfig
 from rendering.scene import paths, signals
-from rendering.scene.loading import load_scene
-from rendering.scene.model import Scene
+from rendering.scene.model import Scene, load_scene
 from rendering.scene.paths import TextPath
 from rendering.scene.svg import SvgPath
 from storage.errors import InputError

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.interpolations import INTERPOLATIONS
-from rendering.greens.interpolation.base import OffGridError
+from rendering.greens.interpolation.base import OffGridError, interpolation_method
 from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.interpolation.registry import interpolation_method
 from rendering.greens.source import GreenArray
 from storage.errors import InputError
 

@@ -10,8 +10,8 @@ import pytest
 from calibration.neighbours.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
 from mocks.plates.soft import SOFT_PLATE
 from rendering.greens.interpolation.base import OffGridError
+from rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
 from rendering.greens.interpolation.kernel import KernelInterpolation
-from rendering.greens.interpolation.left_out_errors import RowValues, left_out_errors
 from rendering.greens.interpolation.neighbourhoods import Neighbourhoods
 from rendering.greens.source import GreenArray
 from storage.errors import InputError
@@ -132,8 +132,8 @@ def test_the_error_found_by_leaving_positions_out_is_the_error_within_a_factor_o
 
 @pytest.mark.parametrize("name", ["nearest", "bilinear", "bicubic"])
 def test_the_error_of_other_kinds_is_found_too(name):
+    from rendering.greens.interpolation.base import interpolation_method
     from rendering.greens.interpolation.position_grid import PositionGrid
-    from rendering.greens.interpolation.registry import interpolation_method
 
     bank, kernel = kernel_on("square", -60.0)
     nodes = interpolation_method(name)(PositionGrid(bank.position_mm)).nodes(POINTS_MM)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
+from rendering.greens.interpolation.kernel import PathNodes, node_spacing_mm
 from rendering.scene.paths import Circle, Line, Polyline, Strokes
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from config.scene import Regularisation
-from rendering.greens.bank_rows import BankRows
-from rendering.greens.row_scaling import scale_row
-from rendering.greens.source import GreenArray
+from rendering.greens.regularisation import BankRows
+from rendering.greens.source import GreenArray, scale_row
 from storage.errors import InputError
 
 ACTUATORS, TAPS = 3, 40

@@ -20,10 +20,9 @@ from rendering.drive.live import LiveDrive, StreamedDrive
 from rendering.drive.rendering import render_with_report
 from rendering.greens.interpolation.needed_grid import wave_number_rad_mm
 from rendering.greens.regularisation import row_weights
-from rendering.greens.row_scaling import scale_row
-from rendering.greens.source import GreenArray
+from rendering.greens.source import GreenArray, scale_row
 from rendering.report.scene_picture import scene_picture
-from rendering.scene.loading import build_scene, read_scene
+from rendering.scene.model import build_scene, read_scene
 from rendering.scene.scene_rows import scene_rows
 from rendering.scene.size import MOST_SECONDS, check_scene_size, scene_size
 from rendering.scene.svg import SvgPath, flatten

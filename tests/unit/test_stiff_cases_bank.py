@@ -45,8 +45,8 @@ def test_rows_10_to_12_a_path_off_the_grid_is_warned_about_with_the_error_per_fr
     assert "Hz" in warnings[0]
     errors = report.interpolation_errors
     # The truth: nearest 42 % at 250 Hz and 67 % at 450 Hz (notes/rendering.md).
+    from rendering.greens.interpolation.base import interpolation_method
     from rendering.greens.interpolation.position_grid import PositionGrid
-    from rendering.greens.interpolation.registry import interpolation_method
 
     nodes = interpolation_method(kind)(PositionGrid(bank().position_mm)).nodes(BETWEEN_MM)
     greens = np.einsum("pn,pnat->pat", nodes.weights, bank().values[nodes.rows])

@@ -13,7 +13,7 @@ from config.rig import RigConfig, default_rig
 from config.run import RunConfig, Virtual, default_run
 from config.scene import SceneConfig
 from mocks.virtual.faults import ANYWHERE, CORRUPTING
-from rendering.scene.loading import load_scene
+from rendering.scene.model import load_scene
 from storage.errors import InputError
 from wavefocus.commands.init import write_templates
 from wavefocus.configuration import Configuration, load_rig, load_run

@@ -155,7 +155,7 @@ def needed_by(
 
     Raises InputError: A scene file is wrong, or its paths leave the grid; the message names the file.
     """
-    from rendering.scene.loading import load_scene  # most campaigns are for no scene
+    from rendering.scene.model import load_scene  # most campaigns are for no scene
     from rendering.scene.scene_rows import scene_rows
 
     needed: set[int] = set()

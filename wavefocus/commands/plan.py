@@ -126,7 +126,7 @@ def _needed_by_scenes(
     """Positions that some scenes need, and the scenes; all positions where there is none."""
     if not files:
         return range(plan.positions), []
-    from rendering.scene.loading import load_scene  # with them comes what renders
+    from rendering.scene.model import load_scene  # with them comes what renders
     from rendering.scene.size import check_scene_size
     from wavefocus.campaign.blueprint import needed_by
 

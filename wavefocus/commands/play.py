@@ -22,8 +22,7 @@ from drivers.protocols import Clock
 from drivers.timeouts import BoundedPlayer
 from rendering.drive.live import StreamedDrive
 from rendering.drive.wav import InterfaceRate
-from rendering.scene.loading import load_scene
-from rendering.scene.model import Scene
+from rendering.scene.model import Scene, load_scene
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, read_drive
 from storage.errors import InputError

@@ -20,8 +20,7 @@ from rendering.drive.rendering import render_with_report
 from rendering.drive.wav import stream_wav, write_wav
 from rendering.field.prediction import predicted_focus_peak
 from rendering.report.render_report import RenderReport
-from rendering.scene.loading import load_scene
-from rendering.scene.model import Scene
+from rendering.scene.model import Scene, load_scene
 from rendering.scene.size import check_scene_size, size_words
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, DriveAbout, drive_in_blocks, write_drive

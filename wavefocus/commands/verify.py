@@ -24,8 +24,7 @@ from config.rig import RigConfig
 from rendering.field.metrics import grid_spacing_mm
 from rendering.field.prediction import predict as predict_field
 from rendering.report.page import build_report
-from rendering.scene.loading import load_scene
-from rendering.scene.model import Scene
+from rendering.scene.model import Scene, load_scene
 from rendering.scene.scene_rows import scene_rows
 from rendering.verify.record import (
     DRIVE_NAME,

@@ -23,8 +23,7 @@ from gui.scene.results.foci import Snapshots, focus_figures, look_at_foci
 from gui.scene.results.messages import Answer, Finished, Order, PredictedField, Progress, Request
 from gui.shell.front_door import RigLimits
 from rendering.field.prediction import Prediction, field_unit
-from rendering.scene.loading import read_scene
-from rendering.scene.model import Scene
+from rendering.scene.model import Scene, read_scene
 from storage.bank.reading import Bank
 from storage.drive_file import Drive
 from storage.errors import InputError, WavefocusError

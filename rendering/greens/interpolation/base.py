@@ -1,4 +1,4 @@
-"""Interpolation of the bank: the rows and weights that make up the Green's functions at a point.
+"""Interpolation of the bank: rows and weights that make up the Green's functions at a point; registered methods.
 
 Weights are real and the same for all actuators and frequencies. A method whose weights depend on frequency (kernel
 regression) adds rows of its own behind those of the bank.
@@ -9,13 +9,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from config.interpolations import INTERPOLATIONS
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource
+from rendering.scene.model import Scene
 from rendering.scene.paths import Path
 from storage.errors import InputError
 
@@ -133,3 +136,29 @@ def near(grid: PositionGrid, points_mm: Float64Array, spacings: float = 1.0) -> 
 def show_mm(point_mm: Float64Array) -> str:
     """A point for a message."""
     return f"({point_mm[0]:.6g}, {point_mm[1]:.6g})"
+
+
+POINTS_PER_SOURCE = 64
+
+
+def interpolation_method(name: str) -> type[Interpolation]:
+    """Load a registered method; raises InputError where there is none of that name."""
+    if name not in INTERPOLATIONS:
+        raise InputError(f"interpolation is {name!r}; allowed are {', '.join(INTERPOLATIONS)}")
+    module, _, method = INTERPOLATIONS[name].partition(":")
+    found: type[Interpolation] = getattr(import_module(module), method)
+    return found
+
+
+def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:
+    """Make the interpolation of a scene; raises InputError where the bank's positions do not allow it."""
+    return interpolation_method(scene.output.interpolation).over(bank, scene_points(scene))
+
+
+def scene_points(scene: Scene, most: int = POINTS_PER_SOURCE) -> Float64Array:
+    """Points evenly chosen along the paths of a scene's sources, at most so many each, float64 (n, 2)."""
+    parts = []
+    for source in scene.sources:
+        length_mm = source.path.length_mm
+        parts.append(source.path.point_at(np.linspace(0.0, length_mm, most) if length_mm > 0 else np.zeros(1)))
+    return np.concatenate(parts)

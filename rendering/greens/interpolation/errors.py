@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.blas import one_blas_thread
-from rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError
-from rendering.greens.interpolation.correlation_errors import ErrorBands, expected_errors
-from rendering.greens.interpolation.registry import scene_points
+from rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError, scene_points
+from rendering.greens.interpolation.error_estimates import ErrorBands, expected_errors
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene
 from storage.errors import InputError
@@ -164,8 +163,8 @@ def _thorough(
 ) -> ErrorBands | None:
     if not thorough and isinstance(kind, GridInterpolation):
         return None
+    from rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
     from rendering.greens.interpolation.kernel import KernelInterpolation
-    from rendering.greens.interpolation.left_out_errors import RowValues, left_out_errors
 
     kernel, nodes = kind, None
     if not isinstance(kernel, KernelInterpolation):

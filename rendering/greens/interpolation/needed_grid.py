@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.neighbours.wave_model import PatchKernel, WaveModel, disk_integral, plane_waves
-from rendering.greens.interpolation.base import GridInterpolation
+from rendering.greens.interpolation.base import GridInterpolation, interpolation_method
 from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS
 from rendering.greens.interpolation.on_grid import LatticeInterpolation
 from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.interpolation.registry import interpolation_method
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
