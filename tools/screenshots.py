@@ -241,7 +241,7 @@ class Pictures:
         hand.take.click()
         self.until(lambda: tab.session.state == "ready" and hand.sound.sweep.isEnabled())
         tab.session.jog_to(40.0, 25.0)
-        self.until(lambda: tab.session.spot.place_mm is not None)
+        self.until(lambda: tab.session.place_mm is not None)
         hand.sound.sounds.click()
         hand.sound.listen.click()
         self.until(lambda: tab.session.levels is not None)
@@ -259,6 +259,7 @@ class Pictures:
         import numpy as np
 
         from calibration.rig.mirror_map import MirrorMap
+        from config.messages.calibrate import AskJog
 
         true, rng, calibration = MirrorMap(MIRROR_MAP), np.random.default_rng(1), tab.calibration
         self.until(tab.calibration_page.options.start.isEnabled)
@@ -266,11 +267,10 @@ class Pictures:
         while True:
             self.until(lambda: calibration.question is not None)
             ask = calibration.question
-            place, at = (None, None) if ask is None else (ask.pair("place_mm"), ask.pair("at_mrad"))
-            if ask is None or ask.kind != "jog" or place is None or at is None:
+            if not isinstance(ask, AskJog):
                 return
-            x_mrad, y_mrad = true.angles_mrad(*(np.array(place) + rng.normal(0.0, MARK_ERROR_MM, 2)))
-            calibration.step(float(x_mrad) - at[0], float(y_mrad) - at[1])
+            x_mrad, y_mrad = true.angles_mrad(*(np.array(ask.place_mm) + rng.normal(0.0, MARK_ERROR_MM, 2)))
+            calibration.step(float(x_mrad) - ask.at_mrad[0], float(y_mrad) - ask.at_mrad[1])
             self.until(lambda ask=ask: calibration.question is not ask)
             calibration.answer("here")
 

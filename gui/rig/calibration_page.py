@@ -1,38 +1,122 @@
-"""Calibration wizard: shows the questions of the calibration, the beam and the residuals of the mirror map."""
+"""Calibration wizard: its options, its questions, the beam and the residuals of the mirror map."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import tempfile
+from pathlib import Path
 
-from PyQt5.QtCore import Qt
-from PyQt5.QtGui import QColor
-from PyQt5.QtWidgets import (
-    QAbstractItemView,
-    QHBoxLayout,
-    QLabel,
-    QPlainTextEdit,
-    QPushButton,
-    QTableWidgetItem,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtCore import Qt, pyqtSignal
+from PyQt5.QtWidgets import QAbstractItemView, QFormLayout, QPlainTextEdit, QPushButton, QWidget
 
 from config.messages.calibrate import AskAgain, AskConnect, AskJog, MapView
+from config.messages.operate import Numbers
 from config.outline import default_marks_mm
 from config.rig import Surface
-from gui.rig.calibration import Calibration
-from gui.rig.calibration_options import CalibrationOptions
 from gui.rig.jog import Arrows, SurfacePicture
 from gui.rig.manual_page import LevelMeter
-from gui.rig.messages import Pair
-from gui.shell.files import Settings
+from gui.rig.session import Calibration
+from gui.shell.files import PathField, Settings
 from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import make_table, named, side_by_side
+from gui.shell.widgets import (
+    PAGE_MARGINS,
+    column,
+    fill_row,
+    make_check,
+    make_choice,
+    make_label,
+    make_table,
+    named,
+    number_box,
+    push_button,
+    row,
+    side_by_side,
+)
 
+_PARTS = (
+    ("inputs", "&Inputs: delay between response and reference", "You connect the loopback to both inputs"),
+    ("outputs", "&Outputs: latency, volts, polarity", "You connect the response input to each output in turn"),
+    ("mirror", "&Mirror: bring the beam onto marks", "You jog the beam onto marks on the surface"),
+    ("actuators", "Actuato&rs: polarity and level", "Nothing to do; the mirror map must be measured before"),
+)
+_MARKS = ("seven places: middle, corners, ends", "five places: corners, middle", "from a file")
+_CORNERS, _FILE = 1, 2
+_DEFAULT_LIMIT_MM = 1.0
 _STEPS_MRAD = (0.05, 0.2, 1.0, 5.0, 20.0)
 _RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "|Δ| (mm)")
 _YES = {AskJog: "here", MapView: "keep", AskConnect: "done", AskAgain: "again"}
+
+
+class CalibrationOptions(QWidget):
+    """Options of a calibration; `started` carries the command's options."""
+
+    started = pyqtSignal(list)
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__()
+        self.size_mm = (250.0, 150.0)
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self.parts = {part: make_check(text, tip, on=part == "mirror") for part, text, tip in _PARTS}
+        tip = "Places of the beam; four marks determine the map, each more checks it"
+        self.marks = make_choice("Marks on the surface", tip, _MARKS)
+        self.file = PathField("&File", ".csv", "file of marks", settings)
+        self.file.setToolTip("x_mm,y_mm of each mark; with x_mrad,y_mrad nothing is jogged")
+        tip = "A map that misses a mark by more, in mm on the surface, is refused"
+        self.limit_mm = number_box("Largest residual in mm", tip, " mm", 2, 0.01, 100.0)
+        self.limit_mm.setValue(_DEFAULT_LIMIT_MM)
+        tip = "Its values override the rig file's; a measured bank keeps its own calibration"
+        self.use = make_check("&Name the new file in the rig file", tip, on=True)
+        tip = "Open the instruments and measure; you are asked what to connect"
+        self.start = push_button("&Start the calibration", tip, self._start)
+        form = QFormLayout()
+        form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.FieldsStayAtSizeHint)
+        form.addRow("Marks", self.marks)
+        form.addRow("Largest residual", self.limit_mm)
+        for widget in (self.file, self.use, self.start):
+            form.addRow(widget)
+        column(make_label(text="Measure the rig's own values", role="strong"), *self.parts.values(), form, owner=self)
+        for box in self.parts.values():
+            box.toggled.connect(self._enable)
+        self.marks.currentIndexChanged.connect(self._enable)
+        self._enable()
+
+    def choose(self, part: str) -> None:
+        """Tick one part alone, or all if the name is empty."""
+        for name, box in self.parts.items():
+            box.setChecked(part in ("", name))
+
+    def shut_down(self) -> None:
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _enable(self) -> None:
+        mirror = self.parts["mirror"].isChecked()
+        self.marks.setEnabled(mirror)
+        self.limit_mm.setEnabled(mirror)
+        self.file.setVisible(mirror and self.marks.currentIndex() == _FILE)
+        self.start.setEnabled(any(box.isChecked() for box in self.parts.values()))
+
+    def _start(self) -> None:
+        options = ["--only", ",".join(name for name, box in self.parts.items() if box.isChecked())]
+        if self.parts["mirror"].isChecked():
+            options += ["--limit-mm", f"{self.limit_mm.value():g}"]
+            if self.marks.currentIndex() == _CORNERS:
+                options += ["--fiducials", str(self._corners())]
+            elif self.marks.currentIndex() == _FILE:
+                options += ["--fiducials", str(self.file.path or "")]
+        if self.use.isChecked():
+            options.append("--use")
+        self.started.emit(options)
+
+    def _corners(self) -> Path:
+        """File with the corners and the middle."""
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-marks-")
+        path = Path(self._folder.name) / "corners.csv"
+        middle, *corners = default_marks_mm(*self.size_mm)[:5]
+        path.write_text("x_mm,y_mm\n" + "".join(f"{x:g},{y:g}\n" for x, y in (*corners, middle)), encoding="utf-8")
+        return path
 
 
 class CalibrationPage(QWidget):
@@ -42,45 +126,57 @@ class CalibrationPage(QWidget):
         super().__init__()
         self._calibration = calibration
         self._theme = LIGHT
-        self._drawn = {"question": -1, "level": -1}
-        self._marks_mm: list[Pair] = []
+        self._marks_mm: list[Numbers] = []
         self.picture = SurfacePicture("Surface with the marks of the mirror map")
         self.picture.setToolTip("Squares: marks, filled when done. Arrow keys move the beam by a step")
         self.options = CalibrationOptions(settings)
-        self.question, self.note = QLabel(), QLabel()
-        self.question.setAccessibleName("Question of the calibration")
-        self.question.setProperty("role", "strong")
-        self.note.setAccessibleName("Notes")
+        self.question = make_label("Question of the calibration", role="strong", wraps=True)
+        self.note = make_label("Notes", wraps=True)
         self.arrows = Arrows(_STEPS_MRAD, "mrad", 2)
         self.meter = LevelMeter()
         self.residuals = make_table(_RESIDUALS, "Residuals of the mirror map in mm", stretched=range(len(_RESIDUALS)))
         self.residuals.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self.residuals.setToolTip("Mapped place less place of the mark, in mm; choose a row to repeat its mark")
-        self.yes, self.no = (named(QPushButton(text), "Answer the question") for text in ("&Yes", "&No"))
-        self.redo = named(QPushButton("&Repeat the chosen mark"), "Bring the beam onto the chosen mark once more")
-        self.cancel = named(
-            QPushButton("&Cancel"), "End it: outputs muted, mirror parked, results so far are kept",
-            "Cancel the calibration",
-        )  # fmt: skip
-        self.report = QPlainTextEdit()
+        self.yes = push_button("&Yes", "Answer the question", self._answer_yes)
+        self.no = push_button("&No", "Answer the question", self._answer_no)
+        self.redo = push_button(
+            "&Repeat the chosen mark",
+            "Bring the beam onto the chosen mark once more",
+            lambda: calibration.answer("redo", mark=self.chosen_mark or 1),
+        )
+        tip = "End it: outputs muted, mirror parked, results so far are kept"
+        self.cancel = push_button("&Cancel", tip, calibration.cancel, "Cancel the calibration")
+        self.report = named(QPlainTextEdit(), "", "Report of the calibration")
         self.report.setReadOnly(True)
-        self.report.setAccessibleName("Report of the calibration")
-        self._spacer = QWidget()
-        self._lay_out()
-        self._show()
+        self.report.setMaximumHeight(5 * self.fontMetrics().lineSpacing())
+        self._spacer, side = QWidget(), QWidget()
+        column(
+            self.options,
+            self.question,
+            self.note,
+            row(self.arrows, None),
+            self.meter,
+            (self.residuals, 1),
+            row(self.yes, self.no, self.redo, None, self.cancel),
+            self.report,
+            (self._spacer, 1),
+            owner=side,
+            margins=(8, 0, 0, 0),
+        )
+        self.splitter = side_by_side((self.picture, 640), (side, 600))
+        column(self.splitter, owner=self, margins=PAGE_MARGINS)
         self.arrows.stepped.connect(calibration.step)
-        self.picture.stepped.connect(self._step)
-        self.yes.clicked.connect(self._answer_yes)
-        self.no.clicked.connect(self._answer_no)
-        self.redo.clicked.connect(lambda: calibration.answer("redo", mark=self.chosen_mark or 1))
-        self.cancel.clicked.connect(calibration.cancel)
+        self.picture.stepped.connect(self.arrows.step)
+        calibration.changed.connect(self._show)
+        calibration.level_changed.connect(lambda: self.meter.show_levels(calibration.levels))
+        self._show()
 
     @property
     def chosen_mark(self) -> int | None:
         rows = {index.row() for index in self.residuals.selectedIndexes()}
         return min(rows) + 1 if rows else None
 
-    def show_surface(self, surface: Surface, actuator_mm: list[Pair]) -> None:
+    def show_surface(self, surface: Surface, actuator_mm: list[Numbers]) -> None:
         self.options.size_mm = (surface.length_mm, surface.width_mm)
         self.picture.show_rig(surface.outline, actuator_mm)
         if not self._calibration.running:
@@ -88,48 +184,14 @@ class CalibrationPage(QWidget):
             self.picture.show_marks(self._marks_mm, -1, 0)
 
     def draw(self, *, has_rig: bool) -> None:
-        calibration = self._calibration
-        self.options.setEnabled(has_rig and not calibration.running)
-        if self._drawn["question"] != calibration.revision["question"]:
-            self._drawn["question"] = calibration.revision["question"]
-            self._show()
-        if self._drawn["level"] != calibration.revision["level"]:
-            self._drawn["level"] = calibration.revision["level"]
-            self.meter.show_levels(calibration.levels)
+        self.options.setEnabled(has_rig and not self._calibration.running)
 
     def apply_theme(self, theme: Theme) -> None:
         self._theme = theme
         self.picture.apply_theme(theme)
         self.meter.apply_theme(theme)
-        if self._marks_mm:
-            self.picture.show_marks(self._marks_mm, -1, 0)
-        self._drawn["question"] = -1
-
-    def _lay_out(self) -> None:
-        for label in (self.question, self.note):
-            label.setWordWrap(True)
-        self.report.setMaximumHeight(5 * self.fontMetrics().lineSpacing())
-        buttons, jog, side = QHBoxLayout(), QHBoxLayout(), QWidget()
-        for button in (self.yes, self.no, self.redo):
-            buttons.addWidget(button)
-        buttons.addStretch(1)
-        buttons.addWidget(self.cancel)
-        jog.addWidget(self.arrows)
-        jog.addStretch(1)
-        column = QVBoxLayout(side)
-        column.setContentsMargins(8, 0, 0, 0)
-        for widget in (self.options, self.question, self.note):
-            column.addWidget(widget)
-        column.addLayout(jog)
-        column.addWidget(self.meter)
-        column.addWidget(self.residuals, stretch=1)
-        column.addLayout(buttons)
-        column.addWidget(self.report)
-        column.addWidget(self._spacer, stretch=1)
-        self.splitter = side_by_side((self.picture, 640), (side, 600))
-        row = QHBoxLayout(self)
-        row.setContentsMargins(4, 6, 4, 4)
-        row.addWidget(self.splitter)
+        self.picture.show_marks(self._marks_mm, -1, 0)
+        self._show()
 
     def _show(self) -> None:
         calibration = self._calibration
@@ -177,26 +239,26 @@ class CalibrationPage(QWidget):
         self._set_texts(f"✔ written: {outcome.file}" if outcome.file else "✖ nothing was written", note)
 
     def _ask_jog(self, question: AskJog) -> None:
-        number, count, place_mm, at_mrad = question.number, question.of, question.place_mm, question.at_mrad
+        number, place_mm, at_mrad = question.number, question.place_mm, question.at_mrad
         self._marks_mm = self._calibration.marks_mm
         self.picture.show_residuals([], [])
         self.picture.show_marks(self._marks_mm, number - 1, number - 1)
         self.picture.show_spot(question.at_mm)
         self.picture.setFocus(Qt.FocusReason.OtherFocusReason)
         self._set_texts(
-            f"Mark {number} of {count}: bring the spot onto ({place_mm[0]:g}, {place_mm[1]:g}) mm",
+            f"Mark {number} of {question.of}: bring the spot onto ({place_mm[0]:g}, {place_mm[1]:g}) mm",
             question.note or f"The mirror is at ({at_mrad[0]:.3f}, {at_mrad[1]:.3f}) mrad.",
         )
         self._set_button(self.yes, "The spot is &on the mark", "Use these angles for the mark (Return)", "Return")
 
     def _ask_map(self, question: MapView) -> None:
-        places_mm, off_mm, problem, suspect = question.place_mm, question.off_mm, question.problem, question.suspect
-        self._marks_mm = list(places_mm)
+        problem = question.problem
+        self._marks_mm = list(question.place_mm)
         self.picture.show_spot(None)
-        self.picture.show_marks(places_mm, suspect - 1 if problem else -1, len(places_mm))
-        times = self.picture.show_residuals(places_mm, off_mm)
-        self._list_residuals(places_mm, off_mm, question.limit_mm, suspect)
-        scale = f"Residuals are drawn {times:g} times larger." if off_mm else ""
+        self.picture.show_marks(self._marks_mm, question.suspect - 1 if problem else -1, len(self._marks_mm))
+        times = self.picture.show_residuals(self._marks_mm, question.off_mm)
+        self._list_residuals(question)
+        scale = f"Residuals are drawn {times:g} times larger." if question.off_mm else ""
         self._set_texts(
             f"Residual of the map: {question.rms_mm:.2f} mm rms, {question.worst_mm:.2f} mm at most"
             if math.isfinite(question.rms_mm) else "These marks determine no map",
@@ -206,22 +268,19 @@ class CalibrationPage(QWidget):
         self.yes.setEnabled(not problem)
         self._set_button(self.no, "&Discard the map", "Do not write the map")
 
-    def _list_residuals(self, places_mm: Sequence[Pair], off_mm: Sequence[Pair], limit_mm: float, suspect: int) -> None:
-        table = self.residuals
+    def _list_residuals(self, question: MapView) -> None:
+        table, off_mm = self.residuals, question.off_mm
         table.setRowCount(len(off_mm))
-        for row, ((x_mm, y_mm), (x_off, y_off)) in enumerate(zip(places_mm, off_mm, strict=False)):
+        for number, ((x_mm, y_mm), (x_off, y_off)) in enumerate(zip(question.place_mm, off_mm, strict=False)):
             distance_mm = math.hypot(x_off, y_off)
-            beyond = distance_mm > limit_mm
-            numbers = (f"{row + 1}", f"{x_mm:.1f}", f"{y_mm:.1f}", f"{x_off:+.2f}", f"{y_off:+.2f}")
-            for column, text in enumerate((*numbers, f"▲ {distance_mm:.2f}" if beyond else f"{distance_mm:.2f}")):
-                item = QTableWidgetItem(text)
-                item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                if beyond:
-                    item.setForeground(QColor(self._theme.fault))
-                table.setItem(row, column, item)
+            beyond = distance_mm > question.limit_mm
+            distance = f"▲ {distance_mm:.2f}" if beyond else f"{distance_mm:.2f}"
+            texts = (f"{number + 1}", f"{x_mm:.1f}", f"{y_mm:.1f}", f"{x_off:+.2f}", f"{y_off:+.2f}", distance)
+            colours = dict.fromkeys(range(len(texts)), self._theme.fault) if beyond else {}
+            fill_row(table, number, texts, colours, Qt.AlignmentFlag.AlignRight)
         table.clearSelection()
-        if 0 < suspect <= len(off_mm):
-            table.selectRow(suspect - 1)
+        if 0 < question.suspect <= len(off_mm):
+            table.selectRow(question.suspect - 1)
 
     def _set_texts(self, question: str, note: str) -> None:
         self.question.setText(question)
@@ -235,15 +294,9 @@ class CalibrationPage(QWidget):
         if key:
             button.setShortcut(key)
 
-    def _step(self, x: int, y: int) -> None:
-        question = self._calibration.question
-        if isinstance(question, AskJog):
-            self.arrows.step(x, y)
-
     def _answer_yes(self) -> None:
         if (question := self._calibration.question) is not None:
             self._calibration.answer(_YES[type(question)])
 
     def _answer_no(self) -> None:
-        if (question := self._calibration.question) is not None:
-            self._calibration.answer("drop" if isinstance(question, MapView) else "skip")
+        self._calibration.answer("drop" if isinstance(self._calibration.question, MapView) else "skip")

@@ -5,30 +5,54 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from PyQt5.QtCore import Qt, pyqtSignal
-from PyQt5.QtGui import QColor
-from PyQt5.QtWidgets import (
-    QCheckBox,
-    QHBoxLayout,
-    QLabel,
-    QPushButton,
-    QTableWidgetItem,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtCore import pyqtSignal
+from PyQt5.QtWidgets import QToolButton, QWidget
 
 from config.messages.codec import from_record
-from config.messages.doctor import Finding, FindingMade
-from gui.rig.messages import button_of, is_bad
+from config.messages.doctor import Action, Finding, FindingMade
 from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.shell.tab import TabContext
 from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import make_table, named
+from gui.shell.widgets import (
+    PAGE_MARGINS,
+    column,
+    fill_row,
+    make_check,
+    make_label,
+    make_table,
+    named,
+    push_button,
+    row,
+)
 
 _HEADINGS = ("", "instrument", "check", "finding", "remedy", "")
-_VERDICTS = {"fail": "✖ fail", "warn": "▲ look", "skipped": "– skipped", "ok": "✔ ok"}
-_COUNTED = {"fail": "not good enough", "warn": "to look at", "skipped": "skipped", "ok": "ok"}
+# Mark and word of a verdict, and its word in the summary.
+_VERDICTS = {
+    "fail": ("✖ fail", "not good enough"),
+    "warn": ("▲ look", "to look at"),
+    "skipped": ("– skipped", "skipped"),
+    "ok": ("✔ ok", "ok"),
+}
+# Actions of a finding, and the text of the button; {on} is the subject.
+_BUTTON_TEXTS: dict[Action, str] = {
+    "calibrate": "Calibrate {on}…",
+    "edit-rig": "Open the rig file",
+    "open-folder": "Open the folder",
+    "reset-usb": "Reset its USB…",
+    "run": "Copy the command",
+    "test-message": "Send a test",
+}
+
+
+def button_of(finding: Finding) -> tuple[str, str] | None:
+    """Action and text of a finding's button; None where there is nothing to do."""
+    if finding.act is not None:
+        return finding.act.do, _BUTTON_TEXTS[finding.act.do].format(on=finding.act.on).replace(" …", "…")
+    return ("again", "Check again") if _is_bad(finding) else None
+
+
+def _is_bad(finding: Finding) -> bool:
+    return finding.verdict in ("fail", "warn")
 
 
 class ExaminationPage(QWidget):
@@ -44,29 +68,17 @@ class ExaminationPage(QWidget):
         self._theme = LIGHT
         self.findings: list[Finding] = []
         self.buttons: dict[int, QToolButton] = {}
-        self.examine = named(QPushButton("E&xamine"), "Open, identify and exercise every instrument (Ctrl+I)")
-        self.cancel_button = named(
-            QPushButton("&Cancel"), "End the examination; instruments are muted and parked first",
-            "Cancel the examination",
-        )  # fmt: skip
-        self.plays = named(
-            QCheckBox("&Play sweeps"), "Without sweeps nothing sounds; loopback and response are not checked"
-        )
-        self.plays.setChecked(True)
-        self.only_bad = named(QCheckBox("&Only problems"), "Hide rows that are ok")
-        self.summary = QLabel()
-        self.summary.setAccessibleName("Result of the examination")
+        self.examine = push_button("E&xamine", "Open, identify and exercise every instrument (Ctrl+I)")
+        tip = "End the examination; instruments are muted and parked first"
+        self.cancel_button = push_button("&Cancel", tip, self.cancel, "Cancel the examination")
+        tip = "Without sweeps nothing sounds; loopback and response are not checked"
+        self.plays = make_check("&Play sweeps", tip, on=True)
+        self.only_bad = make_check("&Only problems", "Hide rows that are ok")
+        self.summary = make_label("Result of the examination")
         self.table = make_table(_HEADINGS, "Findings", stretched=(3, 4))
-        row = QHBoxLayout()
-        for widget in (self.examine, self.cancel_button, self.plays, self.only_bad, self.summary):
-            row.addWidget(widget)
-        row.addStretch(1)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(4, 6, 4, 4)
-        column.addLayout(row)
-        column.addWidget(self.table, stretch=1)
+        controls = row(self.examine, self.cancel_button, self.plays, self.only_bad, self.summary, None)
+        column(controls, (self.table, 1), owner=self, margins=PAGE_MARGINS)
         self.only_bad.toggled.connect(self._hide_good)
-        self.cancel_button.clicked.connect(self.cancel)
         self.clear()
         self.draw(has_rig=False)
 
@@ -104,43 +116,43 @@ class ExaminationPage(QWidget):
 
     def apply_theme(self, theme: Theme) -> None:
         self._theme = theme
-        for row in range(self.table.rowCount()):
-            self._colour(row)
+        for number in range(len(self.findings)):
+            self._fill(number)
 
     def _receive(self, message: Message) -> None:
         if "finding" in message:
             self._add(from_record(FindingMade, message).finding)
 
     def _add(self, finding: Finding) -> None:
-        row = len(self.findings)
+        number = len(self.findings)
         self.findings.append(finding)
-        self.table.insertRow(row)
-        verdict = _VERDICTS.get(finding.verdict, finding.verdict)
-        for column, text in enumerate((verdict, finding.instrument, finding.check, finding.what, finding.remedy)):
-            item = QTableWidgetItem(text)
-            item.setToolTip(text)
-            item.setTextAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-            self.table.setItem(row, column, item)
-        self._colour(row)
+        self.table.insertRow(number)
+        self._fill(number)
         if (wanted := button_of(finding)) is not None:
             action, text = wanted
             on = "" if finding.act is None else finding.act.on
-            button = QToolButton()
+            tip, name = finding.remedy or finding.what, f"{text}: {finding.instrument}, {finding.check}"
+            button = self.buttons[number] = named(QToolButton(), tip, name)
             button.setText(text)
-            button.setAccessibleName(f"{text}: {finding.instrument}, {finding.check}")
-            button.setToolTip(finding.remedy or finding.what)
             button.clicked.connect(lambda _checked=False: self.wanted.emit(action, on))
-            self.table.setCellWidget(row, len(_HEADINGS) - 1, button)
-            self.buttons[row] = button
-        self.summary.setText(f"examining… {row + 1} findings; last: {finding.instrument}, {finding.check}")
+            self.table.setCellWidget(number, len(_HEADINGS) - 1, button)
+        self.summary.setText(f"examining… {number + 1} findings; last: {finding.instrument}, {finding.check}")
         self._hide_good()
         self.table.scrollToBottom()
+
+    def _fill(self, number: int) -> None:
+        theme, finding = self._theme, self.findings[number]
+        colours = {"ok": theme.good, "warn": theme.warning, "fail": theme.fault}
+        texts = (_VERDICTS[finding.verdict][0], finding.instrument, finding.check, finding.what, finding.remedy)
+        fill_row(self.table, number, texts, {0: colours.get(finding.verdict, theme.faint)})
 
     def _ended(self, process: CommandProcess) -> None:
         self._process = None
         code, verdicts = process.exit_code, [one.verdict for one in self.findings]
         if code in (0, 1) and verdicts:
-            counted = ", ".join(f"{verdicts.count(one)} {words}" for one, words in _COUNTED.items() if one in verdicts)
+            counted = ", ".join(
+                f"{verdicts.count(one)} {words}" for one, (_, words) in _VERDICTS.items() if one in verdicts
+            )
             self.summary.setText(f"✔ all well: {counted}" if code == 0 else counted)
             self.table.scrollToItem(self.table.item(verdicts.index("fail") if "fail" in verdicts else 0, 0))
         elif code == STOPPED_BY_USER:
@@ -149,13 +161,6 @@ class ExaminationPage(QWidget):
             self.summary.setText("the examination was not completed")
             self._context.messages.fault(process.failure)
 
-    def _colour(self, row: int) -> None:
-        theme = self._theme
-        colours = {"ok": theme.good, "warn": theme.warning, "fail": theme.fault}
-        item = self.table.item(row, 0)
-        if item is not None:
-            item.setForeground(QColor(colours.get(self.findings[row].verdict, theme.faint)))
-
     def _hide_good(self) -> None:
-        for row, finding in enumerate(self.findings):
-            self.table.setRowHidden(row, self.only_bad.isChecked() and not is_bad(finding))
+        for number, finding in enumerate(self.findings):
+            self.table.setRowHidden(number, self.only_bad.isChecked() and not _is_bad(finding))

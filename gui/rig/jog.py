@@ -8,31 +8,28 @@ from dataclasses import asdict
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
-from PyQt5.QtGui import QKeyEvent, QResizeEvent
-from PyQt5.QtWidgets import (
-    QComboBox,
-    QFormLayout,
-    QGridLayout,
-    QHBoxLayout,
-    QLabel,
-    QPushButton,
-    QSizePolicy,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtGui import QKeyEvent
+from PyQt5.QtWidgets import QFormLayout, QGridLayout, QToolButton, QWidget
 
+from config.messages.operate import Numbers
 from config.outline import Outline
-from gui.rig.manual_session import ManualSession
-from gui.rig.messages import Pair
+from gui.rig.session import ManualSession
 from gui.shell.theme import Theme
-from gui.shell.widgets import named, number_box
+from gui.shell.widgets import column, make_choice, make_label, named, number_box, push_button, row
 from gui.surface.surface import surface_from
 from gui.surface.view import STEPS, Keys, PointMm, Spots, SurfaceView
 
 _RIM_POINTS = 180
 # Residuals are enlarged until the longest has about this share of the surface's length.
 _ARROW_SHARE = 0.12
+_STEPS_MM = (0.1, 0.5, 1.0, 5.0, 20.0)
+_FARTHEST_MM = 10_000.0
+_ARROWS = (
+    ("up", Qt.ArrowType.UpArrow, 0, 1, 0, 1),
+    ("left", Qt.ArrowType.LeftArrow, 1, 0, -1, 0),
+    ("right", Qt.ArrowType.RightArrow, 1, 2, 1, 0),
+    ("down", Qt.ArrowType.DownArrow, 2, 1, 0, -1),
+)
 
 
 class SurfacePicture(SurfaceView):
@@ -54,25 +51,25 @@ class SurfacePicture(SurfaceView):
         for depth, item in enumerate((self._chosen, self._marks, self._residuals, self._tips, self._spot), start=30):
             self.add_item(item, depth)
 
-    def show_rig(self, outline: Outline, actuator_mm: Sequence[Pair]) -> None:
+    def show_rig(self, outline: Outline, actuator_mm: Sequence[Numbers]) -> None:
         self.show_outline(outline.line(_RIM_POINTS))
         self.show_actuators(_points(actuator_mm))
         left, _, right, _ = outline.box_mm
         self._length_mm = right - left
         self.fit()
 
-    def show_spot(self, place_mm: Pair | None) -> None:
+    def show_spot(self, place_mm: Numbers | None) -> None:
         """Show the beam; None for nowhere on the surface."""
         self._spot.setData(pos=_points([] if place_mm is None else [place_mm]))
         self._cross.setVisible(place_mm is not None)
         if place_mm is not None:
             self._cross.setPos(*place_mm)
 
-    def show_chosen(self, actuator_mm: Pair | None) -> None:
+    def show_chosen(self, actuator_mm: Numbers | None) -> None:
         """Emphasise the actuator that would play."""
         self._chosen.setData(pos=_points([] if actuator_mm is None else [actuator_mm]))
 
-    def show_marks(self, place_mm: Sequence[Pair], current: int, done: int) -> None:
+    def show_marks(self, place_mm: Sequence[Numbers], current: int, done: int) -> None:
         """Show numbered marks: filled when done, the current one large."""
         theme = self.theme
         self._marks.setData(
@@ -96,7 +93,7 @@ class SurfacePicture(SurfaceView):
             self.add_item(label, 40)
             self._labels.append(label)
 
-    def show_residuals(self, place_mm: Sequence[Pair], off_mm: Sequence[Pair]) -> float:
+    def show_residuals(self, place_mm: Sequence[Numbers], off_mm: Sequence[Numbers]) -> float:
         """Draw the residuals of a map, enlarged; returns the factor."""
         place, off = _points(place_mm), _points(off_mm)
         largest_mm = float(np.hypot(*off.T).max(initial=0.0))
@@ -126,13 +123,8 @@ class SurfacePicture(SurfaceView):
         self.stepped.emit(*(int(step) for step in STEPS[event.key()]))
         event.accept()
 
-    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802
-        super().resizeEvent(event)
-        if self._length_mm and self._fits:
-            self.fit()
 
-
-def _points(place_mm: Sequence[Pair]) -> np.ndarray:
+def _points(place_mm: Sequence[Numbers]) -> np.ndarray:
     return np.asarray(place_mm, np.float64).reshape(-1, 2)
 
 
@@ -140,16 +132,6 @@ def _rounded_down(times: float) -> float:
     """Round down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(times))
     return float(power * max(step for step in (1, 2, 5) if step * power <= times))
-
-
-_STEPS_MM = (0.1, 0.5, 1.0, 5.0, 20.0)
-_FARTHEST_MM = 10_000.0
-_ARROWS = (
-    ("up", Qt.ArrowType.UpArrow, 0, 1, 0, 1),
-    ("left", Qt.ArrowType.LeftArrow, 1, 0, -1, 0),
-    ("right", Qt.ArrowType.RightArrow, 1, 2, 1, 0),
-    ("down", Qt.ArrowType.DownArrow, 2, 1, 0, -1),
-)
 
 
 class Arrows(QWidget):
@@ -160,19 +142,18 @@ class Arrows(QWidget):
     def __init__(self, steps: Sequence[float], unit: str, chosen: int) -> None:
         super().__init__()
         self._steps = tuple(steps)
-        self.step_choice = named(QComboBox(), "Step of the arrows; Page up and Page down choose another", "Step")
-        self.step_choice.addItems([f"{step:g} {unit}" for step in steps])
-        self.step_choice.setCurrentIndex(chosen)
+        tip = "Step of the arrows; Page up and Page down choose another"
+        self.step_choice = make_choice("Step", tip, [f"{step:g} {unit}" for step in steps], chosen)
         self.buttons: dict[str, QToolButton] = {}
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
-        for word, arrow, row, column, x, y in _ARROWS:
+        for word, arrow, line, place, x, y in _ARROWS:
             button = named(QToolButton(), f"Move the beam {word} by a step (arrow key)", f"Move the beam {word}")
             button.setArrowType(arrow)
             button.setAutoRepeat(True)
             button.setAutoRepeatInterval(120)
             button.clicked.connect(lambda _checked=False, x=x, y=y: self.step(x, y))
-            grid.addWidget(button, row, column, Qt.AlignmentFlag.AlignCenter)
+            grid.addWidget(button, line, place, Qt.AlignmentFlag.AlignCenter)
             self.buttons[word] = button
         grid.addWidget(self.step_choice, 1, 1)
 
@@ -188,58 +169,57 @@ class JogPanel(QWidget):
     def __init__(self, session: ManualSession) -> None:
         super().__init__()
         self._session = session
-        self._drawn = {"state": -1, "spot": -1}
         self.picture = SurfacePicture("Surface: click to send the beam there")
         self.picture.setToolTip("Click: send the beam there. Arrow keys: one step. Wheel: zoom. Drag: pan. Unit: mm")
         self.arrows = Arrows(_STEPS_MM, "mm", 2)
+        tip = "{} on the surface in mm, from its middle; seen from the laser, x right, y up"
         self.x_mm, self.y_mm = (
-            number_box(
-                f"{axis} in mm", f"{axis} on the surface in mm, from its middle; seen from the laser, x right, y up",
-                " mm", 2, -_FARTHEST_MM, _FARTHEST_MM,
-            )
-            for axis in "xy"
-        )  # fmt: skip
-        self.go = named(QPushButton("&Go there"), "Send the beam to x, y on the surface")
-        self.middle = named(QPushButton("&Middle"), "Send the beam to the middle of the surface, (0, 0) mm")
-        self.park = named(QPushButton("&Park"), "Send the beam to the rig's safe direction (mirror.park_mrad)")
-        self.where = QLabel()
-        self.where.setAccessibleName("Place of the beam")
-        self.where.setWordWrap(True)
-        self.where.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        form, buttons, row, column = QFormLayout(), QVBoxLayout(), QHBoxLayout(), QVBoxLayout(self)
+            number_box(f"{axis} in mm", tip.format(axis), " mm", 2, -_FARTHEST_MM, _FARTHEST_MM) for axis in "xy"
+        )
+        self.go = push_button(
+            "&Go there",
+            "Send the beam to x, y on the surface",
+            lambda: session.jog_to(self.x_mm.value(), self.y_mm.value()),
+        )
+        tip = "Send the beam to the middle of the surface, (0, 0) mm"
+        self.middle = push_button("&Middle", tip, lambda: session.jog_to(0.0, 0.0))
+        self.park = push_button("&Park", "Send the beam to the rig's safe direction (mirror.park_mrad)", session.park)
+        self.where = make_label("Place of the beam", wraps=True, any_width=True)
+        form = QFormLayout()
         form.addRow("x", self.x_mm)
         form.addRow("y", self.y_mm)
-        for button in (self.go, self.middle, self.park):
-            buttons.addWidget(button)
-        row.addWidget(self.arrows)
-        row.addSpacing(12)
-        row.addLayout(form)
-        row.addLayout(buttons)
-        row.addStretch(1)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(self.picture, stretch=1)
-        column.addWidget(self.where)
-        column.addLayout(row)
+        controls = row(self.arrows, 12, form, column(self.go, self.middle, self.park), None)
+        column((self.picture, 1), self.where, controls, owner=self)
         self.picture.clicked.connect(lambda x, y: session.jog_to(round(x, 2), round(y, 2)))
         self.picture.stepped.connect(self.arrows.step)
         self.arrows.stepped.connect(session.jog_by)
-        self.go.clicked.connect(lambda: session.jog_to(self.x_mm.value(), self.y_mm.value()))
-        self.middle.clicked.connect(lambda: session.jog_to(0.0, 0.0))
-        self.park.clicked.connect(session.park)
+        session.state_changed.connect(self._show_state)
+        session.beam_changed.connect(self._show_beam)
+        self._show_state()
+        self._show_beam()
 
-    def draw(self) -> None:
-        session, revision, facts = self._session, self._session.revision, self._session.facts
-        ready = session.state == "ready"
-        if self._drawn["state"] != revision["state"]:
-            self._drawn["state"] = revision["state"]
-            for part in (self.arrows, self.x_mm, self.y_mm, self.go, self.middle, self.park):
-                part.setEnabled(ready)
-            if facts is not None:
-                self.picture.show_rig(surface_from(asdict(facts.surface)).outline, facts.actuator_mm)
-        if self._drawn["spot"] != revision["spot"]:
-            self._drawn["spot"] = revision["spot"]
-            self.picture.show_spot(None if session.spot.parked else session.spot.place_mm)
-            text = f"Beam: {session.spot.text}" if ready else "The instruments are not open in this window"
-            if facts is not None and not facts.mapped:
-                text += "\n▲ The mirror map is not measured: places are as accurate as the rig file"
-            self.where.setText(text)
+    def _show_state(self) -> None:
+        facts = self._session.facts
+        for part in (self.arrows, self.x_mm, self.y_mm, self.go, self.middle, self.park):
+            part.setEnabled(self._session.state == "ready")
+        if facts is not None:
+            self.picture.show_rig(surface_from(asdict(facts.surface)).outline, facts.actuator_mm)
+
+    def _show_beam(self) -> None:
+        session, beam = self._session, self._session.beam
+        self.picture.show_spot(session.place_mm)
+        if session.state != "ready":
+            text = "The instruments are not open in this window"
+        elif beam.x_mrad is None or beam.y_mrad is None:
+            text = "Beam: not moved yet"
+        else:
+            angles = f"({beam.x_mrad:.3f}, {beam.y_mrad:.3f}) mrad"
+            if beam.parked:
+                text = f"Beam: parked at {angles}"
+            elif session.place_mm is None:
+                text = f"Beam: at {angles}, outside the surface"
+            else:
+                text = "Beam: at ({:.2f}, {:.2f}) mm, ".format(*session.place_mm) + angles
+        if session.facts is not None and not session.facts.mapped:
+            text += "\n▲ The mirror map is not measured: places are as accurate as the rig file"
+        self.where.setText(text)

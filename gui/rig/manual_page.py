@@ -8,94 +8,28 @@ import time
 import numpy as np
 import pyqtgraph
 from PyQt5.QtGui import QColor, QMouseEvent, QPalette
-from PyQt5.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QHBoxLayout,
-    QLabel,
-    QProgressBar,
-    QPushButton,
-    QSizePolicy,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtWidgets import QLabel, QProgressBar, QWidget
 
 from config.messages.operate import ChannelLevel, LevelMeasured, SweepTaken
 from gui.rig.jog import JogPanel
-from gui.rig.manual_session import ManualSession
-from gui.rig.messages import sweep_defects, sweep_text, volts
+from gui.rig.session import ManualSession
 from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import named, number_box, side_by_side, stacked
+from gui.shell.widgets import (
+    PAGE_MARGINS,
+    column,
+    make_check,
+    make_choice,
+    make_label,
+    number_box,
+    push_button,
+    row,
+    side_by_side,
+    stacked,
+)
 from gui.surface.plot import Plot
 
 _FLOOR_DB = -100
 _NEAR_RANGE_DB = -3.0
-
-
-class LevelMeter(QWidget):
-    """One bar per input for the peak; the text holds rms, peak and the highest peak. A click resets the highest."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._theme = LIGHT
-        self._levels: LevelMeasured | None = None
-        self.held_v: dict[str, float] = {}
-        """Highest peak of each input since the last reset, in V."""
-        self._rows: dict[str, tuple[QLabel, QProgressBar]] = {}
-        self.setToolTip("Peak in dB of the input's range; a click resets the highest peak")
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(1)
-        for name in ("response", "reference"):
-            label, bar = QLabel(), QProgressBar()
-            bar.setRange(_FLOOR_DB, 0)
-            bar.setFormat("%v dB")
-            bar.setAccessibleName(f"Peak of the {name} in dB of its range")
-            column.addWidget(label)
-            column.addWidget(bar)
-            self._rows[name] = label, bar
-        self.show_levels(None)
-
-    def show_levels(self, levels: LevelMeasured | None) -> None:
-        """Show the latest levels; None while there are none."""
-        self._levels = levels
-        for name, (label, bar) in self._rows.items():
-            level: ChannelLevel | None = getattr(levels, name, None)
-            if level is None:
-                label.setText(f"{name}: no levels")
-                bar.setValue(_FLOOR_DB)
-                continue
-            self.held_v[name] = max(self.held_v.get(name, 0.0), level.peak_v)
-            peak_db = 20 * math.log10(max(level.peak_v, 1e-12) / level.range_v)
-            label.setText(self._text(name, level))
-            bar.setValue(min(0, max(_FLOOR_DB, round(peak_db))))
-            theme = self._theme
-            colour = theme.fault if level.over_range else theme.warning if peak_db > _NEAR_RANGE_DB else theme.good
-            palette = bar.palette()
-            palette.setColor(QPalette.ColorRole.Highlight, QColor(colour))
-            bar.setPalette(palette)
-        self.setAccessibleName("; ".join(label.text() for label, _ in self._rows.values()))
-
-    def apply_theme(self, theme: Theme) -> None:
-        self._theme = theme
-        for _, bar in self._rows.values():
-            bar.setPalette(QPalette())
-        self.show_levels(self._levels)
-
-    def mousePressEvent(self, _event: QMouseEvent | None) -> None:  # noqa: N802
-        self.held_v.clear()
-        self.show_levels(self._levels)
-
-    def _text(self, name: str, level: ChannelLevel) -> str:
-        share = 100 * level.peak_v / level.range_v
-        percent = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
-        text = f"{name}: {volts(level.rms_v)} rms, {volts(level.peak_v)} peak, {percent} % of {level.range_v:g} V"
-        text += f"; highest {volts(self.held_v[name])}"
-        if name == "response" and self._levels is not None and self._levels.light is not None:
-            text += f"; signal {self._levels.light:.0%}"
-        return f"▲ over-range! {text}" if level.over_range else text
-
-
 _STATES = {
     "released": "○ The instruments are free",
     "opening": "◌ Opening the instruments…",
@@ -116,44 +50,35 @@ class ManualPage(QWidget):
     def __init__(self, session: ManualSession) -> None:
         super().__init__()
         self._session = session
-        self._drawn = -1
-        self.take = named(QPushButton("&Open instruments"), "Open mirror, recorder and player in a separate process")
-        self.release = named(
-            QPushButton("&Close them"), "Mute, park and close the instruments, so that other programs can use them"
-        )
-        self.mute = named(QPushButton("M&ute"), "Silence every output at once and drop waiting orders (Ctrl+0)")
-        self.state = QLabel()
-        self.state.setAccessibleName("State of the instruments")
+        self.take = push_button("&Open instruments", "Open mirror, recorder and player in a separate process")
+        tip = "Mute, park and close the instruments, so that other programs can use them"
+        self.release = push_button("&Close them", tip, session.release)
         self.jog, self.sound = JogPanel(session), SoundPanel(session)
-        row = QHBoxLayout()
-        for widget in (self.take, self.release, self.mute, self.state):
-            row.addWidget(widget)
-        row.addStretch(1)
+        tip = "Silence every output at once and drop waiting orders (Ctrl+0)"
+        self.mute = push_button("M&ute", tip, self.sound.mute)
+        self.state = make_label("State of the instruments")
         self.splitter = side_by_side((self.jog, 600), (self.sound, 640))
-        column = QVBoxLayout(self)
-        column.setContentsMargins(4, 6, 4, 4)
-        column.addLayout(row)
-        column.addWidget(self.splitter, stretch=1)
-        self.release.clicked.connect(lambda _checked=False: session.release())
-        self.mute.clicked.connect(self.sound.mute)
+        buttons = row(self.take, self.release, self.mute, self.state, None)
+        column(buttons, (self.splitter, 1), owner=self, margins=PAGE_MARGINS)
         self.sound.actuator.currentIndexChanged.connect(self._mark_actuator)
+        session.state_changed.connect(self._show_state)
+        self._show_state()
 
     def draw(self, *, has_rig: bool) -> None:
-        session = self._session
-        self.take.setEnabled(has_rig and session.state == "released")
-        if self._drawn != session.revision["state"]:
-            self._drawn = session.revision["state"]
-            self.release.setEnabled(session.state in ("opening", "ready"))
-            self.mute.setEnabled(session.state == "ready")
-            self.state.setText(_STATES[session.state])
-            instruments = session.facts.instruments if session.facts is not None else {}
-            self.state.setToolTip("\n".join(f"{role}: {name}" for role, name in instruments.items()))
-        self.jog.draw()
-        self.sound.draw()
+        self.take.setEnabled(has_rig and self._session.state == "released")
+        self.sound.repeat()
 
     def apply_theme(self, theme: Theme) -> None:
         self.jog.picture.apply_theme(theme)
         self.sound.apply_theme(theme)
+
+    def _show_state(self) -> None:
+        state, facts = self._session.state, self._session.facts
+        self.release.setEnabled(state in ("opening", "ready"))
+        self.mute.setEnabled(state == "ready")
+        self.state.setText(_STATES[state])
+        instruments = facts.instruments if facts is not None else {}
+        self.state.setToolTip("\n".join(f"{role}: {name}" for role, name in instruments.items()))
 
     def _mark_actuator(self, actuator: int) -> None:
         facts = self._session.facts
@@ -168,53 +93,53 @@ class SoundPanel(QWidget):
         super().__init__()
         self._session = session
         self._theme = LIGHT
-        self._drawn = {"state": -1, "level": -1, "sweep": -1}
         self._due_s = 0.0
         self.meter = LevelMeter()
-        self.listen = named(QCheckBox("&Listen"), "Show the levels of both inputs four times a second")
-        self.sounds = named(
-            QCheckBox("W&hile the actuator sounds"),
-            "Play a sweep of 0.1 s on the actuator below each time, at its level: jog to where the response is largest",
+        self.listen = make_check("&Listen", "Show the levels of both inputs four times a second")
+        tip = (
+            "Play a sweep of 0.1 s on the actuator below each time, at its level: jog to where the response is largest"
         )
-        self.actuator = named(QComboBox(), "Actuator that plays, in the bank's order", "Actuator")
+        self.sounds = make_check("W&hile the actuator sounds", tip)
+        self.actuator = make_choice("Actuator", "Actuator that plays, in the bank's order", ())
         self.level_v = number_box("Level in V", "Peak of the sweep in V", " V", 3, 0.001, 1000.0)
         self.start_hz = number_box("Start in Hz", "Start of the sweep in Hz", " Hz", 0, 1.0, _HIGHEST_HZ)
         self.stop_hz = number_box("Stop in Hz", "End of the sweep in Hz", " Hz", 0, 2.0, _HIGHEST_HZ)
         self.length_s = number_box("Duration in s", "Duration of the sweep in s", " s", 2, 0.05, 10.0)
         self.length_s.setValue(_DEFAULT_S)
-        self.sweep = named(QPushButton("S&weep"), "Play one sweep and show its recording (F5)")
-        self.again = named(
-            QCheckBox("Re&peat"), "Start the next sweep as soon as one is recorded, until unticked or muted"
-        )
-        self.figures, self.verdict = QLabel("no sweep yet"), QLabel()
-        self.figures.setAccessibleName("Figures of the sweep")
-        self.verdict.setAccessibleName("Defects of the sweep")
+        self.sweep = push_button("S&weep", "Play one sweep and show its recording (F5)", self.take_sweep)
+        tip = "Start the next sweep as soon as one is recorded, until unticked or muted"
+        self.again = make_check("Re&peat", tip)
+        self.figures = make_label("Figures of the sweep", "no sweep yet", wraps=True, any_width=True)
+        self.verdict = make_label("Defects of the sweep", wraps=True, any_width=True)
         self.waveform = Plot("Waveform of the sweep", "time (s)", "mV", legend_at=_LEGEND_AT)
-        self.spectrum = Plot(
-            "Spectrum of the sweep",
-            "frequency (Hz); dashed: the sweep's band; dB re 1 V/√Hz",
-            "dB",
-            legend_at=_LEGEND_AT,
+        bottom = "frequency (Hz); dashed: the sweep's band; dB re 1 V/√Hz"
+        self.spectrum = Plot("Spectrum of the sweep", bottom, "dB", legend_at=_LEGEND_AT)
+        for plot in (self.waveform, self.spectrum):
+            plot.setMinimumHeight(90)
+        first = (*_labelled("A&ctuator", self.actuator), *_labelled("Le&vel", self.level_v), self.sweep, self.again)
+        second = (*_labelled("&From", self.start_hz), *_labelled("to", self.stop_hz), *_labelled("for", self.length_s))
+        column(
+            row(self.listen, self.sounds, None),
+            self.meter,
+            row(*first, None),
+            row(*second, None),
+            self.figures,
+            self.verdict,
+            (stacked((self.waveform, 200), (self.spectrum, 200)), 1),
+            owner=self,
         )
-        self._lay_out()
         self.listen.clicked.connect(self._listen)
         self.sounds.clicked.connect(self._listen_again)
         self.actuator.activated.connect(self._listen_again)
         self.level_v.editingFinished.connect(self._listen_again)
-        self.sweep.clicked.connect(lambda _checked=False: self.take_sweep())
         self.again.clicked.connect(lambda on: self.take_sweep() if on else None)
+        session.state_changed.connect(self._show_state)
+        session.level_changed.connect(self._show_level)
+        session.sweep_changed.connect(self._show_sweep)
+        self._show_state()
 
-    def draw(self) -> None:
-        session, revision = self._session, self._session.revision
-        changed = {name for name, seen in self._drawn.items() if seen != revision[name]}
-        self._drawn = {name: revision[name] for name in self._drawn}
-        if "state" in changed:
-            self._draw_state()
-        if "level" in changed:
-            self.listen.setChecked(session.listening)
-            self.meter.show_levels(session.levels if session.listening else None)
-        if "sweep" in changed:
-            self._draw_sweep()
+    def repeat(self) -> None:
+        """Take the next sweep when it is due."""
         if self.again.isChecked() and time.monotonic() >= self._due_s:
             self.take_sweep()
 
@@ -234,45 +159,10 @@ class SoundPanel(QWidget):
         self._theme = theme
         for part in (self.meter, self.waveform, self.spectrum):
             part.apply_theme(theme)
-        self._drawn["sweep"] = -1
+        self._show_sweep()
 
-    def _lay_out(self) -> None:
-        listening, first, second = QHBoxLayout(), QHBoxLayout(), QHBoxLayout()
-        listening.addWidget(self.listen)
-        listening.addWidget(self.sounds)
-        for row, text, widget in (
-            (first, "A&ctuator", self.actuator),
-            (first, "Le&vel", self.level_v),
-            (second, "&From", self.start_hz),
-            (second, "to", self.stop_hz),
-            (second, "for", self.length_s),
-        ):
-            label = QLabel(text)
-            label.setBuddy(widget)
-            row.addWidget(label)
-            row.addWidget(widget)
-        first.addWidget(self.sweep)
-        first.addWidget(self.again)
-        for label in (self.figures, self.verdict):
-            label.setWordWrap(True)
-            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        for plot in (self.waveform, self.spectrum):
-            plot.setMinimumHeight(90)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addLayout(listening)
-        column.addWidget(self.meter)
-        for row in (first, second):
-            column.addLayout(row)
-        for row in (listening, first, second):
-            row.addStretch(1)
-        column.addWidget(self.figures)
-        column.addWidget(self.verdict)
-        column.addWidget(stacked((self.waveform, 200), (self.spectrum, 200)), stretch=1)
-
-    def _draw_state(self) -> None:
-        session, facts = self._session, self._session.facts
-        ready = session.state == "ready"
+    def _show_state(self) -> None:
+        facts, ready = self._session.facts, self._session.state == "ready"
         for part in (self.listen, self.sounds, self.actuator, self.level_v, self.start_hz, self.stop_hz,
                      self.length_s, self.sweep, self.again):  # fmt: skip
             part.setEnabled(ready)
@@ -287,12 +177,17 @@ class SoundPanel(QWidget):
             self.start_hz.setValue(facts.band_hz[0])
             self.stop_hz.setValue(facts.band_hz[1])
 
-    def _draw_sweep(self) -> None:
+    def _show_level(self) -> None:
+        self.listen.setChecked(self._session.listening)
+        self.meter.show_levels(self._session.levels if self._session.listening else None)
+
+    def _show_sweep(self) -> None:
         sweep = self._session.sweep
         if sweep is None:
             return
-        self.figures.setText(sweep_text(sweep))
-        defects = sweep_defects(sweep)
+        self.figures.setText(_sweep_text(sweep))
+        defects = [] if sweep.figures is None else [defect.sentence for defect in sweep.figures.defects]
+        defects = [sweep.trouble, *defects] if sweep.trouble else defects
         self.verdict.setText("▲ " + "; ".join(defects) if defects else "✔ no defects")
         self.verdict.setStyleSheet(f"color: {self._theme.fault if defects else self._theme.good};")
         self._draw_waveform(sweep)
@@ -302,7 +197,7 @@ class SoundPanel(QWidget):
         """Draw both inputs; the reference is scaled to the response's peak."""
         plot = self.waveform.getPlotItem()
         plot.clear()
-        response_v, reference_v = (np.array(volts) for volts in (sweep.response_v, sweep.reference_v))
+        response_v, reference_v = np.array(sweep.response_v), np.array(sweep.reference_v)
         response_peak_v = sweep.level.response.peak_v
         factor, unit = (1e3, "mV") if response_peak_v < _MILLIVOLTS_BELOW_V else (1.0, "V")
         plot.setLabel("left", unit)
@@ -314,15 +209,10 @@ class SoundPanel(QWidget):
         plot.getViewBox().autoRange()
 
     def _draw_spectrum(self, sweep: SweepTaken) -> None:
-        plot, theme = self.spectrum.getPlotItem(), self._theme
+        plot, theme, frequency_hz = self.spectrum.getPlotItem(), self._theme, np.array(sweep.frequency_hz)
         plot.clear()
-        for name, values_db, colour, width in (
-            ("in silence", sweep.noise_db, theme.faint, 1.0),
-            ("with the sweep", sweep.response_db, theme.traces[0], 1.6),
-        ):
-            plot.plot(
-                np.array(sweep.frequency_hz), np.array(values_db), pen=pyqtgraph.mkPen(colour, width=width), name=name
-            )
+        self.spectrum.line(frequency_hz, np.array(sweep.noise_db), theme.faint, 1.0, "in silence")
+        self.spectrum.line(frequency_hz, np.array(sweep.response_db), theme.traces[0], 1.6, "with the sweep")
         self.spectrum.mark_band(sweep.start_hz, sweep.stop_hz)
         lowest_db = float(np.median(sweep.noise_db)) - _BELOW_NOISE_DB
         plot.setYRange(lowest_db, max(sweep.response_db) + _ABOVE_PEAK_DB, padding=0)
@@ -336,3 +226,88 @@ class SoundPanel(QWidget):
         if self._session.listening:
             self.listen.setChecked(True)
             self._listen()
+
+
+class LevelMeter(QWidget):
+    """One bar per input for the peak; the text holds rms, peak and the highest peak. A click resets the highest."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._theme = LIGHT
+        self._levels: LevelMeasured | None = None
+        self.held_v: dict[str, float] = {}
+        """Highest peak of each input since the last reset, in V."""
+        self._bars = {name: (QLabel(), QProgressBar()) for name in ("response", "reference")}
+        self.setToolTip("Peak in dB of the input's range; a click resets the highest peak")
+        for name, (_, bar) in self._bars.items():
+            bar.setRange(_FLOOR_DB, 0)
+            bar.setFormat("%v dB")
+            bar.setAccessibleName(f"Peak of the {name} in dB of its range")
+        column(*(part for pair in self._bars.values() for part in pair), owner=self).setSpacing(1)
+        self.show_levels(None)
+
+    def show_levels(self, levels: LevelMeasured | None) -> None:
+        """Show the latest levels; None while there are none."""
+        self._levels = levels
+        for name, (label, bar) in self._bars.items():
+            level: ChannelLevel | None = getattr(levels, name, None)
+            if level is None:
+                label.setText(f"{name}: no levels")
+                bar.setValue(_FLOOR_DB)
+                continue
+            self.held_v[name] = max(self.held_v.get(name, 0.0), level.peak_v)
+            peak_db = 20 * math.log10(max(level.peak_v, 1e-12) / level.range_v)
+            label.setText(self._text(name, level))
+            bar.setValue(min(0, max(_FLOOR_DB, round(peak_db))))
+            theme, palette = self._theme, bar.palette()
+            colour = theme.fault if level.over_range else theme.warning if peak_db > _NEAR_RANGE_DB else theme.good
+            palette.setColor(QPalette.ColorRole.Highlight, QColor(colour))
+            bar.setPalette(palette)
+        self.setAccessibleName("; ".join(label.text() for label, _ in self._bars.values()))
+
+    def apply_theme(self, theme: Theme) -> None:
+        self._theme = theme
+        for _, bar in self._bars.values():
+            bar.setPalette(QPalette())
+        self.show_levels(self._levels)
+
+    def mousePressEvent(self, _event: QMouseEvent | None) -> None:  # noqa: N802
+        self.held_v.clear()
+        self.show_levels(self._levels)
+
+    def _text(self, name: str, level: ChannelLevel) -> str:
+        share = 100 * level.peak_v / level.range_v
+        percent = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
+        text = f"{name}: {_volts(level.rms_v)} rms, {_volts(level.peak_v)} peak, {percent} % of {level.range_v:g} V"
+        text += f"; highest {_volts(self.held_v[name])}"
+        if name == "response" and self._levels is not None and self._levels.light is not None:
+            text += f"; signal {self._levels.light:.0%}"
+        return f"▲ over-range! {text}" if level.over_range else text
+
+
+def _labelled(text: str, widget: QWidget) -> tuple[QLabel, QWidget]:
+    label = QLabel(text)
+    label.setBuddy(widget)
+    return label, widget
+
+
+def _volts(value_v: float) -> str:
+    return str(pyqtgraph.siFormat(value_v, precision=3, suffix="V"))
+
+
+def _sweep_text(sweep: SweepTaken) -> str:
+    """Figures of a sweep in one line."""
+    parts = [
+        f"actuator {sweep.actuator} at {sweep.level_v:.3g} V",
+        f"response {_volts(sweep.level.response.peak_v)} peak",
+    ]
+    if sweep.figures is not None:
+        for value, template in (
+            (sweep.figures.snr_db, "signal {:.0f} dB above noise"),
+            (sweep.figures.residual_db, "{:.0f} dB unexplained"),
+            (1e3 * sweep.figures.latency_s, "latency {:.1f} ms"),
+            (sweep.figures.clock_ppm, "clocks {:+.0f} ppm apart"),
+        ):
+            if math.isfinite(value):
+                parts.append(template.format(value))
+    return "; ".join(parts)

@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from config.messages.operate import Numbers
 from config.rig import Surface
-from gui.rig.messages import Pair, pairs
 from gui.shell.toml_files import is_virtual, tables_of
 from gui.surface.surface import surface_from
 from storage.errors import InputError
@@ -21,20 +21,23 @@ class RigFile:
     path: Path
     is_virtual: bool = True
     surface: Surface = field(default_factory=Surface)
-    actuator_mm: list[Pair] = field(default_factory=list)
+    actuator_mm: list[Numbers] = field(default_factory=list)
 
 
 def read_rig_file(path: Path) -> RigFile:
     """Read what a picture needs; wrong values are replaced by defaults.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is not TOML.
+    Raises InputError: the file cannot be read, or is not TOML.
     """
     content = tables_of(path)
     surface, actuators = (one if isinstance(one, dict) else {} for one in map(content.get, ("surface", "actuators")))
-    return RigFile(path, is_virtual(content), surface_from(surface), pairs(actuators.get("position_mm")))
+    places = actuators.get("position_mm")
+    actuator_mm = [
+        (float(place[0]), float(place[1]))
+        for place in (places if isinstance(places, list) else ())
+        if isinstance(place, list) and len(place) == 2 and all(type(one) in (int, float) for one in place)
+    ]
+    return RigFile(path, is_virtual(content), surface_from(surface), actuator_mm)
 
 
 def line_of(path: Path, key: str) -> int:

@@ -7,19 +7,18 @@ from pathlib import Path
 
 from PyQt5.QtCore import QUrl
 from PyQt5.QtGui import QDesktopServices
-from PyQt5.QtWidgets import QAction, QHBoxLayout, QPushButton, QTabWidget, QVBoxLayout
+from PyQt5.QtWidgets import QAction, QTabWidget
 
-from gui.rig.calibration import Calibration
 from gui.rig.calibration_page import CalibrationPage
 from gui.rig.examination import ExaminationPage
 from gui.rig.manual_page import ManualPage
-from gui.rig.manual_session import ManualSession
 from gui.rig.rig_file import RigFile, line_of, read_rig_file
+from gui.rig.session import Calibration, ManualSession
 from gui.shell.files import PathField
 from gui.shell.tab import Tab, TabContext
 from gui.shell.theme import Theme
 from gui.shell.toml_files import TomlKind, rig_of_run, toml_kind
-from gui.shell.widgets import copy_text, make_action, named
+from gui.shell.widgets import PAGE_MARGINS, column, copy_text, make_action, push_button, row
 from storage.errors import InputError
 
 
@@ -35,7 +34,8 @@ class RigTab(Tab):
         self.session = ManualSession(context)
         self.calibration = Calibration(context)
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings)
-        self.of_run = named(QPushButton("From &run file"), "Use the rig file that the Campaign tab's run file names")
+        tip = "Use the rig file that the Campaign tab's run file names"
+        self.of_run = push_button("From &run file", tip, self._use_rig_of_run)
         self.examination = ExaminationPage(context)
         self.manual_page = ManualPage(self.session)
         self.calibration_page = CalibrationPage(self.calibration, context.settings)
@@ -45,16 +45,9 @@ class RigTab(Tab):
         self.pages.addTab(self.examination, "Examination")
         self.pages.addTab(self.manual_page, "By hand")
         self.pages.addTab(self.calibration_page, "Calibration")
-        files = QHBoxLayout()
-        files.addWidget(self.rig_field, stretch=1)
-        files.addWidget(self.of_run)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(4, 6, 4, 4)
-        column.addLayout(files)
-        column.addWidget(self.pages, stretch=1)
+        column(row((self.rig_field, 1), self.of_run), (self.pages, 1), owner=self, margins=PAGE_MARGINS)
         self.divide(hand=self.manual_page.splitter, calibration=self.calibration_page.splitter)
         self.rig_field.chosen.connect(self.open_file)
-        self.of_run.clicked.connect(self._use_rig_of_run)
         self.examination.examine.clicked.connect(lambda _checked=False: self.examine())
         self.examination.wanted.connect(self.do)
         self.manual_page.take.clicked.connect(self.take)
@@ -136,7 +129,7 @@ class RigTab(Tab):
             page.apply_theme(theme)
 
     def instruments_held(self) -> str:
-        busy = self.session.held or self.examination.running or self.calibration.running
+        busy = self.session.running or self.examination.running or self.calibration.running
         if not busy or self.rig is None or self.rig.is_virtual:
             return ""
         return f"the Rig tab has the instruments of {self.rig.path.name}"

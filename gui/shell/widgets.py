@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
+from types import MappingProxyType
 from typing import TypeVar
 
 from PyQt5.QtCore import QObject, Qt
-from PyQt5.QtGui import QFontDatabase, QKeySequence
+from PyQt5.QtGui import QColor, QFontDatabase, QKeySequence
 from PyQt5.QtWidgets import (
     QAbstractButton,
     QAbstractItemView,
     QAction,
     QApplication,
+    QCheckBox,
+    QComboBox,
     QDialog,
     QDoubleSpinBox,
+    QHBoxLayout,
     QHeaderView,
     QLabel,
+    QLayout,
     QPlainTextEdit,
+    QPushButton,
+    QSizePolicy,
     QSplitter,
     QTableWidget,
+    QTableWidgetItem,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -30,8 +38,14 @@ from acquisition.durations import hours
 from gui.shell.theme import LIGHT, Theme
 
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)
+AnyBox = TypeVar("AnyBox", QHBoxLayout, QVBoxLayout)
 # A widget, and its width or height in pixels.
 Part = tuple[QWidget, int]
+# A part of a row or a column.
+Item = QWidget | QLayout | tuple[QWidget | QLayout, int] | int | None
+Margins = tuple[int, int, int, int]
+_NO_MARGINS = (0, 0, 0, 0)
+PAGE_MARGINS = (4, 6, 4, 4)
 
 _DIALOG_COLUMNS, _DIALOG_LINES = 110, 24
 
@@ -95,6 +109,90 @@ def make_table(titles: Sequence[str], name: str, stretched: Sequence[int]) -> QT
     for column in stretched:
         columns.setSectionResizeMode(column, QHeaderView.ResizeMode.Stretch)
     return table
+
+
+def fill_row(
+    table: QTableWidget,
+    row: int,
+    texts: Sequence[str],
+    colours: Mapping[int, str] = MappingProxyType({}),
+    align: Qt.AlignmentFlag = Qt.AlignmentFlag.AlignLeft,
+) -> None:
+    """Set the texts of a row, which are the tooltips, too; `colours` by column."""
+    for column, text in enumerate(texts):
+        item = QTableWidgetItem(text)
+        item.setToolTip(text)
+        item.setTextAlignment(align | Qt.AlignmentFlag.AlignVCenter)
+        if column in colours:
+            item.setForeground(QColor(colours[column]))
+        table.setItem(row, column, item)
+
+
+def make_label(
+    name: str = "", text: str = "", *, role: str = "", wraps: bool = False, any_width: bool = False
+) -> QLabel:
+    """Make a label; `role` is ``"faint"`` or ``"strong"``, one of `any_width` never widens its parent."""
+    label = QLabel(text)
+    label.setAccessibleName(name)
+    label.setProperty("role", role)
+    label.setWordWrap(wraps)
+    if any_width:
+        label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+    return label
+
+
+def make_choice(name: str, tip: str, choices: Sequence[str], chosen: int = 0) -> QComboBox:
+    """Make a box to choose one of several texts."""
+    choice = named(QComboBox(), tip, name)
+    choice.addItems(choices)
+    choice.setCurrentIndex(chosen)
+    return choice
+
+
+def make_check(text: str, tip: str, *, on: bool = False) -> QCheckBox:
+    """Make a check box."""
+    box = named(QCheckBox(text), tip)
+    box.setChecked(on)
+    return box
+
+
+def push_button(text: str, tip: str, act: Callable[[], object] | None = None, name: str = "") -> QPushButton:
+    """Make a button that calls `act`."""
+    button = named(QPushButton(text), tip, name)
+    if act is not None:
+
+        def clicked(_checked: bool = False) -> None:
+            act()
+
+        button.clicked.connect(clicked)
+    return button
+
+
+def row(*items: Item, owner: QWidget | None = None, margins: Margins = _NO_MARGINS) -> QHBoxLayout:
+    """Lay items out from left to right: widgets, layouts, (item, stretch), pixels of space, None for a stretch."""
+    return _fill(QHBoxLayout(), items, owner, margins)
+
+
+def column(*items: Item, owner: QWidget | None = None, margins: Margins = _NO_MARGINS) -> QVBoxLayout:
+    """Lay items out from top to bottom, as `row`."""
+    return _fill(QVBoxLayout(), items, owner, margins)
+
+
+def _fill(box: AnyBox, items: Sequence[Item], owner: QWidget | None, margins: Margins) -> AnyBox:
+    box.setContentsMargins(*margins)
+    for item in items:
+        part, stretch = item if isinstance(item, tuple) else (item, 0)
+        if part is None:
+            box.addStretch(1)
+        elif isinstance(part, int):
+            box.addSpacing(part)
+        elif isinstance(part, QLayout):
+            box.addLayout(part, stretch)
+        else:
+            box.addWidget(part, stretch)
+    if owner is not None:
+        owner.setLayout(box)
+    return box
 
 
 def side_by_side(*parts: Part, growing: Sequence[int] = ()) -> QSplitter:

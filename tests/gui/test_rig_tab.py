@@ -17,7 +17,7 @@ from pytestqt.qtbot import QtBot
 from calibration.rig.mirror_map import MirrorMap
 from config.messages.calibrate import AskJog
 from config.messages.doctor import Act, Finding
-from gui.rig.messages import button_of
+from gui.rig.examination import button_of
 from gui.rig.rig_file import line_of
 from gui.rig.tab import RigTab
 from gui.shell.window import Window
@@ -110,20 +110,20 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     view = jog.picture.getPlotItem().getViewBox()
     place = jog.picture.mapFromScene(view.mapViewToScene(QPointF(40.0, -25.0)))
     qtbot.mouseClick(jog.picture.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(place.x(), place.y()))
-    until(qtbot, window, lambda: hands.spot.place_mm is not None)
-    assert hands.spot.place_mm == pytest.approx((40.0, -25.0), abs=1.0)
+    until(qtbot, window, lambda: hands.place_mm is not None)
+    assert hands.place_mm == pytest.approx((40.0, -25.0), abs=1.0)
     until(qtbot, window, lambda: "mrad" in jog.where.text())
-    before_mm = hands.spot.place_mm[0]
+    before_mm = hands.place_mm[0]
     for _ in range(3):  # steps that come while the beam moves are not lost
         click(qtbot, window, jog.arrows.buttons["right"])
-    until(qtbot, window, lambda: hands.spot.place_mm[0] == pytest.approx(before_mm + 3.0, abs=1e-3))
+    until(qtbot, window, lambda: hands.place_mm[0] == pytest.approx(before_mm + 3.0, abs=1e-3))
     qtbot.keyClick(jog.picture, Qt.Key.Key_Left)
-    until(qtbot, window, lambda: hands.spot.place_mm[0] == pytest.approx(before_mm + 2.0, abs=1e-3))
+    until(qtbot, window, lambda: hands.place_mm[0] == pytest.approx(before_mm + 2.0, abs=1e-3))
     jog.x_mm.setValue(1000.0)
     click(qtbot, window, jog.go)
     until(qtbot, window, lambda: "mirror.limit_mrad" in window.messages.sentence)
     click(qtbot, window, jog.park)
-    until(qtbot, window, lambda: hands.spot.parked)
+    until(qtbot, window, lambda: hands.beam.parked)
 
     click(qtbot, window, jog.middle)
     sound.listen.click()
@@ -142,8 +142,9 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     assert len(sound.spectrum.getPlotItem().listDataItems()) == 2
     sound.actuator.setCurrentIndex(0)
     sound.again.click()
-    first = hands.revision["sweep"]
-    until(qtbot, window, lambda: hands.revision["sweep"] > first + 3 and "✔" in sound.verdict.text())
+    sweeps: list[None] = []
+    hands.sweep_changed.connect(lambda: sweeps.append(None))
+    until(qtbot, window, lambda: len(sweeps) > 1 and "✔" in sound.verdict.text())
     click(qtbot, window, tab.manual_page.mute)
     until(qtbot, window, lambda: not hands.listening and not hands.sweeping)
     assert not sound.again.isChecked()

@@ -109,7 +109,7 @@ def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments
     refused("Open them")
     rig.calibrate([])
     refused("Calibrate")
-    assert [rig.examination.running, rig.session.held, rig.calibration.running] == [False, False, False]
+    assert [rig.examination.running, rig.session.running, rig.calibration.running] == [False, False, False]
     scene.results.bar.rig_field.line.setText(str(real_rig))
     scene.results.play()
     refused("Play")
@@ -145,7 +145,7 @@ def test_given_instruments_in_hand_then_a_campaign_on_them_is_not_started_withou
     tab, rig = campaign_of(window), rig_of(window)
     wait(qtbot, tab.controls.buttons["start"].isEnabled)
     rig.take()
-    assert rig.session.held
+    assert rig.session.running
     press(qtbot, tab, "start")
     told = "the Rig tab has the instruments of real.toml, so the instruments are busy: stop it first"
     assert window.messages.sentence == told

@@ -1,0 +1,356 @@
+"""Child processes that hold a rig's instruments: ``wavefocus operate`` and ``wavefocus calibrate``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from PyQt5.QtCore import QObject, pyqtSignal
+
+from config.messages.calibrate import (
+    CALIBRATE_EVENTS,
+    AskAgain,
+    AskConnect,
+    AskJog,
+    Begin,
+    CalibrationDone,
+    MapView,
+    Question,
+    Tell,
+)
+from config.messages.codec import message_of
+from config.messages.operate import (
+    OPERATE_EVENTS,
+    Done,
+    Faulted,
+    LevelMeasured,
+    LevelsSwitched,
+    MirrorMoved,
+    Numbers,
+    Ready,
+    Refused,
+    SweepTaken,
+)
+from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
+from gui.shell.tab import TabContext
+
+_LASER_ADVICE = "the laser may stand where it was: park it, or switch it off"
+
+
+class RigProcess(QObject):
+    """At most one process that holds the instruments; detached, it mutes, parks and exits by itself."""
+
+    level_changed = pyqtSignal()
+
+    def __init__(self, context: TabContext) -> None:
+        super().__init__()
+        self._context = context
+        self._process: CommandProcess | None = None
+        self.levels: LevelMeasured | None = None
+        """Latest levels of the inputs."""
+
+    @property
+    def running(self) -> bool:
+        return self._process is not None
+
+    @property
+    def pid(self) -> int | None:
+        return None if self._process is None else self._process.pid
+
+    def detach(self) -> None:
+        """Leave the process; the window closes."""
+        if self._process is not None:
+            self._process.detach()
+            self._process = None
+
+    def _start(self, *arguments: str) -> None:
+        self._process = self._context.run(arguments, self._ended, self._receive, advice=_LASER_ADVICE)
+
+    def _receive(self, message: Message) -> None:
+        raise NotImplementedError
+
+    def _ended(self, process: CommandProcess) -> None:
+        raise NotImplementedError
+
+
+class ManualSession(RigProcess):
+    """A rig that is operated by hand.
+
+    Attributes
+    ----------
+    state : str
+        ``"released"``, ``"opening"``, ``"ready"`` or ``"ending"``.
+    facts : Ready or None
+        The rig, once it is open.
+    beam : MirrorMoved
+        Place of the beam.
+    listening, sweeping : bool
+        Whether levels arrive; whether a sweep is under way.
+    sweep : SweepTaken or None
+        The last one.
+    """
+
+    state_changed = pyqtSignal()
+    beam_changed = pyqtSignal()
+    sweep_changed = pyqtSignal()
+
+    def __init__(self, context: TabContext) -> None:
+        super().__init__(context)
+        self._then: Callable[[], object] | None = None
+        self._reset()
+
+    def _reset(self) -> None:
+        self.state = "released"
+        self.facts: Ready | None = None
+        self.beam = MirrorMoved()
+        self.levels = None
+        self.listening = self.sweeping = False
+        self.sweep: SweepTaken | None = None
+        self._moving_to: Numbers | None = None
+        self._next: Numbers | None = None
+
+    @property
+    def place_mm(self) -> Numbers | None:
+        """Place of the beam on the surface; None where it is parked or beside the surface."""
+        x_mm, y_mm = self.beam.x_mm, self.beam.y_mm
+        return None if self.beam.parked or x_mm is None or y_mm is None else (x_mm, y_mm)
+
+    def take(self, rig: Path) -> None:
+        if self._process is None:
+            self._reset()
+            self._start("operate", str(rig))
+            self._enter("opening")
+
+    def release(self, then: Callable[[], object] | None = None) -> None:
+        """Mute, park and close the instruments; `then` is called when they are free."""
+        if self._process is None:
+            if then is not None:
+                then()
+            return
+        self._then = then
+        self._process.send(order="mute")
+        self._process.close_input()
+        self._enter("ending")
+
+    def jog_to(self, x_mm: float, y_mm: float) -> None:
+        """Send the beam to a place; of places asked for while it moves, only the last counts."""
+        if self.state != "ready":
+            return
+        if self._moving_to is not None:
+            self._next = x_mm, y_mm
+            return
+        self._moving_to = x_mm, y_mm
+        self._order(order="jog", x_mm=x_mm, y_mm=y_mm)
+
+    def jog_by(self, x_mm: float, y_mm: float) -> None:
+        """Move the beam relative to where it is, or is going."""
+        from_mm = self._next or self._moving_to or self.place_mm or (0.0, 0.0)
+        self.jog_to(round(from_mm[0] + x_mm, 4), round(from_mm[1] + y_mm, 4))
+
+    def park(self) -> None:
+        """Send the beam to its safe direction."""
+        self._next = None
+        self._order(order="park")
+
+    def mute(self) -> None:
+        """Silence the outputs at once and drop waiting orders."""
+        self._next = None
+        self._order(order="mute")
+
+    def listen(self, on: bool, actuator: int | None, level_v: float) -> None:
+        """Switch level messages on or off; `actuator` plays short sweeps meanwhile, None for silence."""
+        sounding = {} if actuator is None else {"actuator": actuator, "level_v": level_v}
+        self._order(order="level", on=on, **sounding)
+
+    def take_sweep(self, actuator: int, level_v: float, start_hz: float, stop_hz: float, duration_s: float) -> None:
+        self.sweeping = True
+        self._order(
+            order="sweep", actuator=actuator, level_v=level_v, start_hz=start_hz, stop_hz=stop_hz, duration_s=duration_s
+        )
+
+    def detach(self) -> None:
+        if self._process is not None:
+            self._process.send(order="mute")
+        super().detach()
+
+    def _order(self, **order: object) -> None:
+        if self._process is not None and self.state == "ready":
+            self._process.send(**order)
+
+    def _receive(self, message: Message) -> None:
+        match message_of(message, OPERATE_EVENTS):
+            case Ready() as facts:
+                self.facts = facts
+                self._enter("ready")
+            case MirrorMoved() as beam:
+                self.beam = beam
+                self.beam_changed.emit()
+            case LevelsSwitched(on=on):
+                self.listening = on
+                self.level_changed.emit()
+            case LevelMeasured() as levels:
+                self.levels, self.listening = levels, True
+                self.level_changed.emit()
+            case SweepTaken() as sweep:
+                self.sweep = sweep
+                self.sweep_changed.emit()
+            case Done() as done:
+                self._order_done(done)
+            case Refused(sentence=sentence):
+                self._context.messages.warn(sentence)
+            case Faulted() as fault:
+                self._report_fault(fault)
+
+    def _report_fault(self, fault: Faulted) -> None:
+        role = fault.instrument
+        answers = []
+        if self.state == "ready" and role in ("mirror", "recorder", "player"):
+            answers = [(f"Reconnect the {role}", lambda: self._order(order="reconnect", instrument=role))]
+        self._context.messages.fault(fault.sentence, *answers)
+        if not fault.passing:
+            self.listening = False
+            self.level_changed.emit()
+
+    def _order_done(self, done: Done) -> None:
+        match done.order:
+            case "jog":
+                self._moving_to, wanted, self._next = None, self._next, None
+                if wanted is not None:
+                    self.jog_to(*wanted)
+            case "sweep":
+                self.sweeping = False
+            case "mute":  # waiting orders were dropped without an answer
+                self._moving_to, self.sweeping = None, False
+            case "reconnect" if done.ok:
+                self._context.messages.note("reconnected")
+
+    def _ended(self, process: CommandProcess) -> None:
+        self._process = None
+        expected, then, self._then = self.state == "ending", self._then, None
+        self._reset()
+        self._enter("released")
+        if process.failure:
+            self._context.messages.fault(process.failure)
+            return
+        if not expected:
+            self._context.messages.warn("wavefocus operate has ended; the outputs are muted, the mirror is parked")
+        if then is not None:
+            then()
+
+    def _enter(self, state: str) -> None:
+        self.state = state
+        for signal in (self.state_changed, self.beam_changed, self.level_changed):
+            signal.emit()
+
+
+class Calibration(RigProcess):
+    """A calibration.
+
+    Attributes
+    ----------
+    question : Question or None
+        What it asks now; None while it measures.
+    lines : list of str
+        Its report so far.
+    marks_mm : list of (float, float)
+        Marks of the mirror map.
+    outcome : CalibrationDone or None
+        Its result, at the end.
+    ending : str
+        Why it ended without a result; empty while it runs.
+    """
+
+    changed = pyqtSignal()
+
+    def __init__(self, context: TabContext) -> None:
+        super().__init__(context)
+        self._reset()
+
+    def _reset(self) -> None:
+        self._steps_mrad: Numbers = (0.0, 0.0)
+        self._moving = False
+        self._unanswered = 0  # answers sent, less questions received
+        self.marks_mm: list[Numbers] = []
+        self.question: Question | None = None
+        self.lines: list[str] = []
+        self.outcome: CalibrationDone | None = None
+        self.ending = ""
+        self.levels = None
+
+    def start(self, rig: Path, options: Sequence[str]) -> None:
+        if self._process is None:
+            self._reset()
+            self._start("calibrate", str(rig), "--operator", "lines", *options)
+            self.changed.emit()
+
+    def answer(self, word: str, **numbers: float) -> None:
+        if self._process is not None and self.question is not None:
+            self._send_steps()
+            self.question = None
+            self.changed.emit()
+            self._send(word, **numbers)
+
+    def step(self, x_mrad: float, y_mrad: float) -> None:
+        """Move the beam; steps asked for while it moves are added up."""
+        if isinstance(self.question, AskJog):
+            self._steps_mrad = self._steps_mrad[0] + x_mrad, self._steps_mrad[1] + y_mrad
+            if not self._moving:
+                self._send_steps()
+
+    def cancel(self) -> None:
+        """End it: outputs muted, mirror parked, results so far written."""
+        if self.question is not None:
+            self.answer("cancel")
+        elif self._process is not None:
+            self._process.interrupt()
+
+    def _receive(self, message: Message) -> None:
+        match message_of(message, CALIBRATE_EVENTS):
+            case Begin(marks_mm=marks_mm):
+                self.marks_mm = list(marks_mm)
+            case AskConnect() | AskJog() | MapView() | AskAgain() as question:
+                self._ask(question)
+            case Tell(line=line):
+                self.lines.append(line)
+                self.changed.emit()
+            case LevelMeasured() as levels:
+                self.levels = levels
+                self.level_changed.emit()
+            case Refused(sentence=sentence):
+                self._context.messages.warn(sentence)
+            case Faulted(sentence=sentence):
+                self._context.messages.fault(sentence)
+            case CalibrationDone() as done:
+                self.outcome = done
+                self.changed.emit()
+
+    def _ask(self, question: Question) -> None:
+        self._unanswered -= 1
+        self._moving = self._unanswered >= 0
+        if self._moving:
+            return  # it is being answered already
+        self.question = question
+        self.changed.emit()
+        if isinstance(question, AskJog):
+            self._send_steps()
+
+    def _send_steps(self) -> None:
+        (x_mrad, y_mrad), self._steps_mrad = self._steps_mrad, (0.0, 0.0)
+        if x_mrad or y_mrad:
+            self._moving = True
+            self._send("by", x_mrad=round(x_mrad, 6), y_mrad=round(y_mrad, 6))
+
+    def _send(self, word: str, **numbers: float) -> None:
+        if self._process is not None:
+            self._unanswered += 1
+            self._process.send(answer=word, **numbers)
+
+    def _ended(self, process: CommandProcess) -> None:
+        self._process, self.question = None, None
+        cancelled = process.exit_code == STOPPED_BY_USER
+        self.ending = "cancelled; the outputs are muted, the mirror is parked" if cancelled else process.failure
+        self.changed.emit()
+        if self.outcome is not None and self.outcome.file:
+            self._context.messages.note(f"written: {self.outcome.file}")
+        elif self.ending and not cancelled and self.outcome is None:
+            self._context.messages.fault(self.ending)
