@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from config.fields import Finite, NonNegative, Positive, Table, mistake
+from config.fields import Finite, NonNegative, PointMm, Positive, Table, mistake
 
 PLATES_OF_KEY = {
     "rim_admittance": ("stadium",),
@@ -19,6 +19,16 @@ PLATES_OF_KEY = {
     "oscillation_deg": ("solid",),
 }
 """Keys that only some plates have, and which."""
+_OF_ANY_PLATE = ("speed_per_k", "loss_per_k", "finger")
+
+
+class Finger(Table):
+    """A finger that rests on the surface: mass, damper and spring at one place."""
+
+    place_mm: PointMm
+    mass_kg: NonNegative = 0.0
+    damping_n_s_m: NonNegative = 0.0
+    stiffness_n_m: NonNegative = 0.0
 
 
 class PlateKeys(Table):
@@ -52,10 +62,19 @@ class PlateKeys(Table):
         default=None, description='Of the plate "solid": direction of the velocity that is measured'
     )
 
+    speed_per_k: Finite | None = Field(
+        default=None, description="Change of the wave speed per kelvin of the room above 21 degrees Celsius, relative"
+    )
+    loss_per_k: Finite | None = Field(default=None, description="The same of the loss")
+    finger: Finger | None = Field(
+        default=None,
+        description="A finger on the surface: { place_mm = [x, y], mass_kg, damping_n_s_m, stiffness_n_m }",
+    )
+
     @property
     def plate_keys(self) -> dict[str, Any]:
         """The keys of the plate that are given."""
-        return self.model_dump(include=set(PLATES_OF_KEY), exclude_none=True)
+        return self.model_dump(include={*PLATES_OF_KEY, *_OF_ANY_PLATE}, exclude_none=True)
 
     @property
     def directions_deg(self) -> tuple[float, float] | None:
@@ -65,7 +84,7 @@ class PlateKeys(Table):
     @model_validator(mode="after")
     def _keys_of_this_plate(self) -> PlateKeys:
         for key, value in self.plate_keys.items():
-            if self.plate not in PLATES_OF_KEY[key]:
+            if self.plate not in PLATES_OF_KEY.get(key, (self.plate,)):
                 plates = " or ".join(f'"{name}"' for name in PLATES_OF_KEY[key])
                 raise mistake(key, value, f"belongs to plate = {plates}")
         return self

@@ -130,6 +130,10 @@ def with_rig(configuration: Configuration, rig: RigConfig, source: str) -> Confi
     return replace(configuration, rig=rig)
 
 
+FINGER_MM = 3.0
+"""Half the width of a finger, and a little."""
+
+
 def plate_behind(rig: RigConfig, run: RunConfig) -> PlateKeys:
     """The plate that a run is measured on; of real instruments no more is known than that it is one."""
     return run.virtual if run.virtual is not None and rig.is_virtual else PlateKeys()
@@ -148,6 +152,10 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
             f'{source}: virtual.plate = "thin": needs kind = "rectangle" in [surface] of the rig file, '
             'or edge = "infinite"'
         )
+    if plate.finger is not None and not rig.surface.outline.contains(plate.finger.place_mm, FINGER_MM):
+        x_mm, y_mm = plate.finger.place_mm
+        allowed = f"must be on the surface, {FINGER_MM:g} mm or more from its edge"
+        raise InputError(f"{source}: virtual.finger.place_mm = [{x_mm:g}, {y_mm:g}]: {allowed}")
     if plate.plate == "stadium" and find_spec("skfem") is None:
         raise InputError(f'{source}: virtual.plate = "stadium": needs scikit-fem: pip install "wavefocus[plates]"')
     actuators = len(rig.actuators.position_mm)
@@ -283,7 +291,7 @@ def _virtual_essence(rig: RigConfig, run: RunConfig) -> dict[str, object] | None
     if not rig.is_virtual:
         return None
     essence: dict[str, object] = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
-    if run.virtual and run.virtual.plate != Virtual().plate:
+    if run.virtual and (run.virtual.plate_keys or run.virtual.plate != Virtual().plate):
         essence |= {"plate": run.virtual.plate, **run.virtual.plate_keys}
     if not rig.emulation.is_flawless:
         essence["emulation"] = rig.emulation.truth()

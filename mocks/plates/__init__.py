@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,33 @@ from drivers.registry import Registry
 Float64Array = NDArray[np.float64]
 Complex64Array = NDArray[np.complex64]
 Complex128Array = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Factors on a plate's wave speed and loss, its density being the same. Raises ValueError.
+
+    Loss is the damping of a gel, and the reciprocal of the quality factor of glass.
+    """
+
+    speed: float = 1.0
+    loss: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.speed > 0 and self.loss >= 0):
+            raise ValueError(
+                f"at this temperature wave speed and loss would be {self.speed:g} and {self.loss:g} times their own;"
+                " choose smaller speed_per_k and loss_per_k"
+            )
+
+    def softened(self, chain: Callable[[Float64Array], Complex128Array]) -> Callable[[Float64Array], Complex128Array]:
+        """A chain times what a unit force moves: a gel twice as stiff moves half as much."""
+        return chain if self.speed == 1 else lambda frequency_hz: chain(frequency_hz) / self.speed**2
+
+
+UNCHANGED = Change()
+REFERENCE_C = 21.0
+"""Temperature at which plates are as their keys say."""
 
 
 class Plate(ABC):
@@ -35,9 +63,12 @@ class Plate(ABC):
     ----------
     name : str
         What it is registered as.
+    unit_force_n : float
+        Force in N for which its responses are velocities in m/s.
     """
 
     name: str
+    unit_force_n: float
 
     def __init__(
         self,
@@ -97,12 +128,21 @@ def make_plate(
     outline: Outline,
     chain: Callable[[Float64Array], Complex128Array],
     keys: Mapping[str, Any],
+    warmer_k: float = 0.0,
 ) -> Plate:
-    """Make a plate by its name and the keys of its table. Raises ValueError."""
-    own = {key: value for key, value in keys.items() if key != "edge"}
-    if keys.get("edge") == "infinite":
-        name = f"{name}, infinite"
-    return PLATES.all()[name](actuator_mm, outline, chain, **own)
+    """Make a plate by its name and the keys of its table, some kelvin above `REFERENCE_C`. Raises ValueError."""
+    own = {key: value for key, value in keys.items() if key not in ("edge", "speed_per_k", "loss_per_k", "finger")}
+    kind = PLATES.all()[f"{name}, infinite" if keys.get("edge") == "infinite" else name]
+    change = Change(1 + keys.get("speed_per_k", 0.0) * warmer_k, 1 + keys.get("loss_per_k", 0.0) * warmer_k)
+    if (finger := keys.get("finger")) is None:
+        return kind(actuator_mm, outline, chain, change=change, **own)
+    from mocks.plates.finger import TouchedPlate
+
+    plate = kind(actuator_mm, outline, np.ones_like, change=change, **own)
+    if name == "solid":
+        own["force_deg"] = own.get("oscillation_deg", 0.0)
+    beneath = kind(np.array([finger["place_mm"]]), outline, np.ones_like, change=change, **own)
+    return TouchedPlate(plate, beneath, chain, **finger)
 
 
 PLATES: Registry[type[Plate]] = Registry("mocks.plates")

@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from config.outline import Outline
-from mocks.plates import PLATES, Complex128Array
+from mocks.plates import PLATES, UNCHANGED, Change, Complex128Array
 from mocks.plates.infinite import InfinitePlate
 from mocks.plates.modal import ModalPlate
 from mocks.plates.soft import MAGNET_RADIUS_MM, mean_hankel
@@ -49,6 +49,7 @@ class ThinRectangle(ModalPlate):
     """
 
     name = "thin"
+    unit_force_n = STRENGTH
 
     def __init__(
         self,
@@ -57,6 +58,7 @@ class ThinRectangle(ModalPlate):
         chain: Callable[[Float64Array], Complex128Array],
         *,
         quality: float = QUALITY,
+        change: Change = UNCHANGED,
     ) -> None:
         super().__init__(actuator_mm, outline, chain)
         if not (np.isfinite(quality) and quality > 0):
@@ -64,8 +66,9 @@ class ThinRectangle(ModalPlate):
         left, bottom, right, top = outline.box_mm
         if outline.area_mm2 < (1 - 1e-6) * (right - left) * (top - bottom):
             raise ValueError('the plate "thin" is a rectangle; set kind = "rectangle" in [surface] of the rig file')
+        kappa, quality = KAPPA_M2_S * change.speed**2, quality / max(change.loss, 1e-12)
         self._corner_m = np.array([left, bottom]) / 1e3
-        self._plate = plate = ThinPlate((right - left) / 1e3, (top - bottom) / 1e3, KAPPA_M2_S, MASS_KG_M2)
+        self._plate = plate = ThinPlate((right - left) / 1e3, (top - bottom) / 1e3, kappa, MASS_KG_M2)
         most = [int(np.sqrt(2 * HIGHEST_HZ / (np.pi * KAPPA_M2_S)) * side) for side in (plate.length_m, plate.width_m)]
         across, along = (part.ravel() for part in np.meshgrid(*(np.arange(1, count + 1) for count in most)))
         hertz = plate.mode_hz(across, along)
@@ -74,7 +77,7 @@ class ThinRectangle(ModalPlate):
         self._angular, self._quality = 2 * np.pi * hertz[within], quality
         self._modal_mass_kg = plate.mass_kg_m2 * plate.length_m * plate.width_m / 4
         # Mean of a mode over the disk of an actuator: its value at the centre times a factor of its wave number.
-        argument = np.sqrt(self._angular / KAPPA_M2_S) * MAGNET_RADIUS_MM / 1e3
+        argument = np.sqrt(self._angular / kappa) * MAGNET_RADIUS_MM / 1e3
         self._force = self._shapes(actuator_mm) * 2 * scipy.special.jv(1, argument) / argument
 
     def coefficients(self, place_mm: Float64Array) -> Float64Array:
@@ -109,10 +112,13 @@ class FlexuralWave:
         Q, > 0.5.
     travels : bool
         Which of the two it is.
+    kappa_m2_s : float
+        sqrt(D / (rho h)), > 0.
     """
 
     quality: float
     travels: bool
+    kappa_m2_s: float = KAPPA_M2_S
 
     plain_from_hz: ClassVar[float] = np.inf
     speed_m_s: ClassVar[float] = np.inf
@@ -129,14 +135,14 @@ class FlexuralWave:
     def wavenumber(self, frequency_hz: Float64Array) -> Complex128Array:
         """Complex wavenumber in rad/m."""
         turn = np.exp(-0.5j * self._phi) if self.travels else -1j * np.exp(0.5j * self._phi)
-        return np.asarray(np.sqrt(2 * np.pi * frequency_hz / KAPPA_M2_S) * turn)
+        return np.asarray(np.sqrt(2 * np.pi * frequency_hz / self.kappa_m2_s) * turn)
 
     def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
         """Part of (H0(2)(k1 r) - H0(2)(k2 r)) / (8 sqrt(D rho h) cos(phi)); H0(2)(-j z) = (2j / pi) K0(z)."""
         still = frequency_hz == 0
         wavenumber = self.wavenumber(np.where(still, 1.0, frequency_hz))
         mean = mean_hankel(wavenumber, radius_mm / 1e3, source_radius_mm / 1e3)
-        mobility = INFINITE_STRENGTH / (8 * MASS_KG_M2 * KAPPA_M2_S * np.cos(self._phi))
+        mobility = INFINITE_STRENGTH / (8 * MASS_KG_M2 * self.kappa_m2_s * np.cos(self._phi))
         return np.asarray(np.where(still, 0.0, (mobility if self.travels else -mobility) * mean))[None]
 
 
@@ -145,6 +151,7 @@ class InfiniteGlass(InfinitePlate):
     """Glass without an edge: waves leave and never come back; `quality` as of the rectangle."""
 
     name = "thin, infinite"
+    unit_force_n = INFINITE_STRENGTH
 
     def __init__(
         self,
@@ -153,9 +160,11 @@ class InfiniteGlass(InfinitePlate):
         chain: Callable[[Float64Array], Complex128Array],
         *,
         quality: float = QUALITY,
+        change: Change = UNCHANGED,
     ) -> None:
-        waves = FlexuralWave(quality, travels=True), FlexuralWave(quality, travels=False)
-        super().__init__(actuator_mm, outline, chain, waves)
+        facts = quality / max(change.loss, 1e-12), KAPPA_M2_S * change.speed**2
+        waves = [FlexuralWave(facts[0], travels, facts[1]) for travels in (True, False)]
+        super().__init__(actuator_mm, outline, chain, tuple(waves))
 
     def weights(self, gap_mm: Float64Array) -> None:
         return None

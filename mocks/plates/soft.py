@@ -9,6 +9,8 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
+from mocks.plates import Change
+
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
 
@@ -47,6 +49,10 @@ class DampedWave:
                 f"damping_per_s is {self.damping_per_s}; it must be finite and at least 0, "
                 "for the wave would grow as it travels"
             )
+
+    def changed(self, change: Change) -> DampedWave:
+        """The wave with speed and damping changed."""
+        return DampedWave(self.speed_m_s * change.speed, self.damping_per_s * change.loss)
 
     def wavenumber(self, frequency_hz: ArrayLike, /) -> Complex128Array:
         """Complex wavenumber in rad/m, Im k <= 0.
@@ -228,6 +234,9 @@ def fit_damped_wave(
 
 
 SOFT_PLATE = DampedWave(speed_m_s=4.7072696192, damping_per_s=421.33369835)  # fit_damped_wave() gives these
+
+UNIT_FORCE_N = 1000.0 * SOFT_PLATE.speed_m_s**2 * 0.013
+"""rho c^2 h: what a unit force on the scalar plate stands for; 13 mm thick (the paper, section III), dense as water."""
 
 
 def _refuse_growth(wavenumber: Complex128Array) -> None:

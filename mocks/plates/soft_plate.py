@@ -7,9 +7,9 @@ import scipy
 from numpy.typing import NDArray
 
 from config.outline import Outline
-from mocks.plates import PLATES
+from mocks.plates import PLATES, UNCHANGED, Change
 from mocks.plates.infinite import Colour, InfinitePlate
-from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
+from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, UNIT_FORCE_N
 
 Float64Array = NDArray[np.float64]
 
@@ -20,8 +20,12 @@ class SoftPlate(InfinitePlate):
 
     name = "soft"
 
-    def __init__(self, actuator_mm: Float64Array, outline: Outline, chain: Colour) -> None:
-        super().__init__(actuator_mm, outline, chain, (SOFT_PLATE,))
+    unit_force_n = UNIT_FORCE_N
+
+    def __init__(
+        self, actuator_mm: Float64Array, outline: Outline, chain: Colour, *, change: Change = UNCHANGED
+    ) -> None:
+        super().__init__(actuator_mm, outline, change.softened(chain), (SOFT_PLATE.changed(change),))
 
     def weights(self, gap_mm: Float64Array) -> None:
         return None

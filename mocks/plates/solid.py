@@ -21,9 +21,9 @@ import scipy
 from numpy.typing import NDArray
 
 from config.outline import Outline
-from mocks.plates import PLATES
+from mocks.plates import PLATES, UNCHANGED, Change
 from mocks.plates.infinite import Colour, InfinitePlate
-from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, DampedWave
+from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
@@ -132,10 +132,14 @@ class SolidPlate(InfinitePlate):
         damping_per_s: float = SOFT_PLATE.damping_per_s,
         force_deg: float = 0.0,
         oscillation_deg: float = 0.0,
+        change: Change = UNCHANGED,
     ) -> None:
-        both = DampedWave(shear_speed_m_s, damping_per_s), DampedWave(pressure_speed_m_s, damping_per_s)
-        waves = SolidWave(*both, is_shear=True), SolidWave(*both, is_shear=False)
-        super().__init__(actuator_mm, outline, chain, waves, kernels=2)
+        self.unit_force_n = UNIT_FORCE_N * (shear_speed_m_s / SOFT_PLATE.speed_m_s) ** 2
+        shear, pressure = (
+            DampedWave(speed, damping_per_s).changed(change) for speed in (shear_speed_m_s, pressure_speed_m_s)
+        )
+        waves = SolidWave(shear, pressure, is_shear=True), SolidWave(shear, pressure, is_shear=False)
+        super().__init__(actuator_mm, outline, change.softened(chain), waves, kernels=2)
         self._force, self._oscillation = (
             np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians([force_deg, oscillation_deg])
         )

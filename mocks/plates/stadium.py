@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.outline import Outline
-from mocks.plates import PLATES, Complex128Array
+from mocks.plates import PLATES, UNCHANGED, Change, Complex128Array
 from mocks.plates.finite_elements import Elements, RitzModes, Triangles, ritz_modes, spacing_mm, triangulate
 from mocks.plates.modal import ModalPlate
-from mocks.plates.soft import SOFT_PLATE
+from mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 Float64Array = NDArray[np.float64]
 
@@ -42,6 +42,7 @@ class StadiumPlate(ModalPlate):
     """
 
     name = "stadium"
+    unit_force_n = UNIT_FORCE_N
 
     def __init__(
         self,
@@ -50,10 +51,12 @@ class StadiumPlate(ModalPlate):
         chain: Callable[[Float64Array], Complex128Array],
         *,
         rim_admittance: float = 0.0,
+        change: Change = UNCHANGED,
     ) -> None:
-        super().__init__(actuator_mm, outline, chain)
+        super().__init__(actuator_mm, outline, change.softened(chain))
+        self._wave = SOFT_PLATE.changed(change)
         self._elements, self._modes = _cached(actuator_mm, outline, rim_admittance)
-        self._pairs = _damped_pairs(self._modes, rim_admittance) if rim_admittance else None
+        self._pairs = _damped_pairs(self._modes, self._wave, rim_admittance) if rim_admittance else None
 
     def coefficients(self, place_mm: Float64Array) -> Float64Array:
         shapes = self._elements.values_at(place_mm, self._modes.shapes)
@@ -66,7 +69,7 @@ class StadiumPlate(ModalPlate):
         angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         if self._pairs is None:
             # j w / (k_mode^2 - k^2); at 0 Hz nothing moves.
-            gap = self._modes.stiffness[:, None] - np.square(SOFT_PLATE.wavenumber(frequency_hz))
+            gap = self._modes.stiffness[:, None] - np.square(self._wave.wavenumber(frequency_hz))
             return np.asarray(np.divide(1j * angular, gap, out=np.zeros_like(gap), where=angular > 0))
         first = 1 / (1j * angular - self._pairs.rate_per_s[:, None])
         second = 1 / (1j * angular - self._pairs.rate_per_s[:, None].conj())
@@ -82,14 +85,14 @@ class _DampedPairs:
     force: Complex128Array
 
 
-def _damped_pairs(modes: RitzModes, admittance: float) -> _DampedPairs:
+def _damped_pairs(modes: RitzModes, wave: DampedWave, admittance: float) -> _DampedPairs:
     from scipy.linalg import eig, solve
 
-    speed, count = SOFT_PLATE.speed_m_s, len(modes.stiffness)
+    speed, count = wave.speed_m_s, len(modes.stiffness)
     system = np.zeros((2 * count, 2 * count))
     system[:count, count:] = np.eye(count)
     system[count:, :count] = -(speed**2) * np.diag(modes.stiffness)
-    system[count:, count:] = -SOFT_PLATE.damping_per_s * np.eye(count) - speed * admittance * modes.rim
+    system[count:, count:] = -wave.damping_per_s * np.eye(count) - speed * admittance * modes.rim
     rate, shape = eig(system)
     force = np.concatenate([np.zeros_like(modes.force), speed**2 * modes.force])
     reached = solve(shape, force.astype(np.complex128))

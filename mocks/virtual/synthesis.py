@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from mocks.plates import make_plate
+from mocks.plates import REFERENCE_C, Plate, make_plate
 from mocks.plates.infinite import impulse_length, phase_ramp
 from mocks.virtual.chain import actuator_gains, chain_response
 from mocks.virtual.settings import VirtualSettings
@@ -64,9 +64,10 @@ class Synthesis:
         self._output_gain = settings.output_gain or (1.0,) * settings.player_channels
         self._output_late_s = settings.output_latency_s or (0.0,) * settings.player_channels
         self._uneven = settings.output_gain is not None or settings.output_latency_s is not None
-        self._plate = make_plate(
-            settings.plate, actuator_mm, settings.outline, chain_response, dict(settings.plate_keys)
-        )
+        self._keys = dict(settings.plate_keys)
+        self._actuator_mm = actuator_mm
+        self._plate_at = lru_cache(4)(self._make_plate)
+        self._plate = self._plate_at(self._warmer_k(0))
         self._transfer = lru_cache(4)(self._make_transfer)
         self._shift = lru_cache(4)(_quarter_shifts)
         self._bins = lru_cache(64)(self._count_bins)
@@ -107,6 +108,7 @@ class Synthesis:
             Reference and response.
         """
         rate_hz = sample_rate_hz * self._settings.clock_ratio
+        warmer_k = self._warmer_k(start_ns)
         length = self._length(samples, rate_hz, start_ns, plays)
         whole, highest = length // 2 + 1, 1
         reference_v = np.zeros(samples, dtype=np.float32)
@@ -137,7 +139,7 @@ class Synthesis:
             highest = max(highest, bins)
             delay = _delay(offset, bins, length)
             for place_mm, response in responses.items():
-                transfer = self._transfer(place_mm, rate_hz / length, bins)
+                transfer = self._transfer(place_mm, rate_hz / length, bins, warmer_k)
                 total = np.zeros(bins, dtype=np.complex64)
                 for actuator, signal in driven.items():
                     spectrum = signal.spectrum(length, scale, play.samples)[:bins]
@@ -193,10 +195,23 @@ class Synthesis:
         channel = self._settings.channel_of_actuator[actuator]
         return _delay(self._output_late_s[channel] * step_hz, bins, 1) * np.float32(self._output_gain[channel])
 
-    def _make_transfer(self, place_mm: tuple[float, float], step_hz: float, bins: int) -> Complex64Array:
+    def _warmer_k(self, instant_ns: int) -> float:
+        """Kelvin by which a plate that follows the room is warmer than its keys say, in steps of 0.05."""
+        if not ("speed_per_k" in self._keys or "loss_per_k" in self._keys):
+            return 0.0
+        seconds, celsius = np.array(self._settings.room_c).T
+        return float(round(20 * (np.interp(1e-9 * instant_ns, seconds, celsius) - REFERENCE_C)) / 20)
+
+    def _make_plate(self, warmer_k: float) -> Plate:
+        settings = self._settings
+        return make_plate(settings.plate, self._actuator_mm, settings.outline, chain_response, self._keys, warmer_k)
+
+    def _make_transfer(
+        self, place_mm: tuple[float, float], step_hz: float, bins: int, warmer_k: float
+    ) -> Complex64Array:
         """Response volts per drive volt of every actuator, as the recorder samples them."""
         gains = self._velocity_per_volt / self._settings.sensitivity_m_s_per_v
-        response = self._plate.response(place_mm, step_hz, bins, single=True)
+        response = self._plate_at(warmer_k).response(place_mm, step_hz, bins, single=True)
         response *= gains.astype(np.float32)[:, None]
         # The response is sampled later, so the same wave appears earlier in it; the vibrometer makes it late.
         earlier = (self._settings.vibrometer_latency_s - self._settings.inter_channel_delay_s) * step_hz

@@ -194,6 +194,25 @@ def test_fault_plan_file_becomes_part_of_the_run(tmp_path: Path) -> None:
     assert RunConfig.model_validate_json(run.model_dump_json()) == run
 
 
+@pytest.mark.parametrize(
+    ("keys", "part"),
+    [
+        ("plate = 'solid'\nquality = 5.0", 'virtual.quality = 5.0: belongs to plate = "thin"'),
+        ("finger = { place_mm = [0, 73] }", "virtual.finger.place_mm = [0, 73]: must be on the surface, 3 mm or more"),
+    ],
+)
+def test_keys_that_do_not_suit_the_plate_are_refused(tmp_path: Path, keys: str, part: str) -> None:
+    assert part in complaint_about(write(tmp_path, f"[virtual]\n{keys}"))
+
+
+def test_keys_of_the_plate_are_part_of_the_plan(tmp_path: Path) -> None:
+    hashes = {
+        load_run(write(tmp_path, f"[virtual]\n{keys}")).plan_sha256
+        for keys in ("", "speed_per_k = -0.01", "plate = 'solid'", "finger = { place_mm = [0, 0], mass_kg = 1e-4 }")
+    }
+    assert len(hashes) == 4
+
+
 @pytest.mark.parametrize("text", ["", "[capture]\ntaps = 3000\ndecay_s = 0.3\n[virtual]\nnoise_v = 1e-3"])
 def test_configuration_survives_the_bank_and_keeps_its_hash(tmp_path: Path, text: str) -> None:
     there = load_run(write(tmp_path, text))

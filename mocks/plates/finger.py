@@ -1,0 +1,94 @@
+"""A finger that rests on a plate: mass, spring and damper at one place."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from mocks.plates import Complex64Array, Complex128Array, Float64Array, Plate
+from mocks.plates.infinite import Colour, impulse_length
+from mocks.plates.soft import MAGNET_RADIUS_MM
+
+_ANGLES = np.pi / 3 * np.arange(6)
+DISK_MM = MAGNET_RADIUS_MM * np.concatenate(
+    [[[0.0, 0.0]], np.sqrt(2 / 3) * np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])]
+)
+DISK_WEIGHTS = np.array([1 / 4] + 6 * [1 / 8])
+"""Mean over a disk, exact for polynomials of degree 5 (Abramowitz and Stegun 25.4.61)."""
+
+
+class TouchedPlate(Plate):
+    """Any plate with a finger on it, which pushes back with Z times the velocity of the disk that it covers.
+
+    With responses H from actuators s and finger f to places r, it is H_rs - H_rf Z / (1 + Z H_ff) H_fs.
+
+    Parameters
+    ----------
+    plate, beneath : Plate
+        The plate, with its actuators and with one actuator in the finger's place; both without a signal chain.
+    chain : callable
+        The signal chain.
+    place_mm : tuple of float
+        Where the finger is.
+    mass_kg, damping_n_s_m, stiffness_n_m : float
+        Of the finger, Z = j w m + d + s / (j w), >= 0.
+    """
+
+    name = "touched"
+
+    def __init__(
+        self,
+        plate: Plate,
+        beneath: Plate,
+        chain: Colour,
+        place_mm: tuple[float, float],
+        *,
+        mass_kg: float,
+        damping_n_s_m: float,
+        stiffness_n_m: float,
+    ) -> None:
+        self._plate, self._beneath, self._chain = plate, beneath, chain
+        self._covered_mm = [(float(x), float(y)) for x, y in np.asarray(place_mm) + DISK_MM]
+        self._finger = (mass_kg, damping_n_s_m, stiffness_n_m)
+        self._pushed_back = lru_cache(6)(self._find_pushed_back)
+
+    def response(
+        self, place_mm: tuple[float, float], step_hz: float, bins: int, *, single: bool
+    ) -> Complex64Array | Complex128Array:
+        response = self._plate.response(place_mm, step_hz, bins, single=False)
+        response = response - self._beneath.response(place_mm, step_hz, bins, single=False) * self._pushed_back(
+            step_hz, bins
+        )
+        response *= self._chain(step_hz * np.arange(bins, dtype=np.float64))
+        return response.astype(np.complex64) if single else response
+
+    def fir_spectra(
+        self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
+    ) -> Complex128Array:
+        full, folds = impulse_length(taps, sample_rate_hz), -(-taps // length)
+        spectra = []
+        for x, y in np.asarray(position_mm, dtype=np.float64).reshape(-1, 2).tolist():
+            whole = scipy.fft.irfft(self.response((x, y), sample_rate_hz / full, full // 2 + 1, single=False), full)
+            cut = np.zeros((len(whole), folds * length))
+            cut[:, :taps] = whole[:, :taps]
+            spectra.append(scipy.fft.rfft(cut.reshape(len(whole), folds, length).sum(axis=1))[:, bins])
+        return np.stack(spectra)
+
+    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
+        return self._plate.loudness(frequency_hz)
+
+    def _find_pushed_back(self, step_hz: float, bins: int) -> Complex128Array:
+        """Force of the finger for unit forces of the actuators, (actuators, bins); 0 at 0 Hz."""
+        mass_kg, damping, stiffness = self._finger
+        angular = 2j * np.pi * step_hz * np.arange(1, bins)
+        impedance = (angular * mass_kg + damping + stiffness / angular) / self._plate.unit_force_n
+        reached, own = (self._mean(plate, step_hz, bins)[:, 1:] for plate in (self._plate, self._beneath))
+        return np.pad(impedance / (1 + impedance * own) * reached, ((0, 0), (1, 0)))
+
+    def _mean(self, plate: Plate, step_hz: float, bins: int) -> NDArray[np.complexfloating]:
+        """Velocity of the disk beneath the finger."""
+        velocities = [plate.response(place, step_hz, bins, single=False) for place in self._covered_mm]
+        return np.asarray(np.tensordot(DISK_WEIGHTS, velocities, axes=1))

@@ -1,0 +1,121 @@
+"""Plates that follow the room's temperature, and plates with a finger on them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
+
+from config.outline import Outline
+from mocks.plates import make_plate
+from mocks.plates.finger import DISK_MM, DISK_WEIGHTS
+from mocks.plates.finite_elements import Elements, spacing_mm, triangulate
+from mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
+from mocks.virtual.chain import chain_response
+from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.signals import SignalStore
+from mocks.virtual.synthesis import Play, Spot, Synthesis
+
+ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0]])
+STADIUM, RECTANGLE = Outline.stadium(70.0, 40.0), Outline.rectangle(70.0, 40.0)
+FINGER = {"place_mm": (-5.0, 4.0), "mass_kg": 2e-4, "damping_n_s_m": 1.5, "stiffness_n_m": 800.0}
+PLATES: list[tuple[str, dict[str, Any]]] = [
+    ("soft", {}), ("solid", {"oscillation_deg": 50.0}), ("thin", {"quality": 20.0}), ("thin", {"edge": "infinite"}),
+]  # fmt: skip
+
+
+def _response(name: str, keys: dict[str, Any], warmer_k: float = 0.0, place: tuple[float, float] = (12.0, -7.0)) -> Any:
+    plate = make_plate(name, ACTUATOR_MM, RECTANGLE, chain_response, keys, warmer_k)
+    return plate.response(place, 50.0, 11, single=False)[:, 1:]
+
+
+@pytest.mark.parametrize("frequency_hz", [50.0, 250.0, 450.0])
+def test_given_a_finger_on_a_stadium_then_its_field_is_that_of_elements_with_the_finger_on_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frequency_hz: float
+) -> None:
+    monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path))
+    elements = Elements(triangulate(STADIUM, spacing_mm(SOFT_PLATE, 500.0)))
+    angular = 2j * np.pi * frequency_hz
+    impedance = angular * FINGER["mass_kg"] + FINGER["damping_n_s_m"] + FINGER["stiffness_n_m"] / angular
+    load = csc_array(elements.forces(np.array([FINGER["place_mm"]])))
+    system = elements.stiffness - complex(SOFT_PLATE.wavenumber(frequency_hz)) ** 2 * elements.mass
+    touched = system + angular * impedance / UNIT_FORCE_N * (load @ load.T)
+    force = elements.forces(ACTUATOR_MM).astype(complex)
+    places = np.array([[12.0, -7.0], [-20.0, 8.0], [-5.0, 4.5]])
+    free, wanted = (
+        angular * elements.values_at(places, splu(matrix.tocsc()).solve(force)) for matrix in (system, touched)
+    )
+    plate = make_plate("stadium", ACTUATOR_MM, STADIUM, np.ones_like, {"finger": FINGER})
+    found = [plate.response(tuple(place), frequency_hz, 2, single=False)[:, 1] for place in places]
+    assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted)
+    assert np.linalg.norm(free - wanted) > 0.05 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize(("name", "keys"), PLATES)
+def test_given_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothing(
+    name: str, keys: dict[str, Any]
+) -> None:
+    def covered(damping: float | None) -> Any:
+        finger = {"finger": {"place_mm": (-5.0, 4.0), "mass_kg": 0.0, "damping_n_s_m": damping, "stiffness_n_m": 0.0}}
+        places = np.array([-5.0, 4.0]) + DISK_MM
+        each = [_response(name, keys if damping is None else keys | finger, place=tuple(place)) for place in places]
+        return np.tensordot(DISK_WEIGHTS, each, axes=1)
+
+    np.testing.assert_allclose(covered(0.0), covered(None), rtol=1e-9)
+    assert np.linalg.norm(covered(1e6)) < 1e-3 * np.linalg.norm(covered(None))
+
+
+def test_given_taps_then_the_spectra_of_a_touched_plate_are_those_of_its_cut_responses() -> None:
+    plate = make_plate("soft", ACTUATOR_MM, RECTANGLE, chain_response, {"finger": FINGER})
+    place, taps, length, full = (12.0, -7.0), 700, 512, 24_000
+    (found,) = plate.fir_spectra(np.array([place]), taps, 10_000.0, length, slice(3, 30))
+    response = plate.response(place, 10_000.0 / full, full // 2 + 1, single=False)
+    cut = np.fft.irfft(response, full)[:, :taps]
+    wanted = cut @ np.exp(-2j * np.pi * np.outer(np.arange(taps), np.arange(3, 30)) / length)
+    assert np.linalg.norm(found - wanted) < 1e-5 * np.linalg.norm(wanted)
+
+
+def test_given_a_warmer_soft_plate_then_its_waves_are_those_of_a_slower_medium_that_moves_more() -> None:
+    found = _response("soft", {"speed_per_k": -0.01, "loss_per_k": 0.03}, 4.0)
+    slower = DampedWave(0.96 * SOFT_PLATE.speed_m_s, 1.12 * SOFT_PLATE.damping_per_s)
+    hertz = 50.0 * np.arange(1, 11)
+    distance_mm = np.hypot(*(ACTUATOR_MM - (12.0, -7.0)).T)[:, None]
+    wanted = slower.velocity(hertz, distance_mm) * chain_response(hertz) / 0.96**2
+    assert np.linalg.norm(found - wanted) < 1e-6 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize(("name", "keys"), PLATES)
+def test_given_any_plate_then_scaled_in_speed_it_is_itself_at_a_scaled_frequency(
+    name: str, keys: dict[str, Any]
+) -> None:
+    """c -> s c, with the loss scaled along, is f -> s f, amplitudes aside; of glass, f -> s^2 f."""
+    factor, glass = 1.1, name == "thin"
+    outline = Outline.rectangle(500.0, 400.0)
+    changes = {"speed_per_k": 0.05, "loss_per_k": 0.0 if glass else 0.05}
+    own, warmer = (make_plate(name, ACTUATOR_MM, outline, np.ones_like, keys | changes, k) for k in (0.0, 2.0))
+    found = warmer.response((12.0, -7.0), 100.0 * factor ** (2 if glass else 1), 5, single=False)[:, 1:]
+    ratio = found / own.response((12.0, -7.0), 100.0, 5, single=False)[:, 1:]
+    # The rectangle's modes are summed to a frequency, which leaves out some of the warmer plate.
+    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=0.03 if keys.get("quality") else 1e-7)
+
+
+def test_given_a_course_of_the_room_then_the_plate_follows_it_and_without_the_key_it_does_not() -> None:
+    def recorded(keys: tuple[tuple[str, Any], ...], seconds: float) -> np.ndarray:
+        synthesis = Synthesis(VirtualSettings(plate_keys=keys, room_c=((0.0, 21.0), (100.0, 25.0))))
+        start_ns, click = round(1e9 * seconds), SignalStore(5.0).find(np.ones(20))
+        play = Play(start_ns, 10_000.0, {0: click}, 20, 0.0)
+        return synthesis.voltages(2000, 10_000.0, start_ns, [play], [Spot(0, 2000, (90.0, 10.0))])[1]
+
+    following = (("speed_per_k", -0.01),)
+    assert np.array_equal(recorded(following, 0.0), recorded((), 0.0))
+    assert not np.array_equal(recorded(following, 0.0), recorded(following, 100.0))
+    assert np.array_equal(recorded((), 0.0), recorded((), 100.0))
+
+
+def test_given_a_plate_that_would_be_too_hot_then_it_is_refused() -> None:
+    with pytest.raises(ValueError, match="choose smaller speed_per_k"):
+        _response("soft", {"speed_per_k": -0.1}, 10.0)
