@@ -22,10 +22,7 @@ class Limits(Protocol):
 class SharedLimits:
     """Limits held by several contexts: set by the first, put back by the last, in whatever order they end.
 
-    Parameters
-    ----------
-    limit : callable
-        Sets the limits.
+    limit: Sets the limits.
     """
 
     def __init__(self, limit: Callable[[], Limits]) -> None:

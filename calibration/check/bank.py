@@ -33,16 +33,10 @@ _NEIGHBOURHOOD = 9
 class Finding:
     """One thing that is wrong with a bank.
 
-    Parameters
-    ----------
-    position : int or None
-        The position it is about; None for the whole bank.
-    actuator : int or None
-        The actuator it is about; None for all of them.
-    message : str
-        What is wrong, as one sentence.
-    severity : str
-        ``"error"`` when the data cannot be trusted, ``"warning"`` when a person should look, ``"note"`` for the
+    position: The position it is about; None for the whole bank.
+    actuator: The actuator it is about; None for all of them.
+    message: What is wrong, as one sentence.
+    severity: ``"error"`` when the data cannot be trusted, ``"warning"`` when a person should look, ``"note"`` for the
         extent of the check itself.
     """
 
@@ -55,21 +49,9 @@ class Finding:
 def check_bank(path: str | Path) -> list[Finding]:
     """Check every row of a bank.
 
-    Parameters
-    ----------
-    path : str or Path
-        A bank of this program or of another; while a run is on, what is just being written is not held
-        against it.
+    path: A bank of this program or of another; while a run is on, what is just being written is not held against it.
 
-    Returns
-    -------
-    list of Finding
-        Empty when all is well.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be opened as a bank at all.
+    Returns list of Finding: empty when all is well. Raises InputError: when the file cannot be opened as a bank at all.
     """
     path = Path(path)
     with open_bank(path, contents=True) as bank, one_blas_thread():
@@ -123,13 +105,13 @@ def _check_positions(bank: Bank) -> Iterator[Finding]:
 
 
 def _check_moved(bank: Bank) -> Iterator[Finding]:
-    """One warning for all rows that were measured beside their position."""
+    """One warning for all rows that were measured next to their position."""
     moved_mm = bank.quality["moved_mm"]
     moved = np.flatnonzero(moved_mm > 0)
     if len(moved):
         farthest = int(np.nanargmax(moved_mm))
         message = (
-            f"{len(moved)} positions were measured beside their place, where there was light: position {farthest} by "
+            f"{len(moved)} positions were measured next to their place, where there was light: position {farthest} by "
             f"{moved_mm[farthest]:.2g} mm; /quality/moved_mm has all of them"
         )
         yield Finding(farthest, None, message, "warning")

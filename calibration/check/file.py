@@ -19,21 +19,10 @@ from storage.raw.reading import RawRows, open_raw
 def check_file(path: str | Path) -> list[Finding]:
     """Check a bank, raw recordings, a drive or a field, whichever the file says that it is.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file of this program or of another; while it is written, what is just being written is not held
-        against it.
+    path: A file of this program or of another; while it is written, what is just being written is not held against it.
 
-    Returns
-    -------
-    list of Finding
-        Empty when all is well.
-
-    Raises
-    ------
-    InputError
-        The file cannot be opened as what it says that it is, or a checksum of the whole does not hold.
+    Returns list of Finding: empty when all is well. Raises InputError: the file cannot be opened as what it says that
+    it is, or a checksum of the whole does not hold.
     """
     path = Path(path)
     found, sealed = format_of(path)

@@ -18,12 +18,8 @@ class BandSpectrum:
     The segment, taken as periodic, is low-pass filtered and thinned in one matrix product, then transformed.
     A response and its reference go through the same filter; the spectra are corrected for it all the same.
 
-    Parameters
-    ----------
-    period : int
-        Samples of a segment.
-    bins : slice
-        Bins wanted, of the period // 2 + 1 there are.
+    period: Samples of a segment.
+    bins: Bins wanted, of the period // 2 + 1 there are.
     """
 
     def __init__(self, period: int, bins: slice) -> None:
@@ -53,16 +49,10 @@ class BandSpectrum:
     def __call__(self, recording: NDArray[np.float32], starts: NDArray[np.int64]) -> NDArray[np.complex64]:
         """Spectra of segments of recordings.
 
-        Parameters
-        ----------
-        recording : float32 array, shape (records, samples)
-            Recordings, contiguous.
-        starts : int64 array, shape (records, segments)
-            First samples; each segment lies inside its recording.
+        recording, float32 (records, samples): Recordings, contiguous.
+        starts, int64 (records, segments): First samples; each segment lies inside its recording.
 
-        Returns
-        -------
-        complex64 array, shape (records, segments, bins)
+        Returns complex64 (records, segments, bins).
         """
         if self._thinning == 1:
             segments = np.empty((*starts.shape, self.period), dtype=np.float32)

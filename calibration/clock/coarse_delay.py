@@ -30,14 +30,9 @@ class BlockSearch:
     A stretch moves a block of a sweep also because its frequencies are met elsewhere in the sweep. How far each
     block moves per unit of stretch is therefore measured on the known signal, stretched on purpose.
 
-    Parameters
-    ----------
-    known : float64 array, shape (known,)
-        The signal, not all zeros.
-    band : tuple of float
-        Lowest and highest frequency that matter, in cycles per sample.
-    max_ppm : float
-        Largest skew of the clocks looked for, in parts per million.
+    known, float64 (known,): The signal, not all zeros.
+    band: Lowest and highest frequency that matter, in cycles per sample.
+    max_ppm: Largest skew of the clocks looked for, in parts per million.
     """
 
     def __init__(self, known: NDArray[np.float64], band: tuple[float, float], max_ppm: float) -> None:
@@ -62,16 +57,13 @@ class BlockSearch:
     def first_guess(self, recorded: NDArray[np.floating]) -> tuple[float, float]:
         """Offset and clock ratio, to about a sample over the record.
 
-        Parameters
-        ----------
-        recorded : float array, shape (samples,)
-            The recording; the signal may lie anywhere in it, or stick out at either end.
+        recorded, float (samples,): The recording; the signal may lie anywhere in it, or stick out at either end.
         """
         lags = self._lags(recorded)
         share = self._energy / self._energy.sum()
         moves = self._moves - share @ self._moves
         spread = float(share @ moves**2)
-        # Blocks that all move alike tell nothing of the stretch.
+        # Blocks that all move alike do not show the stretch.
         slope = float(share @ (moves * lags)) / spread if spread > 1.0 else 0.0
         slope = min(max(slope, -1e-6 * self._max_ppm), 1e-6 * self._max_ppm)
         return float(share @ (lags - slope * self._moves)), 1.0 + slope

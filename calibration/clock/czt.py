@@ -15,22 +15,12 @@ def fourier_sum(signal: Float64Array | Complex128Array, turn: float, first: int,
 
     ``sum over n of signal[..., n] * exp(-j * n * turn * (first + m))`` for m = 0 ... bins - 1.
 
-    Parameters
-    ----------
-    signal : float64 or complex128 array, shape (..., samples)
-        Any signals.
-    turn : float
-        Spacing of the frequencies in radians per sample.
-    first, bins : int
-        The first frequency is ``first * turn``; how many there are.
+    signal, float64 or complex128 (..., samples): Any signals.
+    turn: Spacing of the frequencies in radians per sample.
+    first, bins: The first frequency is ``first * turn``; how many there are.
 
-    Returns
-    -------
-    complex128 array, shape (..., bins)
-
-    Notes
-    -----
-    Bluestein, "A linear filtering approach to the computation of discrete Fourier transform" (1970).
+    Returns complex128 (..., bins). Source: Bluestein, "A linear filtering approach to the computation of discrete
+    Fourier transform" (1970).
     """
     samples = signal.shape[-1]
     index = np.arange(samples, dtype=np.float64)
@@ -48,20 +38,12 @@ def ring_signal(spectrum: Complex128Array, turn: float, first: int, samples: int
 
     ``real part of sum over m of spectrum[..., m] * exp(j * n * turn * (first + m))`` for n = 0 ... samples - 1.
 
-    Parameters
-    ----------
-    spectrum : complex128 array, shape (..., bins)
-        Their amplitudes.
-    turn : float
-        Spacing of the frequencies in radians per sample.
-    first : int
-        The first frequency is ``first * turn``.
-    samples : int
-        How many samples.
+    spectrum, complex128 (..., bins): Their amplitudes.
+    turn: Spacing of the frequencies in radians per sample.
+    first: The first frequency is ``first * turn``.
+    samples: How many samples.
 
-    Returns
-    -------
-    float64 array, shape (..., samples)
+    Returns float64 (..., samples).
     """
     summed = fourier_sum(spectrum.conj(), turn, 0, samples)
     return np.asarray((summed * np.exp(-1j * turn * first * np.arange(samples))).real)

@@ -23,14 +23,9 @@ RATE_OVER_HIGHEST = 3.0
 class Thinned:
     """Recordings, low-pass filtered without delay, every so many samples, silence taken beyond their ends.
 
-    Parameters
-    ----------
-    values : float32 array, shape (records, kept)
-        The filtered recordings.
-    first : int
-        Sample of the recordings at which the first value lies, negative: before they begin.
-    inside : slice
-        The values whose filter does not reach beyond the ends.
+    values, float32 (records, kept): The filtered recordings.
+    first: Sample of the recordings at which the first value lies, negative: before they begin.
+    inside: The values whose filter does not reach beyond the ends.
     """
 
     values: Float32Array
@@ -41,10 +36,7 @@ class Thinned:
 class Thinning:
     """A low-pass filter and the step at which its output is kept.
 
-    Parameters
-    ----------
-    highest : float
-        Upper end of the band in cycles per sample, 0 to 0.5.
+    highest: Upper end of the band in cycles per sample, 0 to 0.5.
     """
 
     def __init__(self, highest: float) -> None:
@@ -75,18 +67,11 @@ class Thinning:
     def spectrum(self, thinned: Thinned, turn: float, first: int, bins: int) -> NDArray[np.complex128]:
         """Fourier sums of the unthinned recordings at ``turn * (first + m)`` radians per sample, in the band.
 
-        Parameters
-        ----------
-        thinned : Thinned
-            The recordings.
-        turn : float
-            Spacing of the frequencies in radians per sample of the recordings.
-        first, bins : int
-            The first is ``first * turn``; how many.
+        thinned: The recordings.
+        turn: Spacing of the frequencies in radians per sample of the recordings.
+        first, bins: The first is ``first * turn``; how many.
 
-        Returns
-        -------
-        complex128 array, shape (records, bins)
+        Returns complex128 (records, bins).
         """
         found = fourier_sum(thinned.values.astype(np.float64), turn * self.step, first, bins)
         return np.asarray(found * (self.step * np.exp(-1j * turn * thinned.first * np.arange(first, first + bins))))

@@ -32,18 +32,11 @@ ENOUGH_SAMPLES = 1e-4
 class RingFit:
     """The recording is ``gain * base((n - offset) / ratio)`` at its sample n, coupling capacitors apart.
 
-    Parameters
-    ----------
-    offset_samples : float
-        DAQ sample at which a period starts, of those the one nearest to the first sample.
-    ratio : float
-        DAQ rate over playback rate.
-    gain : float
-        Recorded volts per volt of the base signal; negative when the wires are crossed.
-    explained : float
-        Share of the recording's energy in band that this explains, 0 to 1.
-    coupling : float64 array, shape (parts,)
-        Shares of the signal below each corner frequency, and of the signal a quarter turn late.
+    offset_samples: DAQ sample at which a period starts, of those the one nearest to the first sample.
+    ratio: DAQ rate over playback rate.
+    gain: Recorded volts per volt of the base signal; negative when the wires are crossed.
+    explained: Share of the recording's energy in band that this explains, 0 to 1.
+    coupling, float64 (parts,): Shares of the signal below each corner frequency, and of the signal a quarter turn late.
     """
 
     offset_samples: float
@@ -56,19 +49,12 @@ class RingFit:
 class RingClock:
     """Fits the clock of records of one periodic signal.
 
-    Parameters
-    ----------
-    spectrum : complex128 array, shape (bins,)
-        Discrete Fourier transform of one period on the playback clock, bins 0 and on; what is left out is not
-        looked at.
-    period : int
-        Samples of the period on the playback clock.
-    max_ppm : float
-        Largest clock skew in parts per million.
-    any_phase : bool
-        Whether all frequencies may be turned by one angle, small beside a right one.
-    counted : bool array, shape (period,), optional
-        Which samples of the period count for the fit; all, if absent.
+    spectrum, complex128 (bins,): Discrete Fourier transform of one period on the playback clock, bins 0 and on; what is
+        left out is not looked at.
+    period: Samples of the period on the playback clock.
+    max_ppm: Largest clock skew in parts per million.
+    any_phase: Whether all frequencies may be turned by one angle, small against a right one.
+    counted, bool (period,): Which samples of the period count for the fit; all, if absent.
     """
 
     def __init__(
@@ -105,21 +91,12 @@ class RingClock:
     def fit(self, thinned: Thinned, thinning: Thinning, expected: float = 1.0, *, search: bool = True) -> RingFit:
         """Find offset and ratio, first near the expected ratio, then further and further away.
 
-        Parameters
-        ----------
-        thinned : Thinned
-            One recording of the reference.
-        thinning : Thinning
-            How it was thinned.
-        expected : float
-            Clock ratio that is tried first.
-        search : bool
-            Whether others are tried after it.
+        thinned: One recording of the reference.
+        thinning: How it was thinned.
+        expected: Clock ratio that is tried first.
+        search: Whether others are tried after it.
 
-        Returns
-        -------
-        RingFit
-            The best there is; its `explained` tells whether it is good.
+        Returns RingFit: the best there is; its `explained` shows how good it is.
         """
         inside = thinned.inside
         values = thinned.values[0, inside].astype(np.float64)
@@ -171,10 +148,10 @@ class RingClock:
             waves = [self._amplitudes, self._amplitudes * self._slope]
             if far:
                 waves += list(self._amplitudes * self._coupling)
-            heard = self._heard(np.stack(waves), place, offset, ratio)
+            sampled = self._waves_at(np.stack(waves), place, offset, ratio)
             if far:
-                coupled = heard[2:]
-            model = np.concatenate([heard[:2], (heard[1] * lever)[None], coupled, ones[None]])
+                coupled = sampled[2:]
+            model = np.concatenate([sampled[:2], (sampled[1] * lever)[None], coupled, ones[None]])
             if self._counted is not None:
                 model *= self._counts(place, offset, ratio)
             size = np.sqrt(np.square(model).sum(axis=1)) + 1e-300
@@ -204,7 +181,7 @@ class RingClock:
         assert self._counted is not None
         return np.asarray(self._counted[np.round((place - offset) / ratio).astype(np.int64) % self._period])
 
-    def _heard(
+    def _waves_at(
         self, amplitudes: Complex128Array, place: NDArray[np.int64], offset: float, ratio: float
     ) -> Float64Array:
         """Ring signals (rows, values) at places of the recording."""

@@ -11,7 +11,7 @@ from storage.errors import InputError
 Complex128Array = NDArray[np.complex128]
 
 # What of a period lies outside the record may last so many periods of the highest frequency: what sounds
-# there is still told by what sounds around it.
+# there is still determined by what sounds around it.
 MOST_MISSING = 1.3
 # Relative residual at which the conjugate gradients end, and how many steps they may take.
 ENOUGH = 1e-5
@@ -19,23 +19,14 @@ MOST_STEPS = 100
 
 
 def require_coverage(samples: int, period: float, highest: float, what: str) -> None:
-    """Refuse a record too short to tell a period from.
+    """Refuse a record too short for a period.
 
-    Parameters
-    ----------
-    samples : int
-        Its samples.
-    period : float
-        The period in samples of the record.
-    highest : float
-        Upper end of the band in cycles per sample.
-    what : str
-        Name of the record for the message.
+    samples: Its samples.
+    period: The period in samples of the record.
+    highest: Upper end of the band in cycles per sample.
+    what: Name of the record for the message.
 
-    Raises
-    ------
-    InputError
-        More of the period is missing than its band lets tell.
+    Raises InputError: more of the period is missing than its band allows.
     """
     if (period - samples) * highest > MOST_MISSING:
         raise InputError(
@@ -49,19 +40,13 @@ def ring_spectrum(sums: Complex128Array, turn: float, samples: int) -> Complex12
     Over whole periods these would be proportional; over any other length the frequencies leak into each
     other, by a kernel that depends on the difference of two alone, so the system is Toeplitz.
 
-    Parameters
-    ----------
-    sums : complex128 array, shape (records, bins)
-        Sums over n = 0 ... samples - 1 of ``recording[n] * exp(-j n m turn)`` for m = 0 ... bins - 1.
-    turn : float
-        Spacing of the frequencies in radians per sample.
-    samples : int
-        Length of the recordings; a period or more, but for what `require_coverage` allows.
+    sums, complex128 (records, bins): Sums over n = 0 ... samples - 1 of ``recording[n] * exp(-j n m turn)`` for m = 0
+        ... bins - 1.
+    turn: Spacing of the frequencies in radians per sample.
+    samples: Length of the recordings; a period or more, but for what `require_coverage` allows.
 
-    Returns
-    -------
-    complex128 array, shape (records, bins)
-        A such that ``recording[n] = real part of sum over m of A[m] * exp(j n m turn)``; A[0] is real.
+    Returns complex128 (records, bins): A such that ``recording[n] = real part of sum over m of A[m] * exp(j n m
+    turn)``; A[0] is real.
     """
     bins = sums.shape[1]
     length = scipy.fft.next_fast_len(4 * bins)

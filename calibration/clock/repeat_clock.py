@@ -20,7 +20,7 @@ LAG_STEP = 0.1
 # Step over which a derivative is taken, in thinned samples.
 DERIVATIVE_STEP = 0.02
 MOST_STEPS = 8
-# Fewer thinned samples than this tell nothing.
+# Fewer thinned samples than this are not enough.
 LEAST_SAMPLES = 32
 
 
@@ -28,14 +28,9 @@ LEAST_SAMPLES = 32
 class RepeatFit:
     """How a recording repeats itself.
 
-    Parameters
-    ----------
-    ratio : float
-        DAQ rate over playback rate.
-    sigma_ppm : float
-        Standard deviation of that in parts per million, from what does not repeat.
-    misfit : float
-        Energy that does not repeat over that which could.
+    ratio: DAQ rate over playback rate.
+    sigma_ppm: Standard deviation of that in parts per million, from what does not repeat.
+    misfit: Energy that does not repeat over that which could.
     """
 
     ratio: float
@@ -46,23 +41,13 @@ class RepeatFit:
 def fit_repeats(thinned: Thinned, thinning: Thinning, period: float, samples: int, max_ppm: float) -> RepeatFit | None:
     """Compare a recording with itself some periods later.
 
-    Parameters
-    ----------
-    thinned : Thinned
-        One recording of a signal that repeats throughout it.
-    thinning : Thinning
-        How it was thinned.
-    period : float
-        The period in playback samples.
-    samples : int
-        Length of the unthinned recording.
-    max_ppm : float
-        Largest clock skew in parts per million.
+    thinned: One recording of a signal that repeats throughout it.
+    thinning: How it was thinned.
+    period: The period in playback samples.
+    samples: Length of the unthinned recording.
+    max_ppm: Largest clock skew in parts per million.
 
-    Returns
-    -------
-    RepeatFit or None
-        None where the recording is hardly longer than a period.
+    Returns RepeatFit or None: None where the recording is hardly longer than a period.
     """
     values = thinned.values[0, thinned.inside].astype(np.float64)
     values = values - values.mean()

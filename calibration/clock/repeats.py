@@ -32,7 +32,7 @@ DELAY_PARTS = 8
 # Where a clock skew turns the ends of the band by more than this against its middle, in radians, phases wrap and the
 # skew is searched for in such steps.
 WRAP_TURN = 1.5
-# A segment begins near its sweep, so that fewer bins tell by how much: modulo the period over this.
+# A segment begins near its sweep, so fewer bins are enough for the distance: modulo the period over this.
 SEGMENT_THIN = 8
 # The first guess of the start may be wrong by samples; it is taken from a recording thinned this close to aliasing.
 GUESS_BANDS = 2.2
@@ -42,14 +42,9 @@ GUESS_BANDS = 2.2
 class Repeats:
     """The sweeps of a batch of records.
 
-    Parameters
-    ----------
-    starts : int64 array, shape (records, averages)
-        First sample of each sweep's segment of one period.
-    spectra : complex64 array, shape (records, averages, bins)
-        Spectra of the reference's segments in the bins of the band.
-    offset_samples, ratio : float64 array, shape (records,)
-        As in `calibration.clock.timing.ClockFit`.
+    starts, int64 (records, averages): First sample of each sweep's segment of one period.
+    spectra, complex64 (records, averages, bins): Spectra of the reference's segments in the bins of the band.
+    offset_samples, ratio, float64 (records,): As in `calibration.clock.timing.ClockFit`.
     """
 
     starts: NDArray[np.int64]
@@ -59,19 +54,14 @@ class Repeats:
 
 
 class RepeatFinder:
-    """Cut records into repeats of one nominal sweep and tell the clocks' ratio from their phases.
+    """Cut records into repeats of one nominal sweep and fit the clocks' ratio to their phases.
 
     A linear sweep makes the phase of segment over nominal spectrum a sum of known curves: the frequency
     (delay), the frequency times the nominal group delay (stretch by the clock ratio)
 
-    Parameters
-    ----------
-    excitation : Sweeps
-        What was played.
-    room_samples : int
-        Silence to spare after a response of L taps.
-    max_ppm : float
-        Largest clock skew in parts per million.
+    excitation: What was played.
+    room_samples: Silence to spare after a response of L taps.
+    max_ppm: Largest clock skew in parts per million.
     """
 
     def __init__(self, excitation: Sweeps, room_samples: int, max_ppm: float) -> None:
@@ -99,7 +89,7 @@ class RepeatFinder:
         self._nominal = nominal[self.bins].astype(np.complex64)
         self._omega32 = self.omega[::THIN].astype(np.float32)
         stretch = self.omega * np.imag(slope[self.bins] / nominal[self.bins])
-        # Whether higher frequencies come later, eighth of the band by eighth: so that bins tell of time.
+        # Whether higher frequencies come later, eighth of the band by eighth: so that bins stand for times.
         delays = [part.mean() for part in np.array_split(-stretch / self.omega, DELAY_PARTS)]
         self.delay_rises = bool(np.all(np.diff(delays) > 0))
         # Coupling capacitors turn low frequencies; unmodelled, a corner of 2 Hz passes for 20 ppm.
@@ -118,21 +108,11 @@ class RepeatFinder:
     def find(self, reference: NDArray[np.float32], first_record: int = 0) -> Repeats:
         """Find the repeats in reference recordings.
 
-        Parameters
-        ----------
-        reference : float32 array, shape (records, samples)
-            Reference channel in volts.
-        first_record : int
-            Number of the first record, for messages.
+        reference, float32 (records, samples): Reference channel in volts.
+        first_record: Number of the first record, for messages.
 
-        Returns
-        -------
-        Repeats
-
-        Raises
-        ------
-        ReferenceMissingError
-            A record in which the signal is absent, too noisy, or not entirely inside.
+        Returns Repeats. Raises ReferenceMissingError: a record in which the signal is absent, too noisy, or not
+        entirely inside.
         """
         records, samples = reference.shape
         if samples < max(self._least, self.period):
@@ -189,7 +169,7 @@ class RepeatFinder:
             folded[:, : piece.shape[1]] += piece
         guess = self._coarse_delay(scipy.fft.rfft(folded, overwrite_x=True)[:, self.bins])
         length = self._least
-        # The fold tells the start but for whole periods; the one with most energy inside is meant.
+        # The fold shows the start but for whole periods; the one with most energy inside is meant.
         for record in range(records):
             starts = np.arange(guess[record] - self.period, samples - length + self.period / 2, self.period)
             inside = starts[(starts > -GUARD_SAMPLES) & (starts + length < samples + GUARD_SAMPLES)]

@@ -29,20 +29,12 @@ def resampled(rows: NDArray[Real], start: float, ratio: float, samples: int) -> 
     The step is nearly a whole sample, so the fraction of a sample hardly changes within a block: each block is
     convolved with the kernels of four fractions, and a cubic through them gives every sample.
 
-    Parameters
-    ----------
-    rows : float32 or float64 array, shape (rows, recorded)
-        The recordings.
-    start : float
-        Place of the first output sample, in samples.
-    ratio : float
-        Step from place to place, near 1.
-    samples : int
-        Number of output samples, >= 0.
+    rows, float32 or float64 (rows, recorded): The recordings.
+    start: Place of the first output sample, in samples.
+    ratio: Step from place to place, near 1.
+    samples: Number of output samples, >= 0.
 
-    Returns
-    -------
-    array of the type of `rows`, shape (rows, samples)
+    Returns array of the type of `rows`, shape (rows, samples).
     """
     out = np.zeros((rows.shape[0], samples), dtype=rows.dtype)
     recorded = rows.shape[1]

@@ -19,15 +19,10 @@ KEPT_MODELS = 16
 class Model:
     """Parts of a spectrum, and how the share of each is found by least squares.
 
-    Parameters
-    ----------
-    ratio : float
-        DAQ rate over playback rate.
-    regressors : float64 array, shape (parts, 2 * bins)
-        Real and imaginary parts in turn: the signal, its change with offset and with ratio, and the signal
-        below each corner frequency.
-    solve : float64 array, shape (parts, 2 * bins)
-        Its product with a spectrum gives the parts' shares.
+    ratio: DAQ rate over playback rate.
+    regressors, float64 (parts, 2 * bins): Real and imaginary parts in turn: the signal, its change with offset and with
+        ratio, and the signal below each corner frequency.
+    solve, float64 (parts, 2 * bins): Its product with a spectrum gives the parts' shares.
     """
 
     ratio: float
@@ -38,16 +33,10 @@ class Model:
 class StretchedModels:
     """Models of one known signal, made when first asked for; the last few are kept. Safe to share.
 
-    Parameters
-    ----------
-    known : float64 array, shape (known,)
-        The signal on the playback clock.
-    length : int
-        Length of the transform on the DAQ clock.
-    bins : slice
-        Its bins that are looked at.
-    corners : sequence of float
-        Corners of coupling capacitors allowed for, in radians per sample.
+    known, float64 (known,): The signal on the playback clock.
+    length: Length of the transform on the DAQ clock.
+    bins: Its bins that are looked at.
+    corners: Corners of coupling capacitors allowed for, in radians per sample.
     """
 
     def __init__(self, known: NDArray[np.float64], length: int, bins: slice, corners: Sequence[float]) -> None:

@@ -29,23 +29,17 @@ COARSE_PPM, FINE_PPM = 20.0, 1.0
 
 
 class ReferenceMissingError(WavefocusError):
-    """The reference channel does not hold the whole known signal, clearly enough to tell the time by."""
+    """The reference channel does not hold the whole known signal, clearly enough to fit the clock."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockFit:
     """Sample k of the known signal appears at DAQ sample ``offset_samples + k * ratio``.
 
-    Parameters
-    ----------
-    offset_samples : float
-        DAQ sample at which the known signal starts.
-    ratio : float
-        DAQ rate over playback rate in true time: 1 plus or minus tens of ppm.
-    gain : float
-        Recorded volts per volt of the known signal; negative when the wires are crossed.
-    residual_db : float
-        Energy of the reference that the known signal, through coupling capacitors or not, leaves unexplained
+    offset_samples: DAQ sample at which the known signal starts.
+    ratio: DAQ rate over playback rate in true time: 1 plus or minus tens of ppm.
+    gain: Recorded volts per volt of the known signal; negative when the wires are crossed.
+    residual_db: Energy of the reference that the known signal, through coupling capacitors or not, leaves unexplained
         over that which it explains.
     """
 
@@ -68,17 +62,10 @@ class ClockFitter:
     where the known signal has energy. What depends on the known signal alone is computed once. Safe to
     share between threads; a result depends on its recording alone.
 
-    Parameters
-    ----------
-    known_v : array, shape (known,)
-        What was played in volts, on the playback clock, its silences included; known <= samples.
-    max_ppm : float
-        Largest skew of the clocks looked for, in parts per million, > 0.
+    known_v, (known,): What was played in volts, on the playback clock, its silences included; known <= samples.
+    max_ppm: Largest skew of the clocks looked for, in parts per million, > 0.
 
-    Raises
-    ------
-    InputError
-        An array of a wrong shape, values that are not finite, or all zeros.
+    Raises InputError: an array of a wrong shape, values that are not finite, or all zeros.
     """
 
     def __init__(self, known_v: ArrayLike, *, max_ppm: float = 500.0) -> None:
@@ -88,7 +75,7 @@ class ClockFitter:
         if not np.isfinite(known).all():
             raise InputError("the known signal holds values that are not finite; allowed are volts")
         if not known.any():
-            raise InputError("the known signal is all zeros; allowed is a signal to tell the time by")
+            raise InputError("the known signal is all zeros; allowed is a signal with energy")
         self._known = known
         self._energy = float(known @ known)
         self._max_ppm = max_ppm
@@ -109,17 +96,10 @@ class ClockFitter:
     def fit(self, recorded_v: ArrayLike) -> ClockFit:
         """Find the known signal in one recording.
 
-        Parameters
-        ----------
-        recorded_v : array, shape (samples,)
-            Reference channel in volts, on the DAQ clock.
+        recorded_v, (samples,): Reference channel in volts, on the DAQ clock.
 
-        Raises
-        ------
-        InputError
-            An array of a wrong shape or values that are not finite.
-        ReferenceMissingError
-            The signal is absent, too noisy, or not entirely inside the recording.
+        Raises InputError: an array of a wrong shape or values that are not finite. ReferenceMissingError: the signal is
+        absent, too noisy, or not entirely inside the recording.
         """
         recorded = np.asarray(recorded_v)
         if recorded.ndim != 1:
@@ -181,19 +161,11 @@ class ClockFitter:
 def fit_clock(recorded_v: ArrayLike, known_v: ArrayLike, *, max_ppm: float = 500.0) -> ClockFit:
     """Find a known signal in one recording; for many recordings of one signal see `ClockFitter`.
 
-    Parameters
-    ----------
-    recorded_v : array, shape (samples,)
-        Reference channel in volts, on the DAQ clock.
-    known_v : array, shape (known,)
-        What was played in volts, on the playback clock, its silences included; known <= samples.
-    max_ppm : float
-        Largest skew of the clocks looked for, in parts per million, > 0.
+    recorded_v, (samples,): Reference channel in volts, on the DAQ clock.
+    known_v, (known,): What was played in volts, on the playback clock, its silences included; known <= samples.
+    max_ppm: Largest skew of the clocks looked for, in parts per million, > 0.
 
-    Raises
-    ------
-    InputError, ReferenceMissingError
-        As `ClockFitter` and its `fit`.
+    Raises InputError, ReferenceMissingError: as `ClockFitter` and its `fit`.
     """
     return ClockFitter(known_v, max_ppm=max_ppm).fit(recorded_v)
 
@@ -207,28 +179,14 @@ def to_playback_clock(
     its ends a recording is taken as 0. Kaiser-windowed sinc of 40 samples: errors below -100 dB up to 0.8
     of half the sample rate.
 
-    Parameters
-    ----------
-    recorded : array, shape (..., recorded)
-        Recordings on the DAQ clock; float32 stays float32, all else becomes float64.
-    fit : ClockFit
-        Offset and ratio of the clocks.
-    samples : int
-        Number of output samples, >= 0.
-    first : int
-        Playback sample of the first output sample.
-    delay_samples : float
-        Added to every DAQ position: ``-inter_channel_delay_s * sample_rate_hz`` for a channel that is
+    recorded, (..., recorded): Recordings on the DAQ clock; float32 stays float32, all else becomes float64.
+    fit: Offset and ratio of the clocks.
+    samples: Number of output samples, >= 0.
+    first: Playback sample of the first output sample.
+    delay_samples: Added to every DAQ position: ``-inter_channel_delay_s * sample_rate_hz`` for a channel that is
         sampled that much later than the reference.
 
-    Returns
-    -------
-    float32 or float64 array, shape (..., samples)
-
-    Raises
-    ------
-    InputError
-        `samples` below 0, or a fit that is not finite.
+    Returns float32 or float64 (..., samples). Raises InputError: `samples` below 0, or a fit that is not finite.
     """
     recorded = np.asarray(recorded)
     start = fit.offset_samples + first * fit.ratio + delay_samples
@@ -248,19 +206,11 @@ def to_playback_clock(
 def check_inside(offset: float, ratio: float, known: int, recorded: int, what: str) -> None:
     """Refuse a fit whose signal reaches beyond the ends of the record.
 
-    Parameters
-    ----------
-    offset, ratio : float
-        Where the known signal lies, as in `ClockFit`.
-    known, recorded : int
-        Samples of the known signal and of the recording.
-    what : str
-        Name of the recording for the message.
+    offset, ratio: Where the known signal lies, as in `ClockFit`.
+    known, recorded: Samples of the known signal and of the recording.
+    what: Name of the recording for the message.
 
-    Raises
-    ------
-    ReferenceMissingError
-        More than half a sample of the signal lies outside.
+    Raises ReferenceMissingError: more than half a sample of the signal lies outside.
     """
     last = offset + (known - 1) * ratio
     if offset < -0.5 or last > recorded - 0.5:

@@ -13,7 +13,7 @@ LEAST_FLAT = 8
 # Where a sweep is cut off, it is cut off many times running: this much on both sides of the peak shows it.
 AROUND_SAMPLES = 4096
 BELOW_SHARE = 0.97
-# Smaller recordings have too few converter steps to tell a flat top from a coarse one.
+# Smaller recordings have too few converter steps to distinguish a flat top from a coarse one.
 LEAST_PEAK_SHARE = 0.05
 
 
@@ -35,20 +35,12 @@ def count_clipped(
     before the converter clips too. A flat top blurred by noise that was added after it is not seen;
     the fit's residual is what shows it then.
 
-    Parameters
-    ----------
-    channel : float32 array, shape (records, samples)
-        Recordings in volts.
-    peak_v : float32 array, shape (records,)
-        Largest magnitude of each recording in volts.
-    place : int64 array, shape (records,)
-        Where that is.
-    range_v : float
-        End of the converter's range in volts, > 0.
+    channel, float32 (records, samples): Recordings in volts.
+    peak_v, float32 (records,): Largest magnitude of each recording in volts.
+    place, int64 (records,): Where that is.
+    range_v: End of the converter's range in volts, > 0.
 
-    Returns
-    -------
-    int32 array, shape (records,)
+    Returns int32 (records,).
     """
     count = np.zeros(channel.shape[0], dtype=np.int32)
     for record, peak in enumerate(peak_v):

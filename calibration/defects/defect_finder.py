@@ -25,7 +25,7 @@ SPARE_DB = 3.0
 SLIP_SIGNIFICANCE = 60.0
 # So must a change of level. The noise that is not white raises what chance explains.
 STEP_SIGNIFICANCE = 100.0
-# Parts of a sweep of which each tells the delay between the channels for itself.
+# Parts of a sweep in each of which the delay between the channels is fitted.
 SLIP_PARTS = 8
 # Samples are lost one by one, so a jump is a whole number of them, but for one within a part.
 SLIP_TOLERANCE = 0.3
@@ -38,7 +38,7 @@ TAIL_OVER_NOISE = 3.0
 RING_SHARE = 0.95
 # What every sweep leaves at one place is alike in all of them but for the noise.
 ALIKE_DB = 6.0
-# A channel is constant when its energy in band is this small beside its largest sample's.
+# A channel is constant when its energy in band is this small against its largest sample's.
 DEAD_SHARE = 1e-6
 # What raises a record's residual by a quarter gets a closer look: in a clean one of the default run it is 13 % at
 # most. Of very few records each does, for there is none to compare with.
@@ -62,24 +62,14 @@ class DefectFinder:
     leaves it even in time and in frequency, and makes it the same in no two sweeps; each defect breaks one of
     these, in a way of its own.
 
-    Parameters
-    ----------
-    omega : float64 array, shape (bins,)
-        Frequencies in radians per sample, of adjacent bins.
-    first_bin : int
-        Number of the first of them.
-    period : int
-        Samples of a sweep with its silence.
-    averages : int
-        Sweeps in a record.
-    sample_rate_hz : float
-        Rate in Hz, > 0.
-    taps : int
-        Length L of the response.
-    freedom : float
-        Share of white noise that the fit leaves unexplained, 0 to 1.
-    delay_rises : bool
-        Whether the sweep goes upwards, so that higher bins come later.
+    omega, float64 (bins,): Frequencies in radians per sample, of adjacent bins.
+    first_bin: Number of the first of them.
+    period: Samples of a sweep with its silence.
+    averages: Sweeps in a record.
+    sample_rate_hz: Rate in Hz, > 0.
+    taps: Length L of the response.
+    freedom: Share of white noise that the fit leaves unexplained, 0 to 1.
+    delay_rises: Whether the sweep goes upwards, so that higher bins come later.
     """
 
     def __init__(
@@ -122,8 +112,8 @@ class DefectFinder:
         response_v: Float32Array,
         loudest: NDArray[np.int64],
         peak_v: Float32Array,
-        heard: Complex64Array,
-        heard_power: Float32Array,
+        reference: Complex64Array,
+        reference_power: Float32Array,
         answered_energy: Float64Array,
         differing: Complex64Array | None,
         differing_power: Float32Array | None,
@@ -135,44 +125,29 @@ class DefectFinder:
     ) -> NDArray[np.void]:
         """Look through a batch of records.
 
-        Parameters
-        ----------
-        response_v : float32 array, shape (records, samples)
-            Response channel in volts.
-        loudest : int64 array, shape (records,)
-            Sample of its largest magnitude.
-        peak_v : float32 array, shape (records,)
-            That magnitude in volts.
-        heard : complex64 array, shape (records, averages, bins)
-            Spectra of the sweeps on the reference channel.
-        heard_power : float32 array, shape (records, bins)
-            Their energy, all sweeps together.
-        answered_energy : float64 array, shape (records,)
-            Energy of the sweeps on the response channel, in the same bins.
-        differing : complex64 array, shape (records, averages, bins), optional
-            What one mean transfer function leaves of the response; None for a single sweep.
-        differing_power : float32 array, shape (records, bins), optional
-            Its energy, all sweeps together.
-        transfer, missed : complex64 array, shape (records, bins)
-            That mean transfer function, and what of it the FIR of L taps leaves unexplained.
-        whitened : complex64 array, shape (records, bins)
-            `missed` as the fit sees it: white noise is even in it.
-        outside : float32 array, shape (records, more bins)
-            What is left of the sweeps beyond the band, 0 in it.
-        first_outside : int
-            Number of the first of these bins.
+        response_v, float32 (records, samples): Response channel in volts.
+        loudest, int64 (records,): Sample of its largest magnitude.
+        peak_v, float32 (records,): That magnitude in volts.
+        reference, complex64 (records, averages, bins): Spectra of the sweeps on the reference channel.
+        reference_power, float32 (records, bins): Their energy, all sweeps together.
+        answered_energy, float64 (records,): Energy of the sweeps on the response channel, in the same bins.
+        differing, complex64 (records, averages, bins): What one mean transfer function leaves of the response; None for
+            a single sweep.
+        differing_power, float32 (records, bins): Its energy, all sweeps together.
+        transfer, missed, complex64 (records, bins): That mean transfer function, and what of it the FIR of L taps
+            leaves unexplained.
+        whitened, complex64 (records, bins): `missed` as the fit sees it: white noise is even in it.
+        outside, float32 (records, more bins): What is left of the sweeps beyond the band, 0 in it.
+        first_outside: Number of the first of these bins.
 
-        Returns
-        -------
-        structured array, shape (records,)
-            As `calibration.defects.figures.DEFECTS` has it.
+        Returns structured (records,): as `calibration.defects.figures.DEFECTS` has it.
         """
         whole = np.maximum(answered_energy, FLOOR)
         defects = np.zeros(len(missed), DEFECTS)
         for name in ("burst_db", "cut_db", "slip_db", "line_db", "tail_db", "step_db", "harmonic_db"):
             defects[name] = -np.inf
         defects["dead"] = answered_energy <= DEAD_SHARE * np.square(peak_v, dtype=np.float64)
-        unexplained = _energy(missed) * heard_power
+        unexplained = _energy(missed) * reference_power
         power = unexplained if differing_power is None else unexplained + differing_power
         self._lines(power, whole, defects)
         # What is cut where the response stays loud for long bends the fit and leaves nothing.
@@ -187,11 +162,11 @@ class DefectFinder:
         if not look.size:
             return defects
         closer = defects[look]
-        residual = missed[look, None] * heard[look]
+        residual = missed[look, None] * reference[look]
         if differing is not None:
             residual += differing[look]
-            self._slips(differing[look], heard[look], transfer[look], whole[look], closer)
-            self._steps(differing[look], heard[look], transfer[look], whole[look], closer)
+            self._slips(differing[look], reference[look], transfer[look], whole[look], closer)
+            self._steps(differing[look], reference[look], transfer[look], whole[look], closer)
         else:
             closer["slip_db"] = closer["cut_db"] = closer["step_db"] = np.nan
         self._bursts(residual, whole[look], closer)
@@ -209,7 +184,7 @@ class DefectFinder:
 
         In all others the fit leaves no more than the sweeps differ by, and they differ by no more than in the
         quietest record: whatever is wrong there is less than a third of the noise. Or else it is too little
-        beside the response to matter.
+        against the response to matter.
         """
         left = unexplained.sum(axis=1, dtype=np.float64)
         if differing_power is None:
@@ -219,8 +194,8 @@ class DefectFinder:
         if len(whole) < LEAST_RECORDS:
             return np.asarray(matters)
         noise = differing / (self._averages - 1)
-        heard = noise[noise > FLOOR]
-        quietest = heard.min() if heard.size else 0.0
+        measurable = noise[noise > FLOOR]
+        quietest = measurable.min() if measurable.size else 0.0
         return np.asarray(matters & ((left > SUSPICIOUS * self._freedom * noise) | (noise > SUSPICIOUS * quietest)))
 
     def _bursts(self, residual: Complex64Array, whole: Float64Array, defects: NDArray[np.void]) -> None:
@@ -283,14 +258,14 @@ class DefectFinder:
     def _slips(
         self,
         differing: Complex64Array,
-        heard: Complex64Array,
+        reference: Complex64Array,
         transfer: Complex64Array,
         whole: Float64Array,
         defects: NDArray[np.void],
     ) -> None:
         """Whether the differences between the sweeps are those of a delay that jumps once."""
         records = len(differing)
-        later = (np.complex64(-1j) * self._omega * transfer)[:, None] * heard  # what one sample of delay adds
+        later = (np.complex64(-1j) * self._omega * transfer)[:, None] * reference  # what one sample of delay adds
         strength = np.add.reduceat(_energy(later), self._parts, axis=-1).reshape(records, -1).astype(np.float64)
         np.conjugate(later, out=later)
         later *= differing
@@ -312,13 +287,13 @@ class DefectFinder:
     def _steps(
         self,
         differing: Complex64Array,
-        heard: Complex64Array,
+        reference: Complex64Array,
         transfer: Complex64Array,
         whole: Float64Array,
         defects: NDArray[np.void],
     ) -> None:
         """Whether the differences between the sweeps are those of their level."""
-        mean = transfer[:, None] * heard
+        mean = transfer[:, None] * reference
         strength = np.maximum(_energy(mean).sum(axis=-1).astype(np.float64), FLOOR)
         over = (mean.conj() * differing).real.sum(axis=-1).astype(np.float64) / strength
         gained = np.square(over) * strength

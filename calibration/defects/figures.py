@@ -53,7 +53,7 @@ dead
 
 
 def not_looked_at(records: int) -> NDArray[np.void]:
-    """Figures of records that nobody has looked at: all NaN, shape (records,)."""
+    """Figures of records that were not examined: all NaN, shape (records,)."""
     defects = np.zeros(records, DEFECTS)
     for name in DEFECTS.names or ():
         defects[name] = np.nan

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 WINDOW_S = 0.0256
 # In bins of the window: below, the fundamental's skirt reaches the third harmonic.
 LEAST_BIN = 3
-# The harmonic must stand this far above the noise, which the upper half of the spectrum tells.
+# The harmonic must stand this far above the noise, which is taken from the upper half of the spectrum.
 OVER_FLOOR = 10.0
 # The stretch around the peak that is nearly as loud.
 HIGH = 0.97
 # So many samples just after the largest that are as large as it, to a part in a thousand.
 TIED = 0.999
 TIES = 8
-# Between these a second look tells.
+# Between these a second look decides.
 UNSURE_DB = -72.0
 SURE_DB = -36.0
 FLOOR = 1e-30
@@ -29,12 +29,8 @@ class ThirdHarmonic:
     A peak cut off at 0.95 of its height has it at -38 dB, at 0.9 at -30 dB; in-band figures hardly see that, for
     a response of L taps can be bent to explain a resonance that is a little too low.
 
-    Parameters
-    ----------
-    sample_rate_hz : float
-        Rate in Hz, > 0.
-    period : int
-        Samples of a sweep with its silence; in the next one the same is as loud again.
+    sample_rate_hz: Rate in Hz, > 0.
+    period: Samples of a sweep with its silence; in the next one the same is as loud again.
     """
 
     def __init__(self, sample_rate_hz: float, period: int) -> None:
@@ -47,20 +43,12 @@ class ThirdHarmonic:
     ) -> NDArray[np.float32]:
         """Look at a batch of recordings.
 
-        Parameters
-        ----------
-        response_v : float32 array, shape (records, samples)
-            Recordings in volts.
-        loudest : int64 array, shape (records,)
-            Sample of their largest magnitude.
-        which : int64 array, shape (looked at,)
-            The recordings to look at.
+        response_v, float32 (records, samples): Recordings in volts.
+        loudest, int64 (records,): Sample of their largest magnitude.
+        which, int64 (looked at,): The recordings to look at.
 
-        Returns
-        -------
-        float32 array, shape (looked at,)
-            In dB of the fundamental; -inf where it does not stand out from the noise, NaN where the fundamental
-            is too low to tell or its third harmonic too high to be sampled.
+        Returns float32 (looked at,): in dB of the fundamental; -inf where it does not stand out from the noise, NaN
+        where the fundamental is too low to measure or its third harmonic too high to be sampled.
         """
         samples, length = response_v.shape[1], self._length
         if samples < length or not which.size:
@@ -92,8 +80,8 @@ class ThirdHarmonic:
         whole = power[rows[:, None], fundamental[:, None] + near].sum(axis=1)
         level = power[rows[:, None], 3 * fundamental[:, None] + near].sum(axis=1)
         noise = np.partition(power[:, length // 4 :], length // 8, axis=1)[:, length // 8]
-        told = level > 3 * OVER_FLOOR * noise
-        figure = np.where(told, 10 * np.log10(np.maximum(level, FLOOR) / np.maximum(whole, FLOOR)), -np.inf)
+        stands_out = level > 3 * OVER_FLOOR * noise
+        figure = np.where(stands_out, 10 * np.log10(np.maximum(level, FLOOR) / np.maximum(whole, FLOOR)), -np.inf)
         return np.where(audible, figure, np.nan).astype(np.float32)
 
     def _middle(self, recording: NDArray[np.float32], loudest: int) -> int:

@@ -20,14 +20,10 @@ CHUNK = 512
 class CausalBasis:
     """Singular triplets of the map from L taps to a weighted spectrum.
 
-    Parameters
-    ----------
-    left : complex128 array, shape (bins, rank)
-        Spectra; orthonormal when the coefficients are real and real and imaginary parts count as two.
-    singular : float64 array, shape (rank,)
-        Descending.
-    right : float64 array, shape (rank, taps)
-        Responses, orthonormal.
+    left, complex128 (bins, rank): Spectra; orthonormal when the coefficients are real and real and imaginary parts
+        count as two.
+    singular, float64 (rank,): Descending.
+    right, float64 (rank, taps): Responses, orthonormal.
     """
 
     left: Complex128Array
@@ -41,20 +37,12 @@ def causal_basis(omega: Float64Array, weight: Float64Array, taps: int, smallest:
     Its Gram matrix is Toeplitz, so subspace iteration (Halko et al. 2011, algorithm 4.4) needs transforms and
     no matrix: memory for `rank` vectors, not for `taps` squared.
 
-    Parameters
-    ----------
-    omega : float64 array, shape (bins,)
-        Frequencies in radians per sample, multiples of one spacing, ascending.
-    weight : float64 array, shape (bins,)
-        Weight of each.
-    taps : int
-        Length L of the responses.
-    smallest : float
-        Singular values below this are left out, > 0.
+    omega, float64 (bins,): Frequencies in radians per sample, multiples of one spacing, ascending.
+    weight, float64 (bins,): Weight of each.
+    taps: Length L of the responses.
+    smallest: Singular values below this are left out, > 0.
 
-    Returns
-    -------
-    CausalBasis
+    Returns CausalBasis.
     """
     length = scipy.fft.next_fast_len(2 * taps, real=True)
     kernel = np.zeros(length)

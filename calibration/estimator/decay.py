@@ -18,7 +18,7 @@ STAGGER_OVER_RESPONSE = 1.2
 TAIL_DB = -60.0
 # The energy is looked at in so many blocks.
 BLOCKS = 50
-# A decay is told from what happens after the response has fallen by this, over at least as many blocks.
+# A decay is fitted after the response has fallen by this, over at least as many blocks.
 FALLEN_DB = -6.0
 LEAST_BLOCKS = 5
 # The response must fall by so much before noise or the last tap hides it.
@@ -29,16 +29,10 @@ LEAST_FALL_DB = 15.0
 class Decay:
     """How the energy of a position's responses falls.
 
-    Parameters
-    ----------
-    rate_db_s : float
-        Fall of the energy in dB per second, late in the response, > 0.
-    tail_db_at_0 : float
-        Where that line would begin: energy left at time 0 over all energy.
-    floor_db : float
-        Energy of the noise in all taps over that of the response.
-    sample_rate_hz : float
-        Rate in Hz.
+    rate_db_s: Fall of the energy in dB per second, late in the response, > 0.
+    tail_db_at_0: Where that line would begin: energy left at time 0 over all energy.
+    floor_db: Energy of the noise in all taps over that of the response.
+    sample_rate_hz: Rate in Hz.
     """
 
     rate_db_s: float
@@ -61,19 +55,11 @@ class Decay:
     def require(self, taps: int, stagger_s: float | None = None, *, tail_db: float = TAIL_DB) -> None:
         """Refuse taps, and a stagger, that are too short for what was measured.
 
-        Parameters
-        ----------
-        taps : int
-            Taps of the Green's functions.
-        stagger_s : float, optional
-            Stagger in seconds, where actuators sound together.
-        tail_db : float
-            Energy that may be cut off, in dB of all.
+        taps: Taps of the Green's functions.
+        stagger_s: Stagger in seconds, where actuators sound together.
+        tail_db: Energy that may be cut off, in dB of all.
 
-        Raises
-        ------
-        InputError
-            They are too short; the message says what is needed.
+        Raises InputError: they are too short; the message says what is needed.
         """
         needed = self.needed_taps(tail_db)
         if taps < needed:
@@ -93,30 +79,19 @@ class Decay:
 def measure_decay(green: NDArray[np.floating], sample_rate_hz: float) -> Decay:
     """Measure the decay of responses that were estimated with as many taps as the recording allows.
 
-    Parameters
-    ----------
-    green : array, shape (..., taps)
-        FIRs of some actuators at one or more positions; longer than the responses, if possible.
-    sample_rate_hz : float
-        Rate in Hz, > 0.
+    green, (..., taps): FIRs of some actuators at one or more positions; longer than the responses, if possible.
+    sample_rate_hz: Rate in Hz, > 0.
 
-    Returns
-    -------
-    Decay
-        Of all of them together, which is that of those that ring longest.
-
-    Raises
-    ------
-    InputError
-        Too few taps, zeros, values that are not finite, or a response that noise or the last tap hides before it
-        has fallen far enough to tell its decay.
+    Returns Decay: of all of them together, which is that of those that ring longest. Raises InputError: too few taps,
+    zeros, values that are not finite, or a response that noise or the last tap hides before it has fallen far enough
+    for a fit.
     """
     taps = green.shape[-1]
     if taps < 2 * BLOCKS:
-        raise InputError(f"the responses have {taps} taps; at least {2 * BLOCKS} are needed to tell their decay")
+        raise InputError(f"the responses have {taps} taps; at least {2 * BLOCKS} are needed to measure their decay")
     energy = np.square(green.astype(np.float64)).reshape(-1, taps).sum(axis=0)
     if not np.isfinite(energy).all() or not energy.any():
-        raise InputError("the responses are zeros or not finite; measured ones are needed to tell their decay")
+        raise InputError("the responses are zeros or not finite; measured ones are needed to measure their decay")
     block = taps // BLOCKS
     blocks = energy[: block * BLOCKS].reshape(BLOCKS, block).sum(axis=1)
     start = _first_fallen(blocks)
@@ -128,7 +103,7 @@ def measure_decay(green: NDArray[np.floating], sample_rate_hz: float) -> Decay:
     if fall_db < LEAST_FALL_DB:
         raise InputError(
             f"the responses fall by {max(fall_db, 0):.0f} dB before noise or their last tap hides them; "
-            f"{LEAST_FALL_DB:g} dB are needed to tell their decay: record a longer silence or more sweeps"
+            f"{LEAST_FALL_DB:g} dB are needed to measure their decay: record a longer silence or more sweeps"
         )
     block_s = block / sample_rate_hz
     whole = max(float(blocks.sum()) - BLOCKS * math.exp(floor), 1e-300)

@@ -29,21 +29,12 @@ def estimation_bytes(header: RawHeader) -> int:
 def affordable_workers(header: RawHeader, workers: int, what: str, *, present: int | None = None) -> int:
     """Number of positions, up to `workers`, that may be estimated at a time.
 
-    Parameters
-    ----------
-    header : RawHeader
-        What is estimated.
-    workers : int
-        As many as are wanted, >= 1.
-    what : str
-        Name of the file for the message.
-    present : int, optional
-        Bytes of memory; by default those of the computer.
+    header: What is estimated.
+    workers: As many as are wanted, >= 1.
+    what: Name of the file for the message.
+    present: Bytes of memory; by default those of the computer.
 
-    Raises
-    ------
-    InputError
-        When a single position needs more memory than there is.
+    Raises InputError: when a single position needs more memory than there is.
     """
     total = physical_bytes() if present is None else present
     if total is None:

@@ -18,19 +18,11 @@ CUBIC_OF_ONE = 1.3
 class Method:
     """How a position is measured, as far as its error goes.
 
-    Parameters
-    ----------
-    sounding_s : float
-        How long the sweep of each actuator sounds in all records of a position together, > 0.
-    together : int
-        How many actuators sound at once, >= 1.
-    window_s : float
-        Time on which what is unlike any response spreads: the period, or a sweep with its silence, > 0.
+    sounding_s: How long the sweep of each actuator sounds in all records of a position together, > 0.
+    together: How many actuators sound at once, >= 1.
+    window_s: Time on which what is unlike any response spreads: the period, or a sweep with its silence, > 0.
 
-    Raises
-    ------
-    InputError
-        A value outside the range above.
+    Raises InputError: a value outside the range above.
     """
 
     sounding_s: float
@@ -48,17 +40,11 @@ class Method:
 class Noise:
     """What is wrong with the response, seen at one actuator that sounds alone, over its rms while it sounds.
 
-    Parameters
-    ----------
-    additive_db : float
-        White noise (0 to half the sample rate) that is always there; -inf for none.
-    proportional_db : float
-        White noise that grows with all that sounds, over that; -inf for none.
-    cubic_db : float
-        Rms of a cubic term of the response; -inf for none.
-    sixth_moment : float
-        Mean sixth power of that response over the cube of its mean square, which says how peaked it is: 2.5 for a
-        sweep that is equally loud everywhere, 3 on a plate that rings as little as the paper's, 15 where it is a
+    additive_db: White noise (0 to half the sample rate) that is always there; -inf for none.
+    proportional_db: White noise that grows with all that sounds, over that; -inf for none.
+    cubic_db: Rms of a cubic term of the response; -inf for none.
+    sixth_moment: Mean sixth power of that response over the cube of its mean square, which says how peaked it is: 2.5
+        for a sweep that is equally loud everywhere, 3 on a plate that rings as little as the paper's, 15 where it is a
         row of resonances.
     """
 
@@ -86,7 +72,7 @@ def expected_error(
     sample_rate_hz: float,
     taps: int,
     loudness: float | None = None,
-    heard: float | None = None,
+    effective: float | None = None,
 ) -> ExpectedError:
     """Predict the error of a schedule; within 1.5 dB of what is measured on the virtual rig.
 
@@ -95,33 +81,17 @@ def expected_error(
     which its sweep sounded. Noise that grows with the response grows with all actuators that sound together. A
     cubic term grows with the square of that power, and no repetition averages it.
 
-    Parameters
-    ----------
-    method : Method
-        How a position is measured.
-    noise : Noise
-        What is wrong with the response.
-    band_hz : tuple of float
-        Band of the sweep in Hz.
-    sample_rate_hz : float
-        Rate in Hz.
-    taps : int
-        Length L of the FIRs.
-    loudness : float, optional
-        Energy of the responses of all actuators that sound together over that of this one, >= 1; by default that
+    method: How a position is measured.
+    noise: What is wrong with the response.
+    band_hz: Band of the sweep in Hz.
+    sample_rate_hz: Rate in Hz.
+    taps: Length L of the FIRs.
+    loudness: Energy of the responses of all actuators that sound together over that of this one, >= 1; by default that
         of actuators that are alike.
-    heard : float, optional
-        How many actuators make up what sounds together: the square of the sum of their responses' energies over the
-        sum of the squares; by default all of them.
+    effective: How many actuators make up what sounds together: the square of the sum of their responses' energies
+        over the sum of the squares; by default all of them.
 
-    Returns
-    -------
-    ExpectedError
-
-    Raises
-    ------
-    InputError
-        A band or a length that cannot be.
+    Returns ExpectedError. Raises InputError: a band or a length that cannot be.
     """
     low, high = band_hz
     if not 0 <= low < high <= sample_rate_hz / 2:
@@ -134,7 +104,7 @@ def expected_error(
     additive = _energy(noise.additive_db) * share
     proportional = _energy(noise.proportional_db) * loud * share
     # Of one sweep there is nothing between what sounds.
-    mixed = 1 - 1 / (method.together if heard is None else max(heard, 1.0))
+    mixed = 1 - 1 / (method.together if effective is None else max(effective, 1.0))
     shared = 6 * loud**3 * mixed * length_s / method.window_s
     cubic = _energy(noise.cubic_db) * (CUBIC_OF_ONE + (9 * loud * (loud - 1) + shared) / noise.sixth_moment)
     return ExpectedError(_db(additive + proportional + cubic), _db(additive), _db(proportional), _db(cubic))
@@ -143,12 +113,8 @@ def expected_error(
 def degrees_of_freedom(band_hz: tuple[float, float], length_s: float) -> float:
     """How many numbers a causal response of some length has to say in a band.
 
-    Parameters
-    ----------
-    band_hz : tuple of float
-        Lowest and highest frequency in Hz.
-    length_s : float
-        Length in seconds.
+    band_hz: Lowest and highest frequency in Hz.
+    length_s: Length in seconds.
     """
     held = (band_hz[1] - band_hz[0]) * length_s
     return 2 * held + 2 * math.log(max(2 * math.pi * held, 1.0))

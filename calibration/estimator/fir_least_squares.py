@@ -24,16 +24,11 @@ GARROTE = 5.0
 class CausalSolution:
     """Causal FIRs of a batch of spectra, and what they leave.
 
-    Parameters
-    ----------
-    green : float32 array, shape (records, taps)
-        On the playback clock.
-    whole, left : float64 array, shape (records,)
-        Energy of the whitened data, and what the FIR leaves of it.
-    variance : float64 array, shape (records,)
-        Variance of the noise on one element of the whitened data.
-    whitened, missed : complex64 array, shape (records, bins)
-        What the FIR leaves of the data, whitened and with the weight taken off.
+    green, float32 (records, taps): On the playback clock.
+    whole, left, float64 (records,): Energy of the whitened data, and what the FIR leaves of it.
+    variance, float64 (records,): Variance of the noise on one element of the whitened data.
+    whitened, missed, complex64 (records, bins): What the FIR leaves of the data, whitened and with the weight taken
+        off.
     """
 
     green: Float32Array
@@ -52,20 +47,12 @@ class CausalFit:
     the playback clock: `ratio` between them enters the matrix, whose solution is made at a few ratios and
     interpolated, so that every record is fitted at its own.
 
-    Parameters
-    ----------
-    omega : float64 array, shape (bins,)
-        Frequencies in radians per DAQ sample, ascending, spaced by ``2 pi / period``.
-    power : float64 array, shape (bins,)
-        Squared magnitude of the nominal drive's spectrum, relative to its median in band.
-    period : int
-        Samples of the period.
-    taps : int
-        Length L of the FIR.
-    ridge : float
-        Penalty relative to the median power in band.
-    max_ppm : float
-        Largest clock skew in parts per million, > 0.
+    omega, float64 (bins,): Frequencies in radians per DAQ sample, ascending, spaced by ``2 pi / period``.
+    power, float64 (bins,): Squared magnitude of the nominal drive's spectrum, relative to its median in band.
+    period: Samples of the period.
+    taps: Length L of the FIR.
+    ridge: Penalty relative to the median power in band.
+    max_ppm: Largest clock skew in parts per million, > 0.
     """
 
     def __init__(
@@ -122,15 +109,15 @@ class CausalFit:
         """Coefficients without what noise of `variance` (records,) alone could have put in weak directions.
 
         A direction that the sweep hardly excites, at the band's very edge, gives its noise back magnified by
-        the inverse of its singular value. Where the data do not speak for it, it is better left at zero: the
+        the inverse of its singular value. Where noise alone explains it, it is better left at zero: the
         non-negative garrote (Breiman 1995). Strong directions pass untouched, so the fit stays linear there.
         """
         kept = np.square(coefficients)
         weak = self._weak
-        spoken = kept[:, weak]
+        squared = kept[:, weak]
         noise = (GARROTE * variance).astype(np.float32)[:, None]
         shrunk = coefficients.copy()
-        shrunk[:, weak] *= np.maximum(1 - noise / np.maximum(spoken, np.float32(1e-30)), 0)
+        shrunk[:, weak] *= np.maximum(1 - noise / np.maximum(squared, np.float32(1e-30)), 0)
         return shrunk
 
     def unexplained(self, data: Float32Array, coefficients: Float32Array) -> Float32Array:

@@ -44,18 +44,11 @@ def joint_bytes(period: int, band_cycles: float, taps: int) -> int:
 class JointSolution:
     """What a record says of each of its slots.
 
-    Parameters
-    ----------
-    green : float32 array, shape (slots, taps)
-        FIRs, from the base signal to the response.
-    energy : float64 array, shape (slots,)
-        Energy that each slot's FIR explains of the whitened data.
-    unexplained : float
-        Energy that they leave.
-    variance : float
-        Variance of the noise on one element of the whitened data.
-    left : complex64 array, shape (bins,)
-        What they leave of the whitened data.
+    green, float32 (slots, taps): FIRs, from the base signal to the response.
+    energy, float64 (slots,): Energy that each slot's FIR explains of the whitened data.
+    unexplained: Energy that they leave.
+    variance: Variance of the noise on one element of the whitened data.
+    left, complex64 (bins,): What they leave of the whitened data.
     """
 
     green: Float32Array
@@ -72,22 +65,13 @@ class JointFit:
     evenly spaced on the ring of a period, a DFT over the slots takes the system apart into one small matrix per
     harmonic, inverted once. Any other delays are solved by conjugate gradients in those directions.
 
-    Parameters
-    ----------
-    omega : float64 array, shape (bins,)
-        Frequencies in radians per playback sample, multiples of one spacing, ascending.
-    power : float64 array, shape (bins,)
-        Squared magnitude of the base signal's spectrum, relative to its median in band.
-    period : int
-        Samples of the ring, or of the transform that the record was padded to.
-    taps : int
-        Length L of the FIRs.
-    delays : float64 array, shape (slots,)
-        Delay of each slot in playback samples; L or more apart.
-    ridge : float
-        Penalty relative to the median power in band.
-    periodic : bool
-        Whether delays wrap round the period.
+    omega, float64 (bins,): Frequencies in radians per playback sample, multiples of one spacing, ascending.
+    power, float64 (bins,): Squared magnitude of the base signal's spectrum, relative to its median in band.
+    period: Samples of the ring, or of the transform that the record was padded to.
+    taps: Length L of the FIRs.
+    delays, float64 (slots,): Delay of each slot in playback samples; L or more apart.
+    ridge: Penalty relative to the median power in band.
+    periodic: Whether delays wrap round the period.
     """
 
     def __init__(
@@ -136,14 +120,9 @@ class JointFit:
     def solve(self, data: Complex64Array) -> JointSolution:
         """Fit one record.
 
-        Parameters
-        ----------
-        data : complex64 array, shape (bins,)
-            Transfer from base signal to response, times `weight`.
+        data, complex64 (bins,): Transfer from base signal to response, times `weight`.
 
-        Returns
-        -------
-        JointSolution
+        Returns JointSolution.
         """
         seen = self._seen(data)
         found = self._solved(seen)
@@ -153,9 +132,9 @@ class JointFit:
         found = found[:, self._chosen]
         # What the noise alone would put there is no energy of the response.
         energy = np.square(found).sum(axis=0, dtype=np.float64) - found.shape[0] * variance
-        spoken = np.maximum(np.square(found[self._weak]), np.float32(1e-30))
+        squared = np.maximum(np.square(found[self._weak]), np.float32(1e-30))
         noise = np.float32(GARROTE * variance) * self._spread[:, None]
-        found[self._weak] *= np.maximum(1 - noise / spoken, 0)
+        found[self._weak] *= np.maximum(1 - noise / squared, 0)
         return JointSolution(found.T @ self._responses, np.maximum(energy, 0), unexplained, variance, left)
 
     def _seen(self, data: Complex64Array) -> Float32Array:
@@ -221,19 +200,12 @@ class JointFit:
 def ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, NDArray[np.int64]] | None:
     """Find evenly spaced slots on the ring that hold all delays, as few as will do.
 
-    Parameters
-    ----------
-    delays : float64 array, shape (slots,)
-        Delays in samples.
-    period : int
-        Samples of the ring.
-    taps : int
-        Least distance of two slots.
+    delays, float64 (slots,): Delays in samples.
+    period: Samples of the ring.
+    taps: Least distance of two slots.
 
-    Returns
-    -------
-    tuple of int and int64 array, or None
-        How many slots, and which of them each delay is; None where there are no such slots.
+    Returns tuple of int and int64 array, or None: how many slots, and which of them each delay is; None where there are
+    no such slots.
     """
     for slots in range(delays.size, period // taps + 1):
         place = (delays - delays[0]) * (slots / period)

@@ -24,14 +24,9 @@ Float64Array = NDArray[np.float64]
 class Channels:
     """How the two DAQ channels see drive and response.
 
-    Parameters
-    ----------
-    reference_gain : float
-        DAQ volts on the reference channel per volt of the base signal, > 0.
-    response_per_volt : float
-        Response unit per DAQ volt of the response channel, not 0.
-    inter_channel_delay_s : float
-        How much later the response channel is sampled than the reference channel, in seconds.
+    reference_gain: DAQ volts on the reference channel per volt of the base signal, > 0.
+    response_per_volt: Response unit per DAQ volt of the response channel, not 0.
+    inter_channel_delay_s: How much later the response channel is sampled than the reference channel, in seconds.
     """
 
     reference_gain: float = 1.0
@@ -55,47 +50,25 @@ class PositionEstimator(Protocol):
     ) -> Estimate:
         """Estimate from all records of a position.
 
-        Parameters
-        ----------
-        reference_v, response_v : float32 array, shape (records, samples)
-            The two DAQ channels in volts, a record per row.
-        range_v : tuple of float
-            Largest input magnitude in volts on (reference, response), each > 0.
+        reference_v, response_v, float32 (records, samples): The two DAQ channels in volts, a record per row.
+        range_v: Largest input magnitude in volts on (reference, response), each > 0.
 
-        Returns
-        -------
-        Estimate
-            A row per actuator.
-
-        Raises
-        ------
-        InputError
-            Arrays of different or wrong shapes, or values that are not finite.
-        ReferenceMissingError
-            A reference in which the base signal cannot be found; the message names the record.
+        Returns Estimate: a row per actuator. Raises InputError: arrays of different or wrong shapes, or values that are
+        not finite. ReferenceMissingError: a reference in which the base signal cannot be found; the message names the
+        record.
         """
 
 
 class SequentialEstimator:
     """A record per actuator, sweeps with silence after each.
 
-    Parameters
-    ----------
-    sweeps : Sweeps
-        What each record plays.
-    schedule : Schedule
-        Which actuator in which record, sequential.
-    taps : int
-        Length L of the FIRs, 1 to the silence after each sweep.
-    channels : Channels
-        How the channels see it.
-    comparable : bool
-        Whether the figures that compare repeats mean something; else they are NaN.
+    sweeps: What each record plays.
+    schedule: Which actuator in which record, sequential.
+    taps: Length L of the FIRs, 1 to the silence after each sweep.
+    channels: How the channels see it.
+    comparable: Whether the figures that compare repeats mean something; else they are NaN.
 
-    Raises
-    ------
-    InputError
-        A value outside the range above.
+    Raises InputError: a value outside the range above.
     """
 
     def __init__(
@@ -128,27 +101,15 @@ class SequentialEstimator:
 class JointEstimator:
     """Records in which several actuators play at once: all of them, or a group.
 
-    Parameters
-    ----------
-    base_v : float64 array, shape (period,)
-        The base signal, as of `calibration.estimator.staggered.StaggeredEstimator`.
-    sample_rate_hz : float
-        Rate in Hz, > 0.
-    band_hz : tuple of float
-        Its band in Hz.
-    schedule : Schedule
-        What plays when.
-    taps : int
-        Length L of the FIRs, at most the distance of two delays.
-    channels : Channels
-        How the channels see it.
-    expected_ratio : float
-        DAQ rate over playback rate that is tried first.
+    base_v, float64 (period,): The base signal, as of `calibration.estimator.staggered.StaggeredEstimator`.
+    sample_rate_hz: Rate in Hz, > 0.
+    band_hz: Its band in Hz.
+    schedule: What plays when.
+    taps: Length L of the FIRs, at most the distance of two delays.
+    channels: How the channels see it.
+    expected_ratio: DAQ rate over playback rate that is tried first.
 
-    Raises
-    ------
-    InputError
-        A value outside the range above.
+    Raises InputError: a value outside the range above.
     """
 
     def __init__(
@@ -202,18 +163,11 @@ def by_actuator(
 ) -> Estimate:
     """Put estimates of records in the order of the actuators; one that played more than once is averaged.
 
-    Parameters
-    ----------
-    estimates : sequence of Estimate
-        Rows of slots.
-    actuators, gains : sequence of array, shape (slots,)
-        Actuator and gain of each row.
+    estimates: Rows of slots.
+    actuators, gains, sequence of (slots,): Actuator and gain of each row.
 
-    Returns
-    -------
-    Estimate
-        A row per actuator. Of several rows the Green's functions are averaged by what noise and gain make them
-        worth, and the worst of each figure counts.
+    Returns Estimate: a row per actuator. Of several rows the Green's functions are averaged by what noise and gain make
+    them worth, and the worst of each figure counts.
     """
     rows = Estimate(
         **{one.name: np.concatenate([getattr(part, one.name) for part in estimates]) for one in fields(Estimate)}

@@ -26,7 +26,7 @@ Float32Array = NDArray[np.float32]
 
 # References from which the base signal is learned: more make it cleaner, by 0.05 dB at 16.
 LEARNED_RECORDS = 16
-# Positions that are looked through for one whose reference can be told apart.
+# Positions tried for one whose reference can be identified.
 LEARNED_POSITIONS = 16
 
 
@@ -34,14 +34,9 @@ LEARNED_POSITIONS = 16
 class PositionResult:
     """One position, estimated.
 
-    Parameters
-    ----------
-    position : int
-        Row of the file.
-    estimate : Estimate or None
-        None where nothing could be told.
-    fault : str
-        Why, else empty.
+    position: Row of the file.
+    estimate: None where nothing could be estimated.
+    fault: Why, else empty.
     """
 
     position: int
@@ -49,20 +44,13 @@ class PositionResult:
     fault: str
 
 
-def estimator_of(raw: RawFile, tell: Callable[[str], None] = lambda line: None) -> PositionEstimator:
+def estimator_of(raw: RawFile, report: Callable[[str], None] = lambda line: None) -> PositionEstimator:
     """Find out what was played, and make the estimator for it; the same file gives the same estimator.
 
-    Parameters
-    ----------
-    raw : RawFile
-        The recordings.
-    tell : callable
-        Gets a line that says what was found.
+    raw: The recordings.
+    report: Receives a line about what was found.
 
-    Raises
-    ------
-    InputError
-        No position whose reference tells what was played, or a schedule that cannot be estimated.
+    Raises InputError: no position whose reference shows what was played, or a schedule that cannot be estimated.
     """
     header = raw.header
     channels = Channels(header.reference_gain, header.response_per_volt, header.inter_channel_delay_s)
@@ -70,8 +58,8 @@ def estimator_of(raw: RawFile, tell: Callable[[str], None] = lambda line: None) 
     for first in _recorded(raw, LEARNED_POSITIONS):
         try:
             if header.schedule.period_s > 0:
-                return _periodic(raw, first, channels, tell)
-            return _with_silence(header, first, channels, tell)
+                return _periodic(raw, first, channels, report)
+            return _with_silence(header, first, channels, report)
         except (InputError, ReferenceMissingError) as error:
             failure = failure or InputError(f"{raw.path}: {error}")
     raise failure or InputError(f"{raw.path} holds no recordings; there is nothing to estimate")
@@ -83,28 +71,15 @@ def estimate_positions(
     """Estimate positions in several threads, in their order; one position more than workers is in memory.
 
     Every position is estimated by itself, so that the result does not depend on the workers. They spend their
-    time in transforms and linear algebra, which run beside each other; hold BLAS to one thread
+    time in transforms and linear algebra, which run in parallel; hold BLAS to one thread
     (`calibration.blas`).
 
-    Parameters
-    ----------
-    raw : RawFile
-        The recordings.
-    estimator : PositionEstimator
-        What `estimator_of` made of it.
-    positions : iterable of int
-        Rows of the file; those where nothing was recorded are left out.
-    workers : int
-        Threads, >= 1.
+    raw: The recordings.
+    estimator: What `estimator_of` made of it.
+    positions: Rows of the file; those where nothing was recorded are left out.
+    workers: Threads, >= 1.
 
-    Yields
-    ------
-    PositionResult
-
-    Raises
-    ------
-    InputError
-        Recordings that hold values that are not finite, or that cannot be read.
+    Returns PositionResult. Raises InputError: recordings that hold values that are not finite, or that cannot be read.
     """
     pending: deque[Future[PositionResult]] = deque()
     with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="estimate") as pool:
@@ -154,7 +129,7 @@ def _recorded(raw: RawFile, most: int) -> Iterator[Recordings]:
             return
 
 
-def _periodic(raw: RawFile, first: Recordings, channels: Channels, tell: Callable[[str], None]) -> PositionEstimator:
+def _periodic(raw: RawFile, first: Recordings, channels: Channels, report: Callable[[str], None]) -> PositionEstimator:
     """The base signal is already running when a record starts."""
     header = raw.header
     period = header.schedule.period_s * header.sample_rate_hz
@@ -176,7 +151,7 @@ def _periodic(raw: RawFile, first: Recordings, channels: Channels, tell: Callabl
         laws=header.laws,
         same_clock=header.same_clock,
     )
-    tell(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (base.ratio - 1):.2f} ppm")
+    report(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (base.ratio - 1):.2f} ppm")
     return JointEstimator(
         base.base_v,
         header.sample_rate_hz,
@@ -189,17 +164,17 @@ def _periodic(raw: RawFile, first: Recordings, channels: Channels, tell: Callabl
 
 
 def _with_silence(
-    header: RawHeader, first: Recordings, channels: Channels, tell: Callable[[str], None]
+    header: RawHeader, first: Recordings, channels: Channels, report: Callable[[str], None]
 ) -> PositionEstimator:
     """Each record begins and ends by itself."""
     reference, rate, band_hz, taps = first.reference_v[0], header.sample_rate_hz, header.band_hz, header.taps
     if header.same_clock:
-        tell("same_clock: whole records, each with its own reference")
+        report("same_clock: whole records, each with its own reference")
         return WholeRecordEstimator(rate, band_hz, header.schedule, taps, channels)
     shape, laws = _shape(header), header.laws
     sweep_samples = None if header.sweep_s is None else round(header.sweep_s * rate)
     found = find_sweeps(reference, rate, band_hz, taps, shape, sweep_samples=sweep_samples, laws=laws)
-    tell(
+    report(
         f"{found.shape.averages} sweeps of {found.shape.sweep_samples / rate:g} s"
         f"{f', {found.law}' if found.law else ''}; clocks differ by {1e6 * (found.ratio - 1):.2f} ppm"
     )

@@ -34,40 +34,26 @@ class Estimate:
     All energies are sums over the bins from the sweep's lowest to its highest frequency, of the response weighted as
     the fit weighs it; the fit itself uses all that the sweep excites, a little more.
 
-    Parameters
-    ----------
-    green : float32 array, shape (records, taps)
-        Causal FIRs on the playback clock, response unit per volt of drive.
-    snr_db : float32 array, shape (records,)
-        Energy that the fitted FIR explains over the noise's in the same band, after averaging; the noise is
-        the unexplained energy, scaled from the freedom that the FIR leaves to all of the band.
-    residual_db : float32 array, shape (records,)
-        Energy that the fitted FIR leaves unexplained over the response's whole energy; 0 dB for silence.
-        Sees clipping, dropouts, hum, and a response longer than L taps.
-    coherence : float32 array, shape (records,)
-        Share of the response's energy, over all repeats, that one linear relation to the reference explains;
-        NaN for a single sweep.
-    peak_v : float32 array, shape (records,)
-        Largest magnitude of the response in DAQ volts.
-    repeat_db : float32 array, shape (records,)
-        Energy of the differences of the repeats from their common relation over that of the response, scaled
-        to the variance of one repeat; NaN for a single sweep.
-    noise_v : float32 array, shape (records,)
-        Rms in DAQ volts of the white noise on one response recording (0 to half the sample rate) that would
-        leave this residual.
-    clip_count : int32 array, shape (records,)
-        Samples of either channel that are clipped: at 0.999 of its range or beyond, or on a flat top
-        below it, which an amplifier or the vibrometer left (see `calibration.defects.clipping`).
-    offset_samples : float64 array, shape (records,)
-        DAQ sample at which the first sweep starts.
-    clock_ratio : float64 array, shape (records,)
-        DAQ rate over playback rate.
-    defects : structured array, shape (records,), optional
-        What stands out of the residuals beyond chance, as `calibration.defects.figures.DEFECTS` has it; by default
-        nobody has looked.
-    reference_db : float32 array, shape (records,), optional
-        Level in band of the recorded reference over that of the played signal at the calibrated
-        `reference_gain`, in dB: 0 where the rig is as it was calibrated. NaN by default.
+    green, float32 (records, taps): Causal FIRs on the playback clock, response unit per volt of drive.
+    snr_db, float32 (records,): Energy that the fitted FIR explains over the noise's in the same band, after averaging;
+        the noise is the unexplained energy, scaled from the freedom that the FIR leaves to all of the band.
+    residual_db, float32 (records,): Energy that the fitted FIR leaves unexplained over the response's whole energy; 0
+        dB for silence. Sees clipping, dropouts, hum, and a response longer than L taps.
+    coherence, float32 (records,): Share of the response's energy, over all repeats, that one linear relation to the
+        reference explains; NaN for a single sweep.
+    peak_v, float32 (records,): Largest magnitude of the response in DAQ volts.
+    repeat_db, float32 (records,): Energy of the differences of the repeats from their common relation over that of the
+        response, scaled to the variance of one repeat; NaN for a single sweep.
+    noise_v, float32 (records,): Rms in DAQ volts of the white noise on one response recording (0 to half the sample
+        rate) that would leave this residual.
+    clip_count, int32 (records,): Samples of either channel that are clipped: at 0.999 of its range or beyond, or on a
+        flat top below it, which an amplifier or the vibrometer left (see `calibration.defects.clipping`).
+    offset_samples, float64 (records,): DAQ sample at which the first sweep starts.
+    clock_ratio, float64 (records,): DAQ rate over playback rate.
+    defects, structured (records,): What stands out of the residuals beyond chance, as
+        `calibration.defects.figures.DEFECTS` has it; not examined by default.
+    reference_db, float32 (records,): Level in band of the recorded reference over that of the played signal at the
+        calibrated `reference_gain`, in dB: 0 where the rig is as it was calibrated. NaN by default.
     """
 
     green: NDArray[np.float32]
@@ -96,25 +82,14 @@ class Estimator:
     Everything that is computed once depends on the configuration alone, so that the same recordings give the
     same bytes in whatever order they come. Safe to call from several threads.
 
-    Parameters
-    ----------
-    excitation : Sweeps
-        What each record plays.
-    taps : int
-        Length L of the FIRs, 1 to the excitation's silence.
-    reference_gain : float
-        DAQ volts on the reference channel per volt of drive, > 0.
-    response_per_volt : float
-        Response unit per DAQ volt of the response channel, not 0.
-    inter_channel_delay_s : float
-        How much later the response channel is sampled than the reference channel, in seconds.
-    ridge : float
-        Penalty on the FIR's energy relative to the sweep's median power in band, > 0.
+    excitation: What each record plays.
+    taps: Length L of the FIRs, 1 to the excitation's silence.
+    reference_gain: DAQ volts on the reference channel per volt of drive, > 0.
+    response_per_volt: Response unit per DAQ volt of the response channel, not 0.
+    inter_channel_delay_s: How much later the response channel is sampled than the reference channel, in seconds.
+    ridge: Penalty on the FIR's energy relative to the sweep's median power in band, > 0.
 
-    Raises
-    ------
-    InputError
-        A value outside the range above.
+    Raises InputError: a value outside the range above.
     """
 
     def __init__(
@@ -178,23 +153,12 @@ class Estimator:
     ) -> Estimate:
         """Estimate one Green's function per record.
 
-        Parameters
-        ----------
-        reference_v, response_v : float32 array, shape (records, samples)
-            The two DAQ channels in volts, one sequential record per row.
-        range_v : tuple of float
-            Largest input magnitude in volts on (reference, response), each > 0.
+        reference_v, response_v, float32 (records, samples): The two DAQ channels in volts, one sequential record per
+            row.
+        range_v: Largest input magnitude in volts on (reference, response), each > 0.
 
-        Returns
-        -------
-        Estimate
-
-        Raises
-        ------
-        InputError
-            Arrays of different or wrong shapes, or values that are not finite.
-        ReferenceMissingError
-            A reference in which the sweeps cannot be found; the message names the record.
+        Returns Estimate. Raises InputError: arrays of different or wrong shapes, or values that are not finite.
+        ReferenceMissingError: a reference in which the sweeps cannot be found; the message names the record.
         """
         reference = np.ascontiguousarray(reference_v, dtype=np.float32)
         response = np.ascontiguousarray(response_v, dtype=np.float32)
@@ -260,8 +224,8 @@ class Estimator:
                 response_v=response,
                 loudest=peaks[1][1],
                 peak_v=peaks[1][0],
-                heard=x[..., here],
-                heard_power=reference_power[:, here],
+                reference=x[..., here],
+                reference_power=reference_power[:, here],
                 answered_energy=answered,
                 differing=differing,
                 differing_power=differing_power,

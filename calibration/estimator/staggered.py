@@ -43,39 +43,23 @@ class StaggeredEstimator:
     The record holds a periodic base signal that is already running when it starts (or, with `runs_on` False, one
     that begins and ends in it). Offset and clock ratio
     come from the reference; the spectra of both channels are then taken at the frequencies of the ring on the
-    playback clock, exactly, whatever the record's length. What the reference channel heard is cleaned of its
+    playback clock, exactly, whatever the record's length. The recorded reference is cleaned of its
     noise: it is the base signal times a smooth factor. Safe to call from several threads.
 
-    Parameters
-    ----------
-    base_v : float64 array, shape (period,)
-        One period of the base signal in volts, on the playback clock.
-    sample_rate_hz : float
-        Rate in Hz, > 0.
-    band_hz : tuple of float
-        Lowest and highest frequency of the base signal in Hz.
-    taps : int
-        Length L of the FIRs.
-    delay_samples : float64 array, shape (slots,)
-        How much later each slot plays the base signal, in playback samples, from 0 to the period; L or more
-        apart on the ring.
-    gain : float64 array, shape (slots,)
-        Drive volts of each slot per volt of the base signal, not 0.
-    reference_gain, response_per_volt, inter_channel_delay_s
-        As of `calibration.estimator.sequential.Estimator`.
-    expected_ratio : float
-        DAQ rate over playback rate that is tried first; it saves time and changes nothing else.
-    ridge : float
-        Penalty on the FIRs' energy relative to the base signal's median power in band, > 0.
-    runs_on : bool
-        Whether the base signal repeats and was already running when the record started. Else `base_v` is all
-        of it, with enough silence at its end for record, delays and responses, and outside of the record
-        there is silence.
+    base_v, float64 (period,): One period of the base signal in volts, on the playback clock.
+    sample_rate_hz: Rate in Hz, > 0.
+    band_hz: Lowest and highest frequency of the base signal in Hz.
+    taps: Length L of the FIRs.
+    delay_samples, float64 (slots,): How much later each slot plays the base signal, in playback samples, from 0 to the
+        period; L or more apart on the ring.
+    gain, float64 (slots,): Drive volts of each slot per volt of the base signal, not 0.
+    reference_gain, response_per_volt, inter_channel_delay_s: As of `calibration.estimator.sequential.Estimator`.
+    expected_ratio: DAQ rate over playback rate that is tried first; it saves time and changes nothing else.
+    ridge: Penalty on the FIRs' energy relative to the base signal's median power in band, > 0.
+    runs_on: Whether the base signal repeats and was already running when the record started. Else `base_v` is all of
+        it, with enough silence at its end for record, delays and responses, and outside of the record there is silence.
 
-    Raises
-    ------
-    InputError
-        A value outside the range above.
+    Raises InputError: a value outside the range above.
     """
 
     def __init__(
@@ -137,28 +121,16 @@ class StaggeredEstimator:
     ) -> Estimate:
         """Estimate the Green's functions of one record.
 
-        Parameters
-        ----------
-        reference_v, response_v : float32 array, shape (samples,)
-            The two DAQ channels in volts; one period or more.
-        range_v : tuple of float
-            Largest input magnitude in volts on (reference, response), each > 0.
-        name : str
-            Name of the record for messages.
+        reference_v, response_v, float32 (samples,): The two DAQ channels in volts; one period or more.
+        range_v: Largest input magnitude in volts on (reference, response), each > 0.
+        name: Name of the record for messages.
 
-        Returns
-        -------
-        Estimate
-            One row per slot. `residual_db`, `coherence`, `peak_v`, `repeat_db`, `noise_v`, `clip_count`,
-            `offset_samples` and `clock_ratio` are the record's and the same for all its slots; the two that
-            compare repeats are NaN for less than two periods. `offset_samples` is where a period starts.
+        Returns Estimate: one row per slot. `residual_db`, `coherence`, `peak_v`, `repeat_db`, `noise_v`, `clip_count`,
+        `offset_samples` and `clock_ratio` are the record's and the same for all its slots; the two that compare repeats
+        are NaN for less than two periods. `offset_samples` is where a period starts.
 
-        Raises
-        ------
-        InputError
-            Arrays of wrong shapes, values that are not finite, or less than one period.
-        ReferenceMissingError
-            A reference that does not carry the base signal.
+        Raises InputError: arrays of wrong shapes, values that are not finite, or less than one period.
+        ReferenceMissingError: a reference that does not carry the base signal.
         """
         if reference_v.ndim != 1 or reference_v.shape != response_v.shape:
             raise InputError(
@@ -176,8 +148,8 @@ class StaggeredEstimator:
         clock = self._found_clock(thinned, name)
         turn = 2 * np.pi / (self.period * clock.ratio)
         sums = self._thinning.spectrum(thinned, turn, 0, self._bins.stop)
-        heard, answered = ring_spectrum(sums, turn, samples) if self._runs_on else sums * (2 / self.period)
-        base = self._cleaned(heard[self._bins], clock)
+        reference, answered = ring_spectrum(sums, turn, samples) if self._runs_on else sums * (2 / self.period)
+        base = self._cleaned(reference[self._bins], clock)
         data = (self._weight * answered[self._bins] * base.conj() / np.maximum(np.square(np.abs(base)), FLOOR)).astype(
             np.complex64
         )
@@ -190,7 +162,7 @@ class StaggeredEstimator:
         variance = unexplained / (self._share * self._fit.left_share * self._fit.elements)
         noise = variance * self._fit.elements
         level = float(np.square(np.abs(base) * self.period / 2).sum() / self._nominal_power.sum())
-        # Over silence, too, noise is heard; over more than a period it is averaged.
+        # Noise is recorded during silence too; over more than a period it is averaged.
         averaged = periods if self._runs_on else 1 / periods
         noise_v = np.sqrt(variance * averaged * level * self._median_power)
         clipped = sum(
@@ -270,13 +242,13 @@ class StaggeredEstimator:
             )
         return clock
 
-    def _cleaned(self, heard: Complex128Array, clock: RingFit) -> Complex128Array:
+    def _cleaned(self, reference: Complex128Array, clock: RingFit) -> Complex128Array:
         """Amplitudes of the base signal as the reference channel carries it, all but free of its noise."""
         delayed = np.exp(-1j * self._omega * clock.offset_samples / clock.ratio) * (2 / self.period)
         fitted = self._clock.coupled(clock)[self._bins] * delayed
         power = np.square(np.abs(fitted))
         # Both sums fade out together at the ends of the band.
-        alike = np.convolve(heard * fitted.conj(), self._smoothing, mode="same")
+        alike = np.convolve(reference * fitted.conj(), self._smoothing, mode="same")
         around = np.convolve(power, self._smoothing, mode="same")
         return np.asarray(fitted * alike / np.maximum(around, FLOOR))
 
@@ -305,21 +277,13 @@ class StaggeredEstimator:
 
 
 def require_slots(delay_samples: Float64Array, gain: Float64Array, period: int, taps: int) -> None:
-    """Refuse slots whose responses cannot be told apart.
+    """Refuse slots whose responses overlap.
 
-    Parameters
-    ----------
-    delay_samples, gain : float64 array, shape (slots,)
-        As of `StaggeredEstimator`.
-    period : int
-        Samples of the ring.
-    taps : int
-        Length of the responses.
+    delay_samples, gain, float64 (slots,): As of `StaggeredEstimator`.
+    period: Samples of the ring.
+    taps: Length of the responses.
 
-    Raises
-    ------
-    InputError
-        Delays out of range or closer than `taps`, or gains of 0.
+    Raises InputError: delays out of range or closer than `taps`, or gains of 0.
     """
     delays = np.asarray(delay_samples, dtype=np.float64)
     if delays.ndim != 1 or delays.shape != np.shape(gain) or not delays.size:

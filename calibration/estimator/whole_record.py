@@ -40,26 +40,15 @@ class WholeRecordEstimator:
     same slots are fitted together, so that each counts by its energy. Conjugate gradients and transforms, no
     matrix. Safe to call from several threads.
 
-    Parameters
-    ----------
-    sample_rate_hz : float
-        Rate in Hz, > 0.
-    band_hz : tuple of float
-        Band of the excitation in Hz.
-    schedule : Schedule
-        What plays when, not periodic.
-    taps : int
-        Length L of the FIRs.
-    channels : Channels
-        How the channels see it.
-    clock_ratio : callable, optional
-        DAQ rate over playback rate of a reference channel (samples,) in volts, and where it begins in samples; both
-        channels are then resampled to the playback clock. Without it one clock played and recorded.
+    sample_rate_hz: Rate in Hz, > 0.
+    band_hz: Band of the excitation in Hz.
+    schedule: What plays when, not periodic.
+    taps: Length L of the FIRs.
+    channels: How the channels see it.
+    clock_ratio: DAQ rate over playback rate of a reference channel (samples,) in volts, and where it begins in samples;
+        both channels are then resampled to the playback clock. Without it one clock played and recorded.
 
-    Raises
-    ------
-    InputError
-        A periodic schedule.
+    Raises InputError: a periodic schedule.
     """
 
     def __init__(
@@ -190,9 +179,9 @@ class _Fit:
         self._band_share = (band_hz[1] - band_hz[0]) / (rate_hz / 2)
         # A response that is sampled late shows each event at an earlier sample.
         self._slots = gain[:, None] * np.exp(-2j * np.pi * hertz * (delay_s[:, None] - late_s))
-        self._heard = [scipy.fft.rfft(one, self._length) for one in references]
+        self._spectra = [scipy.fft.rfft(one, self._length) for one in references]
         self._references, self._responses = references, responses
-        power = sum(np.square(np.abs(one)) for one in self._heard) * np.square(gain).mean()
+        power = sum(np.square(np.abs(one)) for one in self._spectra) * np.square(gain).mean()
         self._median = float(np.median(power[self._in_band])) if self._in_band.any() else 0.0
         if not self._median > 0:
             raise ReferenceMissingError("the reference is silent in band_hz; check its cable and channel")
@@ -260,15 +249,15 @@ class _Fit:
         """Responses that FIRs (slots, taps) make."""
         spectrum = (scipy.fft.rfft(green, self._length) * self._slots).sum(axis=0)
         return [
-            scipy.fft.irfft(heard * spectrum, self._length)[:samples]
-            for heard, samples in zip(self._heard, self._samples, strict=True)
+            scipy.fft.irfft(reference * spectrum, self._length)[:samples]
+            for reference, samples in zip(self._spectra, self._samples, strict=True)
         ]
 
     def _seen(self, responses: Sequence[Float64Array]) -> Float64Array:
         """What responses say of each tap: the adjoint of `_shown`."""
         total: Complex128Array = np.zeros(self._length // 2 + 1, dtype=np.complex128)
-        for one, heard in zip(responses, self._heard, strict=True):
-            total += scipy.fft.rfft(one, self._length) * heard.conj()
+        for one, reference in zip(responses, self._spectra, strict=True):
+            total += scipy.fft.rfft(one, self._length) * reference.conj()
         return np.asarray(scipy.fft.irfft(total * self._slots.conj(), self._length)[:, : self._taps])
 
     def _energy(self, signal: Float64Array) -> float:

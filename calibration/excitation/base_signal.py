@@ -23,7 +23,7 @@ Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
 
-# A clock told by the signal's own repeats must be as sure as this; 1 ppm would cost 1 dB at -63 dB.
+# A clock fitted to the signal's own repeats must be as sure as this; 1 ppm would cost 1 dB at -63 dB.
 SURE_PPM = 0.3
 REPEATING = 0.03
 # A record of which this share is explained by another one holds the same signal.
@@ -42,12 +42,8 @@ BEYOND_BAND = 4.0
 class BaseSignal:
     """One period of what the reference channels carry.
 
-    Parameters
-    ----------
-    base_v : float64 array, shape (period,)
-        In DAQ volts, on the playback clock; where it begins is anyone's choice.
-    ratio : float
-        DAQ rate over playback rate of the first record.
+    base_v, float64 (period,): In DAQ volts, on the playback clock; its beginning is arbitrary.
+    ratio: DAQ rate over playback rate of the first record.
     """
 
     base_v: Float64Array
@@ -75,31 +71,15 @@ def learn_base(
     The clocks' ratio comes from the signal's own repeats where a record is longer than a period, else from a
     sweep through the band.
 
-    Parameters
-    ----------
-    references : sequence of float32 array, shape (samples,)
-        Reference channels in volts; more of them give a cleaner base signal.
-    period : int
-        Period in playback samples.
-    sample_rate_hz : float
-        Rate in Hz.
-    band_hz : tuple of float
-        Band of the base signal in Hz.
-    sweep_s : float, optional
-        Length of the sweep in a period in seconds, if it is not all of it.
-    laws : sequence of str
-        Laws of sweeps that are looked for.
-    same_clock : bool
-        Whether one clock played and recorded, so that its ratio is 1 and any base signal will do.
+    references, sequence of float32 (samples,): Reference channels in volts; more of them give a cleaner base signal.
+    period: Period in playback samples.
+    sample_rate_hz: Rate in Hz.
+    band_hz: Band of the base signal in Hz.
+    sweep_s: Length of the sweep in a period in seconds, if it is not all of it.
+    laws: Laws of sweeps that are looked for.
+    same_clock: Whether one clock played and recorded, so that its ratio is 1 and any base signal will do.
 
-    Returns
-    -------
-    BaseSignal
-
-    Raises
-    ------
-    InputError
-        Less than one period, silence, or nothing that tells the clocks' ratio.
+    Returns BaseSignal. Raises InputError: less than one period, silence, or nothing that shows the clocks' ratio.
     """
     bins = math.ceil(highest_cycles(band_hz, sweep_s or period / sample_rate_hz, sample_rate_hz) * period)
     bins = min(bins, (period + 1) // 2)
@@ -110,7 +90,7 @@ def learn_base(
     require_coverage(seen[0].samples, period * (1 - 1e-6 * MAX_PPM), bins / period, "the reference")
     if same_clock:
         return _same_clock_base(seen, bins, period)
-    # Told by its own repeats each record is as good as any; those of one clock are then averaged.
+    # Fitted to its own repeats each record is as good as any; those of one clock are then averaged.
     own = [record.repeats for record in seen]
     sure = [fit is not None and fit.sigma_ppm < SURE_PPM and fit.misfit < REPEATING for fit in own]
     start = next((index for index, is_sure in enumerate(sure) if is_sure), 0)
@@ -198,7 +178,7 @@ def _ratio_of_cuts(seen: Sequence[_Seen], bins: int, guess: float | None) -> flo
         if reach == CUT_REACH_PPM:
             return guess
     raise InputError(
-        "the reference tells no clock ratio: its records are hardly longer than a period, cut at the same place, and "
+        "the reference shows no clock ratio: its records are hardly longer than a period, cut at the same place, and "
         "hold no sweep through band_hz; record at least 1.05 periods"
     )
 

@@ -26,7 +26,7 @@ Float64Array = NDArray[np.float64]
 SHORTEST_SWEEP_S = 0.05
 # A record whose autocorrelation reaches this share at some lag holds repeats.
 REPEAT_SHARE = 0.4
-# Share of the energy that tells where a sweep begins and ends.
+# Share of the energy outside a sweep's beginning and end.
 END_ENERGY = 1e-4
 # What counts as silence: energy of the quietest part of a period, times this, and this share of the period's.
 QUIET_FACTOR = 1.5
@@ -39,14 +39,9 @@ MARGIN_SHARE = 0.03
 class RecordShape:
     """How the sweeps of a sequential record follow each other on the playback clock.
 
-    Parameters
-    ----------
-    sweep_samples : int
-        Length of one sweep.
-    period_samples : int
-        Length of a sweep and its silence.
-    averages : int
-        Number of sweeps.
+    sweep_samples: Length of one sweep.
+    period_samples: Length of a sweep and its silence.
+    averages: Number of sweeps.
     """
 
     sweep_samples: int
@@ -58,18 +53,11 @@ class RecordShape:
 class RecordedSweeps:
     """The sweeps of a sequential record as its reference channel carried them: `calibration.excitation.sweeps.Sweeps`.
 
-    Parameters
-    ----------
-    base : float64 array, shape (period,)
-        One sweep and its silence in DAQ volts, on the playback clock.
-    sample_rate_hz : float
-        Rate in Hz.
-    start_hz, stop_hz : float
-        Lowest and highest frequency in Hz.
-    decay_samples : int
-        Samples of silence after each sweep.
-    averages : int
-        Number of sweeps in a record.
+    base, float64 (period,): One sweep and its silence in DAQ volts, on the playback clock.
+    sample_rate_hz: Rate in Hz.
+    start_hz, stop_hz: Lowest and highest frequency in Hz.
+    decay_samples: Samples of silence after each sweep.
+    averages: Number of sweeps in a record.
     """
 
     base: Float64Array
@@ -93,18 +81,11 @@ class RecordedSweeps:
 class FoundSweeps:
     """The sweeps of a sequential record, found in its reference channel.
 
-    Parameters
-    ----------
-    shape : RecordShape
-        How they follow each other.
-    offset : float
-        DAQ sample at which the first one begins; about, unless a law was found.
-    ratio : float
-        DAQ rate over playback rate.
-    law : str
-        Their law; empty where the clocks' ratio comes from the repeats.
-    highest : float
-        Upper end of the band in cycles per sample.
+    shape: How they follow each other.
+    offset: DAQ sample at which the first one begins; about, unless a law was found.
+    ratio: DAQ rate over playback rate.
+    law: Their law; empty where the clocks' ratio comes from the repeats.
+    highest: Upper end of the band in cycles per sample.
     """
 
     shape: RecordShape
@@ -126,31 +107,15 @@ def find_sweeps(
 ) -> FoundSweeps:
     """Find the sweeps of a sequential record.
 
-    Parameters
-    ----------
-    reference : float32 array, shape (samples,)
-        Reference channel in volts.
-    sample_rate_hz : float
-        Rate in Hz.
-    band_hz : tuple of float
-        Band of the sweeps in Hz.
-    taps : int
-        Length of the responses, which the silence must hold.
-    shape : RecordShape, optional
-        How the sweeps follow each other; without it, it is found, and durations are taken to be round.
-    sweep_samples : int, optional
-        Length of one sweep, where that alone is given.
-    laws : sequence of str
-        Laws of sweeps that are looked for.
+    reference, float32 (samples,): Reference channel in volts.
+    sample_rate_hz: Rate in Hz.
+    band_hz: Band of the sweeps in Hz.
+    taps: Length of the responses, which the silence must hold.
+    shape: How the sweeps follow each other; without it, it is found, and durations are taken to be round.
+    sweep_samples: Length of one sweep, where that alone is given.
+    laws: Laws of sweeps that are looked for.
 
-    Returns
-    -------
-    FoundSweeps
-
-    Raises
-    ------
-    InputError
-        Silence, or nothing that tells the clocks' ratio.
+    Returns FoundSweeps. Raises InputError: silence, or nothing that shows the clocks' ratio.
     """
     if not np.any(reference):
         raise InputError("the reference channel is silent; the sweeps are needed")
@@ -168,7 +133,7 @@ def find_sweeps(
             return found
     more = "state averages, sweep_s and decay_s" if shape is None else "check averages, sweep_s, decay_s and band_hz"
     raise InputError(
-        "the reference tells no clock ratio: no linear or exponential sweep from one end of band_hz to the other and "
+        "the reference shows no clock ratio: no linear or exponential sweep from one end of band_hz to the other and "
         f"no repeats were found in it; {more}, or same_clock = true where one clock played and recorded"
     )
 
@@ -184,16 +149,10 @@ def learn_sweeps(
 ) -> RecordedSweeps:
     """The mean of the sweeps of a record, on the playback clock.
 
-    Parameters
-    ----------
-    found, reference, sample_rate_hz, band_hz, taps
-        What `find_sweeps` found, and what it was found in.
-    exact : bool
-        Whether the silence after a sweep is no longer than the shape says.
+    found, reference, sample_rate_hz, band_hz, taps: What `find_sweeps` found, and what it was found in.
+    exact: Whether the silence after a sweep is no longer than the shape says.
 
-    Returns
-    -------
-    RecordedSweeps
+    Returns RecordedSweeps.
     """
     shape, ratio = found.shape, found.ratio
     starts = found.offset + ratio * shape.period_samples * np.arange(shape.averages)

@@ -26,25 +26,14 @@ class StaggeredSignal:
     k staggers later, round the period. It must have been running for one response before what is
     recorded counts.
 
-    Parameters
-    ----------
-    sweep : Excitation
-        Rate, band, amplitude and fades; its length, silence and averages do not matter.
-    actuators : int
-        How many, >= 1.
-    taps : int
-        Length L of the responses, at most a stagger.
-    stagger_samples : int
-        Delay from slot to slot, >= 1.
-    groups : int
-        Records of a position, 1 to `actuators`.
-    periods : int
-        Periods of a record that count, >= 1.
+    sweep: Rate, band, amplitude and fades; its length, silence and averages do not matter.
+    actuators: How many, >= 1.
+    taps: Length L of the responses, at most a stagger.
+    stagger_samples: Delay from slot to slot, >= 1.
+    groups: Records of a position, 1 to `actuators`.
+    periods: Periods of a record that count, >= 1.
 
-    Raises
-    ------
-    InputError
-        A value outside the range above, or a period too short for its band.
+    Raises InputError: a value outside the range above, or a period too short for its band.
     """
 
     sweep: Excitation
@@ -105,15 +94,10 @@ class StaggeredSignal:
     def played_v(self, lead_samples: int) -> list[tuple[Float64Array, dict[int, Float64Array]]]:
         """What each record plays, as if it had always been running.
 
-        Parameters
-        ----------
-        lead_samples : int
-            Samples before those that count: the player's latency and the time in which responses build up.
+        lead_samples: Samples before those that count: the player's latency and the time in which responses build up.
 
-        Returns
-        -------
-        list of (float64 array, dict from actuator to float64 array), each of shape (lead + heard,)
-            The base signal for the loopback, and each actuator's signal, in volts.
+        Returns list of (float64 array, dict from actuator to float64 array), each of shape (lead + used,): the base
+        signal for the loopback, and each actuator's signal, in volts.
         """
         base = self.base_v()
         schedule = self.schedule()

@@ -1,4 +1,4 @@
-"""The clock from a sweep that somebody else played: its law is known, its phase and its fades are not."""
+"""The clock from a sweep of another program: its law is given, its phase and its fades are not."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Complex128Array = NDArray[np.complex128]
 ENDS_SHARE = 0.12
 # A law that explains so much of the rest is the one that was played.
 LAW_SHARE = 0.97
-# Blocks of a sweep of which each tells a frequency, and later a phase.
+# Blocks of a sweep in each of which a frequency, and later a phase, is fitted.
 BLOCKS = 400
 LEAST_BLOCK = 4
 # A block this far below the loudest ones is silence; a frequency this share of the band away is another sweep.
 LOUD_SHARE = 0.05
 JUMP_SHARE = 0.1
-# A run of blocks shorter than this tells no law.
+# A run of blocks shorter than this is not enough for a law.
 LEAST_BLOCKS = 16
 # How much longer than it should be a sweep of a given length may seem before its frequencies are fitted well.
 LENGTH_SHARE = 0.05
@@ -47,18 +47,11 @@ ENOUGH_TURNS = 1e-9
 class SweepFit:
     """Where sweeps of one law lie in a recording.
 
-    Parameters
-    ----------
-    offset_samples : float
-        DAQ sample at which the first sweep begins.
-    ratio : float
-        DAQ rate over playback rate.
-    explained : float
-        Share of the recording's energy in band, at the places that count, that the law explains.
-    law : str
-        "linear" or "exponential".
-    sweep_samples : int
-        Length of a sweep in playback samples.
+    offset_samples: DAQ sample at which the first sweep begins.
+    ratio: DAQ rate over playback rate.
+    explained: Share of the recording's energy in band, at the places that count, that the law explains.
+    law: "linear" or "exponential".
+    sweep_samples: Length of a sweep in playback samples.
     """
 
     offset_samples: float
@@ -82,34 +75,20 @@ def fit_sweep_law(
 ) -> SweepFit | None:
     """Find linear or exponential sweeps through a band, up or down, of any phase and fades.
 
-    The frequency of each moment of the recording tells law, length and place of one sweep; the phases of the
-    blocks of all sweeps, turned back by that law, then tell offset, clock ratio and phase by least squares.
+    Law, length and place of one sweep are fitted to the frequencies of the recording's moments; the phases of the
+    blocks of all sweeps, turned back by that law, then give offset, clock ratio and phase by least squares.
 
-    Parameters
-    ----------
-    thinned : Thinned
-        One recording.
-    thinning : Thinning
-        How it was thinned.
-    sample_rate_hz : float
-        Rate in Hz.
-    band_hz : tuple of float
-        Where the sweeps begin and end in Hz.
-    sweep_samples : int, optional
-        Length of each; without it the roundest duration that the clocks allow is taken.
-    starts : sequence of int
-        Playback samples at which sweeps begin, from the first one on.
-    max_ppm : float
-        Largest clock skew in parts per million.
-    period : int, optional
-        Playback samples after which all of them come again, before and after, for as long as the record lasts.
-    laws : sequence of str
-        Those that are tried.
+    thinned: One recording.
+    thinning: How it was thinned.
+    sample_rate_hz: Rate in Hz.
+    band_hz: Where the sweeps begin and end in Hz.
+    sweep_samples: Length of each; without it the roundest duration that the clocks allow is taken.
+    starts: Playback samples at which sweeps begin, from the first one on.
+    max_ppm: Largest clock skew in parts per million.
+    period: Playback samples after which all of them come again, before and after, for as long as the record lasts.
+    laws: Those that are tried.
 
-    Returns
-    -------
-    SweepFit or None
-        None where no such sweeps are there.
+    Returns SweepFit or None: none where no such sweeps are there.
     """
     recording = _Analytic(thinned, thinning, sample_rate_hz, band_hz)
     run = recording.longest_run(band_hz)
@@ -362,18 +341,11 @@ def _all_starts(
 def roundest(samples: float, sample_rate_hz: float, uncertainty: float) -> int:
     """The whole number of samples near a measured one that makes the roundest duration.
 
-    Parameters
-    ----------
-    samples : float
-        As measured on another clock.
-    sample_rate_hz : float
-        Rate in Hz.
-    uncertainty : float
-        Relative uncertainty besides that of the clocks.
+    samples: As measured on another clock.
+    sample_rate_hz: Rate in Hz.
+    uncertainty: Relative uncertainty besides that of the clocks.
 
-    Returns
-    -------
-    int
+    Returns int.
     """
     allowed = samples * (1e-6 * LIKELY_PPM + uncertainty)
     for unit_s in ROUND_S:

@@ -13,7 +13,7 @@ from storage.errors import InputError
 
 
 class Sweeps(Protocol):
-    """Sweeps that follow each other, each with silence after it; what an estimator must know of them."""
+    """Sweeps that follow each other, each with silence after it; what an estimator needs of them."""
 
     @property
     def sample_rate_hz(self) -> float:
@@ -57,27 +57,15 @@ class Excitation:
     A linear sweep spreads its energy evenly over the band, which for white noise gives Green's functions
     3 dB better than a logarithmic one.
 
-    Parameters
-    ----------
-    sample_rate_hz : float
-        Rate of the bank in Hz, > 0.
-    start_hz, stop_hz : float
-        Band of the sweep in Hz, 0 < start < stop < half the sample rate.
-    duration_s : float
-        Length of one sweep in seconds, > 0.
-    decay_s : float
-        Silence after each sweep in seconds, >= 0; at least as long as the response.
-    amplitude_v : float
-        Peak of the sweep in volts, > 0.
-    averages : int
-        Number of sweeps in a record, >= 1.
-    fade_s : float
-        Length of each half-cosine fade in seconds, 0 to half of `duration_s`.
+    sample_rate_hz: Rate of the bank in Hz, > 0.
+    start_hz, stop_hz: Band of the sweep in Hz, 0 < start < stop < half the sample rate.
+    duration_s: Length of one sweep in seconds, > 0.
+    decay_s: Silence after each sweep in seconds, >= 0; at least as long as the response.
+    amplitude_v: Peak of the sweep in volts, > 0.
+    averages: Number of sweeps in a record, >= 1.
+    fade_s: Length of each half-cosine fade in seconds, 0 to half of `duration_s`.
 
-    Raises
-    ------
-    InputError
-        A value outside the range above.
+    Raises InputError: a value outside the range above.
     """
 
     sample_rate_hz: float

@@ -33,14 +33,10 @@ FLOOR = 0.3
 class Gains:
     """Common factors of the rows of positions.
 
-    Parameters
-    ----------
-    value : float64 array, shape (positions,)
-        The rows over what their neighbours say; 1 where nothing is known.
-    sigmas : float64 array, shape (positions,)
-        How many standard deviations of what other positions show it is from 1.
-    explained : float64 array, shape (positions,)
-        Which part of the unexpected error of the position's own rows the factors take away.
+    value, float64 (positions,): The rows over what their neighbours say; 1 where nothing is known.
+    sigmas, float64 (positions,): How many standard deviations of what other positions show it is from 1.
+    explained, float64 (positions,): Which part of the unexpected error of the position's own rows the factors take
+        away.
     """
 
     value: Float64Array
@@ -57,18 +53,11 @@ def common_gains(
 ) -> Gains:
     """Find the positions whose rows all have one factor that is not 1.
 
-    Parameters
-    ----------
-    patches : mapping of int to Patch
-        The positions that can be predicted.
-    coefficients : callable
-        What each row of a patch counts in the error of its first, (frequencies, rows).
-    values : complex128 array, shape (positions, actuators, frequencies)
-        The rows.
-    typical : float64 array, shape (positions, actuators, frequencies)
-        Expected square of each row's error, > 0 where judged.
-    judged : bool array, shape (positions, actuators)
-        Rows whose errors count.
+    patches: The positions that can be predicted.
+    coefficients: What each row of a patch counts in the error of its first, (frequencies, rows).
+    values, complex128 (positions, actuators, frequencies): The rows.
+    typical, float64 (positions, actuators, frequencies): Expected square of each row's error, > 0 where judged.
+    judged, bool (positions, actuators): Rows whose errors count.
     """
     count = len(values)
 

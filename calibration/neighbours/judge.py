@@ -25,7 +25,7 @@ BoolArray = NDArray[np.bool_]
 
 LINEAR_FREQUENCIES, OCTAVE_FREQUENCIES = 16, 16
 LEARNED_FROM = 12
-"""Nearest neighbours whose errors tell how much a prediction misses."""
+"""Nearest neighbours from whose errors the expected error of a prediction is taken."""
 NEAREST, RANK = 8, 3
 """A row that differs does so far more than the third worst of its eight nearest neighbours."""
 LEAST_DIFFERENCE = 0.02
@@ -38,7 +38,7 @@ of the virtual rig they are 1.6 and 8 at most."""
 SOURCE_SPACINGS = 4.0
 """Nearer to an actuator than so many grid spacings, the field is not that of waves from elsewhere."""
 UNSURE = 0.06
-"""Rows whose level no prediction tells within this are not judged."""
+"""Rows whose level is not predicted within this are not judged."""
 MOST_ROUNDS = 40
 SEARCHES = 3
 LEAST_ROWS = 3
@@ -58,25 +58,15 @@ Kind = Literal["level", "polarity", "delay", "swapped", "elsewhere", "other"]
 class Difference:
     """Rows that are not what their neighbours say.
 
-    Parameters
-    ----------
-    position : int
-        The position.
-    actuators : tuple of int
-        The actuators whose rows differ.
-    kind : str
-        ``"level"``, ``"polarity"``, ``"delay"``, ``"swapped"`` (the rows are those of each other's or of another
+    position: The position.
+    actuators: The actuators whose rows differ.
+    kind: ``"level"``, ``"polarity"``, ``"delay"``, ``"swapped"`` (the rows are those of each other's or of another
         actuator), ``"elsewhere"`` (all rows are those of another place), or ``"other"``.
-    relative : float
-        Difference over prediction, L2 norms within the band.
-    level_db, delay_s : float
-        Of the rows relative to their predictions, where the kind has them.
-    other : int, optional
-        The actuator whose response it is, where ``"swapped"``.
-    place_mm : tuple of float, optional
-        The place whose response it is, where ``"elsewhere"``.
-    whole : bool
-        Whether all of the position's rows that can be judged differ.
+    relative: Difference over prediction, L2 norms within the band.
+    level_db, delay_s: Of the rows relative to their predictions, where the kind has them.
+    other: The actuator whose response it is, where ``"swapped"``.
+    place_mm: The place whose response it is, where ``"elsewhere"``.
+    whole: Whether all of the position's rows that can be judged differ.
     """
 
     position: int
@@ -124,12 +114,8 @@ class Difference:
 class Verdict:
     """All that differs in a bank.
 
-    Parameters
-    ----------
-    differences : tuple of Difference
-        By position.
-    judged : bool array, shape (positions, actuators)
-        Rows that could be judged.
+    differences: By position.
+    judged, bool (positions, actuators): Rows that could be judged.
     """
 
     differences: tuple[Difference, ...]
@@ -139,21 +125,12 @@ class Verdict:
 class RowSpectra:
     """Fourier transforms of rows at some frequencies of a band.
 
-    Parameters
-    ----------
-    positions, actuators, taps : int
-        Size of the bank.
-    sample_rate_hz : float
-        Its rate in Hz.
-    band_hz : tuple of float, optional
-        Its band; by default up to 0.45 of the rate.
+    positions, actuators, taps: Size of the bank.
+    sample_rate_hz: Its rate in Hz.
+    band_hz: Its band; by default up to 0.45 of the rate.
 
-    Attributes
-    ----------
-    frequency_hz : float64 array, shape (frequencies,)
-        Ascending: as many evenly spaced as by octaves.
-    values : complex128 array, shape (positions, actuators, frequencies)
-        Zeros where nothing was set.
+    frequency_hz, float64 (frequencies,): Ascending: as many evenly spaced as by octaves.
+    values, complex128 (positions, actuators, frequencies): Zeros where nothing was set.
     """
 
     def __init__(
@@ -183,16 +160,10 @@ class RowSpectra:
 class NeighbourJudge:
     """Judges rows of a bank against their neighbours.
 
-    Parameters
-    ----------
-    position_mm : float64 array, shape (positions, 2)
-        Grid in millimetres.
-    actuator_mm : float64 array, shape (actuators, 2)
-        Actuators in millimetres, NaN where unknown.
-    spectra : RowSpectra
-        The rows.
-    usable : bool array, shape (positions,)
-        Rows that are predicted from and judged.
+    position_mm, float64 (positions, 2): Grid in millimetres.
+    actuator_mm, float64 (actuators, 2): Actuators in millimetres, NaN where unknown.
+    spectra: The rows.
+    usable, bool (positions,): Rows that are predicted from and judged.
     """
 
     def __init__(
@@ -247,7 +218,7 @@ class NeighbourJudge:
         """Find all rows that differ, the worst of each neighbourhood first, so that no row is blamed for another.
 
         What a wrong row makes of its neighbours' predictions hides it among them. So whatever is suspect is left out
-        of all predictions first, and judged when no suspect is left beside it.
+        of all predictions first, and judged when no suspect is left among its neighbours.
         """
         if len(self._all):
             with one_blas_thread():
@@ -270,7 +241,7 @@ class NeighbourJudge:
                     break
                 self._tried |= tried
                 self._leave_out(tried)
-                self._let_back(self._out & ~sure & ~self._beside_suspects())
+                self._let_back(self._out & ~sure & ~self._next_to_suspects())
             self._let_back(self._out & ~sure)
             # A row that was let back while another wrong one was in use is tried once more.
             self._tried = self._out.copy()
@@ -291,18 +262,18 @@ class NeighbourJudge:
         self._tried |= self._out
 
     def _wrong_by_gain(self, gains: Gains) -> list[int]:
-        """Positions whose factors explain their errors; beside one that is wrong otherwise, factors mean nothing."""
+        """Positions whose factors explain their errors; next to one that is wrong otherwise, factors mean nothing."""
         enough = (np.abs(gains.value - 1.0) > LEAST_DIFFERENCE) & (gains.sigmas > GAIN_SIGMAS)
         enough &= self._judged.sum(axis=1) >= LEAST_ROWS
         wrong: list[int] = []
-        beside: set[int] = set()
+        spoiled: set[int] = set()
         for position in sorted(np.flatnonzero(enough).tolist(), key=lambda one: -gains.sigmas[one]):
-            if position in beside:
+            if position in spoiled:
                 continue
             if gains.explained[position] > EXPLAINED:
                 wrong.append(position)
             else:
-                beside.update(self._users.get(position, ()))
+                spoiled.update(self._users.get(position, ()))
         return wrong
 
     # -- how much predictions miss --------------------------------------------------------------
@@ -396,13 +367,13 @@ class NeighbourJudge:
                 chosen[position] = suspect[position] & (energy[position] >= energy[around].max(axis=0))
         return chosen
 
-    def _beside_suspects(self) -> BoolArray:
+    def _next_to_suspects(self) -> BoolArray:
         """Rows that are left out and still have a suspect among the neighbours that predict them."""
         suspect = self._suspect & ~self._tried
-        beside = np.zeros_like(suspect)
+        spoiled = np.zeros_like(suspect)
         for position in np.flatnonzero(self._out.any(axis=1)).tolist():
-            beside[position] = suspect[self._patches[position].rows[1:]].any(axis=0)
-        return beside
+            spoiled[position] = suspect[self._patches[position].rows[1:]].any(axis=0)
+        return spoiled
 
     def _leave_out(self, tried: BoolArray) -> None:
         self._out |= tried

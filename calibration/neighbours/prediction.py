@@ -46,23 +46,13 @@ class RowsPredicted:
     A row is predicted by kernel regression over the bank's own waves (`calibration.neighbours.wave_model`) from the
     rows of its neighbours, actuator by actuator and frequency by frequency.
 
-    Parameters
-    ----------
-    position_mm : float64 array, shape (positions, 2)
-        Grid in millimetres.
-    values : complex128 array, shape (positions, actuators, frequencies)
-        Fourier transforms of the rows.
-    frequency_hz : float64 array, shape (frequencies,)
-        Ascending, > 0.
-    usable : bool array, shape (positions,)
-        Rows that are there; the others are holes.
+    position_mm, float64 (positions, 2): Grid in millimetres.
+    values, complex128 (positions, actuators, frequencies): Fourier transforms of the rows.
+    frequency_hz, float64 (frequencies,): Ascending, > 0.
+    usable, bool (positions,): Rows that are there; the others are holes.
 
-    Attributes
-    ----------
-    spacing_mm : float
-        Median distance of neighbouring positions; 0 where there are fewer than two.
-    patches : dict of int to Patch
-        The positions that can be predicted at all.
+    spacing_mm: Median distance of neighbouring positions; 0 where there are fewer than two.
+    patches: The positions that can be predicted at all.
     """
 
     def __init__(
@@ -80,11 +70,8 @@ class RowsPredicted:
     def errors(self) -> tuple[Complex128Array, Float64Array]:
         """Error of every row, left out, and the kernel's expectation of its square for a field of strength 1.
 
-        Returns
-        -------
-        errors : complex128 array, shape (positions, actuators, frequencies)
-            What the row has more than its prediction; NaN where there is none.
-        variance : float64 array, shape (positions, frequencies)
+        Returns errors : complex128 (positions, actuators, frequencies): what the row has more than its prediction; NaN
+        where there is none; variance : float64 (positions, frequencies).
         """
         errors = np.full(self.values.shape, np.nan + 0j)
         variance = np.full((len(self.values), len(self.frequency_hz)), np.nan)
@@ -111,10 +98,7 @@ class RowsPredicted:
         With T the position and those others, C the covariance and M = (C^-1)_TT^-1: the first entry of
         M (C^-1 g)_T, and M's first.
 
-        Returns
-        -------
-        errors : complex128 array, shape (actuators, frequencies)
-        variance : float64 array, shape (frequencies,)
+        Returns errors : complex128 (actuators, frequencies); variance : float64 (frequencies,).
         """
         patch = self.patches[position]
         out = np.concatenate([[0], np.flatnonzero(np.isin(patch.rows, others))])

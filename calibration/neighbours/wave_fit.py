@@ -61,14 +61,9 @@ def fit_waves(patches: Sequence[Patch], values: Values, spacing_mm: float) -> Wa
     for and then refined together with its damping; share and ridge are chosen from a few. They are not refined
     together: with much of the disk any wave number will do, and between two such frequencies none would be right.
 
-    Parameters
-    ----------
-    patches : sequence of Patch
-        Spread over the surface or along a path, at least one.
-    values : Values
-        The rows, at more frequencies than are fitted: the highest of them, every second one below, and the lowest.
-    spacing_mm : float
-        Grid spacing.
+    patches: Spread over the surface or along a path, at least one.
+    values: The rows, at more frequencies than are fitted: the highest of them, every second one below, and the lowest.
+    spacing_mm: Grid spacing.
     """
     shapes = _gather(patches, values)
     chosen = sorted({0, *range(len(values.frequency_hz) - 1, -1, -EVERY)})
@@ -84,10 +79,8 @@ def fit_waves(patches: Sequence[Patch], values: Values, spacing_mm: float) -> Wa
 class _Fit:
     """The search at one frequency.
 
-    Parameters
-    ----------
-    shapes : sequence of (float64 array, complex128 array)
-        Positions of patches of one shape, (n, 2), and their values side by side, (n, patches * actuators).
+    shapes, sequence of (float64 array, complex128 array): Positions of patches of one shape, (n, 2), and their values
+        side by side, (n, patches * actuators).
     """
 
     def __init__(self, shapes: Sequence[tuple[Float64Array, Complex128Array]]) -> None:

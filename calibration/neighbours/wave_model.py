@@ -5,7 +5,7 @@ medium's complex wave number k. What such sums have in common is the covariance
 
     (1 - s) mean_d exp(-j k d.x) conj(exp(-j k d.y))  +  s 2 J1(a |k| r) / (a |k| r),    r = |x - y|.
 
-The first term knows the waves; the second is the kernel of the disk of wave numbers up to a |k| (a = 1.15),
+The first term holds the waves; the second is the kernel of the disk of wave numbers up to a |k| (a = 1.15),
 which holds whatever else the medium does within it. The share s, the wave number and the ridge (noise over
 signal, as power) come from the bank, by leaving positions out.
 """
@@ -26,23 +26,17 @@ DISK_RADIUS = 1.15
 """Radius a of the disk, in wave numbers: room for what the damping smears."""
 FEWEST_DIRECTIONS = 16
 LARGEST_GROWTH = 8.0
-"""Nepers over a patch beyond which damping says no more: the far side is not heard on this one."""
+"""Nepers over a patch beyond which damping says no more: the far side does not reach this one."""
 
 
 @dataclass(frozen=True, slots=True)
 class WaveModel:
     """Waves at some frequencies.
 
-    Parameters
-    ----------
-    frequency_hz : float64 array, shape (frequencies,)
-        Ascending.
-    wavenumber_rad_mm : complex128 array, shape (frequencies,)
-        Re k > 0, Im k <= 0, in radians per millimetre.
-    disk_share : float64 array, shape (frequencies,)
-        Share s of the disk's kernel, above 0 and at most 1.
-    ridge : float64 array, shape (frequencies,)
-        Added to the covariance of a position with itself, > 0.
+    frequency_hz, float64 (frequencies,): Ascending.
+    wavenumber_rad_mm, complex128 (frequencies,): Re k > 0, Im k <= 0, in radians per millimetre.
+    disk_share, float64 (frequencies,): Share s of the disk's kernel, above 0 and at most 1.
+    ridge, float64 (frequencies,): Added to the covariance of a position with itself, > 0.
     """
 
     frequency_hz: Float64Array
@@ -68,19 +62,11 @@ class WaveModel:
 class PatchKernel:
     """The regression from the positions of one patch.
 
-    Parameters
-    ----------
-    model : WaveModel
-        Waves at the frequencies wanted.
-    offset_mm : float64 array, shape (n, 2)
-        Positions relative to the first.
-    disk : callable
-        `disk_kernel` or `disk_integral`.
+    model: Waves at the frequencies wanted.
+    offset_mm, float64 (n, 2): Positions relative to the first.
+    disk: `disk_kernel` or `disk_integral`.
 
-    Attributes
-    ----------
-    inverse : complex128 array, shape (frequencies, n, n)
-        Of the covariance among the positions, ridge included.
+    inverse, complex128 (frequencies, n, n): Of the covariance among the positions, ridge included.
     """
 
     def __init__(self, model: WaveModel, offset_mm: Float64Array, disk: Disk | None = None) -> None:
@@ -96,14 +82,9 @@ class PatchKernel:
     def weights(self, points_mm: Float64Array) -> Complex128Array:
         """Weights w of the positions, the value at a point being sum_n w_n g_n.
 
-        Parameters
-        ----------
-        points_mm : float64 array, shape (points, 2)
-            Places relative to the patch's first position.
+        points_mm, float64 (points, 2): Places relative to the patch's first position.
 
-        Returns
-        -------
-        complex128 array, shape (frequencies, points, n)
+        Returns complex128 (frequencies, points, n).
         """
         across = self._covariance(self._plane_waves(points_mm), points_mm, self._waves, self._offset_mm)
         return np.asarray(across @ self.inverse)
@@ -142,17 +123,11 @@ class PatchKernel:
 def plane_waves(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> Complex128Array:
     """Waves from all directions at the positions of a patch.
 
-    Parameters
-    ----------
-    wavenumber_rad_mm : complex128 array, shape (frequencies,)
-        Re k > 0, Im k <= 0.
-    offset_mm : float64 array, shape (n, 2)
-        Positions relative to where a wave's amplitude is 1.
+    wavenumber_rad_mm, complex128 (frequencies,): Re k > 0, Im k <= 0.
+    offset_mm, float64 (n, 2): Positions relative to where a wave's amplitude is 1.
 
-    Returns
-    -------
-    complex128 array, shape (frequencies, n, directions)
-        The mean over the directions is that over all directions, to rounding.
+    Returns complex128 (frequencies, n, directions): the mean over the directions is that over all directions, to
+    rounding.
     """
     return _plane_waves(*_resolved(wavenumber_rad_mm, offset_mm), offset_mm)
 
@@ -160,17 +135,11 @@ def plane_waves(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> 
 def kernel_parts(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tuple[Complex128Array, Float64Array]:
     """The two terms of the covariance among the positions of a patch.
 
-    Parameters
-    ----------
-    wavenumber_rad_mm : complex128 array, shape (frequencies,)
-        Re k > 0, Im k <= 0.
-    offset_mm : float64 array, shape (n, 2) or (patches, n, 2)
-        Positions relative to the first; several patches at one frequency only.
+    wavenumber_rad_mm, complex128 (frequencies,): Re k > 0, Im k <= 0.
+    offset_mm, float64 (n, 2) or (patches, n, 2): Positions relative to the first; several patches at one frequency
+        only.
 
-    Returns
-    -------
-    waves : complex128 array, shape (frequencies or patches, n, n)
-    disk : float64 array, shape (frequencies or patches, n, n)
+    Returns waves : complex128 (frequencies or patches, n, n); disk : float64 (frequencies or patches, n, n).
     """
     wavenumber, directions = _resolved(wavenumber_rad_mm, offset_mm)
     waves = _plane_waves(wavenumber, directions, offset_mm)
@@ -199,7 +168,7 @@ def disk_integral(radians: Float64Array) -> Float64Array:
 
 
 def _resolved(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tuple[Complex128Array, Float64Array]:
-    """Wave numbers, damped no more than a patch can tell, and enough directions (2, n) for it."""
+    """Wave numbers, damped no more than a patch can resolve, and enough directions (2, n) for it."""
     reach_mm = max(float(np.hypot(offset_mm[..., 0], offset_mm[..., 1]).max()), 1e-300)
     wavenumber = wavenumber_rad_mm.real + 1j * np.maximum(wavenumber_rad_mm.imag, -LARGEST_GROWTH / reach_mm)
     # The trapezoidal rule over directions is exact once it resolves exp(j k d.x) across the patch.

@@ -28,14 +28,10 @@ FLOOR_DB = -200.0
 class ActuatorComparison:
     """Each actuator against the others.
 
-    Parameters
-    ----------
-    level_db : float64 array, shape (actuators,)
-        Energy of the response over the median's.
-    likeness : float64 array, shape (actuators,)
-        Correlation with the common response, -1 to 1; negative where the actuator moves the other way.
-    verdict : tuple of str
-        ``"good"``, ``"weak"``, ``"dead"``, ``"reversed"`` or ``"unlike"``, for each.
+    level_db, float64 (actuators,): Energy of the response over the median's.
+    likeness, float64 (actuators,): Correlation with the common response, -1 to 1; negative where the actuator moves the
+        other way.
+    verdict: ``"good"``, ``"weak"``, ``"dead"``, ``"reversed"`` or ``"unlike"``, for each.
     """
 
     level_db: NDArray[np.float64]
@@ -44,7 +40,7 @@ class ActuatorComparison:
 
     @property
     def polarity(self) -> tuple[Literal[1, -1], ...]:
-        """The sign of each, as far as it can be told: 1 for all that are not reversed."""
+        """The sign of each, as far as it was measured: 1 for all that are not reversed."""
         return tuple(-1 if word == "reversed" else 1 for word in self.verdict)
 
 
@@ -56,21 +52,16 @@ def compare_actuators(
     The common response is the first singular vector of all that are not dead, each scaled to the same energy.
     The sign that most actuators share counts as positive.
 
-    Parameters
-    ----------
-    green : float array, shape (actuators, taps)
-        Response per volt of drive.
-    snr_db : float array, shape (actuators,)
-        Signal-to-noise ratio of each.
-    sample_rate_hz : float
-        Rate of the responses.
+    green, float (actuators, taps): Response per volt of drive.
+    snr_db, float (actuators,): Signal-to-noise ratio of each.
+    sample_rate_hz: Rate of the responses.
     """
     responses = np.asarray(green, dtype=np.float64)
     energy = np.sum(responses**2, axis=1)
-    heard = (np.asarray(snr_db) >= DEAD_SNR_DB) & (energy > 0)
-    usual = float(np.median(energy[heard])) if heard.any() else 1.0
+    measurable = (np.asarray(snr_db) >= DEAD_SNR_DB) & (energy > 0)
+    usual = float(np.median(energy[measurable])) if measurable.any() else 1.0
     level_db = 10 * np.log10(np.maximum(energy / usual, 10 ** (FLOOR_DB / 10)))
-    alive = heard & (level_db >= DEAD_DB)
+    alive = measurable & (level_db >= DEAD_DB)
     likeness = np.zeros(len(responses))
     if alive.any():
         shapes = responses[alive] / np.sqrt(energy[alive])[:, np.newaxis]

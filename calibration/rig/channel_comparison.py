@@ -18,13 +18,9 @@ class ResponseMissingError(ReferenceMissingError):
 class Comparison:
     """The known signal on the reference and on the response channel of one record.
 
-    Parameters
-    ----------
-    late_s : float
-        How much later the signal is on the response channel than on the reference channel, on the record's own
-        time axis, in which both channels are sampled at once.
-    reference, response : ClockFit
-        The signal on either channel.
+    late_s: How much later the signal is on the response channel than on the reference channel, on the record's own time
+        axis, in which both channels are sampled at once.
+    reference, response: The signal on either channel.
     """
 
     late_s: float
@@ -38,12 +34,8 @@ class ChannelComparer:
     Each channel is fitted by itself; they are compared at the signal's centre of energy, where a fit's offset and
     ratio do not trade errors.
 
-    Parameters
-    ----------
-    known_v : float64 array, shape (known,)
-        What was played in volts, on the playback clock, its silences included.
-    sample_rate_hz : float
-        Nominal rate of the record.
+    known_v, float64 (known,): What was played in volts, on the playback clock, its silences included.
+    sample_rate_hz: Nominal rate of the record.
     """
 
     def __init__(self, known_v: NDArray[np.float64], sample_rate_hz: float) -> None:
@@ -55,17 +47,10 @@ class ChannelComparer:
     def compare(self, reference_v: ArrayLike, response_v: ArrayLike) -> Comparison:
         """Find the signal on both channels of one record.
 
-        Parameters
-        ----------
-        reference_v, response_v : array, shape (samples,)
-            The two channels in volts, on the DAQ clock.
+        reference_v, response_v, (samples,): The two channels in volts, on the DAQ clock.
 
-        Raises
-        ------
-        ReferenceMissingError
-            The reference does not hold the signal.
-        ResponseMissingError
-            The response does not.
+        Raises ReferenceMissingError: the reference does not hold the signal. ResponseMissingError: the response does
+        not.
         """
         reference = self._fitter.fit(reference_v)
         try:

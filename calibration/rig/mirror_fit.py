@@ -22,12 +22,8 @@ Float64Array = NDArray[np.float64]
 class MirrorFit:
     """A mirror map and by how much it misses each mark.
 
-    Parameters
-    ----------
-    mirror_map : MirrorMap
-        From the surface to the mirror's angles.
-    residual_mm : float64 array, shape (marks,)
-        Distance on the surface between each mark and where the map lets its beam fall.
+    mirror_map: From the surface to the mirror's angles.
+    residual_mm, float64 (marks,): Distance on the surface between each mark and where the map lets its beam fall.
     """
 
     mirror_map: MirrorMap
@@ -46,21 +42,11 @@ def fit_mirror_map(place_mm: ArrayLike, angles_mrad: ArrayLike) -> MirrorFit:
     least is the distance on the surface, where it matters, and not that of angles. With four marks the map
     goes through all of them and the residuals say nothing; each mark more is a check.
 
-    Parameters
-    ----------
-    place_mm : array, shape (marks, 2)
-        Where the marks are, x and y in millimetres; four or more, of which no three decide alone.
-    angles_mrad : array, shape (marks, 2)
-        Optical angles of the mirror with the beam on each mark.
+    place_mm, (marks, 2): Where the marks are, x and y in millimetres; four or more, of which no three decide alone.
+    angles_mrad, (marks, 2): Optical angles of the mirror with the beam on each mark.
 
-    Returns
-    -------
-    MirrorFit
-
-    Raises
-    ------
-    InputError
-        Too few marks, values that are not finite, marks on a line, or angles that no plane surface explains.
+    Returns MirrorFit. Raises InputError: too few marks, values that are not finite, marks on a line, or angles that no
+    plane surface explains.
     """
     place, angles = np.asarray(place_mm, dtype=np.float64), np.asarray(angles_mrad, dtype=np.float64)
     if place.ndim != 2 or place.shape[1:] != (2,) or place.shape != angles.shape:

@@ -22,15 +22,9 @@ class MirrorMap:
     A flat surface seen from one point: ``(tan x, tan y, 1) ~ matrix @ (x_mm, y_mm, 1)``, angles in
     milliradians are ``1000 * atan(tan)`` (Hartley and Zisserman, Multiple View Geometry, section 2.3).
 
-    Parameters
-    ----------
-    matrix : 3 x 3 tuple of float
-        The homography; defined up to a factor.
+    matrix: The homography; defined up to a factor.
 
-    Raises
-    ------
-    InputError
-        A matrix that is not 3 x 3, not finite, or singular.
+    Raises InputError: a matrix that is not 3 x 3, not finite, or singular.
     """
 
     matrix: tuple[Row, Row, Row]
@@ -60,20 +54,10 @@ class MirrorMap:
     def angles_mrad(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Optical angles that meet places on the surface.
 
-        Parameters
-        ----------
-        x_mm, y_mm : array_like, any one shape
-            Surface coordinates in millimetres.
+        x_mm, y_mm, array_like, any one shape: Surface coordinates in millimetres.
 
-        Returns
-        -------
-        tuple of float64 array
-            Angles x and y in milliradians, in the shape of the input.
-
-        Raises
-        ------
-        InputError
-            A place on or behind the plane of the mirror, which no angle can reach.
+        Returns tuple of float64 array: angles x and y in milliradians, in the shape of the input. Raises InputError: a
+        place on or behind the plane of the mirror, which no angle can reach.
         """
         tan_x, tan_y = _project(np.array(self.matrix), x_mm, y_mm, "surface place ({:g}, {:g}) mm")
         return 1000 * np.arctan(tan_x), 1000 * np.arctan(tan_y)
@@ -81,20 +65,10 @@ class MirrorMap:
     def surface_mm(self, x_mrad: ArrayLike, y_mrad: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Places on the surface that optical angles meet; the inverse of `angles_mrad`.
 
-        Parameters
-        ----------
-        x_mrad, y_mrad : array_like, any one shape
-            Optical angles in milliradians, within a quarter turn.
+        x_mrad, y_mrad, array_like, any one shape: Optical angles in milliradians, within a quarter turn.
 
-        Returns
-        -------
-        tuple of float64 array
-            Surface coordinates x and y in millimetres, in the shape of the input.
-
-        Raises
-        ------
-        InputError
-            Angles of a beam that never meets the surface.
+        Returns tuple of float64 array: surface coordinates x and y in millimetres, in the shape of the input. Raises
+        InputError: angles of a beam that never meets the surface.
         """
         tan_x = np.tan(np.asarray(x_mrad, dtype=np.float64) / 1000)
         tan_y = np.tan(np.asarray(y_mrad, dtype=np.float64) / 1000)

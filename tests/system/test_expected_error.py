@@ -109,7 +109,7 @@ def _expected_db(plan: Plan, emulated: Emulation, volts: np.ndarray) -> list[flo
             sample_rate_hz=1e4,
             taps=plan.taps,
             loudness=loudness,
-            heard=float(np.sum(rms**2) ** 2 / np.sum(rms**4)) if plan.staggered is not None else 1.0,
+            effective=float(np.sum(rms**2) ** 2 / np.sum(rms**4)) if plan.staggered is not None else 1.0,
         )
         expected.append(found.total_db)
     return expected
