@@ -6,21 +6,12 @@ from __future__ import annotations
 class InstrumentError(Exception):
     """An instrument did not do what it was asked to do.
 
-    Parameters
-    ----------
-    instrument : str
-        The role and, where known, the device: ``"recorder"``, ``"mirror /dev/ttyUSB0"``.
-    operation : str
-        What it was asked to do: ``"recording position 12, actuator 3"``.
-    cause : str
-        What happened instead.
-    remedy : str
-        What the person at the bench can do about it.
+    instrument: The role and, where known, the device: ``"recorder"``, ``"mirror /dev/ttyUSB0"``.
+    operation: What it was asked to do: ``"recording position 12, actuator 3"``.
+    cause: What happened instead.
+    remedy: What the person at the bench can do about it.
 
-    Attributes
-    ----------
-    role : str
-        ``"mirror"``, ``"recorder"`` or ``"player"``, noted by whoever called the instrument; empty until then.
+    role: ``"mirror"``, ``"recorder"`` or ``"player"``, noted by whoever called the instrument; empty until then.
     """
 
     def __init__(self, instrument: str, operation: str, cause: str, remedy: str) -> None:

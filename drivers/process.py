@@ -105,18 +105,11 @@ class ProcessGoneError(Exception):
 class DriverProcess:
     """Starts a module's `main` as a process and talks with it; safe to use from several threads.
 
-    Parameters
-    ----------
-    module : str
-        Its function ``main`` runs there, on `pipe_to_parent`.
-    name : str
-        What the process is, for messages: ``"the process that owns its stream"``.
-    receive : callable
-        Gets every message, in order, in a thread of its own, and with the lock of `wait_for` held.
-    environment : mapping from str to str, optional
-        Added to the environment of this process.
-    defaults : mapping from str to str, optional
-        Added where this process's environment has not the variable.
+    module: Its function ``main`` runs there, on `pipe_to_parent`.
+    name: What the process is, for messages: ``"the process that owns its stream"``.
+    receive: Gets every message, in order, in a thread of its own, and with the lock of `wait_for` held.
+    environment: Added to the environment of this process.
+    defaults: Added where this process's environment has not the variable.
     """
 
     def __init__(
@@ -186,17 +179,10 @@ class DriverProcess:
     def wait_for(self, look: Callable[[], Value | None], until_s: float) -> Value | None:
         """Wait for news; the process is asked for a sign of life meanwhile. Raises ProcessGoneError.
 
-        Parameters
-        ----------
-        look : callable
-            Gives what is waited for, None as long as it is not there; called with the lock held.
-        until_s : float
-            When to give up, of `time.monotonic`.
+        look: Gives what is waited for, None as long as it is not there; called with the lock held.
+        until_s: When to give up, of `time.monotonic`.
 
-        Returns
-        -------
-        object
-            What `look` gave, None if the time is up.
+        Returns object: what `look` gave, None if the time is up.
         """
         asked_s, silent_s, looked_s = -math.inf, 0.0, time.monotonic()
         while True:

@@ -18,16 +18,10 @@ Float64Array = NDArray[np.float64]
 class Take:
     """Which measurement a record belongs to, for messages and logs.
 
-    Parameters
-    ----------
-    position : int
-        Row of the bank, from 0.
-    attempt : int
-        1 for the first try at this position.
-    record : int
-        Index of the record within the attempt, from 0.
-    purpose : str
-        ``"capture"``, ``"sentinel"``, ``"probe"`` or ``"scan"``.
+    position: Row of the bank, from 0.
+    attempt: 1 for the first try at this position.
+    record: Index of the record within the attempt, from 0.
+    purpose: ``"capture"``, ``"sentinel"``, ``"probe"`` or ``"scan"``.
     """
 
     position: int
@@ -43,16 +37,10 @@ class Take:
 class RecordRequest:
     """One finite two-channel record.
 
-    Parameters
-    ----------
-    samples : int
-        Samples per channel, pre-roll and post-roll included, > 0.
-    sample_rate_hz : float
-        Rate of each channel in Hz, > 0.
-    range_v : tuple of float
-        Largest input magnitude in volts on (reference, response), each > 0.
-    take : Take
-        What the record is for.
+    samples: Samples per channel, pre-roll and post-roll included, > 0.
+    sample_rate_hz: Rate of each channel in Hz, > 0.
+    range_v: Largest input magnitude in volts on (reference, response), each > 0.
+    take: What the record is for.
     """
 
     samples: int
@@ -69,14 +57,9 @@ class RecordRequest:
 class Recording:
     """The samples of one record.
 
-    Parameters
-    ----------
-    volts : float32 array, shape (2, samples)
-        Row 0 the reference, row 1 the response, in volts at the DAQ inputs.
-    volts_per_count : tuple of float
-        Converter step of each channel in volts.
-    over_range : tuple of bool
-        Whether each channel reached the end of its range.
+    volts, float32 (2, samples): Row 0 the reference, row 1 the response, in volts at the DAQ inputs.
+    volts_per_count: Converter step of each channel in volts.
+    over_range: Whether each channel reached the end of its range.
     """
 
     volts: Float32Array
@@ -113,12 +96,8 @@ class Instrument(Protocol):
     def reconnect(self) -> None:
         """Drop the connection and open a fresh one to the same device; from any state but closed.
 
-        Raises
-        ------
-        InstrumentLostError
-            The device is not there (yet): trying again later can help.
-        InstrumentError
-            Another device answers in its place.
+        Raises InstrumentLostError: the device is not there (yet): trying again later can help. InstrumentError: another
+        device answers in its place.
         """
         ...
 
@@ -188,29 +167,19 @@ class Player(Instrument, Protocol):
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         """Start playing and return at once; channels not named stay silent.
 
-        Parameters
-        ----------
-        signals_v : mapping from channel to float64 array, shape (samples,)
-            Output voltages; all of one length; never beyond `full_scale_v`.
-        sample_rate_hz : float
-            Rate of the signals in Hz.
+        signals_v, mapping from channel to float64 (samples,): Output voltages; all of one length; never beyond
+            `full_scale_v`.
+        sample_rate_hz: Rate of the signals in Hz.
 
-        Raises
-        ------
-        InstrumentError
-            Unknown channel, voltage beyond full scale, device failure.
+        Raises InstrumentError: unknown channel, voltage beyond full scale, device failure.
         """
         ...
 
     def wait(self, timeout_s: float) -> None:
         """Return when everything has been played.
 
-        Raises
-        ------
-        TransientInstrumentError
-            The device ran dry (underflow): what was recorded meanwhile is void.
-        InstrumentError
-            The device is lost, or `timeout_s` passed.
+        Raises TransientInstrumentError: the device ran dry (underflow): what was recorded meanwhile is void.
+        InstrumentError: the device is lost, or `timeout_s` passed.
         """
         ...
 
@@ -235,36 +204,20 @@ class PiecewisePlayer(Player, Protocol):
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
         """Begin a play that comes in pieces, at the interface's own rate; the other channels stay silent.
 
-        Parameters
-        ----------
-        channels : sequence of int
-            In the order of the pieces' rows.
-        sample_rate_hz : float
-            Rate of the pieces in Hz.
-        ahead_s : float
-            It sounds when so much is there, or all of it; no more than that waits to be played.
+        channels: In the order of the pieces' rows.
+        sample_rate_hz: Rate of the pieces in Hz.
+        ahead_s: It sounds when so much is there, or all of it; no more than that waits to be played.
 
-        Raises
-        ------
-        InstrumentError
-            Unknown channel, wrong rate, still playing, device failure.
+        Raises InstrumentError: unknown channel, wrong rate, still playing, device failure.
         """
         ...
 
     def add_piece(self, volts: Float64Array) -> float:
         """Hand over the next samples, (channels, any number), and return when there is room for more.
 
-        Returns
-        -------
-        float
-            How much was still to be played before this piece came, in seconds.
-
-        Raises
-        ------
-        TransientInstrumentError
-            It ran dry: the pieces came too late. It has faded out.
-        InstrumentError
-            Voltage beyond full scale, nothing begun, device failure.
+        Returns float: how much was still to be played before this piece came, in seconds. Raises
+        TransientInstrumentError: it ran dry: the pieces came too late. It has faded out. InstrumentError: voltage
+        beyond full scale, nothing begun, device failure.
         """
         ...
 
@@ -287,11 +240,8 @@ class Instruments:
 class DeviceIdentity:
     """Who a device says it is, without its settings and without the way to it; equal for the same device in any run.
 
-    Parameters
-    ----------
-    maker, product, serial : str
-        As the device states them; empty where it does not. A device that answers with one text, whose parts nobody
-        has specified, has that text as its product.
+    maker, product, serial: As the device states them; empty where it does not. A device that answers with one text,
+        whose parts nobody has specified, has that text as its product.
     """
 
     maker: str

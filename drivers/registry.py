@@ -31,10 +31,7 @@ class Registry(Generic[Entry]):
 
     A subfolder holds what only one driver needs; it is not searched.
 
-    Parameters
-    ----------
-    package : str
-        Where the modules are.
+    package: Where the modules are.
     """
 
     def __init__(self, package: str) -> None:
@@ -60,12 +57,8 @@ class Registry(Generic[Entry]):
 class KeyMistakeError(ValueError):
     """Keys of a driver that do not go together.
 
-    Parameters
-    ----------
-    key, value
-        The key that is wrong, and what it holds.
-    allowed : str
-        What it may hold, as the end of a sentence.
+    key, value: The key that is wrong, and what it holds.
+    allowed: What it may hold, as the end of a sentence.
     """
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
@@ -86,18 +79,12 @@ def rig_key(
 ) -> Any:
     """A field of a driver: a key of its table in the rig file.
 
-    Parameters
-    ----------
-    title, description : str
-        For forms and reference pages; of a key without a default, the description also says what is missing.
-    default : object, optional
-        Where the key is left out; without one the key is needed.
-    in_plan : bool
-        Whether rows measured with another value are of another kind: such a key must not change in a campaign.
-    pattern : (str, str), optional
-        A regular expression that texts match, and what is allowed, as the end of a sentence.
-    **bounds : float
-        ``gt``, ``ge``, ``lt`` and ``le``, as of pydantic's ``Field``.
+    title, description: For forms and reference pages; of a key without a default, the description also says what is
+        missing.
+    default: Where the key is left out; without one the key is needed.
+    in_plan: Whether rows measured with another value are of another kind: such a key must not change in a campaign.
+    pattern: A regular expression that texts match, and what is allowed, as the end of a sentence.
+    **bounds: ``gt``, ``ge``, ``lt`` and ``le``, as of pydantic's ``Field``.
     """
     about = {"title": title, "description": description, "in_plan": in_plan, "pattern": pattern, "bounds": bounds}
     return field(default=default, metadata=about)
@@ -107,12 +94,7 @@ def rig_key(
 class Outputs:
     """The outputs that a rig needs of a player.
 
-    Parameters
-    ----------
-    full_scale_v : tuple of float
-        Volts at full scale of each output, from 0 to the highest that is wired.
-    rate_hz : int
-        Rate of the interface in Hz.
+    full_scale_v: Volts at full scale of each output, from 0 to the highest that is wired.
     """
 
     full_scale_v: tuple[float, ...]
@@ -139,19 +121,12 @@ class RecorderDriver(Named, Protocol):
 class VibrometerReading:
     """Settings of a vibrometer, as its controller states them.
 
-    Parameters
-    ----------
-    sensitivity_m_s_per_v : float
-        Velocity per volt at its output, > 0.
-    range_text : str
-        The measurement range in the controller's own words.
-    latency_s : float or None
-        How much later its output follows the surface, typically, for this decoder and range; None where it does
+    sensitivity_m_s_per_v: Velocity per volt at its output, > 0.
+    range_text: The measurement range in the controller's own words.
+    latency_s: How much later its output follows the surface, typically, for this decoder and range; None where it does
         not say.
-    signal_level : float or None
-        Strength of the reflected light, 0 to 1; None where it does not say.
-    identity : str
-        Controller and velocity decoder.
+    signal_level: Strength of the reflected light, 0 to 1; None where it does not say.
+    identity: Controller and velocity decoder.
     """
 
     sensitivity_m_s_per_v: float
@@ -169,10 +144,7 @@ class VibrometerDriver(Named, Protocol):
     ) -> VibrometerReading:
         """Ask the controller and leave it alone again; a signal too weak is an error unless any level will do.
 
-        Raises
-        ------
-        InstrumentError
-            It does not answer, is another device, or has too weak a signal.
+        Raises InstrumentError: it does not answer, is another device, or has too weak a signal.
         """
         ...
 

@@ -27,15 +27,9 @@ LARGEST_TERM = 1000
 def rate_ratio(from_hz: float, to_hz: float) -> Fraction:
     """The ratio of two rates. Raises ValueError.
 
-    Parameters
-    ----------
-    from_hz, to_hz : float
-        Rates in Hz.
+    from_hz, to_hz: Rates in Hz.
 
-    Returns
-    -------
-    Fraction
-        ``to_hz / from_hz``, exactly.
+    Returns Fraction: ``to_hz / from_hz``, exactly.
     """
     ratio = Fraction(0)
     if from_hz > 0 and to_hz > 0 and math.isfinite(from_hz * to_hz):
@@ -57,17 +51,11 @@ def converted(signals: Float64Array, ratio: Fraction) -> Float64Array:
 
     A signal is silence beyond its ends; what the low-pass makes of the ends comes along.
 
-    Parameters
-    ----------
-    signals : float64 array, shape (..., samples)
-        Signals at any rate, at least one sample.
-    ratio : Fraction
-        New rate over old rate, > 0.
+    signals, float64 (..., samples): Signals at any rate, at least one sample.
+    ratio: New rate over old rate, > 0.
 
-    Returns
-    -------
-    float64 array, shape (..., lead + ceil(samples * ratio) + lead)
-        Sample 0 of the signals is at index ``lead = lead_samples(ratio)``.
+    Returns float64 (..., lead + ceil(samples * ratio) + lead): sample 0 of the signals is at index ``lead =
+    lead_samples(ratio)``.
     """
     if ratio == 1:
         return signals

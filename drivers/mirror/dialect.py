@@ -18,24 +18,14 @@ class Dialect(ABC):
     A dialect is a data class: its fields are the keys of ``[mirror]`` that it has besides those of every mirror.
     It may keep what it learnt of the device in `wake` and `enable`; both run at every open.
 
-    Attributes
-    ----------
-    name : str
-        In the rig file.
-    table_defaults : mapping from key to value
-        Keys of every mirror that have another default with this one.
-    baud : int
-        Bits per second as the device leaves the factory.
-    command_end : str
-        What ends a command.
-    encoding : str
-        Of commands and answers, see `drivers.serial_line.line.LineSettings`.
-    patience_s : float
-        How long the device may take to answer once its port is open.
-    says_when_idle : bool
-        Whether the device can be asked if it moves.
-    tolerance_mrad : float
-        How far from its target a mirror that reads back may stand.
+    name: In the rig file.
+    table_defaults: Keys of every mirror that have another default with this one.
+    baud: Bits per second as the device leaves the factory.
+    command_end: What ends a command.
+    encoding: Of commands and answers, see `drivers.serial_line.line.LineSettings`.
+    patience_s: How long the device may take to answer once its port is open.
+    says_when_idle: Whether the device can be asked if it moves.
+    tolerance_mrad: How far from its target a mirror that reads back may stand.
     """
 
     name: str

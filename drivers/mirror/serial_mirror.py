@@ -21,30 +21,16 @@ class SerialMirror:
 
     Raises InstrumentError or InstrumentLostError.
 
-    Parameters
-    ----------
-    dialect : Dialect
-        Speaks to the device.
-    port : str
-        A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
-    baud : int, optional
-        Bits per second; by default the dialect's.
-    identity : str, optional
-        Text that the device's identification must contain. Whatever it is at the first open, it must be the same at
-        every other.
-    settle_s : float
-        How long the beam swings after the device says that it stands, or, where it cannot say so, after the move was
-        acknowledged; >= 0.
-    limit_mrad : float
-        Largest optical angle in x and in y, in mrad, > 0.
-    park_mrad : tuple of float
-        The safe direction, within the limit.
-    clock : Clock
-        Passes the time while the mirror settles.
-    answer_s : float
-        Longest wait for one answer, in s, > 0.
-    patience_s : float, optional
-        How long a device whose port was just opened may take until it answers, in s; by default the dialect's.
+    port: A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
+    baud: Bits per second; by default the dialect's.
+    identity: Text that the device's identification must contain. Whatever it is at the first open, it must be the same
+        at every other.
+    settle_s: How long the beam swings after the device says that it stands, or, where it cannot say so, after the move
+        was acknowledged; >= 0.
+    limit_mrad: Largest optical angle in x and in y, in mrad, > 0.
+    park_mrad: The safe direction, within the limit.
+    answer_s: Longest wait for one answer, in s, > 0.
+    patience_s: How long a device whose port was just opened may take until it answers, in s; by default the dialect's.
     """
 
     def __init__(

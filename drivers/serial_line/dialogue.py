@@ -10,12 +10,13 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from drivers.serial_line.line import LineFailedError, NoAnswerError, SerialLine
+from drivers.timeouts import CallThread, HungError
 
 Answer = TypeVar("Answer")
 
@@ -27,16 +28,10 @@ class UnreadableError(Exception):
 class RefusedError(Exception):
     """The device says that it will not.
 
-    Parameters
-    ----------
-    meaning : str
-        What its answer means.
-    remedy : str
-        What to do about it.
-    passing : bool
-        Whether a new attempt can go well.
-    again : bool
-        Whether a disturbed command is answered so too, so that it is asked once more before the answer is believed.
+    meaning: What its answer means.
+    remedy: What to do about it.
+    passing: Whether a new attempt can go well.
+    again: Whether a disturbed command is answered so too, so that it is asked once more before the answer is believed.
     """
 
     def __init__(self, meaning: str, remedy: str, *, passing: bool = False, again: bool = False) -> None:
@@ -55,12 +50,8 @@ class RestartedError(Exception):
 class Query(Generic[Answer]):
     """A question to a device; asking it twice does no harm.
 
-    Parameters
-    ----------
-    text : str
-        The command, without its end.
-    read : callable
-        Turns the answer into its meaning; raises `UnreadableError`, `RefusedError` or `RestartedError`.
+    text: The command, without its end.
+    read: Turns the answer into its meaning; raises `UnreadableError`, `RefusedError` or `RestartedError`.
     """
 
     text: str
@@ -71,16 +62,10 @@ class Query(Generic[Answer]):
 class Marker:
     """A question that only one device answers in one way, to find the place in its answers again.
 
-    Parameters
-    ----------
-    text : str
-        The command, without its end.
-    device : str
-        Who answers, for messages.
-    marks : callable
-        Whether a line ends with the answer; half another answer may stand before it.
-    stranger : callable
-        Which other device a line comes from, or None where it says nothing of that; raises `RestartedError`.
+    text: The command, without its end.
+    device: Who answers, for messages.
+    marks: Whether a line ends with the answer; half another answer may stand before it.
+    stranger: Which other device a line comes from, or None where it says nothing of that; raises `RestartedError`.
     """
 
     text: str
@@ -100,12 +85,7 @@ BEFORE_S = 0.2
 class Dialogue:
     """Asks a device over a line, one thread at a time.
 
-    Parameters
-    ----------
-    instrument : str
-        Whose device it is, for messages.
-    line : SerialLine
-        The line.
+    instrument: Whose device it is, for messages.
     """
 
     def __init__(self, instrument: str, line: SerialLine) -> None:
@@ -131,23 +111,19 @@ class Dialogue:
 
     def close(self) -> None:
         """Release the line, whether or not a call of another thread still hangs in it; never waits for long."""
-        closing = threading.Thread(target=self._line.close, name=f"closing of {self._instrument}", daemon=True)
-        closing.start()
-        closing.join(CLOSING_S)
+        guard = CallThread(f"closing of {self._instrument}")
+        with suppress(HungError):  # what hangs ends by itself, or never
+            guard.call(self._line.close, CLOSING_S, anyhow=True)
+        guard.abandon()
 
     def introduce(self, query: Query[str], patience_s: float, before: str = "") -> str:
         """Ask a device that was just opened who it is, again and again: it may still be starting.
 
         Raises InstrumentLostError.
 
-        Parameters
-        ----------
-        query : Query
-            Answered with the identity.
-        patience_s : float
-            How long to try; a try that was begun is finished.
-        before : str
-            A command to send before each try, whether it is answered or not.
+        query: Answered with the identity.
+        patience_s: How long to try; a try that was begun is finished.
+        before: A command to send before each try, whether it is answered or not.
         """
         doing = "asking who it is"
         latest = NoAnswerError("no answer came")
@@ -205,14 +181,8 @@ class Dialogue:
         It lasts at most eight times the line's longest wait for an answer, however the device behaves; three where it
         is silent.
 
-        Raises
-        ------
-        InstrumentError
-            The device refuses for good.
-        TransientInstrumentError
-            It refuses for now, or did not answer twice.
-        InstrumentLostError
-            The port is gone, or the device did not answer the time before either.
+        Raises InstrumentError: the device refuses for good. TransientInstrumentError: it refuses for now, or did not
+        answer twice. InstrumentLostError: the port is gone, or the device did not answer the time before either.
         """
         with self._turn(doing), self._losses(doing):
             self._require_open(doing)

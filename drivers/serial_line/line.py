@@ -27,16 +27,10 @@ class NoAnswerError(Exception):
 class LineSettings:
     """How a device is spoken to.
 
-    Parameters
-    ----------
-    baud : int
-        Bits per second; 8 data bits, no parity, 1 stop bit.
-    end : str
-        What ends a command. Every answer ends with a line feed; a carriage return before it does not count.
-    answer_s : float
-        Longest wait for an answer, and for the device to take a command, > 0.
-    encoding : str
-        ``"ascii"``; ``"latin-1"`` for a device that sends any bytes between those of text.
+    baud: Bits per second; 8 data bits, no parity, 1 stop bit.
+    end: What ends a command. Every answer ends with a line feed; a carriage return before it does not count.
+    answer_s: Longest wait for an answer, and for the device to take a command, > 0.
+    encoding: ``"ascii"``; ``"latin-1"`` for a device that sends any bytes between those of text.
     """
 
     baud: int
@@ -48,14 +42,8 @@ class LineSettings:
 class SerialLine:
     """A serial port or a TCP connection in its place, opened for one user alone.
 
-    Parameters
-    ----------
-    instrument : str
-        Whose line it is, for messages.
-    port : str
-        As in the rig file, see `drivers.serial_line.ports.find_port`.
-    settings : LineSettings
-        How the device is spoken to.
+    instrument: Whose line it is, for messages.
+    port: As in the rig file, see `drivers.serial_line.ports.find_port`.
     """
 
     def __init__(self, instrument: str, port: str, settings: LineSettings) -> None:
@@ -111,10 +99,7 @@ class SerialLine:
     def receive(self, deadline_s: float) -> str:
         """The next line of text, without its end. Raises NoAnswerError or LineFailedError.
 
-        Parameters
-        ----------
-        deadline_s : float
-            When to give up, on the clock of `time.monotonic`.
+        deadline_s: When to give up, on the clock of `time.monotonic`.
         """
         while b"\n" not in self._input:
             self._input += self._read()

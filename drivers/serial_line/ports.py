@@ -17,14 +17,9 @@ BY_SERIAL_NUMBER = "serial-number:"
 class SerialPort:
     """A serial port of the operating system.
 
-    Parameters
-    ----------
-    device : str
-        What it is opened by: ``"/dev/ttyUSB0"``, ``"COM3"``.
-    serial_number : str
-        Of its USB interface; empty where it has none.
-    description : str
-        What the operating system calls it.
+    device: What it is opened by: ``"/dev/ttyUSB0"``, ``"COM3"``.
+    serial_number: Of its USB interface; empty where it has none.
+    description: What the operating system calls it.
     """
 
     device: str
@@ -48,19 +43,11 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
 
     Raises InstrumentLostError or InstrumentError.
 
-    Parameters
-    ----------
-    port : str
-        A device path (``"/dev/ttyUSB0"``, ``"COM3"``), ``"socket://host:port"``, or ``"serial-number:ABC123"``.
-    instrument : str
-        Who asks, for the message.
-    present : iterable of SerialPort, optional
-        The ports to choose from; by default those of this computer, now.
+    port: A device path (``"/dev/ttyUSB0"``, ``"COM3"``), ``"socket://host:port"``, or ``"serial-number:ABC123"``.
+    instrument: Who asks, for the message.
+    present: The ports to choose from; by default those of this computer, now.
 
-    Returns
-    -------
-    str
-        A device path or a ``socket://`` address.
+    Returns str: a device path or a ``socket://`` address.
     """
     if port.startswith(NETWORK):
         return _network_address(port, instrument)
@@ -115,18 +102,12 @@ UNREACHABLE = (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT)
 def open_failure(address: str, failure: Exception) -> tuple[str, str]:
     """Say why a port could not be opened and what to do about it.
 
-    Parameters
-    ----------
-    address : str
-        What was opened: a device path or a ``socket://`` address.
-    failure : Exception
-        What pyserial raised: with an error number on POSIX (`serialposix.py`, ``open``), with the Windows
-        error in its text (`serialwin32.py`, ``open``), and with the socket's error as its context for TCP
+    address: What was opened: a device path or a ``socket://`` address.
+    failure: What pyserial raised: with an error number on POSIX (`serialposix.py`, ``open``), with the Windows error in
+        its text (`serialwin32.py`, ``open``), and with the socket's error as its context for TCP
         (`urlhandler/protocol_socket.py`, ``open``); all of pyserial 3.5.
 
-    Returns
-    -------
-    cause, remedy : str
+    Returns cause and remedy.
     """
     number = _error_number(failure)
     text = " ".join(str(failure).split())

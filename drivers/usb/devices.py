@@ -16,10 +16,7 @@ RULES_FILE = "/etc/udev/rules.d/70-wavefocus.rules"
 def install_libusb(platform: str = sys.platform) -> str:
     """How libusb is installed.
 
-    Parameters
-    ----------
-    platform : str
-        As ``sys.platform`` names it.
+    platform: As ``sys.platform`` names it.
     """
     if platform == "win32":
         return "put libusb-1.0.dll (https://libusb.info, VS2019/MS64/dll) into the folder of python.exe"
@@ -39,12 +36,8 @@ def udev_rule(vendor_id: int, product_id: int) -> str:
 def permit(vendor_id: int, product_id: int, platform: str = sys.platform) -> str:
     """How a device may be opened.
 
-    Parameters
-    ----------
-    vendor_id, product_id : int
-        The device's.
-    platform : str
-        As ``sys.platform`` names it.
+    vendor_id, product_id: The device's.
+    platform: As ``sys.platform`` names it.
     """
     if platform == "win32":
         return (
@@ -98,20 +91,12 @@ class Problem(StrEnum):
 class UsbDevice:
     """A device that is plugged in.
 
-    Parameters
-    ----------
-    vendor_id, product_id : int
-        Who made it, and what it is, 0 to 0xFFFF.
-    kind : Kind
-        From its ids and its interfaces.
-    bus, address : int, optional
-        Where the system has it now; the address changes when it is plugged in anew.
-    port_path : tuple of int
-        The sockets from the root hub to it; stays when it is plugged in anew; empty where unknown.
-    manufacturer, product, serial_number : str, optional
-        Its own texts; None where it has none or they cannot be read.
-    problem : Problem
-        Why they cannot be read.
+    vendor_id, product_id: Who made it, and what it is, 0 to 0xFFFF.
+    kind: From its ids and its interfaces.
+    bus, address: Where the system has it now; the address changes when it is plugged in anew.
+    port_path: The sockets from the root hub to it; stays when it is plugged in anew; empty where unknown.
+    manufacturer, product, serial_number: Its own texts; None where it has none or they cannot be read.
+    problem: Why they cannot be read.
     """
 
     vendor_id: int
@@ -135,15 +120,9 @@ class UsbDevice:
 def list_devices(backend: Any = None) -> tuple[UsbDevice, ...]:
     """List what is plugged in. Raises InstrumentError.
 
-    Parameters
-    ----------
-    backend : usb.backend.IBackend, optional
-        Of pyusb; by default the machine's own libusb.
+    backend: Of pyusb; by default the machine's own libusb.
 
-    Returns
-    -------
-    tuple of UsbDevice
-        Hubs and foreign devices too.
+    Returns tuple of UsbDevice: hubs and foreign devices too.
     """
     return tuple(device for device, _ in list_with_handles(backend))
 

@@ -25,14 +25,9 @@ class Verdict(StrEnum):
 class ExpectedUsbDevice:
     """A device that should be plugged in: a ``[[usb]]`` table of the rig.
 
-    Parameters
-    ----------
-    role : str
-        Whose device it is: ``"mirror"``, ``"recorder"``, ``"player"`` or ``"vibrometer"``.
-    vendor_id, product_id : int
-        0 to 0xFFFF.
-    serial_number : str, optional
-        Needed where two devices have the same ids.
+    role: Whose device it is: ``"mirror"``, ``"recorder"``, ``"player"`` or ``"vibrometer"``.
+    vendor_id, product_id: 0 to 0xFFFF.
+    serial_number: Needed where two devices have the same ids.
     """
 
     role: str
@@ -49,18 +44,11 @@ class ExpectedUsbDevice:
 class Finding:
     """What became of one expectation.
 
-    Parameters
-    ----------
-    expected : ExpectedUsbDevice
-        What was looked for.
-    verdict : Verdict
-        Whether it is there.
-    devices : tuple of UsbDevice
-        The one that was found, or those that come into question.
-    sentence : str
-        For people.
-    remedy : str
-        What to do; empty when all is well. A device that was found may still carry advice.
+    expected: What was looked for.
+    verdict: Whether it is there.
+    devices: The one that was found, or those that come into question.
+    sentence: For people.
+    remedy: What to do; empty when all is well. A device that was found may still carry advice.
     """
 
     expected: ExpectedUsbDevice
@@ -77,19 +65,11 @@ def match_devices(
 
     Expectations with a serial number choose first; of two equal devices the other is left for one without.
 
-    Parameters
-    ----------
-    expected : sequence of ExpectedUsbDevice
-        The rig's.
-    plugged_in : sequence of UsbDevice
-        From :func:`drivers.usb.devices.list_devices`.
-    platform : str
-        For the remedies, as ``sys.platform`` names it.
+    expected: The rig's.
+    plugged_in: From :func:`drivers.usb.devices.list_devices`.
+    platform: For the remedies, as ``sys.platform`` names it.
 
-    Returns
-    -------
-    tuple of Finding
-        One per expectation, in their order.
+    Returns tuple of Finding: one per expectation, in their order.
     """
     left = list(plugged_in)
     findings: dict[int, Finding] = {}

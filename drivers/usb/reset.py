@@ -31,23 +31,13 @@ def reset_device(
     Whoever uses the device must have released it. Try a fresh connection first, and the
     maker's own reset where there is one; this comes last. Raises InstrumentLostError or InstrumentError.
 
-    Parameters
-    ----------
-    role : str
-        Whose device.
-    expected : sequence of ExpectedUsbDevice
-        The rig's; one of them has the role.
-    backend : usb.backend.IBackend, optional
-        Of pyusb; by default the machine's own libusb.
-    comes_back_s : float
-        How long the device is waited for.
-    clock : Clock, optional
-        By default the wall's.
+    role: Whose device.
+    expected: The rig's; one of them has the role.
+    backend: Of pyusb; by default the machine's own libusb.
+    comes_back_s: How long the device is waited for.
+    clock: By default the wall's.
 
-    Returns
-    -------
-    UsbDevice
-        The device as it is now; its address may be a new one.
+    Returns UsbDevice: the device as it is now; its address may be a new one.
     """
     clock = clock or WallClock()
     wanted = next((one for one in expected if one.role == role), None)

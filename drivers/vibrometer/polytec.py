@@ -52,18 +52,11 @@ class Polytec:
 
         Raises InstrumentError, TransientInstrumentError or InstrumentLostError.
 
-        Parameters
-        ----------
-        port : str
-            A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
-        baud : int, optional
-            Bits per second; by default 115200.
-        identity : str, optional
-            Text that the names of controller and decoder must contain.
-        any_level : bool
-            Whether a signal below `least_signal_level` will do.
-        answer_s : float
-            Longest wait for one answer, in s, > 0.
+        port: A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
+        baud: Bits per second; by default 115200.
+        identity: Text that the names of controller and decoder must contain.
+        any_level: Whether a signal below `least_signal_level` will do.
+        answer_s: Longest wait for one answer, in s, > 0.
         """
         name = f"vibrometer (polytec-ofv5000 at {port})"
         dialogue = Dialogue(name, SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s)))

@@ -25,10 +25,7 @@ VIBROMETER_POLES = (-0.995208764350272 + 1.257105739454664j, -1.3700678305514422
 def chain_response(frequency_hz: Float64Array) -> Complex128Array:
     """Amplifier, coil and vibrometer as one transfer function, 1 in the middle of the band.
 
-    Parameters
-    ----------
-    frequency_hz : float64 array
-        Frequencies in Hz, >= 0.
+    frequency_hz, float64 array: Frequencies in Hz, >= 0.
     """
     frequency = np.asarray(frequency_hz, dtype=np.float64)
     slow = 1j * frequency / AMPLIFIER_CORNER_HZ
@@ -44,14 +41,9 @@ def chain_response(frequency_hz: Float64Array) -> Complex128Array:
 def actuator_gains(actuators: int, spread_db: float, seed: int) -> Float64Array:
     """Gain of each actuator, evenly spread in decibels; the polarity is the same for all.
 
-    Parameters
-    ----------
-    actuators : int
-        Number of actuators.
-    spread_db : float
-        Largest deviation from 0 dB, >= 0.
-    seed : int
-        Seed of the rig.
+    actuators: Number of actuators.
+    spread_db: Largest deviation from 0 dB, >= 0.
+    seed: Seed of the rig.
     """
     level_db = np.random.default_rng([seed, 0x6A1]).uniform(-spread_db, spread_db, actuators)
     return np.asarray(10 ** (level_db / 20), dtype=np.float64)
@@ -62,21 +54,12 @@ def output_errors(
 ) -> tuple[Float64Array, Float64Array]:
     """What calibration has to find of a player's outputs: latency and gain of each, evenly spread.
 
-    Parameters
-    ----------
-    outputs : int
-        Number of outputs.
-    latency_spread_s : float
-        Largest deviation of an output's latency in s, >= 0.
-    gain_spread_db : float
-        Largest deviation of an output's gain in dB, >= 0.
-    seed : int
-        Seed of the rig.
+    outputs: Number of outputs.
+    latency_spread_s: Largest deviation of an output's latency in s, >= 0.
+    gain_spread_db: Largest deviation of an output's gain in dB, >= 0.
+    seed: Seed of the rig.
 
-    Returns
-    -------
-    tuple of float64 array, shape (outputs,)
-        Latencies in s and gains.
+    Returns tuple of float64 (outputs,): latencies in s and gains.
     """
     chance = np.random.default_rng([seed, 0x0F7])
     latency_s = chance.uniform(-latency_spread_s, latency_spread_s, outputs)

@@ -26,37 +26,25 @@ CORRUPTING = (
 class Fault:
     """One entry of a fault plan: at the given call, or at the given take. Raises ValueError.
 
-    Parameters
-    ----------
-    role : str
-        ``"mirror"``, ``"recorder"`` or ``"player"``.
-    operation : str
-        Method that fails, such as ``"read"``.
-    kind : str
-        ``"timeout"`` (any), ``"lost"`` (any; it stays lost), ``"unplugged"`` (any but reconnect; once, and
-        then gone until it is plugged in again), ``"hang"`` (any; the call never returns, for a take only the
-        first), ``"underflow"`` (player wait), ``"short_read"``, ``"missing_reference"``, ``"over_range"``,
-        ``"dropout"``, ``"drift"``, ``"dark"`` (no light comes back to the vibrometer in the whole record),
-        ``"faint_reference"``, ``"clipped"`` (the response's peaks are cut off before the converter),
-        ``"lost_sample"`` (one sample of the response is missing in the middle), ``"hum"`` (50 Hz on the response) or
-        ``"dead_response"`` (the response channel is constant; recorder read).
-    at_call : int, optional
-        The first call of the method that fails, from 1; `count` calls fail in a row.
-    position, record, attempt : int, optional
-        The take that fails, where no call is given: this position (any, if absent), this record of
-        each attempt (every, if absent), from this attempt on (1, if absent) for `count` attempts.
-        A mirror has no takes.
-    purpose : str, optional
-        Only takes of this purpose; any, if absent.
-    count : int
-        How often, > 0.
-    level_db : float
-        What ``"drift"`` does to the response, and ``"faint_reference"`` to the reference; where ``"clipped"`` cuts
-        the response, in dB of its peak; the level of ``"hum"``, in dB of the response's rms.
-    tries : int
-        How many times ``reconnect`` fails before one succeeds, where ``"unplugged"``, >= 0.
-    spot_mm : tuple of float, optional
-        Where ``"dark"`` is dark: x, y and radius in mm; everywhere, if absent.
+    role: ``"mirror"``, ``"recorder"`` or ``"player"``.
+    operation: Method that fails, such as ``"read"``.
+    kind: ``"timeout"`` (any), ``"lost"`` (any; it stays lost), ``"unplugged"`` (any but reconnect; once, and then gone
+        until it is plugged in again), ``"hang"`` (any; the call never returns, for a take only the first),
+        ``"underflow"`` (player wait), ``"short_read"``, ``"missing_reference"``, ``"over_range"``, ``"dropout"``,
+        ``"drift"``, ``"dark"`` (no light comes back to the vibrometer in the whole record), ``"faint_reference"``,
+        ``"clipped"`` (the response's peaks are cut off before the converter), ``"lost_sample"`` (one sample of the
+        response is missing in the middle), ``"hum"`` (50 Hz on the response) or ``"dead_response"`` (the response
+        channel is constant; recorder read).
+    at_call: The first call of the method that fails, from 1; `count` calls fail in a row.
+    position, record, attempt: The take that fails, where no call is given: this position (any, if absent), this record
+        of each attempt (every, if absent), from this attempt on (1, if absent) for `count` attempts. A mirror has no
+        takes.
+    purpose: Only takes of this purpose; any, if absent.
+    count: How often, > 0.
+    level_db: What ``"drift"`` does to the response, and ``"faint_reference"`` to the reference; where ``"clipped"``
+        cuts the response, in dB of its peak; the level of ``"hum"``, in dB of the response's rms.
+    tries: How many times ``reconnect`` fails before one succeeds, where ``"unplugged"``, >= 0.
+    spot_mm: Where ``"dark"`` is dark: x, y and radius in mm; everywhere, if absent.
     """
 
     role: str
@@ -118,14 +106,9 @@ class Fault:
 class FaultPlan:
     """The faults that one instrument has before it.
 
-    Parameters
-    ----------
-    role : str
-        The instrument's role.
-    device : str
-        Its name, for messages.
-    faults : tuple of Fault
-        The plan of the whole rig.
+    role: The instrument's role.
+    device: Its name, for messages.
+    faults: The plan of the whole rig.
     """
 
     def __init__(self, role: str, device: str, faults: tuple[Fault, ...]) -> None:
@@ -145,14 +128,9 @@ class FaultPlan:
 
         Raises TransientInstrumentError or InstrumentLostError.
 
-        Parameters
-        ----------
-        operation : str
-            Name of the method.
-        doing : str
-            What it does, for the message.
-        take : Take, optional
-            What the call is for.
+        operation: Name of the method.
+        doing: What it does, for the message.
+        take: What the call is for.
         """
         with self._lock:
             self._calls[operation] += 1

@@ -17,18 +17,11 @@ class MirrorGeometry:
     The surface point (x, y) lies, seen from the mirror, at R (x, y, 0) + (offset, distance), with R
     the rotation by tilt and roll; the mirror's angles are the arc tangents of its two slopes. Raises ValueError.
 
-    Parameters
-    ----------
-    distance_mm : float
-        From the mirror to the plane of the surface centre in mm, > 0.
-    offset_mm : tuple of float
-        Where the surface centre lies off the straight beam (x, y), in mm.
-    tilt_deg : tuple of float
-        Rotation of the surface about its x and its y axis in degrees, within +-60.
-    roll_deg : float
-        Rotation of the surface about the beam in degrees.
-    matrix : 3 x 3 tuple of float, optional
-        The projective map itself, from (x, y, 1) in mm to the slopes; then all above is ignored.
+    distance_mm: From the mirror to the plane of the surface centre in mm, > 0.
+    offset_mm: Where the surface centre lies off the straight beam (x, y), in mm.
+    tilt_deg: Rotation of the surface about its x and its y axis in degrees, within +-60.
+    roll_deg: Rotation of the surface about the beam in degrees.
+    matrix: The projective map itself, from (x, y, 1) in mm to the slopes; then all above is ignored.
     """
 
     distance_mm: float = 1000.0

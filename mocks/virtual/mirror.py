@@ -38,10 +38,8 @@ def stood_between(
 ) -> list[tuple[int, Place | None]]:
     """Where the mirror stood between two instants.
 
-    Returns
-    -------
-    list of (instant_ns, place)
-        From each instant on, the first being `start_ns`, it stands there; None while it moves or swings.
+    Returns list of (instant_ns, place): from each instant on, the first being `start_ns`, it stands there; None while
+    it moves or swings.
     """
     changes: list[tuple[int, Place | None]] = []
     ends_ns = stop_ns
@@ -130,10 +128,8 @@ class VirtualMirror:
     def places_mm(self, start_ns: int, stop_ns: int) -> list[tuple[int, tuple[float, float] | None]]:
         """Where the laser met the surface between two instants.
 
-        Returns
-        -------
-        list of (instant_ns, place_mm)
-            From each instant on the laser is at that place; None while it moves or misses the surface.
+        Returns list of (instant_ns, place_mm): from each instant on the laser is at that place; None while it moves or
+        misses the surface.
         """
         with self._lock:
             moves = list(self._moves)

@@ -173,10 +173,7 @@ class VirtualPlayer:
     def follow(self, take_under_way: Callable[[], Take | None]) -> None:
         """Let latencies be drawn for the take that this function names.
 
-        Parameters
-        ----------
-        take_under_way : callable
-            Gives the take of the record under way, None if there is none.
+        take_under_way: Gives the take of the record under way, None if there is none.
         """
         self._take_under_way = take_under_way
 

@@ -38,18 +38,9 @@ class _Speckle:
 class VirtualRecorder:
     """Records reference and response; implements `drivers.protocols.Recorder`.
 
-    Parameters
-    ----------
-    settings : VirtualSettings
-        The rig.
-    clock : VirtualClock
-        Its time.
-    mirror, player : VirtualMirror, VirtualPlayer
-        Where the laser is, and what is played.
-    synthesis : Synthesis
-        The plate and the signal chain between them.
-    patch_bay : PatchBay
-        What is plugged into its response input.
+    mirror, player: Where the laser is, and what is played.
+    synthesis: The plate and the signal chain between them.
+    patch_bay: What is plugged into its response input.
     """
 
     def __init__(

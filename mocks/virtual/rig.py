@@ -25,17 +25,10 @@ class VirtualRig:
     being equal), the offset not known. Everything random depends on the seed and the take alone, so
     neither the order of takes nor what happened before them changes a byte.
 
-    Parameters
-    ----------
-    settings : VirtualSettings, optional
-        The rig; the default rig, if absent.
+    settings: The rig; the default rig, if absent.
 
-    Attributes
-    ----------
-    patch_bay : PatchBay
-        What is plugged into the response input; the vibrometer, until somebody plugs in something else.
-    sensors : dict from name to VirtualSensor
-        ``"room"`` and ``"light"``.
+    patch_bay: What is plugged into the response input; the vibrometer, until somebody plugs in something else.
+    sensors: ``"room"`` and ``"light"``.
     """
 
     def __init__(self, settings: VirtualSettings | None = None) -> None:
@@ -64,19 +57,11 @@ class VirtualRig:
         From player volts to surface velocity as the vibrometer shows it: amplifier, coil, plate and
         vibrometer low-pass are in, the delay between the recorder's channels is not.
 
-        Parameters
-        ----------
-        x_mm, y_mm : float
-            Point on the surface in mm.
-        taps : int
-            Length of the FIRs, > 0.
-        sample_rate_hz : float
-            Their rate on the player's clock in Hz.
+        x_mm, y_mm: Point on the surface in mm.
+        taps: Length of the FIRs, > 0.
+        sample_rate_hz: Their rate on the player's clock in Hz.
 
-        Returns
-        -------
-        float64 array, shape (actuators, taps)
-            In (m/s)/V.
+        Returns float64 (actuators, taps): in (m/s)/V.
         """
         return self._synthesis.green((float(x_mm), float(y_mm)), taps, float(sample_rate_hz))
 
@@ -90,21 +75,12 @@ class VirtualRig:
     ) -> NDArray[np.complex128]:
         """Some bins of the transforms of `truth` at many points, within 1e-6, without the transforms.
 
-        Parameters
-        ----------
-        position_mm : float64 array, shape (positions, 2)
-            Points on the surface in mm, not on a magnet.
-        taps : int
-            Length of the FIRs, > 0.
-        length : int
-            Length of the transform that the FIRs are padded to.
-        bins : slice
-            Which bins, start and stop given.
-        sample_rate_hz : float
-            Rate of the FIRs on the player's clock in Hz.
+        position_mm, float64 (positions, 2): Points on the surface in mm, not on a magnet.
+        taps: Length of the FIRs, > 0.
+        length: Length of the transform that the FIRs are padded to.
+        bins: Which bins, start and stop given.
+        sample_rate_hz: Rate of the FIRs on the player's clock in Hz.
 
-        Returns
-        -------
-        complex128 array, shape (positions, actuators, bins)
+        Returns complex128 (positions, actuators, bins).
         """
         return self._synthesis.green_spectra(position_mm, taps, float(sample_rate_hz), length, bins)

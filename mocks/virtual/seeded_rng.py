@@ -30,16 +30,10 @@ def normal_values() -> Float32Array:
 def take_generator(seed: int, take: Take, stream: int, *, whole_attempt: bool = False) -> np.random.Generator:
     """The generator of one stream of one take.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the rig, >= 0.
-    take : Take
-        The measurement.
-    stream : int
-        ``LATENCY``, ``NOISE``, ``DROPOUT`` or ``GROWING``.
-    whole_attempt : bool
-        One stream for all records of the attempt.
+    seed: Seed of the rig, >= 0.
+    take: The measurement.
+    stream: ``LATENCY``, ``NOISE``, ``DROPOUT`` or ``GROWING``.
+    whole_attempt: One stream for all records of the attempt.
     """
     record = EVERY_RECORD if whole_attempt else take.record
     return np.random.Generator(np.random.SFC64(_digest(seed, take, record, stream, 16)))
@@ -48,12 +42,8 @@ def take_generator(seed: int, take: Take, stream: int, *, whole_attempt: bool = 
 def take_share(seed: int, take: Take) -> float:
     """A number from 0 to below 1, drawn once for the take: how late its player starts.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the rig, >= 0.
-    take : Take
-        The measurement.
+    seed: Seed of the rig, >= 0.
+    take: The measurement.
     """
     return (_digest(seed, take, take.record, LATENCY, 8) >> 11) / 2**53
 
@@ -68,12 +58,7 @@ def _digest(seed: int, take: Take, record: int, stream: int, size: int) -> int:
 def normal(generator: np.random.Generator, samples: int) -> Float32Array:
     """Normally distributed samples of variance 1.
 
-    Parameters
-    ----------
-    generator : numpy Generator
-        Where they come from.
-    samples : int
-        How many, >= 0.
+    samples: How many, >= 0.
     """
     words = np.asarray(generator.bit_generator.random_raw(-(-samples // 4)), dtype="<u8")
     # No index can be out of bounds, and numpy's check for it would cost as much as the rest.

@@ -21,75 +21,45 @@ OUTLINE = Outline.stadium(250.0, 150.0)  # the paper, section IV.A: a stadium of
 class VirtualSettings:
     """A virtual rig; the same settings give the same rig, byte for byte. Raises ValueError.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of everything random, >= 0.
-    noise_v : float
-        Noise of the vibrometer at the response input, volts rms, >= 0. The converter's own rounding
-        (0.09 mV rms at a range of 10 V) comes on top.
-    reference_noise_v : float
-        Noise of the reference input, volts rms, >= 0.
-    noise_per_response : float
-        Noise that grows with the response: volts rms per volt of it at every instant, >= 0.
-    cubic_per_v2 : float
-        A response of u volts comes out as u + cubic_per_v2 * u**3, in 1/V^2.
-    clock_ppm : float
-        How much faster the recorder's clock is than the player's, in parts per million, within +-1000.
-    inter_channel_delay_s : float
-        How much later the response is sampled than the reference, in s, within +-0.001; negative where the
-        response input is converted first.
-    vibrometer_latency_s : float
-        How much later the vibrometer's voltage is than the velocity that it stands for, in s, 0 to 0.001.
-    latency_s : tuple of float
-        Shortest and longest time from the call of play to the first sample, in s.
-    actuator_mm : tuple of (float, float)
-        Positions of the actuators in mm.
-    actuator_channels : tuple of int, optional
-        Player channel that each actuator hangs on; by default actuator i on channel i.
-    loopback_channel : int, optional
-        Player channel that is looped back to the reference input; by default the one after the last.
-    output_latency_s : tuple of float, optional
-        How much later than the player's latency each of its outputs is, in s, within +-0.001; 0 if absent.
-    output_gain : tuple of float, optional
-        Volts at each output per volt asked for, negative where its wires are crossed; 1 if absent.
-    actuator_strength : tuple of float, optional
-        Factor on each actuator's own strength: 0 where it is dead, negative where it is reversed; 1 if absent.
-    plate : str
-        Name of the plate, as registered in `mocks.plates`.
-    plate_keys : tuple of (str, value)
-        Settings that only this plate has, by name.
-    outline : Outline
-        Of the plate.
-    mirror : MirrorGeometry
-        Where the laser stands.
-    settle_s, slew_mrad_s, limit_mrad, park_mrad
-        The mirror: settling time, speed of a move, largest angle per axis, safe direction.
-    sensitivity_m_s_per_v : float
-        Surface velocity per volt of the vibrometer, in (m/s)/V, > 0.
-    velocity_scale : float
-        Strength of actuators and amplifier; the default lets the strongest response of the default
-        grid to a sweep of 1 V peak at 6 V.
-    gain_spread_db : float
-        Largest deviation of an actuator's gain in dB, >= 0.
-    dropout_probability : float
-        Probability that an attempt of as many records as there are actuators loses the vibrometer
+    seed: Seed of everything random, >= 0.
+    noise_v: Noise of the vibrometer at the response input, volts rms, >= 0. The converter's own rounding (0.09 mV rms
+        at a range of 10 V) comes on top.
+    reference_noise_v: Noise of the reference input, volts rms, >= 0.
+    noise_per_response: Noise that grows with the response: volts rms per volt of it at every instant, >= 0.
+    cubic_per_v2: A response of u volts comes out as u + cubic_per_v2 * u**3, in 1/V^2.
+    clock_ppm: How much faster the recorder's clock is than the player's, in parts per million, within +-1000.
+    inter_channel_delay_s: How much later the response is sampled than the reference, in s, within +-0.001; negative
+        where the response input is converted first.
+    vibrometer_latency_s: How much later the vibrometer's voltage is than the velocity that it stands for, in s, 0 to
+        0.001.
+    latency_s: Shortest and longest time from the call of play to the first sample, in s.
+    actuator_mm: Positions of the actuators in mm.
+    actuator_channels: Player channel that each actuator hangs on; by default actuator i on channel i.
+    loopback_channel: Player channel that is looped back to the reference input; by default the one after the last.
+    output_latency_s: How much later than the player's latency each of its outputs is, in s, within +-0.001; 0 if
+        absent.
+    output_gain: Volts at each output per volt asked for, negative where its wires are crossed; 1 if absent.
+    actuator_strength: Factor on each actuator's own strength: 0 where it is dead, negative where it is reversed; 1 if
+        absent.
+    plate: Name of the plate, as registered in `mocks.plates`.
+    plate_keys: Settings that only this plate has, by name.
+    outline: Of the plate.
+    mirror: Where the laser stands.
+    settle_s, slew_mrad_s, limit_mrad, park_mrad: The mirror: settling time, speed of a move, largest angle per axis,
+        safe direction.
+    sensitivity_m_s_per_v: Surface velocity per volt of the vibrometer, in (m/s)/V, > 0.
+    velocity_scale: Strength of actuators and amplifier; the default lets the strongest response of the default grid to
+        a sweep of 1 V peak at 6 V.
+    gain_spread_db: Largest deviation of an actuator's gain in dB, >= 0.
+    dropout_probability: Probability that an attempt of as many records as there are actuators loses the vibrometer
         signal for 2-10 ms in one of them (speckle), 0 to 1.
-    lost_signal_v : float
-        Noise of the vibrometer without a signal, volts rms.
-    full_scale_v : float
-        Largest output voltage of the player, > 0.
-    largest_range_v : float
-        Largest range of the recorder in volts, > 0.
-    input_ranges_v : tuple of float
-        Ranges that the recorder says it has, in volts; it takes any up to the largest.
-    fault_plan : tuple of Fault
-        Faults on order.
-    room_c, light : tuple of (float, float)
-        Instants in s on the rig's clock, rising, with the room's temperature in degrees Celsius, and with the share
-        of light that comes back to the vibrometer, as its controller would report it.
-    realtime : bool
-        Let virtual seconds last a second.
+    lost_signal_v: Noise of the vibrometer without a signal, volts rms.
+    full_scale_v: Largest output voltage of the player, > 0.
+    largest_range_v: Largest range of the recorder in volts, > 0.
+    input_ranges_v: Ranges that the recorder says it has, in volts; it takes any up to the largest.
+    room_c, light: Instants in s on the rig's clock, rising, with the room's temperature in degrees Celsius, and with
+        the share of light that comes back to the vibrometer, as its controller would report it.
+    realtime: Let virtual seconds last a second.
     """
 
     seed: int = 1

@@ -23,17 +23,9 @@ ORDER = 3
 class PlayedSignal:
     """One signal as the player's 16-bit converter puts it out.
 
-    Parameters
-    ----------
-    volts : float64 array, shape (samples,)
-        The signal in volts.
-    full_scale_v : float
-        Full scale of the converter in volts.
+    full_scale_v: Full scale of the converter in volts.
 
-    Attributes
-    ----------
-    peak_v : float
-        Its largest magnitude; NaN if it is not all finite.
+    peak_v: Its largest magnitude; NaN if it is not all finite.
     """
 
     def __init__(self, volts: Float64Array, full_scale_v: float) -> None:
@@ -49,35 +41,21 @@ class PlayedSignal:
         The output is band-limited, so its spectrum on another clock is its Fourier transform at scaled
         frequencies: exact, no interpolation.
 
-        Parameters
-        ----------
-        length : int
-            Length N of the recorder's transform; bin m lies at m / N cycles per recorder sample.
-        scale : float
-            Recorder samples per player sample.
-        samples : int
-            How many samples were played.
+        length: Length N of the recorder's transform; bin m lies at m / N cycles per recorder sample.
+        scale: Recorder samples per player sample.
+        samples: How many samples were played.
 
-        Returns
-        -------
-        complex64 array, shape (bins,)
-            Up to half the player's or half the recorder's rate, whichever is lower.
+        Returns complex64 (bins,): up to half the player's or half the recorder's rate, whichever is lower.
         """
         return self._spectra(length, scale, samples)
 
     def delayed(self, length: int, scale: float, samples: int, delay: float) -> Float32Array:
         """The waveform on the clock of the recorder, some recorder samples late, band-limited.
 
-        Parameters
-        ----------
-        length, scale, samples
-            As of `spectrum`.
-        delay : float
-            Recorder samples, any number; what leaves at one end of the transform comes in at the other.
+        length, scale, samples: As of `spectrum`.
+        delay: Recorder samples, any number; what leaves at one end of the transform comes in at the other.
 
-        Returns
-        -------
-        float32 array, shape (length,)
+        Returns float32 (length,).
         """
         steps = round(delay * DELAYS)
         step = steps % DELAYS
@@ -113,12 +91,8 @@ class PlayedSignal:
 class SignalStore:
     """Recognises signals by their content, so that a signal played again costs one comparison.
 
-    Parameters
-    ----------
-    full_scale_v : float
-        Full scale of the player in volts.
-    size : int
-        How many signals to keep.
+    full_scale_v: Full scale of the player in volts.
+    size: How many signals to keep.
     """
 
     def __init__(self, full_scale_v: float, size: int = 64) -> None:
@@ -128,13 +102,7 @@ class SignalStore:
         self._lock = threading.Lock()
 
     def find(self, volts: Float64Array) -> PlayedSignal:
-        """The signal of this content; new ones are copied.
-
-        Parameters
-        ----------
-        volts : float64 array, shape (samples,)
-            The signal in volts.
-        """
+        """The signal of this content; new ones are copied."""
         key = (volts.size, volts[:: max(1, volts.size // 64)].tobytes())
         with self._lock:
             held = self._held.get(key)
@@ -152,14 +120,8 @@ def fourier_sum(signal: Float64Array, turn: float, first: int, bins: int) -> NDA
 
     ``sum over n of signal[n] * exp(-j * n * turn * (first + m))`` for m = 0 ... bins - 1.
 
-    Parameters
-    ----------
-    signal : float64 array, shape (samples,)
-        Any signal.
-    turn : float
-        Spacing of the frequencies in radians per sample.
-    first, bins : int
-        The first frequency is ``first * turn``; how many there are.
+    turn: Spacing of the frequencies in radians per sample.
+    first, bins: The first frequency is ``first * turn``; how many there are.
     """
     index = np.arange(signal.size, dtype=np.float64)
     bin_index = np.arange(bins, dtype=np.float64)

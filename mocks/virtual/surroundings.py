@@ -15,10 +15,7 @@ NANOSECONDS = 1_000_000_000
 class VirtualClock:
     """Virtual time in whole nanoseconds, so that differences do not depend on the hour.
 
-    Parameters
-    ----------
-    realtime : bool
-        Let the wall's clock keep pace: a wait of one virtual second lasts one second.
+    realtime: Let the wall's clock keep pace: a wait of one virtual second lasts one second.
     """
 
     def __init__(self, *, realtime: bool = False) -> None:
@@ -59,12 +56,7 @@ class VirtualClock:
 class VirtualSensor:
     """Reads a course on the rig's clock.
 
-    Parameters
-    ----------
-    clock : VirtualClock
-        The time.
-    course : tuple of (float, float)
-        Instants in s, rising, and the values then; in between it changes evenly, before and after it stays.
+    course: Instants in s, rising, and the values then; in between it changes evenly, before and after it stays.
     """
 
     def __init__(self, clock: VirtualClock, course: tuple[tuple[float, float], ...]) -> None:
@@ -86,12 +78,8 @@ class PatchBay:
     outputs that drive actuators, through a summing box of gain 1) and ``"both"`` (the loopback, which the reference
     input gets too).
 
-    Parameters
-    ----------
-    actuator_outputs : sequence of int
-        Outputs of the player that drive actuators.
-    loopback_output : int
-        The output that is looped back to the reference input.
+    actuator_outputs: Outputs of the player that drive actuators.
+    loopback_output: The output that is looped back to the reference input.
     """
 
     def __init__(self, actuator_outputs: Sequence[int], loopback_output: int) -> None:

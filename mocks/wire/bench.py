@@ -56,29 +56,19 @@ class Aimed(Protocol):
 class WireBench:
     """The analog world between the instruments: amplifiers, plate, vibrometer and the loopback cable.
 
-    Parameters
-    ----------
-    settings : VirtualSettings
-        The rig; its player's latency and clock do not count, the audio server's do, but for the difference
+    settings: The rig; its player's latency and clock do not count, the audio server's do, but for the difference
         `clock_ppm` between the two clocks, which is made here.
-    played : Played
-        What the player's far side has put out.
-    aimed : Aimed
-        Where the mirror's far side has looked.
-    full_scale_v : tuple of float
-        Volts that each output is believed to put out at full scale; what it does put out is this times its gain in
-        `settings`.
-    reference_input, response_input : str
-        Physical inputs that the loopback and the patch bay are wired to; others are open and read noise.
+    played: What the player's far side has put out.
+    aimed: Where the mirror's far side has looked.
+    full_scale_v: Volts that each output is believed to put out at full scale; what it does put out is this times its
+        gain in `settings`.
+    reference_input, response_input: Physical inputs that the loopback and the patch bay are wired to; others are open
+        and read noise.
 
-    Attributes
-    ----------
-    patch_bay : PatchBay
-        What is plugged into the response input; the vibrometer, until somebody plugs in something else.
-    onsets : deque of float
-        Of the latest records, oldest first: the sample, on the recorder's clock, at which the first sound that began
-        within the record began at the loopback output; NaN for a silent record. The truth that drivers and estimator
-        are held against.
+    patch_bay: What is plugged into the response input; the vibrometer, until somebody plugs in something else.
+    onsets: Of the latest records, oldest first: the sample, on the recorder's clock, at which the first sound that
+        began within the record began at the loopback output; NaN for a silent record. The truth that drivers and
+        estimator are held against.
     """
 
     def __init__(
@@ -108,23 +98,12 @@ class WireBench:
     ) -> Float64Array:
         """Voltages at some inputs, noise included, once they have been.
 
-        Parameters
-        ----------
-        start_ns : int
-            Instant of the first sample, of `time.monotonic_ns`.
-        samples : int
-            Samples per input, > 0.
-        rate_hz : float
-            Their nominal rate in Hz; the recorder's clock is `clock_ppm` faster.
-        inputs : tuple of str
-            Physical inputs in the order of the task.
-        channel_delay_s : float
-            How much later each input is sampled than the one before.
+        start_ns: Instant of the first sample, of `time.monotonic_ns`.
+        rate_hz: Their nominal rate in Hz; the recorder's clock is `clock_ppm` faster.
+        inputs: Physical inputs in the order of the task.
+        channel_delay_s: How much later each input is sampled than the one before.
 
-        Returns
-        -------
-        float64 array, shape (inputs, samples)
-            In volts, before the converter.
+        Returns float64 (inputs, samples): in volts, before the converter.
         """
         true_rate_hz = rate_hz * self._settings.clock_ratio
         end_ns = start_ns + round(samples / true_rate_hz * NANOSECONDS)

@@ -27,24 +27,14 @@ DECODER_LATENCY_S = 8.16e-6
 class Wiring:
     """What stands at the far end of each wire, and where it is reached.
 
-    Parameters
-    ----------
-    mirror_dialect : str
-        A dialect of `drivers.mirror.serial_mirror`.
-    mirror_port : str
-        Path of a link to make, or ``socket://HOST:PORT`` (port 0: any).
-    mirror_full_scale_mrad : float, optional
-        Optical angle at full deflection, as of `mirror_device`.
-    ni_product, ni_device, ni_address : str
-        Model of the NI box, its name, and HOST:PORT of its gRPC Device Server.
-    reference_input, response_input : str
-        Inputs that the loopback and the patch bay are wired to.
-    full_scale_v : tuple of float
-        Volts at full scale that each output of the audio interface is believed to have.
-    interface_rate_hz, period_frames : int
-        Of the audio interface.
-    vibrometer_port : str, optional
-        Where a Polytec OFV-5000 is reached, as `mirror_port`; none, if absent.
+    mirror_dialect: A dialect of `drivers.mirror.serial_mirror`.
+    mirror_port: Path of a link to make, or ``socket://HOST:PORT`` (port 0: any).
+    mirror_full_scale_mrad: Optical angle at full deflection, as of `mirror_device`.
+    ni_product, ni_device, ni_address: Model of the NI box, its name, and HOST:PORT of its gRPC Device Server.
+    reference_input, response_input: Inputs that the loopback and the patch bay are wired to.
+    full_scale_v: Volts at full scale that each output of the audio interface is believed to have.
+    interface_rate_hz, period_frames: Of the audio interface.
+    vibrometer_port: Where a Polytec OFV-5000 is reached, as `mirror_port`; none, if absent.
     """
 
     mirror_dialect: str
@@ -66,27 +56,11 @@ class EmulatedRig:
 
     Raises ValueError or RuntimeError.
 
-    Parameters
-    ----------
-    settings : VirtualSettings
-        Plate, noise, clocks, geometry and flaws.
-    wiring : Wiring
-        Devices and addresses.
-    faults : tuple of WireFault
-        What goes wrong, on all wires.
+    settings: Plate, noise, clocks, geometry and flaws.
 
-    Attributes
-    ----------
-    bench : WireBench
-        The analog world, with the patch bay.
-    audio : JackServer
-        The audio interface; `audio.environment` is what a player's process must have.
-    recorder : NiServer
-        The DAQ.
-    mirror : SerialFarSide
-        The mirror.
-    vibrometer : SerialFarSide or None
-        The vibrometer's controller, where it has a port.
+    bench: The analog world, with the patch bay.
+    audio: The audio interface; `audio.environment` is what a player's process must have.
+    vibrometer: The vibrometer's controller, where it has a port.
     """
 
     def __init__(self, settings: VirtualSettings, wiring: Wiring, faults: tuple[WireFault, ...] = ()) -> None:
@@ -142,10 +116,7 @@ class EmulatedRig:
     def unplug(self, role: str) -> None:
         """Pull the cable of one instrument. Raises ValueError.
 
-        Parameters
-        ----------
-        role : str
-            ``"mirror"``, ``"recorder"``, ``"player"`` or ``"vibrometer"``.
+        role: ``"mirror"``, ``"recorder"``, ``"player"`` or ``"vibrometer"``.
         """
         match role:
             case "player":

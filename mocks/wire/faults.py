@@ -38,24 +38,15 @@ ANY = "any"
 class WireFault:
     """One entry of a wire's fault plan. Raises ValueError.
 
-    Parameters
-    ----------
-    role : str
-        Whose far side: a key of `KINDS`.
-    kind : str
-        What happens: one of `KINDS[role]`.
-    operation : str
-        The call that meets it: the verb of a serial dialect (``"identify"``, ``"move"``, ``"busy"``,
-        ``"where"``...), the name of a remote procedure (``"ReadAnalogF64"``), ``"period"`` of an audio
-        server, or ``"any"``.
-    at_call : int, optional
-        The first call of the operation that meets it, from 1.
-    at_s : float, optional
-        In its place: the first call after so many seconds from the far side's start.
-    count : int
-        How many calls in a row, > 0.
-    seconds : float
-        How long a late answer is late, or a device stays unplugged, >= 0; 0 for good where it is unplugged.
+    role: Whose far side: a key of `KINDS`.
+    kind: What happens: one of `KINDS[role]`.
+    operation: The call that meets it: the verb of a serial dialect (``"identify"``, ``"move"``, ``"busy"``,
+        ``"where"``...), the name of a remote procedure (``"ReadAnalogF64"``), ``"period"`` of an audio server, or
+        ``"any"``.
+    at_call: The first call of the operation that meets it, from 1.
+    at_s: In its place: the first call after so many seconds from the far side's start.
+    count: How many calls in a row, > 0.
+    seconds: How long a late answer is late, or a device stays unplugged, >= 0; 0 for good where it is unplugged.
     """
 
     role: str
@@ -83,12 +74,7 @@ class WireFault:
 class WireFaultPlan:
     """The faults that one far side has before it; safe to ask from several threads.
 
-    Parameters
-    ----------
-    role : str
-        The far side's role.
-    faults : tuple of WireFault
-        The plan of the whole rig.
+    faults: The plan of the whole rig.
     """
 
     def __init__(self, role: str, faults: tuple[WireFault, ...] = ()) -> None:

@@ -74,16 +74,9 @@ class SerialFarSide:
     :meth:`plug`. *impostor*: another device says who it is. *restarted*: it is switched off and on in place of
     obeying; then comes what it sends by itself.
 
-    Parameters
-    ----------
-    device : SerialDevice
-        What answers.
-    wire : Wire
-        What it hangs on; closed with the far side.
-    faults : WireFaultPlan, optional
-        What goes wrong, by the device's role.
-    garbler : callable
-        Turns an answer into a garbled one.
+    wire: What it hangs on; closed with the far side.
+    faults: What goes wrong, by the device's role.
+    garbler: Turns an answer into a garbled one.
     """
 
     def __init__(

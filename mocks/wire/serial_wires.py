@@ -48,10 +48,7 @@ class Wire(Protocol):
 class PtyWire:
     """A pseudo-terminal; POSIX alone. Raises OSError.
 
-    Parameters
-    ----------
-    link : Path
-        Where the port appears: a symbolic link, the same after each unplugging.
+    link: Where the port appears: a symbolic link, the same after each unplugging.
     """
 
     def __init__(self, link: Path) -> None:
@@ -108,12 +105,8 @@ class PtyWire:
 class TcpWire:
     """A TCP port that serves one connection at a time, and closes any further one at once.
 
-    Parameters
-    ----------
-    host : str
-        Address to listen at.
-    port : int
-        0 for any free one, which is kept from then on.
+    host: Address to listen at.
+    port: 0 for any free one, which is kept from then on.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:

@@ -27,25 +27,15 @@ LIBUSB_ERROR = {errno.EIO: -1, errno.EACCES: -3, errno.ENODEV: -4, errno.ENOENT:
 class VirtualUsbDevice:
     """A device that can be plugged into the virtual bus.
 
-    Parameters
-    ----------
-    vendor_id, product_id : int
-        0 to 0xFFFF.
-    serial_number, manufacturer, product : str
-        Its texts; empty where it has none.
-    interface_classes : tuple of int
-        Class of each interface; 1 is audio.
-    device_class : int
-        0 leaves it to the interfaces; 9 is a hub.
-    bus : int
-        Number of its bus.
-    port_path : tuple of int
-        The sockets from the root hub to it.
-    after_reset : str
-        ``"stays"`` under its address, ``"re-enumerates"`` under a new one after `away_s`, ``"stays away"``,
+    vendor_id, product_id: 0 to 0xFFFF.
+    serial_number, manufacturer, product: Its texts; empty where it has none.
+    interface_classes: Class of each interface; 1 is audio.
+    device_class: 0 leaves it to the interfaces; 9 is a hub.
+    bus: Number of its bus.
+    port_path: The sockets from the root hub to it.
+    after_reset: ``"stays"`` under its address, ``"re-enumerates"`` under a new one after `away_s`, ``"stays away"``,
         ``"refuses"`` with an input/output error, or ``"busy"``.
-    away_s : float
-        How long it is away where it re-enumerates, >= 0.
+    away_s: How long it is away where it re-enumerates, >= 0.
     """
 
     vendor_id: int
@@ -77,12 +67,8 @@ class _Handle:
 class VirtualUsb(IBackend):  # type: ignore[misc]  # pyusb ships no types
     """The bus; give it to pyusb as ``backend``. Safe to use from several threads.
 
-    Parameters
-    ----------
-    devices : iterable of VirtualUsbDevice
-        What is plugged in from the start.
-    faults : tuple of WireFault
-        Those of the role ``"usb"`` strike; their operations are ``"enumerate"``, ``"descriptor"``, ``"open"``,
+    devices: What is plugged in from the start.
+    faults: Those of the role ``"usb"`` strike; their operations are ``"enumerate"``, ``"descriptor"``, ``"open"``,
         ``"text"`` and ``"reset"``. One that is unplugged at an enumeration takes all devices with it, as a hub does.
     """
 

@@ -13,20 +13,12 @@ from __future__ import annotations
 class PolytecDevice:
     """A controller with one velocity decoder; it echoes commands until echo is switched off.
 
-    Parameters
-    ----------
-    range_text : str
-        The measurement range that is set.
-    signal_delay : str
-        What the decoder says of its delay.
-    signal_level : int or str
-        Strength of the reflected light, 0 to 775, or how the controller writes it.
-    decoder : int
-        Number of the decoder; the others are not installed.
-    echo : bool
-        Whether commands are repeated before they are answered.
-    name : str
-        The controller's.
+    range_text: The measurement range that is set.
+    signal_delay: What the decoder says of its delay.
+    signal_level: Strength of the reflected light, 0 to 775, or how the controller writes it.
+    decoder: Number of the decoder; the others are not installed.
+    echo: Whether commands are repeated before they are answered.
+    name: The controller's.
     """
 
     role = "vibrometer"

@@ -21,9 +21,9 @@ from mocks.wire.emulated_rig import EmulatedRig
 from mocks.wire.mirrors import mirror_device
 from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.serial_far_side import SerialFarSide
-from mocks.wire.serial_wires import TcpWire
 from tests.wire.emulated import free_port, rig_text
-from tests.wire.serial_bench import DIALECTS
+from tests.wire.serial_bench import DIALECTS, LOCAL
+from tests.wire.serial_bench import wire as serial_wire
 from wavefocus.commands.emulate import wiring_of
 from wavefocus.configuration import load_rig
 from wavefocus.rig.instruments import Openers, openers
@@ -156,12 +156,12 @@ def wire(emulated: Callable[[], RigConfig]) -> Iterator[Callable[[], Bench]]:
 
 @pytest.fixture
 def mirror_side(tmp_path: Path) -> Iterator[Callable[[str], RigConfig]]:
-    """A rig of which only the mirror is there, on a TCP port, in the dialect that is asked for."""
+    """A rig of which only the mirror is there, in the dialect that is asked for."""
     started: list[SerialFarSide] = []
 
     def start(dialect: str) -> RigConfig:
         motion = MirrorMotion((-240.0, -240.0), 0.005, math.inf, 250.0)
-        started.append(SerialFarSide(mirror_device(dialect, motion, 260.0), TcpWire()).start())
+        started.append(SerialFarSide(mirror_device(dialect, motion, 260.0), serial_wire(LOCAL, tmp_path)).start())
         rig_file = tmp_path / "rig.toml"
         rig_file.write_text(rig_text(tmp_path, "localhost:1", dialect=dialect, mirror=started[0].address))
         return load_rig(rig_file)

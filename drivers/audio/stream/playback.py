@@ -24,16 +24,10 @@ class Taken:
 class PieceByPiece:
     """Frames for some channels, handed over in pieces by one thread and put into periods by the stream's.
 
-    Parameters
-    ----------
-    number : int
-        The play's.
-    channels : sequence of int
-        Outputs, in the order of the pieces' columns.
-    reserve_frames : int
-        Fewer than these left before the end is announced: it has run dry, with enough left to fade out over.
-    report : callable
-        Receives `Taken` after each piece.
+    channels: Outputs, in the order of the pieces' columns.
+    reserve_frames: Fewer than these left before the end is announced: it has run dry, with enough left to fade out
+        over.
+    report: Receives `Taken` after each piece.
     """
 
     def __init__(
@@ -103,14 +97,9 @@ PLAYED, MUTED, UNDERFLOW = "played", "muted", "underflow"
 class Voice:
     """One channel's signal in a play.
 
-    Parameters
-    ----------
-    channel : int
-        Output, from 0.
-    samples : float32 array, shape (frames,)
-        Parts of full scale.
-    start : int
-        Frame of the play at which it begins, >= 0.
+    channel: Output, from 0.
+    samples, float32 (frames,): Parts of full scale.
+    start: Frame of the play at which it begins, >= 0.
     """
 
     channel: int
@@ -156,21 +145,11 @@ class Ended:
 class Playback:
     """Fills the periods of one stream; plays and mutes are handed over between periods.
 
-    Parameters
-    ----------
-    rate_hz : int
-        Frames per second.
-    latency_s : float
-        How long after its callback a period leaves the outputs, as the stream reports.
+    latency_s: How long after its callback a period leaves the outputs, as the stream reports.
 
-    Attributes
-    ----------
-    events : SimpleQueue of Ended or Taken
-        One end for each play, in order; and what was taken of one that comes piece by piece.
-    callbacks : int
-        How many periods were filled so far.
-    underflows : int
-        How many of them came with the flag of an underflow, with a play under way or not.
+    events: One end for each play, in order; and what was taken of one that comes piece by piece.
+    callbacks: How many periods were filled so far.
+    underflows: How many of them came with the flag of an underflow, with a play under way or not.
     """
 
     def __init__(self, rate_hz: int, latency_s: float) -> None:
@@ -197,14 +176,9 @@ class Playback:
     def fill(self, out: Float32Array, now_s: float, *, flagged: bool) -> None:
         """Fill one period; called by the stream.
 
-        Parameters
-        ----------
-        out : float32 array, shape (frames, channels)
-            The period, written in full.
-        now_s : float
-            Instant of the callback, of a clock that never runs backwards.
-        flagged : bool
-            Whether the stream says that it ran dry since the last callback.
+        out, float32 (frames, channels): The period, written in full.
+        now_s: Instant of the callback, of a clock that never runs backwards.
+        flagged: Whether the stream says that it ran dry since the last callback.
         """
         out.fill(0)
         self.underflows += flagged

@@ -32,23 +32,14 @@ class StreamPlayer:
     One stream over all channels runs from the moment of opening to that of closing, silent between plays, in a
     process of its own: what hangs there is killed, and nobody waits for it. Raises InstrumentError.
 
-    Parameters
-    ----------
-    host_api : str or None
-        PortAudio's name of the driver model, such as ``"ASIO"``, ``"Core Audio"`` or
-        ``"JACK Audio Connection Kit"``; None for any.
-    device : str
-        The device's name there, or a part of it that no other has.
-    channels : int
-        How many outputs to open, from 0; > 0.
-    channel_full_scale_v : sequence of float
-        Volts at full scale of each of them, from calibration; > 0.
-    interface_rate_hz : int
-        Rate of the stream in Hz.
-    block_frames : int
-        Frames per callback; 0 for what suits the host.
-    environment : mapping from str to str, optional
-        Added to the environment of the stream's process, such as ``JACK_DEFAULT_SERVER``.
+    host_api: PortAudio's name of the driver model, such as ``"ASIO"``, ``"Core Audio"`` or ``"JACK Audio Connection
+        Kit"``; None for any.
+    device: The device's name there, or a part of it that no other has.
+    channels: How many outputs to open, from 0; > 0.
+    channel_full_scale_v: Volts at full scale of each of them, from calibration; > 0.
+    interface_rate_hz: Rate of the stream in Hz.
+    block_frames: Frames per callback; 0 for what suits the host.
+    environment: Added to the environment of the stream's process, such as ``JACK_DEFAULT_SERVER``.
     """
 
     def __init__(

@@ -16,16 +16,11 @@ from drivers.protocols import DeviceIdentity
 class OutputDevice:
     """An output as PortAudio lists it.
 
-    Parameters
-    ----------
-    index : int
-        PortAudio's own, good for one process only.
-    host_api, name : str
-        Which driver model offers it (``"ASIO"``, ``"Core Audio"``, ``"JACK Audio Connection Kit"``) and its name there.
-    channels : int
-        Largest number of output channels.
-    rate_hz : float
-        The rate it is set to or prefers, in Hz.
+    index: PortAudio's own, good for one process only.
+    host_api, name: Which driver model offers it (``"ASIO"``, ``"Core Audio"``, ``"JACK Audio Connection Kit"``) and its
+        name there.
+    channels: Largest number of output channels.
+    rate_hz: The rate it is set to or prefers, in Hz.
     """
 
     index: int
@@ -50,12 +45,8 @@ class OutputDevice:
 class DeviceChoiceError(Exception):
     """There is no device that is and does what was asked for, or more than one.
 
-    Parameters
-    ----------
-    cause, remedy : str
-        As of `drivers.errors.InstrumentError`.
-    absent : bool
-        Whether it may yet come, so that trying again can help.
+    cause, remedy: As of `drivers.errors.InstrumentError`.
+    absent: Whether it may yet come, so that trying again can help.
     """
 
     def __init__(self, cause: str, remedy: str, *, absent: bool = False) -> None:
@@ -68,16 +59,10 @@ class DeviceChoiceError(Exception):
 def choose(devices: Sequence[OutputDevice], host_apis: Sequence[str], host_api: str | None, name: str) -> OutputDevice:
     """The one device that is meant. Raises DeviceChoiceError.
 
-    Parameters
-    ----------
-    devices : sequence of OutputDevice
-        What there is.
-    host_apis : sequence of str
-        What PortAudio was built with and finds at work.
-    host_api : str or None
-        Name of a host API, in either case; None for any.
-    name : str
-        The device's name, or a part of it that no other has.
+    devices: What there is.
+    host_apis: What PortAudio was built with and finds at work.
+    host_api: Name of a host API, in either case; None for any.
+    name: The device's name, or a part of it that no other has.
     """
     apis = ", ".join(repr(one) for one in host_apis) or "none"
     if host_api is not None and host_api.casefold() not in (one.casefold() for one in host_apis):
@@ -175,16 +160,7 @@ def outputs(sounddevice: Any) -> tuple[tuple[OutputDevice, ...], tuple[str, ...]
 class WatchedStream:
     """An output stream that runs from now on, silent until something is played. Raises DeviceChoiceError.
 
-    Attributes
-    ----------
-    device : OutputDevice
-        What was opened.
-    rate_hz : int
-        Frames per second.
-    latency_s : float
-        How long after its callback a period leaves the outputs, as the host reports.
-    playback : Playback
-        What it plays.
+    latency_s: How long after its callback a period leaves the outputs, as the host reports.
     """
 
     def __init__(self, sounddevice: Any, request: StreamRequest) -> None:
@@ -230,15 +206,9 @@ class WatchedStream:
     def watch(self, stopping: Callable[[], bool]) -> str:
         """Look at the stream until it is lost.
 
-        Parameters
-        ----------
-        stopping : callable
-            Looked at each time; True ends the watch.
+        stopping: Looked at each time; True ends the watch.
 
-        Returns
-        -------
-        str
-            What happened to the stream; empty if the watch was ended.
+        Returns str: what happened to the stream; empty if the watch was ended.
         """
         seen, silent_s, looked_s = -1, 0.0, time.monotonic()
         while not stopping():

@@ -32,10 +32,7 @@ FADED = 0.01
 class BeyondFullScaleError(Exception):
     """Between its samples a signal is larger than the interface can put out.
 
-    Parameters
-    ----------
-    reaches : float
-        Its largest magnitude, as a part of full scale.
+    reaches: Its largest magnitude, as a part of full scale.
     """
 
     def __init__(self, reaches: float) -> None:
@@ -47,14 +44,9 @@ class BeyondFullScaleError(Exception):
 class ShelvedSignal:
     """A signal at the interface's rate.
 
-    Parameters
-    ----------
-    number : int
-        Its name, never used again for another.
-    frames : int
-        Its length at the interface's rate.
-    first : int
-        The frame at which it begins: 0 is sample 0 of what was given, negative what the conversion adds before.
+    number: Its name, never used again for another.
+    frames: Its length at the interface's rate.
+    first: The frame at which it begins: 0 is sample 0 of what was given, negative what the conversion adds before.
     """
 
     number: int
@@ -71,10 +63,8 @@ class _Held:
 class SignalShelf:
     """Recognises signals by their content: new ones have to be sent, the longest unused are dropped.
 
-    Parameters
-    ----------
-    largest_frames : int
-        How many frames to keep in all; the longest unused go first. What one play needs is kept at any rate.
+    largest_frames: How many frames to keep in all; the longest unused go first. What one play needs is kept at any
+        rate.
     """
 
     def __init__(self, largest_frames: int = 64_000_000) -> None:
@@ -94,21 +84,9 @@ class SignalShelf:
     ) -> tuple[ShelvedSignal, Float32Array | None]:
         """A signal as parts of full scale at the interface's rate. Raises BeyondFullScaleError.
 
-        Parameters
-        ----------
-        volts : float64 array, shape (samples,)
-            In volts, finite, at least one sample.
-        full_scale_v : float
-            Of its channel.
-        ratio : Fraction
-            Rate of the interface over that of the signal.
+        volts, float64 (samples,): In volts, finite, at least one sample.
 
-        Returns
-        -------
-        ShelvedSignal
-            Where it is found.
-        float32 array, shape (frames,), or None
-            Its frames if they are new.
+        Returns ShelvedSignal: where it is found; float32 (frames,), or None: its frames if they are new.
         """
         key = (volts.size, full_scale_v, ratio, volts[:: max(1, volts.size // 64)].tobytes())
         held = self._held.get(key)
@@ -127,10 +105,7 @@ class SignalShelf:
     def give_up(self, needed: set[int]) -> list[int]:
         """Forget what exceeds the shelf, except signals that are needed.
 
-        Returns
-        -------
-        list of int
-            The numbers of all that were forgotten since the last call.
+        Returns list of int: the numbers of all that were forgotten since the last call.
         """
         for key, held in list(self._held.items()):
             if self._frames <= self._largest_frames:
@@ -177,14 +152,9 @@ def _frames(parts: Float64Array, ratio: Fraction) -> tuple[Float32Array, int]:
 class PlayOrder:
     """One play as the stream's process gets it.
 
-    Parameters
-    ----------
-    voices : tuple of (int, int, int)
-        Channel, number of its signal, and the frame at which it begins.
-    frames : int
-        Length at the interface's rate.
-    before : list of Store or Forget
-        New signals, and those that may be forgotten; to be sent first.
+    voices: Channel, number of its signal, and the frame at which it begins.
+    frames: Length at the interface's rate.
+    before: New signals, and those that may be forgotten; to be sent first.
     """
 
     voices: tuple[tuple[int, int, int], ...]
@@ -195,14 +165,7 @@ class PlayOrder:
 class PlayOrders:
     """Checks signals and makes orders of them.
 
-    Parameters
-    ----------
-    name : str
-        The player's, for messages.
-    full_scale_v : sequence of float
-        Volts at full scale of each channel.
-    rate_hz : int
-        Rate of the interface in Hz.
+    full_scale_v: Volts at full scale of each channel.
     """
 
     def __init__(self, name: str, full_scale_v: Sequence[float], rate_hz: int) -> None:

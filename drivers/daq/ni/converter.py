@@ -19,12 +19,8 @@ END_TOLERANCE = 0.2
 class CountScale:
     """Counts of one input.
 
-    Parameters
-    ----------
-    step_v : float
-        Volts per count, > 0.
-    lowest, highest : int
-        Counts at the ends of the range: a sample there is over range.
+    step_v: Volts per count, > 0.
+    lowest, highest: Counts at the ends of the range: a sample there is over range.
     """
 
     step_v: float
@@ -34,12 +30,8 @@ class CountScale:
     def quantise(self, volts: NDArray[np.float64], out: NDArray[np.float32]) -> bool:
         """Write volts as whole counts; returns whether an end of the range was reached.
 
-        Parameters
-        ----------
-        volts : float64 array, shape (samples,)
-            As the driver scales them; overwritten.
-        out : float32 array, shape (samples,)
-            The same as whole counts within the range.
+        volts, float64 (samples,): As the driver scales them; overwritten.
+        out, float32 (samples,): The same as whole counts within the range.
         """
         counts = np.divide(volts, self.step_v, out=volts)
         np.rint(counts, out=counts)
@@ -57,14 +49,8 @@ def count_scale(range_v: float, bits: int, coefficients: Sequence[float] | None)
     coefficient as the step they come out as whole counts again, up to a constant fraction of a step; the nominal
     step, by some per cent another one, would make noise of it.
 
-    Parameters
-    ----------
-    range_v : float
-        Range in volts, to either side of 0.
-    bits : int
-        Resolution.
-    coefficients : sequence of float, optional
-        Calibration: volts = c0 + c1 code + c2 code^2 + ...; without it the step is the nominal one.
+    range_v: Range in volts, to either side of 0.
+    coefficients: Calibration: volts = c0 + c1 code + c2 code^2 + ...; without it the step is the nominal one.
     """
     codes = 2 ** (bits - 1)
     nominal_v = range_v / codes

@@ -82,16 +82,10 @@ def explain(
 ) -> InstrumentError:
     """Turn a failure of the nidaqmx package into an `InstrumentError`.
 
-    Parameters
-    ----------
-    failure : BaseException
-        DaqError, RpcError, DaqWarning or another error of the package, ValueError of a closed channel, ...
-    instrument, operation : str
-        Who was asked what.
-    known : bool
-        Whether the device has answered this program before: then it is gone rather than misspelt.
-    owned : bool
-        Whether this program may have reserved it before: then what is reserved may be its own.
+    failure: DaqError, RpcError, DaqWarning or another error of the package, ValueError of a closed channel, ...
+    instrument, operation: Who was asked what.
+    known: Whether the device has answered this program before: then it is gone rather than misspelt.
+    owned: Whether this program may have reserved it before: then what is reserved may be its own.
     """
     error, cause, remedy = _meaning(failure, known, owned)
     return error(instrument, operation, cause, remedy)

@@ -29,26 +29,15 @@ class NiRecorder:
     sound lies in it is found from the reference. The task is kept committed between records of one kind, so that a
     start is one call; nobody else can have the device meanwhile. Raises InstrumentLostError or InstrumentError.
 
-    Parameters
-    ----------
-    device : str
-        Name in NI MAX: ``"Dev1"``.
-    address : str, optional
-        ``"host:port"`` of NI's gRPC Device Server; None for the NI-DAQmx driver on this computer.
-    reference_input, response_input : str
-        Analog inputs: ``"ai0"``.
-    terminal : str
-        ``"differential"``, ``"rse"``, ``"nrse"`` or ``"pseudodifferential"``.
-    trigger : str, optional
-        Digital input whose rising edge starts a record: ``"PFI0"``; None or empty to start at once.
-    answer_s : float
-        How long a server may take to answer beyond what a call asks for, in s, > 0.
-    identity : DeviceIdentity, optional
-        The device that must answer, where it has answered before.
-    owned : bool
-        Whether this program had the device before: it is reset then, see `reconnect`.
-    tls : TlsFiles, optional
-        For a server with a certificate.
+    device: Name in NI MAX: ``"Dev1"``.
+    address: ``"host:port"`` of NI's gRPC Device Server; None for the NI-DAQmx driver on this computer.
+    reference_input, response_input: Analog inputs: ``"ai0"``.
+    terminal: ``"differential"``, ``"rse"``, ``"nrse"`` or ``"pseudodifferential"``.
+    trigger: Digital input whose rising edge starts a record: ``"PFI0"``; None or empty to start at once.
+    answer_s: How long a server may take to answer beyond what a call asks for, in s, > 0.
+    identity: The device that must answer, where it has answered before.
+    owned: Whether this program had the device before: it is reset then, see `reconnect`.
+    tls: For a server with a certificate.
     """
 
     def __init__(
@@ -171,10 +160,7 @@ class NiRecorder:
 
         Raises InstrumentError.
 
-        Parameters
-        ----------
-        name : str
-            ``"ai2"``, wired as the others are.
+        name: ``"ai2"``, wired as the others are.
         """
         doing = f"reading {name}"
         with self._lock:

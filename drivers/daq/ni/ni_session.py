@@ -46,19 +46,10 @@ def open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) -> 
     plus `answer_s`. Once a deadline has passed, further calls fail at once, for a server that is silent would
     cost as much again for each of the calls that clear up. Raises OSError.
 
-    Parameters
-    ----------
-    address : str
-        ``"host:port"``.
-    answer_s : float
-        How long a call may take beyond what it asks for, in s, > 0.
-    tls : TlsFiles, optional
-        For a server with a certificate; without them the channel is in the clear.
+    answer_s: How long a call may take beyond what it asks for, in s, > 0.
+    tls: For a server with a certificate; without them the channel is in the clear.
 
-    Returns
-    -------
-    grpc.Channel
-        To be closed by the caller.
+    Returns grpc.Channel: to be closed by the caller.
     """
     import grpc
     from nidaqmx.error_codes import DAQmxWarnings
@@ -139,16 +130,10 @@ TERMINALS = {"differential": "DIFF", "rse": "RSE", "nrse": "NRSE", "pseudodiffer
 class Limits:
     """Limits of the device; None where it does not report them.
 
-    Parameters
-    ----------
-    inputs : tuple of str
-        Analog inputs: ``"ai0"`` and so on.
-    ranges_v : tuple of float, optional
-        Symmetric ranges in volts, smallest first.
-    slowest_hz, fastest_hz : float, optional
-        Sample rates of a task of two channels.
-    triggers : tuple of str, optional
-        Digital inputs that can start a record: ``"PFI0"`` and so on.
+    inputs: Analog inputs: ``"ai0"`` and so on.
+    ranges_v: Symmetric ranges in volts, smallest first.
+    slowest_hz, fastest_hz: Sample rates of a task of two channels.
+    triggers: Digital inputs that can start a record: ``"PFI0"`` and so on.
     """
 
     inputs: tuple[str, ...]
@@ -161,18 +146,10 @@ class Limits:
 class NiSession:
     """A device that has answered. Raises InstrumentLostError or InstrumentError.
 
-    Parameters
-    ----------
-    device : str
-        Name: ``"Dev1"``.
-    address : str, optional
-        ``"host:port"`` of NI's gRPC Device Server; None for the local driver.
-    answer_s : float
-        How long a server may take to answer, in s.
-    known : bool
-        Whether it has answered before: then it is gone where it does not answer, and not misspelt.
-    tls : TlsFiles, optional
-        For a server with a certificate.
+    address: ``"host:port"`` of NI's gRPC Device Server; None for the local driver.
+    answer_s: How long a server may take to answer, in s.
+    known: Whether it has answered before: then it is gone where it does not answer, and not misspelt.
+    tls: For a server with a certificate.
     """
 
     def __init__(

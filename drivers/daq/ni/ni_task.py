@@ -27,14 +27,9 @@ READ_S = 2.0
 class Wiring:
     """Which inputs are read, and how.
 
-    Parameters
-    ----------
-    inputs : tuple of str
-        Inputs of (reference, response): ``("ai0", "ai1")``.
-    terminal : str
-        Terminal configuration, a key of `TERMINALS`.
-    trigger : str, optional
-        Digital input whose rising edge starts a record.
+    inputs: Inputs of (reference, response): ``("ai0", "ai1")``.
+    terminal: Terminal configuration, a key of `TERMINALS`.
+    trigger: Digital input whose rising edge starts a record.
     """
 
     inputs: tuple[str, str]

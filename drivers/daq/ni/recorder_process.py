@@ -64,12 +64,8 @@ class ProcessRecorder:
 
     Raises InstrumentLostError or InstrumentError.
 
-    Parameters
-    ----------
-    device : str
-        Name in NI MAX: ``"Dev1"``.
-    reference_input, response_input, terminal, trigger
-        As of `drivers.daq.ni.ni_recorder.NiRecorder`.
+    device: Name in NI MAX: ``"Dev1"``.
+    reference_input, response_input, terminal, trigger: As of `drivers.daq.ni.ni_recorder.NiRecorder`.
     """
 
     def __init__(

@@ -18,19 +18,9 @@ class AlsaFile:
 
     It takes any number of channels at any rate, as fast as they come: good for routing and samples, not for time.
 
-    Parameters
-    ----------
-    folder : Path
-        An empty folder for its two files.
-    device : str
-        Its name.
 
-    Attributes
-    ----------
-    host_api, device : str
-        What a player has to ask for.
-    environment : dict
-        What ALSA needs to find it.
+    host_api, device: What a player has to ask for.
+    environment: What ALSA needs to find it.
     """
 
     host_api = "ALSA"
@@ -48,15 +38,9 @@ class AlsaFile:
     def played(self, channels: int) -> Float32Array:
         """All that was played so far.
 
-        Parameters
-        ----------
-        channels : int
-            As many as the stream had.
+        channels: As many as the stream had.
 
-        Returns
-        -------
-        float32 array, shape (channels, frames)
-            Parts of full scale, from the stream's first frame on.
+        Returns float32 (channels, frames): parts of full scale, from the stream's first frame on.
         """
         samples = np.fromfile(self._frames_file, dtype=np.float32)
         return samples[: samples.size // channels * channels].reshape(-1, channels).T

@@ -48,16 +48,11 @@ EARLY_NS = 500_000
 class AudioRing:
     """The last seconds of all outputs, and when they were asked for.
 
-    Attributes
-    ----------
-    header : record array, shape (1,)
-        As `HEADER`.
-    cycles : int64 array, shape (CYCLES, 2)
-        First frame of a cycle, and its nominal start by `time.monotonic_ns`.
-    gaps : int64 array, shape (INTERRUPTIONS, 2)
-        Where the last interruptions were, and how many frames nothing sounded; 0 where a cycle was merely late.
-    samples : float32 array, shape (channels, ring_frames)
-        Parts of full scale.
+    header, record (1,): As `HEADER`.
+    cycles, int64 (CYCLES, 2): First frame of a cycle, and its nominal start by `time.monotonic_ns`.
+    gaps, int64 (INTERRUPTIONS, 2): Where the last interruptions were, and how many frames nothing sounded; 0 where a
+        cycle was merely late.
+    samples, float32 (channels, ring_frames): Parts of full scale.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -133,17 +128,10 @@ class RingWriter:
     def take(self, now_ns: int, block: list[Any]) -> bool:
         """Record one cycle.
 
-        Parameters
-        ----------
-        now_ns : int
-            When the server asked for it.
-        block : list of float32 array, shape (frames,)
-            One for each channel.
+        now_ns: When the server asked for it.
+        block, list of float32 (frames,): One for each channel.
 
-        Returns
-        -------
-        bool
-            Whether anything sounds in it.
+        Returns bool: whether anything sounds in it.
         """
         ring, frames = self._ring, block[0].size
         period_ns = frames * NANOSECONDS // self._rate_hz

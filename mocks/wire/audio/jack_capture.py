@@ -31,12 +31,8 @@ class PlayedAudio:
     The clock goes on whatever happens. While the audio server is frozen or down, nothing leaves the outputs: those
     frames are silent, and listed in `interruptions`.
 
-    Parameters
-    ----------
-    ring : AudioRing
-        Filled by the process that is the interface.
-    alive : callable
-        Whether that process is.
+    ring: Filled by the process that is the interface.
+    alive: Whether that process is.
     """
 
     def __init__(self, ring: AudioRing, alive: Callable[[], bool]) -> None:
@@ -78,14 +74,9 @@ class PlayedAudio:
     def read(self, first_frame: int, stop_frame: int) -> Float32Array:
         """Frames as parts of full scale, once the last one is there. Raises AudioNotCapturedError.
 
-        Parameters
-        ----------
-        first_frame, stop_frame : int
-            Which frames; those before the interface was there, below 0, are silent.
+        first_frame, stop_frame: Which frames; those before the interface was there, below 0, are silent.
 
-        Returns
-        -------
-        float32 array, shape (channels, stop_frame - first_frame)
+        Returns float32 (channels, stop_frame - first_frame).
         """
         out = np.zeros((self.channels, stop_frame - first_frame), dtype=np.float32)
         first, stop = max(0, first_frame), max(0, stop_frame)

@@ -75,16 +75,8 @@ SETTLING_CYCLES = 4
 class Interface:
     """One audio server and its recording client.
 
-    Parameters
-    ----------
-    ring : AudioRing
-        Where the recording goes.
-    name : str
-        The server's.
-    faults : WireFaultPlan
-        What goes wrong, by periods.
-    orders : SimpleQueue
-        Gets the words of faults that are due, with their seconds.
+    faults: What goes wrong, by periods.
+    orders: Gets the words of faults that are due, with their seconds.
     """
 
     def __init__(
@@ -109,10 +101,7 @@ class Interface:
     def start(self, channels: int = 0) -> None:
         """Start the server, or one more after it was killed, and record from it; returns when it runs steadily.
 
-        Parameters
-        ----------
-        channels : int
-            Outputs, at most those of the ring; 0 for as many.
+        channels: Outputs, at most those of the ring; 0 for as many.
         """
         if self._client is not None:
             self._client.close()

@@ -27,26 +27,14 @@ class JackServerError(Exception):
 class JackServer:
     """An audio interface of PortAudio's host API `host_api`, called `device`; use it as a context, or stop it.
 
-    Parameters
-    ----------
-    period_frames : int
-        Frames that the server asks for at a time, a power of two.
-    channels : int
-        Outputs.
-    rate_hz : int
-        Frames per second.
-    ring_s : float
-        How many seconds of what was played are kept.
-    faults : sequence of WireFault
-        What goes wrong by itself: role ``"player"``, kind ``"underflow"`` (the server stands still for `seconds`,
-        three periods at least), ``"lost"`` (it is killed, and comes back after `seconds`) or ``"frozen"`` (it
-        stands still for `seconds`); 0 seconds are for good. The operation is ``"period"``, or ``"sounding"`` for
-        periods in which anything is played.
+    period_frames: Frames that the server asks for at a time, a power of two.
+    ring_s: How many seconds of what was played are kept.
+    faults: What goes wrong by itself: role ``"player"``, kind ``"underflow"`` (the server stands still for `seconds`,
+        three periods at least), ``"lost"`` (it is killed, and comes back after `seconds`) or ``"frozen"`` (it stands
+        still for `seconds`); 0 seconds are for good. The operation is ``"period"``, or ``"sounding"`` for periods in
+        which anything is played.
 
-    Attributes
-    ----------
-    host_api, device : str
-        What a player has to ask for.
+    host_api, device: What a player has to ask for.
     """
 
     host_api = "JACK Audio Connection Kit"
@@ -107,10 +95,7 @@ class JackServer:
     def restart(self, channels: int = 0) -> None:
         """Plug it in again after `kill`; `played` goes on, with silence in between.
 
-        Parameters
-        ----------
-        channels : int
-            With fewer outputs than before, as an interface that came back in another mode; 0 for all.
+        channels: With fewer outputs than before, as an interface that came back in another mode; 0 for all.
         """
         self._order(f"start {channels}")
 

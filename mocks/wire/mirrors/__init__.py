@@ -12,14 +12,8 @@ from mocks.wire.mirrors.motion import MirrorMotion
 class MirrorDevice(ABC):
     """A controller with one mirror, as the commands of a dialect reach it; implements `SerialDevice`.
 
-    Attributes
-    ----------
-    name : str
-        The dialect.
-    baud : int
-        Bits per second that it listens at.
-    command_end : str
-        The character that ends a command.
+    baud: Bits per second that it listens at.
+    command_end: The character that ends a command.
     """
 
     role = "mirror"
@@ -62,15 +56,9 @@ MIRROR_DEVICES: Registry[type[MirrorDevice]] = Registry("mocks.wire.mirrors")
 def mirror_device(dialect: str, motion: MirrorMotion, full_scale_mrad: float | None = None) -> MirrorDevice:
     """A device that speaks a dialect. Raises ValueError.
 
-    Parameters
-    ----------
-    dialect : str
-        Its name.
-    motion : MirrorMotion
-        How its mirror moves. Of a mirror that cannot be asked whether it moves, the longest move must be shorter
+    motion: How its mirror moves. Of a mirror that cannot be asked whether it moves, the longest move must be shorter
         than the settling time of the near side.
-    full_scale_mrad : float, optional
-        Optical angle at full deflection.
+    full_scale_mrad: Optical angle at full deflection.
     """
     devices = MIRROR_DEVICES.all()
     if dialect not in devices:

@@ -62,30 +62,17 @@ class Card:
 class AsiTigerDevice(MirrorDevice):
     """A TG-1000 with an XY stage and, as a rule, one scanner card.
 
-    Parameters
-    ----------
-    motion : MirrorMotion
-        The mirror.
-    axes : tuple of str
-        Letters of the scanner's two axes.
-    board : str
-        ``"mems"``: a micro-mirror card; ``"dac_4ch"``, ``"signal_dac"``: cards with analog outputs, for galvos;
+    axes: Letters of the scanner's two axes.
+    board: ``"mems"``: a micro-mirror card; ``"dac_4ch"``, ``"signal_dac"``: cards with analog outputs, for galvos;
         ``"stage"``: no scanner card at all.
-    units_per_degree : float
-        What ``UM`` answers.
-    limit_degrees : float
-        What ``SU`` and, negative, ``SL`` answer.
-    beam_per_mirror : float
-        Optical degrees per degree of the controller.
-    external_input : bool
-        Whether a MEMS card follows its analog inputs (``PM`` 1) after power-up, so that no serial move moves the
-        mirror.
-    tiger_syntax : bool
-        Whether answers are in the Tiger's own syntax (``VB F=1``) when the line is opened.
-    address : str
-        Raw address of the scanner card: ``"2"``, or a character from 0x81 to 0xF5.
-    build_name : str
-        First line of the build information.
+    units_per_degree: What ``UM`` answers.
+    limit_degrees: What ``SU`` and, negative, ``SL`` answer.
+    beam_per_mirror: Optical degrees per degree of the controller.
+    external_input: Whether a MEMS card follows its analog inputs (``PM`` 1) after power-up, so that no serial move
+        moves the mirror.
+    tiger_syntax: Whether answers are in the Tiger's own syntax (``VB F=1``) when the line is opened.
+    address: Raw address of the scanner card: ``"2"``, or a character from 0x81 to 0xF5.
+    build_name: First line of the build information.
     """
 
     name = "asi-tiger"

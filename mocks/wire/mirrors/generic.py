@@ -13,12 +13,7 @@ from mocks.wire.mirrors.motion import MirrorMotion, number
 class GenericMirrorDevice(MirrorDevice):
     """A mirror controller as docs/reference/generic-mirror.md defines it.
 
-    Parameters
-    ----------
-    motion : MirrorMotion
-        The mirror.
-    identity : str
-        Maker, model, serial number and version, with three commas.
+    identity: Maker, model, serial number and version, with three commas.
     """
 
     name = "generic"

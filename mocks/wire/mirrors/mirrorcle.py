@@ -23,14 +23,8 @@ RANGES = {"VB": (0, 100), "VD": (0, 200), "BW": (50, 15000)}
 class MirrorcleDevice(MirrorDevice):
     """An MTI controller with its mirror; it keeps its settings when its command mode is left.
 
-    Parameters
-    ----------
-    motion : MirrorMotion
-        The mirror.
-    full_scale_mrad : float
-        Optical angle at full deflection.
-    identity : str
-        Its name in the greeting.
+    full_scale_mrad: Optical angle at full deflection.
+    identity: Its name in the greeting.
     """
 
     name = "mirrorcle-mti"

@@ -36,16 +36,10 @@ class _Move:
 class MirrorMotion:
     """A mirror's moves; safe to ask from several threads. All instants are of `time.monotonic_ns`.
 
-    Parameters
-    ----------
-    park_mrad : tuple of float
-        Where it stands at first; optical angles in mrad, as all angles here.
-    settle_s : float
-        Time from its arrival until it stands still, >= 0.
-    slew_mrad_s : float
-        Speed of the slower axis of a move, > 0; infinite for a mirror that jumps.
-    limit_mrad : float
-        Largest angle in x and in y, > 0.
+    park_mrad: Where it stands at first; optical angles in mrad, as all angles here.
+    settle_s: Time from its arrival until it stands still, >= 0.
+    slew_mrad_s: Speed of the slower axis of a move, > 0; infinite for a mirror that jumps.
+    limit_mrad: Largest angle in x and in y, > 0.
     """
 
     def __init__(self, park_mrad: tuple[float, float], settle_s: float, slew_mrad_s: float, limit_mrad: float) -> None:
@@ -88,10 +82,8 @@ class MirrorMotion:
     def aims(self, start_ns: int, stop_ns: int) -> list[tuple[int, tuple[float, float] | None]]:
         """Where it looked between two instants.
 
-        Returns
-        -------
-        list of (instant_ns, angles_mrad)
-            From each instant on, the first being `start_ns`, the mirror stands there; None while it moves or swings.
+        Returns list of (instant_ns, angles_mrad): from each instant on, the first being `start_ns`, the mirror stands
+        there; None while it moves or swings.
         """
         with self._lock:
             moves = list(self._moves)

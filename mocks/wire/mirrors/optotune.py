@@ -34,12 +34,7 @@ FULL_SCALE = math.tan(math.radians(50.0))
 class OptotuneDevice(MirrorDevice):
     """An MR-E-2.
 
-    Parameters
-    ----------
-    motion : MirrorMotion
-        The mirror.
-    pro_mode : bool
-        Whether another program has left it in its pro mode.
+    pro_mode: Whether another program has left it in its pro mode.
     """
 
     name = "optotune-mre2"

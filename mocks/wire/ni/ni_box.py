@@ -14,18 +14,10 @@ from mocks.wire.ni.ni_tasks import NiTask, SignalSource, State
 class NiBox:
     """The box; thread-safe.
 
-    Parameters
-    ----------
-    source : SignalSource
-        What is at the inputs.
-    product : str
-        Model, a key of `PRODUCTS`.
-    name : str
-        Device name: ``"Dev1"``.
-    serial_number : int
-        As NI-DAQmx gives it.
-    speed : float
-        How much faster than real time samples come, > 0.
+    source: What is at the inputs.
+    name: Device name: ``"Dev1"``.
+    serial_number: As NI-DAQmx gives it.
+    speed: How much faster than real time samples come, > 0.
     """
 
     def __init__(self, source: SignalSource, product: str, name: str, serial_number: int, speed: float) -> None:

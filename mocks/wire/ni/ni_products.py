@@ -28,14 +28,9 @@ SPARE_CODES_621X = 0.05
 class Converter:
     """One input's way from volts to codes and, as NI-DAQmx scales them, back to volts.
 
-    Parameters
-    ----------
-    range_v : float
-        Range of the input in volts, to either side.
-    bits : int
-        Bits of a code.
-    offset_v, step_v : float
-        Volts at code 0 and per code, as calibrated.
+    range_v: Range of the input in volts, to either side.
+    bits: Bits of a code.
+    offset_v, step_v: Volts at code 0 and per code, as calibrated.
     """
 
     range_v: float
@@ -54,28 +49,15 @@ class Converter:
 class Product:
     """One model.
 
-    Parameters
-    ----------
-    name : str
-        As NI-DAQmx gives it: ``"USB-6211"``.
-    inputs : int
-        Single-ended analog inputs.
-    pair : int
-        Inputs k and k + pair make differential input k.
-    bits : mapping from terminal configuration to int
-        Resolution.
-    ranges_v : mapping from terminal configuration to tuple of float
-        Ranges to either side of 0 V, smallest first.
-    aggregate_hz : float
-        Conversions per second, all channels together; of each channel, where sampling is simultaneous.
-    timebase_hz : float
-        What sample rates are whole fractions of.
-    triggers : tuple of str
-        Terminals that can start a task.
-    spare_codes : float
-        Part of the codes outside the range.
-    simultaneous : bool
-        Whether every input has a converter of its own.
+    name: As NI-DAQmx gives it: ``"USB-6211"``.
+    inputs: Single-ended analog inputs.
+    pair: Inputs k and k + pair make differential input k.
+    ranges_v: Ranges to either side of 0 V, smallest first.
+    aggregate_hz: Conversions per second, all channels together; of each channel, where sampling is simultaneous.
+    timebase_hz: What sample rates are whole fractions of.
+    triggers: Terminals that can start a task.
+    spare_codes: Part of the codes outside the range.
+    simultaneous: Whether every input has a converter of its own.
     """
 
     name: str
@@ -111,16 +93,7 @@ class Product:
     def converter(self, terminal: str, range_v: float, serial_number: int, number: int) -> Converter:
         """The converter at one input, with the small errors that its calibration corrects.
 
-        Parameters
-        ----------
-        terminal : str
-            Its terminal configuration.
-        range_v : float
-            Its range in volts.
-        serial_number : int
-            Of the box: every box has errors of its own.
-        number : int
-            Of the input.
+        serial_number: Of the box: every box has errors of its own.
         """
         bits = self.bits[terminal]
         nominal_v = 2 * range_v * (1 + self.spare_codes) / 2**bits

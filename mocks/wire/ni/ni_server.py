@@ -57,24 +57,13 @@ class NiServer:
 
     A server that was stopped can be started again, on the same port; its tasks are gone then.
 
-    Parameters
-    ----------
-    source : SignalSource
-        What is at the inputs.
-    product : str
-        Model: a key of `mocks.wire.ni.ni_products.PRODUCTS`.
-    device : str
-        Its name.
-    address : str
-        Where to listen; port 0 is any free one.
-    faults : tuple of WireFault
-        The rig's fault plan; operations are the names of the remote procedures.
-    speed : float
-        How much faster than real time records end, > 0; only for sources that do not wait for the real time.
-    serial_number : int
-        Of the box.
-    credentials : grpc.ServerCredentials, optional
-        For TLS, as ``security`` in the server's ``server_config.json``; without them it talks in the clear.
+    source: What is at the inputs.
+    product: Model: a key of `mocks.wire.ni.ni_products.PRODUCTS`.
+    address: Where to listen; port 0 is any free one.
+    faults: The rig's fault plan; operations are the names of the remote procedures.
+    speed: How much faster than real time records end, > 0; only for sources that do not wait for the real time.
+    serial_number: Of the box.
+    credentials: For TLS, as ``security`` in the server's ``server_config.json``; without them it talks in the clear.
     """
 
     def __init__(

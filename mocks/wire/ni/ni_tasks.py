@@ -32,20 +32,9 @@ class SignalSource(Protocol):
     ) -> Float64Array:
         """Analog volts, noise included, shape (inputs, samples).
 
-        Parameters
-        ----------
-        start_ns : int
-            Instant of the first sample, of `time.monotonic_ns`.
-        samples : int
-            Samples per input, > 0.
-        rate_hz : float
-            Sample rate in Hz.
-        inputs : tuple of str
-            Physical inputs such as ``("ai0", "ai1")``.
-        channel_delay_s : float
-            Input k is sampled k times this later.
-
-        Blocks until those samples have been.
+        start_ns: Instant of the first sample, of `time.monotonic_ns`.
+        inputs: Physical inputs such as ``("ai0", "ai1")``.
+        channel_delay_s: Input k is sampled k times this later.
         """
         ...
 
@@ -70,16 +59,10 @@ class Channel:
 class NiTask:
     """One task; its state changes under the device's condition, which the callers hold.
 
-    Parameters
-    ----------
-    name : str
-        As the client calls it.
-    condition : threading.Condition
-        Of the device; notified when anything changes.
-    source : SignalSource
-        What is at the inputs.
-    speed : float
-        How much faster than the clock on the wall the samples come, > 0.
+    name: As the client calls it.
+    condition: Of the device; notified when anything changes.
+    source: What is at the inputs.
+    speed: How much faster than the clock on the wall the samples come, > 0.
     """
 
     def __init__(self, name: str, condition: threading.Condition, source: SignalSource, speed: float) -> None:
