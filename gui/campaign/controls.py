@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from PyQt5.QtWidgets import QAction, QGridLayout, QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QToolButton, QWidget
+from PyQt5.QtWidgets import QAction, QProgressBar, QToolButton, QWidget
 
 from acquisition.engine.events import State
 from gui.campaign.model import GOING, CampaignState, Extra, Order, Pace
 from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import Badge, finish_text, make_action, make_button, put
+from gui.shell.widgets import Badge, finish_text, make_action, make_button, make_label, put, row
 
 # Name, text, key and tooltip.
 _BUTTONS = (
@@ -37,16 +37,13 @@ class Controls(QWidget):
         super().__init__()
         self.actions_by_name: dict[str, QAction] = {}
         self.buttons: dict[str, QToolButton] = {}
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
+        parts: list[QWidget | int | None] = []
         for name, text, key, tip in _BUTTONS:
             action = self.actions_by_name[name] = make_action(self, text, acts[name], key, tip=tip)
             action.setEnabled(False)
-            button = self.buttons[name] = make_button(action)
-            row.addWidget(button)
-            if name in ("plan", "stop"):
-                row.addSpacing(10)
-        row.addStretch(1)
+            self.buttons[name] = make_button(action)
+            parts += [self.buttons[name], 10 if name in ("plan", "stop") else 0]
+        row(*parts, None, owner=self)
 
     def show_possible(self, orders: frozenset[Order], *, has_run: bool, selected: int, poor: int) -> None:
         """Enable what makes sense, and show how many positions would be measured again."""
@@ -78,21 +75,12 @@ class ProgressRow(QWidget):
         super().__init__()
         self._theme = LIGHT
         self.state = Badge("State of the campaign")
-        self.reason = QLabel()
-        self.reason.setAccessibleName("Reason of the state")
-        self.reason.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.reason = make_label("Reason of the state", any_width=True)
         self.bar = QProgressBar()
         self.bar.setAccessibleName("Progress of the campaign")
         self.bar.setFormat("%v of %m positions (%p %)")
-        self.figures = QLabel()
-        self.figures.setAccessibleName("Rate, remaining time and finish time")
-        grid = QGridLayout(self)
-        grid.setContentsMargins(0, 0, 0, 0)
-        grid.setHorizontalSpacing(10)
-        for column, widget in enumerate((self.state, self.reason, self.bar, self.figures)):
-            grid.addWidget(widget, 0, column)
-        grid.setColumnStretch(1, 3)
-        grid.setColumnStretch(2, 3)
+        self.figures = make_label("Rate, remaining time and finish time")
+        row(self.state, (self.reason, 3), (self.bar, 3), self.figures, owner=self).setSpacing(10)
 
     def show_state(self, state: CampaignState, report: str, owner: str) -> None:
         """Show a state and its reason; `report` of the capture replaces the reason while it has none."""

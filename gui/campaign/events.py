@@ -107,7 +107,7 @@ def _sentence(event: Event) -> tuple[Weight, str]:
         case PositionKept():
             return Weight.NOTE, f"position {event.position} keeps its earlier measurement: {event.reason}"
         case PassStarted():
-            return Weight.NOTE, f"{len(event.positions)} positions that are not valid are measured again"
+            return Weight.NOTE, f"all that is not valid is measured again: {len(event.positions)} positions"
         case Fault():
             then = "trying again" if event.retried else "not tried again"
             return Weight.FAULT, f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})"

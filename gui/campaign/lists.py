@@ -8,21 +8,16 @@ from PyQt5.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
 from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import (
     QAbstractItemView,
-    QComboBox,
-    QHBoxLayout,
     QHeaderView,
-    QLabel,
     QLineEdit,
     QTableView,
-    QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
 from gui.campaign.events import Line, Weight, clock
 from gui.campaign.model import Campaign
 from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import make_table, named
+from gui.shell.widgets import column, fill_row, make_choice, make_label, make_table, named, row
 
 _TITLES = ("time", "weight", "event")
 _NOWHERE = QModelIndex()
@@ -107,9 +102,9 @@ class EventList(QWidget):
         self._drawn = -1
         self._count_due_s = 0.0
         self.lines = EventLines(campaign)
-        self.weight = named(QComboBox(), "Events shown here (all are in the log beside the bank)", "Least weight")
-        self.weight.addItems(["everything", "notes and above", "warnings and faults", "faults"])
-        self.weight.setCurrentIndex(Weight.NOTE)
+        choices = ["everything", "notes and above", "warnings and faults", "faults"]
+        tip = "Events shown here (all are in the log beside the bank)"
+        self.weight = make_choice("Least weight", tip, choices, Weight.NOTE)
         self.text = named(QLineEdit(), "Show only events that contain this text (Ctrl+F)", "Filter text")
         self.text.setPlaceholderText("filter…")
         self.text.setClearButtonEnabled(True)
@@ -126,17 +121,9 @@ class EventList(QWidget):
         rows.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
         columns.setStretchLastSection(True)
         self._rows = rows
-        self._count = QLabel()
-        self._count.setProperty("role", "faint")
-        row = QHBoxLayout()
-        row.addWidget(_title("Events"))
-        row.addWidget(self.weight)
-        row.addWidget(self.text, stretch=1)
-        row.addWidget(self._count)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addLayout(row)
-        column.addWidget(self.view, stretch=1)
+        self._count = make_label(role="faint")
+        title = make_label(text="Events", role="strong")
+        column(row(title, self.weight, (self.text, 1), self._count), (self.view, 1), owner=self)
         self.weight.currentIndexChanged.connect(self._restrict)
         self.text.textChanged.connect(self._restrict)
         self.view.doubleClicked.connect(self._show_position)
@@ -186,10 +173,7 @@ class InstrumentList(QWidget):
         self._theme = LIGHT
         self.table = make_table(("instrument", "state", "last message"), "Instruments", stretched=(2,))
         self.table.setWordWrap(False)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(_title("Instruments"))
-        column.addWidget(self.table, stretch=1)
+        column(make_label(text="Instruments", role="strong"), (self.table, 1), owner=self)
 
     def draw(self) -> None:
         if self._drawn == self._campaign.revision["instruments"]:
@@ -198,22 +182,14 @@ class InstrumentList(QWidget):
         instruments, theme = self._campaign.instruments, self._theme
         self.table.setRowCount(len(instruments))
         colours = {"in use": theme.good, "at rest": theme.faint, "faulty": theme.warning, "away": theme.fault}
-        for row, instrument in enumerate(instruments):
+        for number, instrument in enumerate(instruments):
             message = f"{clock(instrument.at_s)}  {instrument.message}".strip()
             state = f"{_STATE_MARKS[instrument.state]} {instrument.state}"
-            for column, text in enumerate((instrument.name.partition(",")[0], state, message or "-")):
-                item = QTableWidgetItem(text)
-                item.setToolTip(instrument.name if column == 0 else text)
-                if column == 1:
-                    item.setForeground(QColor(colours[instrument.state]))
-                self.table.setItem(row, column, item)
+            fill_row(self.table, number, (instrument.name, state, message or "-"), {1: colours[instrument.state]})
+            name = self.table.item(number, 0)
+            assert name is not None
+            name.setText(instrument.name.partition(",")[0])
 
     def apply_theme(self, theme: Theme) -> None:
         self._theme = theme
         self._drawn = -1
-
-
-def _title(text: str) -> QLabel:
-    title = QLabel(text)
-    title.setProperty("role", "strong")
-    return title

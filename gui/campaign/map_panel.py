@@ -8,25 +8,23 @@ import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtCore import QPointF, Qt, pyqtSignal
-from PyQt5.QtGui import QColor, QKeyEvent, QPainter, QPixmap, QPolygonF
+from PyQt5.QtGui import QKeyEvent, QPolygonF
 from PyQt5.QtWidgets import (
-    QComboBox,
     QGraphicsPolygonItem,
-    QHBoxLayout,
     QLabel,
     QSizePolicy,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
 from gui.campaign.model import Campaign
-from gui.campaign.quality import FIGURES, LOOKS, Figure, Float32Array, Look, look_index, status_text
+from gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, Figure, Float32Array, look_index, status_text
 from gui.shell.theme import Theme
-from gui.shell.widgets import named
+from gui.shell.widgets import column, make_choice, make_label, named, row
 from gui.surface.field_map import ColourBar
 from gui.surface.surface import Surface
 from gui.surface.view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
+from storage.bank.ledger import VALID
 
 # On a large map a few outliers must not press all others into one colour.
 _MANY, _OUTLIERS_PERCENT = 100, 1.0
@@ -205,26 +203,24 @@ _DRAG_MODES = (
     ("rectangle", "A drag selects positions in a rectangle; with Ctrl adds them"),
     ("lasso", "A drag selects positions inside a freely drawn line; with Ctrl adds them"),
 )
-_SWATCH = 14
+# Characters like the shapes over the cells.
+_SIGNS = {"d": "◆", "+": "+", "x": "×", "s": "■", "t": "▼", "": "&nbsp;"}
 
 
 class MapPanel(QWidget):
-    """Draws the campaign's map."""
+    """Draws the campaign's map, and below it the statuses with their counts, or a colour bar."""
 
     def __init__(self, campaign: Campaign) -> None:
         super().__init__()
         self._campaign = campaign
         self._drawn = {"surface": -1, "map": -1}
         self.map = SurfaceMap()
-        self.legend = Legend(self.map.colour_map)
+        self.bar = ColourBar(self.map.colour_map)
+        self.counts = make_label("Statuses of the positions", any_width=True)
         tip = "Colour of the map; residual and coherence are the worst actuator's"
-        self.colour_by = named(QComboBox(), tip, "Colour of the map")
-        self.colour_by.addItems(["status", *(figure.label for figure in FIGURES)])
+        self.colour_by = make_choice("Colour of the map", tip, ["status", *(figure.label for figure in FIGURES)])
         self.colour_by.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.ways: dict[str, QToolButton] = {}
-        row = QHBoxLayout()
-        row.addWidget(QLabel("Colour by"))
-        row.addWidget(self.colour_by, stretch=1)
         for mode, tip in _DRAG_MODES:
             button = self.ways[mode] = named(QToolButton(), tip, f"Drag: {mode}")
             button.setText(mode.capitalize())
@@ -232,12 +228,9 @@ class MapPanel(QWidget):
             button.setAutoExclusive(True)
             button.setChecked(mode == "pan")
             button.clicked.connect(lambda _checked=False, mode=mode: setattr(self.map, "drag_mode", mode))
-            row.addWidget(button)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addLayout(row)
-        column.addWidget(self.map, stretch=1)
-        column.addWidget(self.legend)
+        controls = row(QLabel("Colour by"), (self.colour_by, 1), *self.ways.values())
+        column(controls, (self.map, 1), self.counts, self.bar, owner=self)
+        self.bar.hide()
         self.colour_by.currentIndexChanged.connect(self._redraw)
 
     def draw(self) -> None:
@@ -253,7 +246,7 @@ class MapPanel(QWidget):
 
     def apply_theme(self, theme: Theme) -> None:
         self.map.apply_theme(theme)
-        self.legend.apply_theme(theme)
+        self.bar.apply_theme(theme)
         self._redraw()
 
     def _redraw(self) -> None:
@@ -263,73 +256,23 @@ class MapPanel(QWidget):
         values = campaign.figures.get(FIGURES[index].key) if index >= 0 else None
         if values is None or len(values) != len(campaign.status):
             self.map.show_status(campaign.status)
-            self.legend.show_status(campaign.status)
+            self.counts.setText(_counts_text(campaign.status, self.map.theme))
         else:
             figure = FIGURES[index]
             self.map.show_figure(figure, values, campaign.status)
-            self.legend.show_range(figure.title, figure.unit, self.map.levels or (0.0, 1.0), self.map.beyond)
+            self.bar.show_range(figure.title, figure.unit, self.map.levels or (0.0, 1.0), self.map.beyond)
+        self.counts.setVisible(self.map.levels is None)
+        self.bar.setVisible(self.map.levels is not None)
         self.map.show_current(campaign.current)
 
 
-class Legend(QWidget):
-    """Statuses with their counts, or a colour bar."""
-
-    def __init__(self, colour_map: pyqtgraph.ColorMap) -> None:
-        super().__init__()
-        self._bar = ColourBar(colour_map)
-        self._statuses = QWidget()
-        row = QHBoxLayout(self._statuses)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(4)
-        self._swatches: list[tuple[Look, QLabel, QLabel]] = [(look, QLabel(), QLabel()) for look in LOOKS]
-        for _, swatch, text in reversed(self._swatches):
-            row.addWidget(swatch)
-            row.addWidget(text)
-            row.addSpacing(8)
-        row.addStretch(1)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(self._statuses)
-        column.addWidget(self._bar)
-        self._bar.hide()
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Maximum)
-
-    def show_status(self, status: NDArray[np.uint8]) -> None:
-        """Show the looks of the statuses, and how many positions have each."""
-        counts = np.bincount(look_index(status), minlength=len(LOOKS))
-        for (look, swatch, text), count in zip(self._swatches, counts.tolist(), strict=True):
-            visible = count > 0 or look.word in ("valid", "not measured")
-            swatch.setVisible(visible)
-            text.setVisible(visible)
-            text.setText(f"{look.word} {count}")
-        self._show(self._statuses)
-
-    def show_range(self, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool]) -> None:
-        self._bar.show_range(title, unit, levels, beyond)
-        self._show(self._bar)
-
-    def apply_theme(self, theme: Theme) -> None:
-        self._bar.apply_theme(theme)
-        for look, swatch, _ in self._swatches:
-            swatch.setPixmap(_swatch(look, theme))
-
-    def _show(self, shown: QWidget) -> None:
-        for widget in (self._statuses, self._bar):
-            widget.setVisible(widget is shown)
-
-
-def _swatch(look: Look, theme: Theme) -> QPixmap:
-    sharp = 3
-    picture = QPixmap(_SWATCH * sharp, _SWATCH * sharp)
-    picture.fill(QColor(look.colour(theme)))
-    if look.symbol:
-        painter = QPainter(picture)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.translate(_SWATCH * sharp / 2, _SWATCH * sharp / 2)
-        painter.scale(24, 24)
-        painter.setPen(pyqtgraph.mkPen(theme.text, width=0.1, cosmetic=False))
-        painter.setBrush(QColor(theme.base))
-        painter.drawPath(pyqtgraph.graphicsItems.ScatterPlotItem.Symbols[look.symbol])
-        painter.end()
-    picture.setDevicePixelRatio(sharp)
-    return picture
+def _counts_text(status: NDArray[np.uint8], theme: Theme) -> str:
+    """Looks of the statuses as rich text, and how many positions have each."""
+    counts = np.bincount(look_index(status), minlength=len(LOOKS)).tolist()
+    swatch = f"<span style='color: {theme.text}; background-color: {{}}'>&nbsp;{{}}&nbsp;</span>"
+    parts = [
+        f"{swatch.format(look.colour(theme), _SIGNS[look.symbol])}&nbsp;{look.word}&nbsp;{count}"
+        for look, count in zip(LOOKS, counts, strict=True)
+        if count > 0 or look.bit in (VALID, NOT_MEASURED)
+    ]
+    return "&nbsp;&nbsp; ".join(reversed(parts))

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import QRectF
-from PyQt5.QtWidgets import QVBoxLayout, QWidget
+from PyQt5.QtWidgets import QWidget
 
 from gui.shell.theme import Theme
+from gui.shell.widgets import column
 from gui.surface.plot import MOST_COLUMNS, Plot, Real, whole_ticks
 from gui.surface.surface import Surface
 from storage.units import quantity
@@ -138,9 +139,6 @@ class DriftPlot(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.setAccessibleName("Drift of the sentinel position")
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(8)
         self.plots = [
             Plot(f"Drift: {label}", "clock", label) for label in ("level (dB)", "delay (samples)", "1 − corr.")
         ]
@@ -150,7 +148,7 @@ class DriftPlot(QWidget):
             if plot is not self.plots[-1]:  # they share the clock at the foot
                 plot.getPlotItem().hideAxis("bottom")
             plot.getPlotItem().getAxis("left").setWidth(96)
-            column.addWidget(plot)
+        column(*self.plots, owner=self).setSpacing(8)
 
     def apply_theme(self, theme: Theme) -> None:
         for plot in self.plots:

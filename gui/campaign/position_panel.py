@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PyQt5.QtWidgets import (
-    QComboBox,
-    QHBoxLayout,
-    QLabel,
     QSizePolicy,
     QSpinBox,
-    QTableWidget,
-    QTableWidgetItem,
     QTabWidget,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -27,7 +20,7 @@ from gui.campaign.plots import DriftPlot, GreenPlot, Greens, RecordingPlot, Spec
 from gui.campaign.quality import status_text
 from gui.shell.tab import TabContext
 from gui.shell.theme import Theme
-from gui.shell.widgets import make_table, named, stacked
+from gui.shell.widgets import column, fill_row, make_choice, make_label, make_table, named, row, stacked
 
 if TYPE_CHECKING:
     from storage.raw.reading import Recordings
@@ -58,15 +51,17 @@ class PositionPanel(QTabWidget):
         self._drawn: dict[str, int] = {}
         self.green_plot, self.spectrum_plot = GreenPlot(), SpectrumPlot()
         self.recording_plot, self.drift_plot = RecordingPlot(), DriftPlot()
-        self.view = _choice("View of the Green's functions", ["stacked", "waterfall", "stacked, own scale"])
-        self.actuator = _choice("Emphasised actuator", [_ALL])
-        self._spectrum_actuator = _choice("Actuator of the spectrum", [_ALL])
+        self.view = make_choice(
+            "View of the Green's functions",
+            "View of the Green's functions",
+            ["stacked", "waterfall", "stacked, own scale"],
+        )
+        self.actuator = make_choice("Emphasised actuator", "Emphasised actuator", [_ALL])
+        self._spectrum_actuator = make_choice("Actuator of the spectrum", "Actuator of the spectrum", [_ALL])
         self._record = named(QSpinBox(), "Record of this position, from 0", "Record")
         self._record.setPrefix("record ")
-        self._raw_text = QLabel()
-        self._raw_text.setWordWrap(True)
+        self._raw_text = make_label(role="faint", wraps=True)
         self._raw_text.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        self._raw_text.setProperty("role", "faint")
         self.attempts = make_table(_ATTEMPTS, "Quality history of the position", stretched=(2,))
         self.attempts.setWordWrap(False)
         self.actuators = make_table(_ACTUATORS, "Quality per actuator", stretched=range(len(_ACTUATORS)))
@@ -130,7 +125,7 @@ class PositionPanel(QTabWidget):
                 _text(float(quality[key][actuator]) if key in quality else math.nan, digits)
                 for key, digits in _FIGURES.items()
             ]
-            _fill(self.actuators, actuator, (str(actuator), *numbers))
+            fill_row(self.actuators, actuator, (str(actuator), *numbers))
 
     def _draw_plots(self) -> None:
         surface = self._campaign.surface
@@ -176,11 +171,11 @@ class PositionPanel(QTabWidget):
     def _fill_attempts(self) -> None:
         history = self._campaign.history.get(self.position, [])
         self.attempts.setRowCount(len(history))
-        for row, attempt in enumerate(history):
+        for line, attempt in enumerate(history):
             status = f": {status_text(attempt.status)}" if attempt.status else ""
-            number = "" if attempt.number < 0 else str(attempt.number)
-            snr_db, residual_db = _text(attempt.snr_db, 1), _text(attempt.residual_db, 1)
-            _fill(self.attempts, row, (clock(attempt.at_s), number, f"{attempt.outcome}{status}", snr_db, residual_db))
+            numbers = _text(attempt.snr_db, 1), _text(attempt.residual_db, 1)
+            outcome = f"{attempt.outcome}{status}"
+            fill_row(self.attempts, line, (clock(attempt.at_s), str(attempt.number), outcome, *numbers))
 
     def _clear(self) -> None:
         for plot in (self.green_plot, self.spectrum_plot, self.recording_plot):
@@ -205,31 +200,10 @@ def _read_raw(path: Path, position: int) -> Raw:
         return raw.read(position), raw.header.sample_rate_hz
 
 
-def _choice(name: str, choices: Sequence[str]) -> QComboBox:
-    choice = named(QComboBox(), name, name)
-    choice.addItems(choices)
-    return choice
-
-
 def _page(plot: QWidget, *controls: QWidget) -> QWidget:
-    page, row = QWidget(), QHBoxLayout()
-    row.setContentsMargins(4, 4, 4, 2)
-    for widget in controls:
-        row.addWidget(widget)
-    if not isinstance(controls[-1], QLabel):
-        row.addStretch(1)
-    column = QVBoxLayout(page)
-    column.setContentsMargins(0, 0, 0, 0)
-    column.addLayout(row)
-    column.addWidget(plot, stretch=1)
+    page = QWidget()
+    column(row(*controls, None, margins=(4, 4, 4, 2)), (plot, 1), owner=page)
     return page
-
-
-def _fill(table: QTableWidget, row: int, texts: Sequence[str]) -> None:
-    for column, text in enumerate(texts):
-        item = QTableWidgetItem(text)
-        item.setToolTip(text)
-        table.setItem(row, column, item)
 
 
 def _text(value: float, digits: int) -> str:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import Qt
-from PyQt5.QtWidgets import QAction, QHBoxLayout, QVBoxLayout
+from PyQt5.QtWidgets import QAction
 
 from gui.campaign.controls import Controls, ProgressRow
 from gui.campaign.follower import Follower, same_file
@@ -21,7 +21,7 @@ from gui.shell.files import PathField
 from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
 from gui.shell.toml_files import TomlKind, runs_on_virtual_rig, toml_kind
-from gui.shell.widgets import copy_text, make_action, side_by_side, stacked
+from gui.shell.widgets import PAGE_MARGINS, column, copy_text, make_action, row, side_by_side, stacked
 from rendering.verify.record import FIELD_NAMES, RECORD_NAME
 
 # Findings per tick; the rest of a long log follows with the next ticks, so that the window stays responsive.
@@ -177,19 +177,12 @@ class CampaignTab(Tab):
         self.run.detach()
 
     def _lay_out(self) -> None:
-        files = QHBoxLayout()
-        files.addWidget(self.run_field, stretch=1)
-        files.addWidget(self.bank_field, stretch=1)
         upper = side_by_side((self.map_panel, 700), (self.position_panel, 560))
         lower = side_by_side((self.instruments, 480), (self.events, 780))
         both = stacked((upper, 470), (lower, 190), growing=[0])
         self.divide(upper=upper, lower=lower, both=both)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(4, 6, 4, 4)
-        column.addLayout(files)
-        column.addWidget(self.controls)
-        column.addWidget(self.progress)
-        column.addWidget(both, stretch=1)
+        files = row((self.run_field, 1), (self.bank_field, 1))
+        column(files, self.controls, self.progress, (both, 1), owner=self, margins=PAGE_MARGINS)
 
     def _run_chosen(self, path: Path) -> None:
         """Use a run; a chosen bank stays, unless it belongs to another run."""

@@ -147,7 +147,7 @@ def test_given_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_ba
     with open_bank(finished) as bank:
         snr_db = np.median(bank.quality["snr_db"], axis=1)
     np.testing.assert_allclose(tab.map_panel.map.levels, (snr_db.min(), snr_db.max()), rtol=1e-6)
-    assert "(dB)" in tab.map_panel.legend._bar.accessibleName()
+    assert "(dB)" in tab.map_panel.bar.accessibleName()
     tab.map_panel.colour_by.setCurrentIndex(0)
     assert tab.map_panel.map.levels is None
     words = {look.word: look.bit for look in LOOKS if look.bit not in (0, DAMAGED)}
