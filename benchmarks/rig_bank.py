@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from acquisition.engine.campaign import Campaign
-from acquisition.engine.events import Subscriber
-from acquisition.engine.stop_request import StopRequest
+from acquisition.engine.session import StopRequest
 from acquisition.measuring.setup import Setup
 from acquisition.quality.limits import QualityLimits
 from acquisition.schedule.grid import surface_grid
@@ -19,6 +18,7 @@ from acquisition.schedule.plan import Plan
 from calibration.excitation.staggered_signal import StaggeredSignal
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.campaign import Subscriber
 from mocks.virtual.rig import VirtualRig
 from rendering.field.metrics import band_weights
 from rendering.greens.source import GreenArray

@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine.events import Event, Fault, PositionStarted
 from acquisition.measuring.record import record_samples, take_record
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import Plan
@@ -28,6 +27,7 @@ from benchmarks.rig_bank import RATE_HZ, TAPS, measure
 from calibration.clock.timing import ClockFitter
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.campaign import Event, Fault, PositionStarted
 from drivers.audio.resampling import converted, lead_samples, rate_ratio
 from drivers.audio.stream.player import StreamPlayer
 from drivers.audio.stream.signals import HALF_STEP

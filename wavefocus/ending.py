@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from acquisition.engine.stop_request import StopRequest
+from acquisition.engine.session import StopRequest
 from drivers.errors import InstrumentError
 
 TERMINAL_GONE = "stopped because its terminal was closed"

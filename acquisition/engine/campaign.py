@@ -2,7 +2,7 @@
 
 :meth:`Campaign.run` asks `_next_step` for one of the steps below, carries it out and asks again, until there is none
 left. `_next_step` looks and changes nothing; a request of a person reaches it as a state of the session
-(`acquisition.engine.states`).
+(`acquisition.engine.session`).
 """
 
 from __future__ import annotations
@@ -10,15 +10,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from enum import Enum, auto
 
 import numpy as np
 
-from acquisition.engine.events import EventPublisher, SessionEnded, State, Subscriber, failure_kind
 from acquisition.engine.recovery import Recovery
-from acquisition.engine.session import Session
-from acquisition.engine.states import Lifecycle
-from acquisition.engine.stop_request import StoppedWhileWaitingError, StopRequest
+from acquisition.engine.report import CampaignReport
+from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
 from acquisition.engine.suspension import Suspension
 from acquisition.measuring.attempt import (
     Attempt,
@@ -36,36 +33,20 @@ from acquisition.measuring.plays import measuring_of
 from acquisition.measuring.position_records import PositionRecords
 from acquisition.measuring.setup import Setup, names_of
 from acquisition.quality.conditions import Conditions
-from acquisition.quality.drift_watch import DriftWatch
+from acquisition.quality.drift_watch import DriftError, DriftWatch
 from acquisition.quality.neighbour_watch import NeighbourWatch
 from acquisition.schedule.plan import Plan
 from calibration.blas import one_blas_thread
+from config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import Recording
 from storage.bank.writer import BankWriter
+from storage.errors import FileLostError
 from storage.point_status import Status
 from storage.raw.writer import RawWriter
 
 # As many positions in a row without one good record mean a broken instrument, not a bad spot.
 FAILED_IN_A_ROW = 3
-
-
-class Step(Enum):
-    """What a campaign does next."""
-
-    MEASURE = auto()
-    """Record the next attempt in the queue."""
-    COLLECT = auto()
-    """Wait for the estimate of the attempt before: what comes next depends on it."""
-    PAUSE = auto()
-    COMPARE_SENTINEL = auto()
-    """Before this session measures anything: is it still the plate that the bank holds?"""
-    COMPARE_SENTINEL_AGAIN = auto()
-    MARK = auto()
-    """After the first round: what neighbours contradict, or cannot judge, is poor."""
-    BEGIN_PASS = auto()
-    """Give everything that is not valid another round."""
-    END = auto()
 
 
 class Campaign:
@@ -92,20 +73,20 @@ class Campaign:
         raw: RawWriter | None = None,
     ) -> None:
         self._plan, self._setup, self._bank, self._raw, self._stop = plan, setup, bank, raw, stop
-        publish = EventPublisher({"a subscriber of the campaign's events": publish})
-        self._life = Lifecycle(setup.instruments.clock, publish)
-        self._session = Session(plan, setup, bank, self._life, publish)
-        self._recovery = Recovery(setup, self._life, publish, stop)
+        self._session = session = Session(setup.instruments.clock, publish, stop)
+        self._report = CampaignReport(plan, setup, bank, session)
+        self._recovery = recovery = Recovery(setup, session)
         measuring = measuring_of(plan, setup)
         self._estimator = measuring.estimator
-        self._records = PositionRecords(plan, setup, measuring.plays, self._session)
-        self._drift = DriftWatch(plan, bank, self._life, self._session, self._records, self._recovery, self._evaluate)
+        self._records = records = PositionRecords(plan, setup, measuring.plays, session.fault)
+        self._drift = DriftWatch(plan, bank, session, self._report, records, recovery, self._evaluate)
         conditions = Conditions(setup.watch, setup, plan.excitation)
-        self._suspension = Suspension(setup, self._life, self._session, stop, conditions, self._records, self._recovery)
+        self._suspension = Suspension(setup, session, conditions, records, recovery)
         self._neighbours = NeighbourWatch(plan, bank)
+        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate")
         self._queue: deque[Attempt] = deque()
         self._covered = plan.order
-        self._compared = self._judged = self._passing = False
+        self._recording = self._compared = self._judged = self._passing = False
         self._fruitless: frozenset[int] = frozenset()
         self._pending: Future[AttemptResult] | None = None
         self._best: dict[int, AttemptResult] = {}
@@ -143,9 +124,9 @@ class Campaign:
         state, reason = State.FINISHED, "every position is committed"
         try:
             names = self._recovery.until_done(lambda: names_of(self._setup.instruments))
-            self._session.start(rows, names, second_looks=not self._judged)
-            with one_blas_thread(), ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate") as worker:
-                self._walk(worker)
+            self._report.start(rows, names, second_looks=not self._judged)
+            with one_blas_thread(), self._worker:
+                self._walk()
             if self._stop.requested and (self._queue or self._due_again()):
                 state, reason = State.STOPPED, f"{self._stop.reason} after the position"
         except StoppedWhileWaitingError as stopped:
@@ -153,50 +134,41 @@ class Campaign:
         except KeyboardInterrupt:
             state, reason = State.STOPPED, "stopped by the user at once"
         except BaseException as failure:
-            self._session.end(State.FAILED, str(failure), failure_kind(failure))
+            self._report.end(State.FAILED, str(failure), failure_kind(failure))
             raise
-        return self._session.end(state, reason)
+        return self._report.end(state, reason)
 
     # -- steps --------------------------------------------------------------------------------
 
-    def _walk(self, worker: ThreadPoolExecutor) -> None:
+    def _walk(self) -> None:
         """Take step after step; an attempt whose estimate is under way is committed whatever happens."""
-        steps: dict[Step, Callable[[], None]] = {
-            Step.MEASURE: lambda: self._measure(worker),
-            Step.COLLECT: self._collect,
-            Step.PAUSE: self._pause,
-            Step.COMPARE_SENTINEL: self._compare_sentinel,
-            Step.COMPARE_SENTINEL_AGAIN: self._drift.check_again,
-            Step.MARK: lambda: self._mark(worker),
-            Step.BEGIN_PASS: self._begin_pass,
-        }
         try:
-            self._suspension.follow_requests()
-            while (step := self._next_step()) is not Step.END:
-                steps[step]()
-                self._suspension.follow_requests()
+            self._session.follow_requests()
+            while (step := self._next_step()) is not None:
+                step()
+                self._session.follow_requests()
         finally:
             self._collect()
 
-    def _next_step(self) -> Step:
+    def _next_step(self) -> Callable[[], None] | None:
         """Pauses, stops and the sentinel come between two positions: a position's repeats are finished first."""
-        state, queue = self._life.state, self._queue
+        state, queue = self._session.state, self._queue
         held = self._passing or self._drift.due or state in (State.PAUSING, State.STOPPING)
         if self._pending is not None and (held or not queue):
-            return Step.COLLECT
+            return self._collect
         if queue and queue[0].of_session > 1:
-            return Step.MEASURE
+            return self._measure
         if not queue and not self._judged and np.all(self._bank.status[self._covered]):
-            return Step.MARK
+            return self._mark
         if state is State.STOPPING or self._pass_is_futile() or not (queue or self._due_again()):
-            return Step.END
+            return None
         if state is State.PAUSING:
-            return Step.PAUSE
+            return self._pause
         if not self._compared:
-            return Step.COMPARE_SENTINEL
+            return self._compare_sentinel
         if queue:
-            return Step.COMPARE_SENTINEL_AGAIN if self._drift.due else Step.MEASURE
-        return Step.BEGIN_PASS
+            return self._drift.check_again if self._drift.due else self._measure
+        return self._begin_pass
 
     def _pass_is_futile(self) -> bool:
         """Whether the latest positions of the pass have all stayed as they were."""
@@ -209,12 +181,13 @@ class Campaign:
         """The next pass, if there is one; the bank holds the number of each attempt."""
         return attempts_again(self._covered, self._bank.status, self._bank.attempts, self._setup, self._plan.quality)
 
-    def _measure(self, worker: ThreadPoolExecutor) -> None:
+    def _measure(self) -> None:
         """Record an attempt while the one before is estimated, judged and committed."""
         recorded = self._record(self._queue.popleft())
-        self._session.attempt_recorded()
+        self._recording = False
+        self._report.attempt_recorded()
         self._collect()
-        self._pending = worker.submit(self._evaluate_and_commit, recorded)
+        self._pending = self._worker.submit(self._evaluate_and_commit, recorded)
 
     def _pause(self) -> None:
         self._suspension.pause()
@@ -222,27 +195,31 @@ class Campaign:
             self._drift.check_again()
 
     def _compare_sentinel(self) -> None:
+        """Before this session measures anything, see whether it is still the plate that the bank holds."""
         self._compared = True
         self._drift.check()
 
-    def _mark(self, worker: ThreadPoolExecutor) -> None:
-        """In the worker, where no Ctrl-C lands inside a commit."""
+    def _mark(self) -> None:
+        """After the first round, what neighbours contradict or cannot judge is poor; no Ctrl-C lands in the worker."""
         self._judged = True
-        for position, judgement in worker.submit(lambda: list(self._neighbours.mark(self._covered))).result():
-            self._session.marked(position, judgement)
+        for position, judgement in self._worker.submit(lambda: list(self._neighbours.mark(self._covered))).result():
+            self._report.marked(position, judgement)
 
     def _begin_pass(self) -> None:
+        """Give everything that is not valid another round."""
         due = self._due_again()
         self._passing = True
         self._fruitless = frozenset(one.position for one in due if self._bank.status[one.position] == Status.FAILED)
-        self._session.measures_again(tuple(one.position for one in due))
+        self._report.begin_pass(tuple(one.position for one in due))
         self._queue = deque(due)
 
     # -- recording ----------------------------------------------------------------------------
 
     def _record(self, attempt: Attempt) -> Recorded:
         """Record all actuators at one position; a passing fault that no repeated record cures costs the attempt."""
-        self._session.begin(attempt)
+        x_mm, y_mm = self._plan.position_mm[attempt.position].tolist()
+        self._recording = True
+        self._session.publish(PositionStarted, attempt.position, attempt.number, x_mm, y_mm)
         try:
             recordings = self._suspension.take_under_conditions(attempt, lambda: self._take(attempt))
         except TransientInstrumentError as fault:
@@ -260,15 +237,16 @@ class Campaign:
         return Recorded(attempt, recordings, "")
 
     def _take(self, attempt: Attempt) -> tuple[Recording, ...]:
-        return self._recovery.until_done(
-            lambda: self._records.take(attempt, "capture", self._between_records), attempt.position, attempt.number
-        )
+        def taken(record: int) -> None:
+            records = len(self._records.plays)
+            if records > 1:
+                self._session.publish(RecordTaken, attempt.position, attempt.number, record, records)
+            # An estimate that is done is collected, so that a repeat follows at once.
+            if self._pending is not None and self._pending.done():
+                self._collect()
+            self._session.follow_requests()
 
-    def _between_records(self) -> None:
-        """Collect an estimate that is done, so that a repeat follows at once."""
-        if self._pending is not None and self._pending.done():
-            self._collect()
-        self._suspension.follow_requests()
+        return self._recovery.until_done(lambda: self._records.take(attempt, "capture", taken), attempt)
 
     # -- judging and committing ---------------------------------------------------------------
 
@@ -304,7 +282,7 @@ class Campaign:
             self._best.pop(attempt.position, None)
             if result.committed:
                 self._drift.committed(attempt.position)
-            self._session.position_done(result, left=len(self._queue))
+            self._report.position_done(result, len(self._queue), recording=self._recording)
             self._count_failures(result)
             return
         kept = self._best.get(attempt.position)
@@ -318,7 +296,7 @@ class Campaign:
             self._plan.position_mm[attempt.position],
             joint=self._plan.staggered is not None,
         )
-        self._session.repeat(result, following)
+        self._report.repeat(result, following)
         self._queue.appendleft(following)
 
     def _count_failures(self, result: AttemptResult) -> None:
@@ -338,3 +316,15 @@ class Campaign:
                 cause,
                 fault.remedy if fault else "check the loopback cable from the player to the reference input",
             )
+
+
+def failure_kind(failure: BaseException) -> str:
+    """The `failure` of a session that this exception ended."""
+    match failure:
+        case DriftError():
+            return "drift"
+        case InstrumentError():
+            return "instrument"
+        case OSError() | FileLostError():
+            return "file"
+    return "other"

@@ -8,17 +8,15 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from acquisition.durations import hours
-from acquisition.engine.events import Fault, ReconnectTried, State, Subscriber
-from acquisition.engine.states import Lifecycle
-from acquisition.engine.stop_request import StoppedWhileWaitingError, StopRequest
+from acquisition.engine.session import Session
+from acquisition.measuring.attempt import Attempt
 from acquisition.measuring.setup import Setup, as_lost, instrument_of, silence
+from config.messages.campaign import ReconnectTried, State
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 
 Result = TypeVar("Result")
 
 LONGEST_BACK_OFF_S = 30.0
-# A person's stop is looked for this often; no clock can be woken from its sleep.
-STOP_LOOKED_FOR_S = 0.1
 # An instrument that says "lost" is believed at once; one that only fails passingly, when it does so again.
 PASSING_IN_A_ROW = 2
 # Instruments that come back but do not live to the end of one measurement are a loose plug: a person must look.
@@ -31,29 +29,20 @@ def back_off_s(number: int) -> float:
 
 
 class Recovery:
-    """Brings lost instruments back, for a campaign as for a scan.
+    """Brings lost instruments back, for a campaign as for a scan; the session is "recovering" meanwhile."""
 
-    setup: The instruments, and how long a lost one is waited for.
-    life: The session's state; it is "recovering" meanwhile.
-    publish: Receives an event for each fault and each try.
-    stop: Ends the waiting.
-    """
-
-    def __init__(self, setup: Setup, life: Lifecycle, publish: Subscriber, stop: StopRequest) -> None:
-        self._setup, self._life, self._publish, self._stop = setup, life, publish, stop
-        self._clock = setup.instruments.clock
+    def __init__(self, setup: Setup, session: Session) -> None:
+        self._setup, self._session, self._clock = setup, session, session.clock
         # All three are forgotten when a measurement comes to its end.
         self._tries: Counter[str] = Counter()
         self._passing: Counter[str] = Counter()
         self._losses = 0
 
-    def until_done(
-        self, measure: Callable[[], Result], position: int | None = None, attempt: int | None = None
-    ) -> Result:
+    def until_done(self, measure: Callable[[], Result], attempt: Attempt | None = None) -> Result:
         """Measure, from the beginning again after each instrument that was lost and came back.
 
         measure: Points, plays and records; what it did before an interruption must not matter.
-        position, attempt: What is measured, for the events.
+        attempt: What is measured, for the events.
 
         Raises StoppedWhileWaitingError: a person asked for a stop. InstrumentLostError: the instrument did not come
         back in time, or did not stay. InstrumentError: any other failure, at once; passing ones are for
@@ -65,8 +54,7 @@ class Recovery:
             except InstrumentLostError as lost:
                 if not lost.role:
                     raise  # nobody noted whose it was, so nobody can be asked for a fresh connection
-                says = lost.instrument, lost.operation, lost.cause, lost.remedy
-                self._publish(Fault(self._life.time_s(), *says, position, attempt, retried=True))
+                self._session.fault(lost, attempt, retried=True)
                 self._bring_back(lost)
             else:
                 self._tries.clear()
@@ -86,9 +74,9 @@ class Recovery:
         if self._losses > LOSSES_IN_A_ROW:
             cause = f"{failure.cause}, also after {LOSSES_IN_A_ROW} fresh connections in a row"
             raise as_lost(failure, cause) from failure
-        came_from, since_s = self._life.state, self._clock.now_s()
+        came_from, since_s = self._session.state, self._clock.now_s()
         gives_up_wall_s = time.monotonic() + self._setup.recovery_s
-        self._life.enter(State.RECOVERING, f"{failure.instrument}: {failure.cause}")
+        self._session.enter(State.RECOVERING, f"{failure.instrument}: {failure.cause}")
         lost = {failure.role: failure}
         self._silence(lost)
         while lost:
@@ -96,11 +84,11 @@ class Recovery:
             self._reconnect(role, lost[role], since_s, gives_up_wall_s)
             del lost[role]
             self._silence(lost)
-            if lost and self._clock.now_s() - since_s >= self._setup.recovery_s:
+            away_s = self._clock.now_s() - since_s
+            if lost and away_s >= self._setup.recovery_s:
                 also = next(iter(lost.values()))
-                raise as_lost(also, f"{also.cause}; not cured within {hours(self._clock.now_s() - since_s)}") from also
-        away_s = self._clock.now_s() - since_s
-        self._life.enter(came_from, f"{failure.instrument} is connected again after {hours(away_s)}")
+                raise as_lost(also, f"{also.cause}; not cured within {hours(away_s)}") from also
+        self._session.enter(came_from, f"{failure.instrument} is connected again after {hours(away_s)}")
 
     def _silence(self, lost: dict[str, InstrumentError]) -> None:
         """Mute the player and drop the record; an instrument that cannot be silenced is lost, too."""
@@ -114,7 +102,8 @@ class Recovery:
         """
         until_s = since_s + self._setup.recovery_s
         while True:
-            self._wait(min(back_off_s(self._tries[role]), until_s - self._clock.now_s()), failure)
+            wait_s = min(back_off_s(self._tries[role]), until_s - self._clock.now_s())
+            self._session.wait(wait_s, f" while {failure.instrument} was gone")
             self._tries[role] += 1
             try:
                 instrument_of(self._setup.instruments, role).reconnect()
@@ -135,21 +124,10 @@ class Recovery:
                 self._publish_try(failure, "connected", None)
                 return
 
-    def _wait(self, seconds: float, failure: InstrumentError) -> None:
-        """Let time pass on the rig's clock, in slices between which a stop is looked for."""
-        left_s = max(0.0, seconds)
-        while True:
-            if self._stop.requested:
-                raise StoppedWhileWaitingError(f"{self._stop.reason} while {failure.instrument} was gone")
-            if left_s <= 0:
-                return
-            self._clock.sleep(min(left_s, STOP_LOOKED_FOR_S))
-            left_s -= STOP_LOOKED_FOR_S
-
     def _publish_try(self, failure: InstrumentError, outcome: str, left_s: float | None) -> None:
         """Publish how a try ended; `left_s` is the time until the session gives up, None when connected."""
-        number, now_s = self._tries[failure.role], self._life.time_s()
+        number = self._tries[failure.role]
         next_s = min(back_off_s(number), left_s) if left_s is not None and left_s > 0 else None
         gives_up_s = None if left_s is None else max(0.0, left_s)
         tried = failure.role, failure.instrument, number, left_s is None, outcome
-        self._publish(ReconnectTried(now_s, *tried, next_s, gives_up_s))
+        self._session.publish(ReconnectTried, *tried, next_s, gives_up_s)

@@ -1,162 +1,190 @@
-"""Events, counts and remaining time of one session."""
+"""One session at the instruments: its state, its time, its events, and the requests of a person to it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, ClassVar, Concatenate, ParamSpec, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from acquisition.engine.events import (
-    ConditionsSeen,
-    Drift,
-    Fault,
-    PassStarted,
-    PositionCommitted,
-    PositionKept,
-    PositionRepeated,
-    PositionStarted,
-    Progress,
-    RecordTaken,
-    SessionEnded,
-    SessionStarted,
-    State,
-    Subscriber,
-)
-from acquisition.engine.states import Lifecycle
-from acquisition.measuring.attempt import Attempt, AttemptResult
-from acquisition.measuring.setup import Setup
-from acquisition.quality.judgement import Judgement
-from acquisition.quality.limits import DriftFigures
-from acquisition.schedule.pace import Pace
-from acquisition.schedule.plan import Plan, sentinel_of
+from config.messages.campaign import Event, Fault, State, StateChanged, Subscriber
 from drivers.errors import InstrumentError
-from storage.bank.writer import BankWriter
-from storage.point_status import status_counts
+from drivers.protocols import Clock
+
+if TYPE_CHECKING:
+    from acquisition.measuring.attempt import Attempt  # with it comes the estimator, and every command imports this
+
+Content = ParamSpec("Content")
+Published = TypeVar("Published", bound=Event)
+LOG = logging.getLogger(__name__)
+BY_THE_USER = "stopped by the user"
+# Requests are looked for this often: no clock can be woken from its sleep.
+LOOKED_FOR_S = 0.1
+_ENDS = {State.STOPPED, State.FINISHED, State.FAILED}
+_HELD_UP = {State.SUSPENDED, State.RECOVERING, State.STOPPING}
+
+
+class IllegalStateError(RuntimeError):
+    """A state that cannot follow the present one: a defect of the program, not of an instrument."""
+
+
+class StoppedWhileWaitingError(Exception):
+    """A person asked for a stop while something was waited for; there is no position to finish."""
+
+
+class StopRequest:
+    """Shared between the engine and whoever may stop or pause it; safe from any thread."""
+
+    def __init__(self) -> None:
+        self._stop, self._pause = threading.Event(), threading.Event()
+        # Set at every request, for those who wait for the next one; taken back by them.
+        self._news = threading.Event()
+        self.reason = BY_THE_USER
+
+    def finish_position(self, reason: str = BY_THE_USER) -> None:
+        """Ask for a stop once the position under way is committed; the reason of the first request counts."""
+        if not self._stop.is_set():
+            self.reason = reason
+        self._stop.set()
+        self._news.set()
+
+    def pause(self) -> None:
+        """Ask the engine to stand still once the position under way is committed."""
+        self._pause.set()
+        self._news.set()
+
+    def go_on(self) -> None:
+        """Take a pause back."""
+        self._pause.clear()
+        self._news.set()
+
+    @property
+    def requested(self) -> bool:
+        """Whether the engine was asked to stop."""
+        return self._stop.is_set()
+
+    @property
+    def pause_requested(self) -> bool:
+        """Whether the engine was asked to pause and not yet to go on."""
+        return self._pause.is_set()
+
+    def wait_for_news(self, seconds: float) -> None:
+        """Wait on the wall's clock for the next request, at most so long."""
+        self._news.wait(seconds)
+        self._news.clear()
+
+
+class EventPublisher:
+    """Calls every subscriber with every event; the first failure of each is reported, and the others go on.
+
+    A subscriber that failed gets the later events too: what failed may pass, as a full disk does.
+
+    subscribers: By the name under which a failure is reported.
+    report: Receives one sentence about the first failure of a subscriber; by default it goes to Python's log.
+    """
+
+    def __init__(self, subscribers: Mapping[str, Subscriber], report: Callable[[str], object] = LOG.error) -> None:
+        self._subscribers, self._report = dict(subscribers), report
+        self._failed: set[str] = set()
+
+    def __call__(self, event: Event) -> None:
+        """Publish one event. Ctrl-C and the like pass through."""
+        for name, subscriber in self._subscribers.items():
+            try:
+                subscriber(event)
+            except Exception as failure:
+                if name not in self._failed:
+                    self._failed.add(name)
+                    what = " ".join(str(failure).split())
+                    self._report(f"{name} failed ({type(failure).__name__}: {what}); the campaign goes on")
 
 
 class Session:
-    """Publishes the events of one session, timed by its lifecycle.
+    """State and time of a session of a campaign or a scan; each change of state is published.
 
-    bank: Its status is what counts as done.
-    life: The session's state and time.
-    publish: Receives every event.
+    clock: The rig's clock; times count from now.
+    subscriber: Receives every event; a failure of it is reported once.
     """
 
-    def __init__(self, plan: Plan, setup: Setup, bank: BankWriter, life: Lifecycle, publish: Subscriber) -> None:
-        self._plan, self._setup, self._bank, self._life, self._publish = plan, setup, bank, life, publish
-        self._pace = Pace(0.0), Pace(0.0)
-        self._recording = False
-        self._second_looks = 0
+    # Recovering and suspended return to where they came from; nothing follows what ends a session.
+    FOLLOWS: ClassVar[dict[State, set[State]]] = {
+        State.IDLE: {State.RUNNING, State.RECOVERING, State.STOPPED, State.FAILED},
+        State.RUNNING: {State.PAUSING} | _HELD_UP | _ENDS,
+        # The position under way is finished first; with the last one there is nothing left to pause.
+        State.PAUSING: {State.PAUSED, State.RUNNING} | _HELD_UP | _ENDS,
+        State.PAUSED: {State.RUNNING, State.STOPPED, State.FAILED},
+        State.SUSPENDED: {State.RUNNING, State.PAUSED, State.RECOVERING, State.STOPPED, State.FAILED},
+        State.RECOVERING: {State.IDLE, State.RUNNING, State.PAUSING, State.SUSPENDED, State.STOPPING}
+        | (_ENDS - {State.FINISHED}),
+        State.STOPPING: {State.RECOVERING} | _ENDS,
+        **{end: set() for end in _ENDS},
+    }
+    # Time spent in these says nothing of how long the other positions will take.
+    AWAY: ClassVar = {State.PAUSED, State.SUSPENDED, State.RECOVERING}
 
-    def start(self, rows: NDArray[np.int64], instruments: tuple[str, ...], *, second_looks: bool) -> None:
-        """The session begins, with these rows to do, and perhaps with second looks to come after them."""
-        self._second_looks = self._plan.second_looks(rows) if second_looks else 0
-        size = self._plan.positions, self._plan.actuators, self._done(), len(rows)
-        planned_s = self._plan.campaign_s(rows, self._setup)
-        self._publish(SessionStarted(self._life.time_s(), str(self._bank.path), *size, planned_s, instruments))
-        self._life.enter(State.RUNNING, f"{len(rows)} positions to do")
-        rig_s, wall_s = self._life.working_s()
-        self._pace = Pace(rig_s), Pace(wall_s)
+    def __init__(self, clock: Clock, subscriber: Subscriber, stop: StopRequest) -> None:
+        self.clock, self.stop, self.state = clock, stop, State.IDLE
+        self._publish = EventPublisher({"a subscriber of the session's events": subscriber})
+        self._started_s, self._started_wall_s = clock.now_s(), time.monotonic()
+        self._away_since: tuple[float, float] | None = None
+        self._away_s = self._away_wall_s = 0.0
 
-    def begin(self, attempt: Attempt) -> None:
-        """An attempt's first record begins."""
-        x_mm, y_mm = (float(value) for value in self._plan.position_mm[attempt.position])
-        self._recording = True
-        self._publish(PositionStarted(self._life.time_s(), attempt.position, attempt.number, x_mm, y_mm))
+    def enter(self, state: State, reason: str) -> None:
+        """Change the state; raises IllegalStateError where the table does not have this change."""
+        if state not in self.FOLLOWS[self.state]:
+            raise IllegalStateError(f"{state} cannot follow {self.state}")
+        now_s, wall_s = self.time_s(), self._wall_s()
+        if self._away_since is not None:
+            self._away_s += now_s - self._away_since[0]
+            self._away_wall_s += wall_s - self._away_since[1]
+        self._away_since = (now_s, wall_s) if state in self.AWAY else None
+        self.state = state
+        self.publish(StateChanged, state, reason)
 
-    def record_taken(self, attempt: Attempt, record: int, records: int) -> None:
-        """A record of an attempt is in, `record` counted from 1."""
-        if records > 1:
-            self._publish(RecordTaken(self._life.time_s(), attempt.position, attempt.number, record, records))
+    def follow_requests(self) -> None:
+        """Enter the state that was asked for, while the position under way goes on."""
+        if self.stop.requested and self.state in (State.RUNNING, State.PAUSING):
+            self.enter(State.STOPPING, f"{self.stop.reason}; the position under way is finished first")
+        elif self.stop.pause_requested and self.state is State.RUNNING:
+            self.enter(State.PAUSING, "a pause was asked for; the position under way is finished first")
+        elif not self.stop.pause_requested and self.state is State.PAUSING:
+            self.enter(State.RUNNING, "the pause was taken back")
 
-    def measures_again(self, positions: tuple[int, ...]) -> None:
-        """A pass over all that is not valid begins."""
-        self._second_looks = 0  # from here on they are among those that are left
-        self._publish(PassStarted(self._life.time_s(), positions))
-
-    def attempt_recorded(self) -> None:
-        """The attempt that was begun has all its records, or was given up."""
-        self._recording = False
-        for pace, working_s in zip(self._pace, self._life.working_s(), strict=True):
-            pace.attempt_done(working_s)
-
-    def repeat(self, result: AttemptResult, following: Attempt) -> None:
-        """An attempt was not good enough; the next one follows."""
-        why = result.attempt.position, result.attempt.number, result.judgement.reason, result.defect_names
-        self._publish(PositionRepeated(self._life.time_s(), *why, following.response_range_v, following.moved_mm))
-
-    def position_done(self, result: AttemptResult, left: int) -> None:
-        """A position is done with for this session; `left` are not begun yet."""
-        attempt, reason, names = result.attempt, result.judgement.reason, result.defect_names
-        if result.committed:
-            figures = result.median_snr_db, result.best_heard_residual_db, result.clock_ppm, result.start_offset_samples
-            tried = attempt.response_range_v, attempt.moved_mm
-            self._committed(attempt.position, result.judgement, figures, names, *tried)
-        else:
-            self._publish(PositionKept(self._life.time_s(), attempt.position, attempt.number, reason, names))
-        for pace in self._pace:
-            pace.position_settled(attempt.of_session)
-        self._progress(left)
-
-    def marked(self, position: int, judgement: Judgement) -> None:
-        """A position's row in the bank is poor now: its neighbours contradict it, or cannot judge it."""
-        self._committed(position, judgement, (math.nan,) * 4, tuple(one.name for one in judgement.defects))
+    def publish(
+        self, kind: Callable[Concatenate[float, Content], Published], *content: Content.args, **named: Content.kwargs
+    ) -> Published:
+        """Publish an event of now, and return it; the arguments are its other fields."""
+        event = kind(self.time_s(), *content, **named)
+        self._publish(event)
+        return event
 
     def fault(self, fault: InstrumentError, attempt: Attempt | None, *, retried: bool) -> None:
-        """An instrument failed."""
-        says = fault.instrument, fault.operation, fault.cause, fault.remedy
+        """Publish that an instrument failed, at an attempt or at none."""
         position, number = (None, None) if attempt is None else (attempt.position, attempt.number)
-        self._publish(Fault(self._life.time_s(), *says, position, number, retried))
+        says = fault.instrument, fault.operation, fault.cause, fault.remedy
+        self.publish(Fault, *says, position, number, retried)
 
-    def drift(self, position: int, figures: DriftFigures, occasion: str, *, suspect: tuple[int, ...] = ()) -> None:
-        """The sentinel position was compared with what the bank holds of it."""
-        limits, found = self._plan.drift, (figures.level_db, figures.delay_samples, figures.correlation)
-        words = figures.verdict(limits), occasion, figures.cause(limits)
-        self._publish(Drift(self._life.time_s(), position, *found, *words, suspect))
+    def time_s(self) -> float:
+        """Seconds on the rig's clock since the session began."""
+        return self.clock.now_s() - self._started_s
 
-    def sentinel_done(self) -> None:
-        """The sentinel's measurement came to its end; it is no position."""
-        for pace, working_s in zip(self._pace, self._life.working_s(), strict=True):
-            pace.sentinel_done(working_s)
+    def working_s(self) -> tuple[float, float]:
+        """Seconds on the rig's and on the wall's clock that were not spent paused, suspended or recovering."""
+        return self.time_s() - self._away_s, self._wall_s() - self._away_wall_s
 
-    def conditions(self, values: Mapping[str, float], reason: str, *, back: bool) -> None:
-        """The watched conditions were looked at."""
-        self._publish(ConditionsSeen(self._life.time_s(), dict(values), back, reason))
+    def require_no_stop(self, words: str) -> None:
+        """Raise StoppedWhileWaitingError where a person has asked for a stop; `words` say what was waited for."""
+        if self.stop.requested:
+            raise StoppedWhileWaitingError(self.stop.reason + words)
 
-    def end(self, state: State, reason: str, failure: str = "") -> SessionEnded:
-        """The session is over."""
-        self._life.enter(state, reason)
-        counts = status_counts(self._bank.status)
-        ended = SessionEnded(self._life.time_s(), state, self._done(), self._plan.positions, counts, failure)
-        self._publish(ended)
-        return ended
+    def wait(self, seconds: float, words: str, *, until_pause: bool = False) -> None:
+        """Let time pass on the rig's clock, until a pause is asked for if so wished; raises as `require_no_stop`."""
+        self.require_no_stop(words)
+        while seconds > 0 and not (until_pause and self.stop.pause_requested):
+            self.clock.sleep(min(seconds, LOOKED_FOR_S))
+            seconds -= LOOKED_FOR_S
+            self.require_no_stop(words)
 
-    def _committed(
-        self,
-        position: int,
-        judgement: Judgement,
-        figures: tuple[float, float, float, float],
-        names: tuple[str, ...],
-        response_range_v: float | None = None,
-        moved_mm: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
-        counts = position, int(judgement.status), int(self._bank.attempts[position])
-        tried = response_range_v, moved_mm
-        self._publish(PositionCommitted(self._life.time_s(), *counts, *figures, judgement.reason, names, *tried))
-
-    def _progress(self, left: int) -> None:
-        left += self._second_looks
-        (rig, wall), (rig_s, wall_s) = self._pace, self._life.working_s()
-        passes = 0
-        if sentinel_of(self._plan, self._bank.status) is not None:
-            passes = self._plan.drift.passes(left, rig.position_s)
-        remaining_s = rig.remaining_s(left, passes, rig_s if self._recording else None)
-        wall_remaining_s = wall.remaining_s(left, passes, wall_s if self._recording else None)
-        per_hour = [3600.0 / one.position_s if one.position_s > 0 else 0.0 for one in (rig, wall)]
-        now_s, done = self._life.time_s(), (self._done(), self._plan.positions)
-        self._publish(Progress(now_s, *done, now_s, remaining_s, wall_remaining_s, *per_hour))
-
-    def _done(self) -> int:
-        return int(np.count_nonzero(self._bank.status))
+    def _wall_s(self) -> float:
+        return time.monotonic() - self._started_wall_s

@@ -18,38 +18,26 @@ from drivers.protocols import Recording, Take
 RECORD_REPEATS = 2
 
 
-class Reports(Protocol):
-    """Receives what happens while records are taken."""
+class ReportFault(Protocol):
+    """Receives faults that passed while records were taken."""
 
-    def record_taken(self, attempt: Attempt, record: int, records: int) -> None:
-        """A record of an attempt is in."""
-        ...
-
-    def fault(self, fault: InstrumentError, attempt: Attempt | None, *, retried: bool) -> None:
-        """An instrument failed."""
-        ...
+    def __call__(self, fault: InstrumentError, attempt: Attempt | None, *, retried: bool) -> None: ...
 
 
 class PositionRecords:
-    """Takes the records of positions.
+    """Takes the records of positions, each of which plays one of `plays`."""
 
-    plan: Where the positions are, at which rate.
-    plays: What each record of a position plays.
-    reports: Receives records and faults.
-    """
+    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], report_fault: ReportFault) -> None:
+        self._plan, self._setup, self.plays, self._report_fault = plan, setup, plays, report_fault
 
-    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], reports: Reports) -> None:
-        self._plan = plan
-        self._setup = setup
-        self.plays = plays
-        self._reports = reports
-
-    def take(self, attempt: Attempt, purpose: str, between: Callable[[], None]) -> tuple[Recording, ...]:
+    def take(
+        self, attempt: Attempt, purpose: str, taken: Callable[[int], None] = lambda record: None
+    ) -> tuple[Recording, ...]:
         """Point at a position and take all its records.
 
         attempt: Which position, and which try at it.
         purpose: ``"capture"`` or ``"sentinel"``, for the instruments' logs.
-        between: Called after each record.
+        taken: Called with the number of each record, from 1, once it is in.
 
         Raises InstrumentError: of the instrument that failed; a passing fault only when repeated records did not cure
         it.
@@ -59,9 +47,7 @@ class PositionRecords:
         for number, play in enumerate(self.plays, 1):
             take = Take(attempt.position, attempt.number, play.actuator, purpose)
             recordings.append(self._record(play, take, attempt))
-            if purpose == "capture":
-                self._reports.record_taken(attempt, number, len(self.plays))
-            between()
+            taken(number)
         return tuple(recordings)
 
     def probe(self, attempt: Attempt) -> Recording:
@@ -78,7 +64,7 @@ class PositionRecords:
         try:
             start_move(self._setup, *self._place_mm(attempt))
         except InstrumentError as fault:
-            self._reports.fault(fault, attempt, retried=True)
+            self._report_fault(fault, attempt, retried=True)
 
     def _place_mm(self, attempt: Attempt) -> tuple[float, float]:
         """Where the beam goes for an attempt."""
@@ -86,14 +72,20 @@ class PositionRecords:
         return float(x_mm) + attempt.moved_mm[0], float(y_mm) + attempt.moved_mm[1]
 
     def _record(self, play: Play, take: Take, attempt: Attempt) -> Recording:
-        """Take one record, and take it again after a passing fault: an underflow voids a record, not a position."""
-        rate_hz = self._plan.excitation.sample_rate_hz
         setup = self._setup
         if attempt.response_range_v is not None:
             setup = replace(setup, range_v=(setup.range_v[0], attempt.response_range_v))
-        for _ in range(RECORD_REPEATS):
-            try:
-                return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))
-            except TransientInstrumentError as fault:
-                self._reports.fault(fault, attempt, retried=True)
-        return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))
+        rate_hz = self._plan.excitation.sample_rate_hz
+        return record_play(setup, play, rate_hz, take, lambda fault: self._report_fault(fault, attempt, retried=True))
+
+
+def record_play(
+    setup: Setup, play: Play, rate_hz: float, take: Take, passed: Callable[[InstrumentError], None] = lambda fault: None
+) -> Recording:
+    """Take one record, and take it again after a passing fault: an underflow voids a record, not a position."""
+    for _ in range(RECORD_REPEATS):
+        try:
+            return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))
+        except TransientInstrumentError as fault:
+            passed(fault)
+    return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))

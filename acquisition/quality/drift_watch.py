@@ -4,29 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from acquisition.engine.events import DriftError
 from acquisition.engine.recovery import Recovery
+from acquisition.engine.report import CampaignReport
 from acquisition.engine.session import Session
-from acquisition.engine.states import Lifecycle
 from acquisition.measuring.attempt import Attempt, AttemptResult, Recorded
 from acquisition.measuring.position_records import PositionRecords
 from acquisition.quality.defects import REFERENCE_LEVEL
 from acquisition.quality.limits import DriftFigures, compare_sentinel
 from acquisition.schedule.plan import Plan, sentinel_of
 from acquisition.schedule.row_ranges import row_ranges
+from config.messages.campaign import Drift
 from drivers.errors import TransientInstrumentError
 from storage.bank.writer import BankWriter
+from storage.errors import WavefocusError
+
+
+class DriftError(WavefocusError):
+    """The plate measured now is not the plate that is in the bank."""
 
 
 class DriftWatch:
     """Measures the sentinel position and compares it with what the bank holds.
 
-    plan: Which positions, in which order, and how far the sentinel may drift.
-    bank: What was measured first.
-    life: Tells the time.
-    session: Told what was found.
-    records: Takes the records.
-    recovery: Brings lost instruments back.
     evaluate: From recordings to a judged estimate.
     accept_drift: Continue although it has changed; the change is reported.
     """
@@ -35,22 +34,17 @@ class DriftWatch:
         self,
         plan: Plan,
         bank: BankWriter,
-        life: Lifecycle,
         session: Session,
+        report: CampaignReport,
         records: PositionRecords,
         recovery: Recovery,
         evaluate: Callable[[Recorded], AttemptResult],
     ) -> None:
-        self._plan = plan
-        self._bank = bank
-        self._life = life
-        self._session = session
-        self._records = records
-        self._recovery = recovery
-        self._evaluate = evaluate
+        self._plan, self._bank, self._session, self._report = plan, bank, session, report
+        self._records, self._recovery, self._evaluate = records, recovery, evaluate
         self._since: list[int] = []
         self._recorded = 0
-        self._looked_s = life.time_s()
+        self._looked_s = session.time_s()
         self.accept_drift = False
 
     def recorded(self) -> None:
@@ -65,7 +59,7 @@ class DriftWatch:
     def due(self) -> bool:
         """Whether the sentinel should be measured before the next position."""
         limits = self._plan.drift
-        late = self._life.time_s() - self._looked_s >= limits.every_s
+        late = self._session.time_s() - self._looked_s >= limits.every_s
         return self._recorded > 0 and (self._recorded >= limits.every_positions or late)
 
     def check(self) -> None:
@@ -78,7 +72,7 @@ class DriftWatch:
         if position is None:
             return
         figures = self._figures(Attempt(position, 1, 1))
-        self._session.drift(position, figures, "resume")
+        self._publish(position, figures, "resume")
         if figures.verdict(self._plan.drift) == "stop" and not self.accept_drift:
             raise DriftError(
                 f"sentinel position {position} is not what the bank holds ({figures.cause(self._plan.drift)}): "
@@ -99,13 +93,13 @@ class DriftWatch:
         figures = self._figures(first)
         stops = figures.verdict(limits) == "stop"
         if stops and not self.accept_drift:
-            self._session.drift(position, figures, "run")
+            self._publish(position, figures, "run")
             figures = self._figures(Attempt(position, 2, 1))
             stops = figures.verdict(limits) == "stop"
             suspect = tuple(self._since) if stops else ()
-            self._session.drift(position, figures, "repeat", suspect=suspect)
+            self._publish(position, figures, "repeat", suspect)
         else:
-            self._session.drift(position, figures, "run")
+            self._publish(position, figures, "run")
         if stops and not self.accept_drift:
             rows = row_ranges(self._since)
             raise DriftError(
@@ -116,14 +110,19 @@ class DriftWatch:
             )
         self._begin_anew()
 
+    def _publish(self, position: int, figures: DriftFigures, occasion: str, suspect: tuple[int, ...] = ()) -> None:
+        limits, found = self._plan.drift, (figures.level_db, figures.delay_samples, figures.correlation)
+        words = figures.verdict(limits), occasion, figures.cause(limits)
+        self._session.publish(Drift, position, *found, *words, suspect)
+
     def _begin_anew(self) -> None:
         self._since.clear()
         self._recorded = 0
-        self._looked_s = self._life.time_s()
+        self._looked_s = self._session.time_s()
 
     def _figures(self, attempt: Attempt) -> DriftFigures:
         result = self._measure(attempt)
-        self._session.sentinel_done()
+        self._report.sentinel_done()
         if result.estimate is None or _useless(result):
             raise DriftError(
                 f"sentinel position {attempt.position} could not be measured: {result.judgement.reason}; "
@@ -134,9 +133,7 @@ class DriftWatch:
     def _measure(self, attempt: Attempt) -> AttemptResult:
         """Measure the sentinel position, again after passing faults as any other."""
         try:
-            recordings = self._recovery.until_done(
-                lambda: self._records.take(attempt, "sentinel", lambda: None), attempt.position, attempt.number
-            )
+            recordings = self._recovery.until_done(lambda: self._records.take(attempt, "sentinel"), attempt)
         except TransientInstrumentError as fault:
             retried = attempt.of_session < self._plan.quality.max_attempts
             self._session.fault(fault, attempt, retried=retried)

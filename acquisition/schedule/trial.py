@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from acquisition.durations import hours
 from acquisition.measuring.plays import Measuring, measuring_of
-from acquisition.measuring.position_records import RECORD_REPEATS
-from acquisition.measuring.record import point_at, take_record
+from acquisition.measuring.position_records import record_play
+from acquisition.measuring.record import point_at
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import GROUP, Plan
 from calibration.clock.timing import ReferenceMissingError
@@ -21,8 +21,7 @@ from calibration.estimator.decay import Decay, measure_decay
 from calibration.estimator.expected_error import degrees_of_freedom
 from calibration.estimator.sequential import Estimate
 from calibration.excitation.staggered_signal import StaggeredSignal
-from drivers.errors import TransientInstrumentError
-from drivers.protocols import Recording, Take
+from drivers.protocols import Take
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -293,16 +292,10 @@ class _Bench:
     def _measured(self, plan: Plan, measuring: Measuring) -> tuple[Estimate, bool]:
         self._attempt += 1
         rate_hz = plan.excitation.sample_rate_hz
-        recordings: list[Recording] = []
-        for play in measuring.plays:
-            take = Take(self._position, self._attempt, play.actuator, "trial")
-            for again in reversed(range(RECORD_REPEATS + 1)):
-                try:
-                    recordings.append(play.cut(take_record(self._setup, play.signals_v, rate_hz, take, play.samples)))
-                    break
-                except TransientInstrumentError:
-                    if not again:
-                        raise
+        recordings = [
+            record_play(self._setup, play, rate_hz, Take(self._position, self._attempt, play.actuator, "trial"))
+            for play in measuring.plays
+        ]
         reference_v, response_v = (np.stack([one.volts[row] for one in recordings]) for row in range(2))
         try:
             estimate = measuring.estimator.estimate(reference_v, response_v, range_v=self._setup.range_v)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from PyQt5.QtWidgets import QAction, QProgressBar, QToolButton, QWidget
 
-from acquisition.engine.events import State
+from config.messages.campaign import State
 from gui.campaign.model import GOING, CampaignState, Extra, Order, Pace
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import Badge, finish_text, make_action, make_button, make_label, put, row

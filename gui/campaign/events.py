@@ -9,7 +9,7 @@ from datetime import datetime
 from enum import IntEnum
 
 from acquisition.durations import hours
-from acquisition.engine.events import (
+from config.messages.campaign import (
     ConditionsSeen,
     Drift,
     Event,

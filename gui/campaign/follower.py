@@ -16,7 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine.events import Drift, Logged, PositionCommitted, SessionEnded
+from config.messages.campaign import (
+    Drift,
+    Logged,
+    PositionCommitted,
+    SessionEnded,
+)
 from gui.campaign.events import Line, read_record
 from gui.campaign.quality import DAMAGED, Float32Array, per_position
 from gui.shell.front_door import FrontDoor, Pulse

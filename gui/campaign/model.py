@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine.events import (
+from config.messages.campaign import (
     Event,
     Fault,
     Logged,

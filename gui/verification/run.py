@@ -10,7 +10,12 @@ from pathlib import Path
 
 from PyQt5.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QWidget
 
-from acquisition.engine.events import Fault, ReconnectTried, State, StateChanged
+from config.messages.campaign import (
+    Fault,
+    ReconnectTried,
+    State,
+    StateChanged,
+)
 from config.messages.codec import MessageError, message_of
 from config.messages.verify import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
 from gui.campaign.follower import LogTail

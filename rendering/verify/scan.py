@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.engine.events import EventPublisher, State, Subscriber
 from acquisition.engine.recovery import Recovery
-from acquisition.engine.states import Lifecycle
-from acquisition.engine.stop_request import StopRequest
+from acquisition.engine.session import Session, StopRequest
+from acquisition.measuring.attempt import Attempt
 from acquisition.measuring.record import point_at, take_record
 from acquisition.measuring.setup import Setup
 from calibration.blas import one_blas_thread
 from calibration.clock.timing import ReferenceMissingError
+from config.messages.campaign import State, Subscriber
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Recording, Take
 from rendering.field.prediction import field_unit
@@ -126,11 +126,9 @@ def scan(
 
     Returns the field on the samples of ``predict(drive, bank)``.
     """
-    publish = EventPublisher({"a subscriber of the scan's events": publish})
-    life = Lifecycle(setup.instruments.clock, publish)
-    recovery = Recovery(setup, life, publish, StopRequest())
-    life.enter(State.RUNNING, f"{len(plan.position)} positions to scan")
-    return _ScanRun(plan, setup, drive, bank, recovery, on_progress).run()
+    session = Session(setup.instruments.clock, publish, StopRequest())
+    session.enter(State.RUNNING, f"{len(plan.position)} positions to scan")
+    return _ScanRun(plan, setup, drive, bank, Recovery(setup, session), on_progress).run()
 
 
 class _ScanRun:
@@ -185,7 +183,8 @@ class _ScanRun:
 
     def _visit(self, visit: _Visit, worker: ThreadPoolExecutor) -> _Pending | None:
         try:
-            recording = self._recovery.until_done(lambda: self._record(visit), visit.row, visit.attempt)
+            attempt = Attempt(visit.row, visit.attempt, visit.attempt)
+            recording = self._recovery.until_done(lambda: self._record(visit), attempt)
         except TransientInstrumentError as failure:
             self._recovery.renew_if_repeated(failure)
             self._try_again(visit, failure)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.engine.events import (
+from config.messages.campaign import (
     Event,
     Fault,
     Logged,

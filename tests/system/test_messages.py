@@ -10,7 +10,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from acquisition.engine.events import Drift, Fault, SessionEnded, State, StateChanged
+from config.messages.campaign import (
+    Drift,
+    Fault,
+    SessionEnded,
+    State,
+    StateChanged,
+)
 from config.rig import MessagesSection
 from storage.errors import InputError
 from tests.system.conftest import ACTUATORS

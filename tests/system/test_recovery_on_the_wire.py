@@ -9,10 +9,17 @@ from pathlib import Path
 import pytest
 
 from acquisition.engine.campaign import Campaign
-from acquisition.engine.events import Event, PositionStarted, ReconnectTried, State, StateChanged, Subscriber
-from acquisition.engine.stop_request import StopRequest
+from acquisition.engine.session import StopRequest
 from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.campaign import (
+    Event,
+    PositionStarted,
+    ReconnectTried,
+    State,
+    StateChanged,
+    Subscriber,
+)
 from config.run import Virtual
 from drivers.errors import InstrumentLostError
 from drivers.protocols import DeviceIdentity, Instruments, Mirror, WallClock

@@ -15,7 +15,12 @@ from pathlib import Path
 import h5py
 import pytest
 
-from acquisition.engine.events import PositionCommitted, SessionEnded, State, StateChanged
+from config.messages.campaign import (
+    PositionCommitted,
+    SessionEnded,
+    State,
+    StateChanged,
+)
 from tests.system.captures import Listener, capture, empty_bank, events_of, states_of
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.engine.events import (
+from acquisition.engine.session import StopRequest
+from config.messages.campaign import (
     Fault,
     PositionStarted,
     Progress,
@@ -20,7 +21,6 @@ from acquisition.engine.events import (
     State,
     StateChanged,
 )
-from acquisition.engine.stop_request import StopRequest
 from wavefocus.campaign.supervision import (
     Attendance,
     Heartbeat,

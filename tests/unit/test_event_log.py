@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.engine.events import PositionKept, event_line
+from config.messages.campaign import PositionKept, event_line
 from wavefocus.campaign.sidecar_files import last_events, log_path
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from acquisition.engine.campaign import Campaign
-from acquisition.engine.events import Event, EventPublisher, State
-from acquisition.engine.stop_request import StopRequest
+from acquisition.engine.session import EventPublisher, StopRequest
+from config.messages.campaign import Event, State
 from storage.bank.writer import BankWriter, create_bank
 from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.campaign.sidecar_files import EventLines

@@ -4,7 +4,13 @@ import json
 
 import pytest
 
-from acquisition.engine.events import PositionCommitted, SessionEnded, State, event_line, read_event
+from config.messages.campaign import (
+    PositionCommitted,
+    SessionEnded,
+    State,
+    event_line,
+    read_event,
+)
 
 
 def test_given_an_event_then_its_line_names_its_kind_and_fields_and_is_read_again() -> None:

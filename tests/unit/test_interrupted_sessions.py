@@ -10,9 +10,16 @@ from pathlib import Path
 import pytest
 
 from acquisition.engine.campaign import Campaign
-from acquisition.engine.events import DriftError, Event, Fault, ReconnectTried, SessionEnded, State, StateChanged
-from acquisition.engine.states import Lifecycle
-from acquisition.engine.stop_request import StopRequest
+from acquisition.engine.session import Session, StopRequest
+from acquisition.quality.drift_watch import DriftError
+from config.messages.campaign import (
+    Event,
+    Fault,
+    ReconnectTried,
+    SessionEnded,
+    State,
+    StateChanged,
+)
 from drivers.errors import InstrumentError
 from storage.bank.writer import BankWriter, create_bank
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
@@ -78,10 +85,10 @@ def blueprint(tmp_path: Path) -> Blueprint:
     return blueprint_from_files(tmp_path / "run.toml")
 
 
-class Session:
+class TrialSession:
     """One session, in which something is done at one of the events that it publishes."""
 
-    def __init__(self, blueprint: Blueprint, bank: Path, at: int, act: Callable[[Session], object]) -> None:
+    def __init__(self, blueprint: Blueprint, bank: Path, at: int, act: Callable[[TrialSession], object]) -> None:
         self.stop, self.events = StopRequest(), list[Event]()
         self._at, self._act = at, act
         create_bank(bank, blueprint.bank_header())
@@ -105,22 +112,22 @@ class Session:
             self._act(self)
 
 
-def at_once(_session: Session) -> None:
+def at_once(_session: TrialSession) -> None:
     raise KeyboardInterrupt
 
 
-def pause_and_stop(session: Session) -> None:
+def pause_and_stop(session: TrialSession) -> None:
     session.stop.pause()
     session.stop.finish_position()
 
 
-def pause_and_go_on(session: Session) -> None:
+def pause_and_go_on(session: TrialSession) -> None:
     session.stop.pause()
     session.stop.go_on()
 
 
 # Each is tried at every so many moments.
-ACTS: dict[str, tuple[Callable[[Session], object], int]] = {
+ACTS: dict[str, tuple[Callable[[TrialSession], object], int]] = {
     "stop": (lambda session: session.stop.finish_position(), 1),
     "pause": (lambda session: session.stop.pause(), 2),
     "pause and go on": (pause_and_go_on, 2),
@@ -141,18 +148,18 @@ def moments(events: list[Event]) -> list[int]:
 
 @pytest.mark.parametrize(("act", "every"), ACTS.values(), ids=ACTS)
 def test_given_a_request_at_any_event_then_every_change_of_state_is_in_the_table_and_the_session_ends(
-    blueprint: Blueprint, tmp_path: Path, act: Callable[[Session], object], every: int
+    blueprint: Blueprint, tmp_path: Path, act: Callable[[TrialSession], object], every: int
 ) -> None:
-    whole = Session(blueprint, tmp_path / "whole.h5", -1, act)
+    whole = TrialSession(blueprint, tmp_path / "whole.h5", -1, act)
     states = [one.state for one in whole.events if isinstance(one, StateChanged)]
     assert states[-1] is State.FINISHED
     assert {State.RECOVERING, State.SUSPENDED} <= set(states)
     assert any(isinstance(one, Fault | ReconnectTried) for one in whole.events)
     for at in moments(whole.events)[::every]:
-        session = Session(blueprint, tmp_path / f"{at}.h5", at, act)
+        session = TrialSession(blueprint, tmp_path / f"{at}.h5", at, act)
         course = [State.IDLE, *(one.state for one in session.events if isinstance(one, StateChanged))]
-        assert all(after in Lifecycle.FOLLOWS[before] for before, after in pairwise(course))
-        assert not Lifecycle.FOLLOWS[course[-1]]
+        assert all(after in Session.FOLLOWS[before] for before, after in pairwise(course))
+        assert not Session.FOLLOWS[course[-1]]
         assert isinstance(session.events[-1], SessionEnded)
         # Nothing that was measured in the dark is in the bank.
         assert not set(session.measured.tolist()) - {0, 1}

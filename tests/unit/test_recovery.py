@@ -9,13 +9,17 @@ from collections.abc import Callable
 
 import pytest
 
-from acquisition.engine.events import Event, ReconnectTried, State, StateChanged
 from acquisition.engine.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
-from acquisition.engine.states import IllegalStateError, Lifecycle
-from acquisition.engine.stop_request import StoppedWhileWaitingError, StopRequest
+from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
 from acquisition.measuring.record import point_at
 from acquisition.measuring.setup import Setup, names_of
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.campaign import (
+    Event,
+    ReconnectTried,
+    State,
+    StateChanged,
+)
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Clock, Instruments, WallClock
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
@@ -51,8 +55,8 @@ class Watched:
         self.events: list[Event] = []
         self.stop = StopRequest()
         self._on_event = on_event
-        self.life = Lifecycle(setup.instruments.clock, self._listen)
-        self.recovery = Recovery(setup, self.life, self._listen, self.stop)
+        self.life = Session(setup.instruments.clock, self._listen, self.stop)
+        self.recovery = Recovery(setup, self.life)
         self.life.enter(State.RUNNING, "for the test")
 
     def _listen(self, event: Event) -> None:
@@ -84,7 +88,7 @@ def test_given_an_instrument_that_comes_back_then_the_interrupted_work_is_done_a
             done.append(x_mm)
         return "measured"
 
-    assert watched.recovery.until_done(measure, 7, 1) == "measured"
+    assert watched.recovery.until_done(measure) == "measured"
     assert done == [1.0, 1.0, 2.0]
     assert watched.states == [State.RUNNING, State.RECOVERING, State.RUNNING]
     assert [one.connected for one in watched.tries] == [False, False, True]
@@ -208,19 +212,6 @@ def test_given_a_stop_asked_for_before_then_a_lost_instrument_is_not_waited_for(
     with pytest.raises(StoppedWhileWaitingError):
         watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
     assert watched.tries == []
-
-
-def test_given_a_state_that_cannot_follow_then_it_is_a_defect_and_told_as_one():
-    life = Lifecycle(WallClock(), lambda event: None)
-    life.enter(State.RUNNING, "begins")
-    life.enter(State.FINISHED, "ends")
-    with pytest.raises(IllegalStateError, match="running cannot follow finished"):
-        life.enter(State.RUNNING, "again")
-
-
-def test_given_the_table_of_states_then_every_state_is_in_it_and_what_ends_a_session_ends_it():
-    assert set(Lifecycle.FOLLOWS) == set(State)
-    assert {state for state in State if not Lifecycle.FOLLOWS[state]} == {State.STOPPED, State.FINISHED, State.FAILED}
 
 
 def test_given_ctrl_c_on_the_way_out_then_one_step_is_cut_short_and_the_others_are_tried():

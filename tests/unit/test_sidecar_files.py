@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.engine.events import Drift
 from config.calibration import name_calibration
+from config.messages.campaign import Drift
 from storage.ledger.owner import owner_path, remove_owner, write_owner
 from storage.sidecar_files import Log
 from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, write_whole

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.engine.events import State, StateChanged
-from acquisition.engine.states import IllegalStateError, Lifecycle
+from acquisition.engine.session import IllegalStateError, Session, StopRequest
+from config.messages.campaign import State, StateChanged
 
 ENDS = {State.STOPPED, State.FINISHED, State.FAILED}
 
@@ -32,13 +32,13 @@ def test_given_any_course_of_events_then_each_is_legal_or_refused_and_time_away_
     asked: list[tuple[State, float]],
 ) -> None:
     clock, told = Hours(), []
-    life = Lifecycle(clock, told.append)
+    life = Session(clock, told.append, StopRequest())
     worked_s = 0.0
     for state, seconds in asked:
         before = life.state
         clock.sleep(seconds)
-        worked_s += seconds if before not in Lifecycle.AWAY else 0.0
-        if state in Lifecycle.FOLLOWS[before]:
+        worked_s += seconds if before not in Session.AWAY else 0.0
+        if state in Session.FOLLOWS[before]:
             life.enter(state, "why")
             assert told[-1] == StateChanged(clock.now, state, "why")
         else:
@@ -48,7 +48,7 @@ def test_given_any_course_of_events_then_each_is_legal_or_refused_and_time_away_
             assert (life.state, len(told)) == (before, count)
         if before in ENDS:
             assert life.state is before
-    if life.state not in Lifecycle.AWAY:
+    if life.state not in Session.AWAY:
         assert life.working_s()[0] == pytest.approx(worked_s)
 
 
@@ -56,7 +56,7 @@ def test_given_the_table_then_every_state_can_be_reached_and_every_one_can_end()
     def reached_from(start: State) -> set[State]:
         found, left = {start}, [start]
         while left:
-            for state in Lifecycle.FOLLOWS[left.pop()] - found:
+            for state in Session.FOLLOWS[left.pop()] - found:
                 found.add(state)
                 left.append(state)
         return found
@@ -64,7 +64,7 @@ def test_given_the_table_then_every_state_can_be_reached_and_every_one_can_end()
     assert reached_from(State.IDLE) == set(State)
     for state in set(State) - ENDS:
         # Whatever happens, an error and an impatient person must be able to end it.
-        assert {State.FAILED, State.STOPPED} <= Lifecycle.FOLLOWS[state]
+        assert {State.FAILED, State.STOPPED} <= Session.FOLLOWS[state]
 
 
 def test_given_the_table_then_the_page_about_states_has_the_same_one() -> None:
@@ -75,4 +75,4 @@ def test_given_the_table_then_the_page_about_states_has_the_same_one() -> None:
         if len(cells) == 3 and cells[0].strip("`") in set(State):
             words = [word.strip().strip("`") for word in cells[2].split(",")]
             rows[State(cells[0].strip("`"))] = {State(word) for word in words if word in set(State)}
-    assert rows == {state: set(follows) for state, follows in Lifecycle.FOLLOWS.items()}
+    assert rows == {state: set(follows) for state, follows in Session.FOLLOWS.items()}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from acquisition.durations import a_while, hours
-from acquisition.engine.events import (
+from acquisition.schedule.row_ranges import row_ranges
+from config.messages.campaign import (
     ConditionsSeen,
     Drift,
     Event,
@@ -22,7 +23,6 @@ from acquisition.engine.events import (
     State,
     StateChanged,
 )
-from acquisition.schedule.row_ranges import row_ranges
 from wavefocus.console import Report, finish_clock, say
 
 # What a person at the terminal asked for, or must see; recovery and the end have lines of their own.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquisition.durations import hours
-from acquisition.engine.events import ScheduleSettled
+from config.messages.campaign import ScheduleSettled
 from config.run import Capture, RunConfig
 from storage.bank.reading import open_bank
 from storage.errors import InputError

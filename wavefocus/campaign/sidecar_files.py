@@ -15,7 +15,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
-from acquisition.engine.events import (
+from acquisition.quality.limits import DriftPoint
+from acquisition.schedule.row_ranges import row_ranges
+from config.messages.campaign import (
     Event,
     Fault,
     Logged,
@@ -26,8 +28,6 @@ from acquisition.engine.events import (
     event_line,
     read_event,
 )
-from acquisition.quality.limits import DriftPoint
-from acquisition.schedule.row_ranges import row_ranges
 from config.messages.codec import Message, from_record
 from storage.sidecar_files import Log, create, is_replaceable
 from wavefocus.console import say

@@ -18,7 +18,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
-from acquisition.engine.events import (
+from acquisition.engine.session import StopRequest
+from config.messages.campaign import (
     Event,
     Fault,
     PositionStarted,
@@ -28,7 +29,6 @@ from acquisition.engine.events import (
     State,
     StateChanged,
 )
-from acquisition.engine.stop_request import StopRequest
 from config.messages.codec import Message, MessageError, from_record, to_record
 from wavefocus.campaign.sidecar_files import read_whole, write_whole
 from wavefocus.console import say

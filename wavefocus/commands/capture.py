@@ -10,11 +10,16 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.engine.campaign import Campaign
-from acquisition.engine.events import Drift, Event, EventPublisher, State, Subscriber
-from acquisition.engine.stop_request import StopRequest
+from acquisition.engine.session import EventPublisher, StopRequest
 from acquisition.measuring.raw_keeping import raw_header, require_same, without_recordings
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.row_ranges import row_ranges
+from config.messages.campaign import (
+    Drift,
+    Event,
+    State,
+    Subscriber,
+)
 from drivers.errors import InstrumentError
 from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter, create_bank

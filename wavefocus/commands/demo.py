@@ -16,7 +16,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from acquisition.engine.events import Logged, Progress, read_event
+from config.messages.campaign import Logged, Progress, read_event
 from config.run import Virtual
 from mocks.virtual.rig import VirtualRig
 from storage.bank.reading import Bank, open_bank

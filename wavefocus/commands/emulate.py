@@ -10,7 +10,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.engine.stop_request import StopRequest
+from acquisition.engine.session import StopRequest
 from config.rig import RigConfig
 from mocks.wire.faults import WireFault
 from storage.errors import InputError

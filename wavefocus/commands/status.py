@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from acquisition.durations import a_while, hours
-from acquisition.engine.events import (
+from acquisition.schedule.row_ranges import row_ranges
+from config.messages.campaign import (
     PositionKept,
     PositionStarted,
     Progress,
@@ -21,7 +22,6 @@ from acquisition.engine.events import (
     SessionStarted,
     State,
 )
-from acquisition.schedule.row_ranges import row_ranges
 from config.messages.codec import to_record
 from storage.bank.reading import open_bank
 from storage.errors import InputError

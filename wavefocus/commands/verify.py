@@ -16,8 +16,8 @@ from types import TracebackType
 import numpy as np
 
 from acquisition.durations import hours
-from acquisition.engine.events import Event
 from acquisition.quality.limits import DriftLimits
+from config.messages.campaign import Event
 from config.messages.codec import Message, to_line
 from config.messages.verify import VerifyEnded, VerifyStarted, VerifyStep
 from config.rig import RigConfig

@@ -14,7 +14,14 @@ from pathlib import Path
 from types import TracebackType
 
 from acquisition.durations import hours
-from acquisition.engine.events import Drift, Event, Fault, SessionEnded, State, StateChanged
+from config.messages.campaign import (
+    Drift,
+    Event,
+    Fault,
+    SessionEnded,
+    State,
+    StateChanged,
+)
 from config.messages.doctor import Act, Finding
 from config.rig import MessagesSection, RigConfig
 from storage.errors import InputError

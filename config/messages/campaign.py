@@ -1,9 +1,8 @@
-"""Typed, immutable events of a session, and their publisher; command line, log, window and ``--json`` subscribe."""
+"""Events of a campaign or a scan: what command line, log, window and ``--json`` receive."""
 
 from __future__ import annotations
 
 import json
-import logging
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,12 +10,10 @@ from datetime import UTC, datetime
 from enum import StrEnum
 
 from config.messages.codec import Message, MessageError, message_of, to_record
-from drivers.errors import InstrumentError
-from storage.errors import FileLostError, WavefocusError
 
 
 class State(StrEnum):
-    """Where a campaign stands; which follows which is in `acquisition.engine.states`."""
+    """Where a campaign stands; which follows which is in `acquisition.engine.session`."""
 
     IDLE = "idle"
     RUNNING = "running"
@@ -282,52 +279,3 @@ def event_of(record: Mapping[str, object]) -> Logged | None:
     except (KeyError, TypeError, ValueError, MessageError):
         return None
     return None if event is None or at.tzinfo is None else Logged(at, event)
-
-
-LOG = logging.getLogger(__name__)
-
-
-class EventPublisher:
-    """Calls every subscriber with every event; the first failure of each is reported, and the others go on.
-
-    A subscriber that failed gets the later events too: what failed may pass, as a full disk does.
-
-    subscribers: By the name under which a failure is reported.
-    report: Receives one sentence about the first failure of a subscriber; by default it goes to Python's log.
-    """
-
-    def __init__(self, subscribers: Mapping[str, Subscriber], report: Callable[[str], object] = LOG.error) -> None:
-        self._subscribers = dict(subscribers)
-        self._report = report
-        self._failed: set[str] = set()
-
-    def __call__(self, event: Event) -> None:
-        """Publish one event. Ctrl-C and the like pass through."""
-        for name, subscriber in self._subscribers.items():
-            try:
-                subscriber(event)
-            except Exception as failure:
-                if name not in self._failed:
-                    self._failed.add(name)
-                    what = " ".join(str(failure).split())
-                    self._report(f"{name} failed ({type(failure).__name__}: {what}); the campaign goes on")
-
-
-class DriftError(WavefocusError):
-    """The plate measured now is not the plate that is in the bank."""
-
-
-class SuspendedTooLongError(WavefocusError):
-    """A watched condition left its band and did not come back."""
-
-
-def failure_kind(failure: BaseException) -> str:
-    """The `failure` of a session that this exception ended."""
-    match failure:
-        case DriftError():
-            return "drift"
-        case InstrumentError():
-            return "instrument"
-        case OSError() | FileLostError():
-            return "file"
-    return "other"

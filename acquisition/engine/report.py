@@ -1,0 +1,111 @@
+"""Events, counts and remaining time of one session of a campaign."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.engine.session import Session
+from acquisition.measuring.attempt import Attempt, AttemptResult
+from acquisition.measuring.setup import Setup
+from acquisition.quality.judgement import Judgement
+from acquisition.schedule.pace import Pace
+from acquisition.schedule.plan import Plan, sentinel_of
+from config.messages.campaign import (
+    PassStarted,
+    PositionCommitted,
+    PositionKept,
+    PositionRepeated,
+    Progress,
+    SessionEnded,
+    SessionStarted,
+    State,
+)
+from storage.bank.writer import BankWriter
+from storage.point_status import status_counts
+
+
+class CampaignReport:
+    """Publishes what becomes of positions, and how long the rest will take."""
+
+    def __init__(self, plan: Plan, setup: Setup, bank: BankWriter, session: Session) -> None:
+        self._plan, self._setup, self._bank, self._session = plan, setup, bank, session
+        self._pace = Pace(0.0), Pace(0.0)
+        self._second_looks = 0
+
+    def start(self, rows: NDArray[np.int64], instruments: tuple[str, ...], *, second_looks: bool) -> None:
+        """The session begins, with these rows to do, and perhaps with second looks to come after them."""
+        self._second_looks = self._plan.second_looks(rows) if second_looks else 0
+        size = self._plan.positions, self._plan.actuators, self._done(), len(rows)
+        planned_s = self._plan.campaign_s(rows, self._setup)
+        self._session.publish(SessionStarted, str(self._bank.path), *size, planned_s, instruments)
+        self._session.enter(State.RUNNING, f"{len(rows)} positions to do")
+        rig_s, wall_s = self._session.working_s()
+        self._pace = Pace(rig_s), Pace(wall_s)
+
+    def begin_pass(self, positions: tuple[int, ...]) -> None:
+        """A pass over all that is not valid begins."""
+        self._second_looks = 0  # from here on they are among those that are left
+        self._session.publish(PassStarted, positions)
+
+    def attempt_recorded(self) -> None:
+        """An attempt has all its records, or was given up."""
+        for pace, working_s in zip(self._pace, self._session.working_s(), strict=True):
+            pace.attempt_done(working_s)
+
+    def sentinel_done(self) -> None:
+        """The sentinel's measurement came to its end; it is no position."""
+        for pace, working_s in zip(self._pace, self._session.working_s(), strict=True):
+            pace.sentinel_done(working_s)
+
+    def repeat(self, result: AttemptResult, following: Attempt) -> None:
+        """An attempt was not good enough; the next one follows."""
+        why = result.attempt.position, result.attempt.number, result.judgement.reason, result.defect_names
+        self._session.publish(PositionRepeated, *why, following.response_range_v, following.moved_mm)
+
+    def position_done(self, result: AttemptResult, left: int, *, recording: bool) -> None:
+        """A position is done with for this session; `left` are not begun yet, and one may be recorded just now."""
+        attempt, reason, names = result.attempt, result.judgement.reason, result.defect_names
+        if result.committed:
+            figures = result.median_snr_db, result.best_heard_residual_db, result.clock_ppm, result.start_offset_samples
+            self._committed(attempt, result.judgement, figures, names)
+        else:
+            self._session.publish(PositionKept, attempt.position, attempt.number, reason, names)
+        for pace in self._pace:
+            pace.position_settled(attempt.of_session)
+        self._progress(left, recording=recording)
+
+    def marked(self, position: int, judgement: Judgement) -> None:
+        """A position's row in the bank is poor now: its neighbours contradict it, or cannot judge it."""
+        names = tuple(one.name for one in judgement.defects)
+        self._committed(Attempt(position, 0, 0), judgement, (math.nan,) * 4, names)
+
+    def end(self, state: State, reason: str, failure: str = "") -> SessionEnded:
+        """The session is over."""
+        self._session.enter(state, reason)
+        counts = status_counts(self._bank.status)
+        return self._session.publish(SessionEnded, state, self._done(), self._plan.positions, counts, failure)
+
+    def _committed(
+        self, attempt: Attempt, judgement: Judgement, figures: tuple[float, float, float, float], names: tuple[str, ...]
+    ) -> None:
+        counts = attempt.position, int(judgement.status), int(self._bank.attempts[attempt.position])
+        tried = attempt.response_range_v, attempt.moved_mm
+        self._session.publish(PositionCommitted, *counts, *figures, judgement.reason, names, *tried)
+
+    def _progress(self, left: int, *, recording: bool) -> None:
+        left += self._second_looks
+        (rig, wall), (rig_s, wall_s) = self._pace, self._session.working_s()
+        passes = 0
+        if sentinel_of(self._plan, self._bank.status) is not None:
+            passes = self._plan.drift.passes(left, rig.position_s)
+        remaining_s = rig.remaining_s(left, passes, rig_s if recording else None)
+        wall_remaining_s = wall.remaining_s(left, passes, wall_s if recording else None)
+        per_hour = [3600.0 / one.position_s if one.position_s > 0 else 0.0 for one in (rig, wall)]
+        done = self._done(), self._plan.positions
+        self._session.publish(Progress, *done, self._session.time_s(), remaining_s, wall_remaining_s, *per_hour)
+
+    def _done(self) -> int:
+        return int(np.count_nonzero(self._bank.status))
