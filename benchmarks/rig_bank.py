@@ -15,8 +15,7 @@ from acquisition.measuring.setup import Setup
 from acquisition.quality.limits import QualityLimits
 from acquisition.schedule.grid import surface_grid
 from acquisition.schedule.plan import Plan
-from calibration.excitation.staggered_signal import StaggeredSignal
-from calibration.excitation.sweeps import Excitation
+from calibration.excitation.sweeps import Excitation, StaggeredSignal
 from calibration.rig.mirror_map import MirrorMap
 from config.messages.campaign import Subscriber
 from mocks.virtual.rig import VirtualRig

@@ -14,7 +14,7 @@ from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.sequential import Estimate, Estimator
 from calibration.excitation.sweeps import Excitation
-from calibration.rig.actuator_comparison import DEAD_SNR_DB, ActuatorComparison, Verdict, compare_actuators
+from calibration.rig.comparison import DEAD_SNR_DB, ActuatorComparison, Verdict, compare_actuators
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Take
 

@@ -9,7 +9,7 @@ from typing import Literal
 from acquisition.calibrate.operator import BOTH, SUM, Operator, output
 from acquisition.calibrate.probe import Figures, NotMeasuredError, Probe, check_loopback
 from calibration.clock.timing import ReferenceMissingError
-from calibration.rig.channel_comparison import ResponseMissingError
+from calibration.rig.comparison import ResponseMissingError
 
 # One cable into two inputs: what differs by more is another signal, or a broken input.
 MOST_GAIN_ERROR = 0.05

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from acquisition.calibrate.operator import JogView, Operator
 from acquisition.calibrate.probe import NotMeasuredError
 from acquisition.measuring.setup import Setup, asking
-from calibration.rig.mirror_fit import LEAST_MARKS, MirrorFit, fit_mirror_map
-from calibration.rig.mirror_map import MirrorMap
+from calibration.rig.mirror_map import LEAST_MARKS, MirrorFit, MirrorMap, fit_mirror_map
 from config.messages.calibrate import By, Drop, Here, Keep, MapView, Redo, To
 from storage.errors import InputError
 from storage.text_file import read_text

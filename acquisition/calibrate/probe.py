@@ -10,7 +10,7 @@ from acquisition.measuring.record import take_record
 from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError
 from calibration.excitation.sweeps import Excitation
-from calibration.rig.channel_comparison import ChannelComparer, Comparison, ResponseMissingError
+from calibration.rig.comparison import ChannelComparer, Comparison, ResponseMissingError
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Float64Array, Recording, Take
 from storage.errors import WavefocusError

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from acquisition.measuring.record import Rolls
 from acquisition.schedule.plan import Plan
-from calibration.estimator.expected_error import Method, Noise, expected_error
+from calibration.estimator.schedule_error import Method, Noise, expected_error
 
 # Signal-to-noise ratio at which schedules are compared before anything was measured: the paper's.
 ASSUMED_SNR_DB = 40.0

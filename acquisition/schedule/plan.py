@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from acquisition.measuring.record import Rolls, record_samples
 from acquisition.quality.limits import DriftLimits, QualityLimits
-from calibration.excitation.staggered_signal import StaggeredSignal
-from calibration.excitation.sweeps import Excitation
+from calibration.excitation.sweeps import Excitation, StaggeredSignal
 from drivers.protocols import Float64Array
 
 # Time of a mirror move, of starting a task and of a commit, for the estimate before a run.

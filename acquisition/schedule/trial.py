@@ -17,10 +17,9 @@ from acquisition.measuring.record import point_at
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import GROUP, Plan
 from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.decay import Decay, measure_decay
-from calibration.estimator.expected_error import degrees_of_freedom
+from calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
 from calibration.estimator.sequential import Estimate
-from calibration.excitation.staggered_signal import StaggeredSignal
+from calibration.excitation.sweeps import StaggeredSignal
 from drivers.protocols import Take
 from storage.errors import InputError
 

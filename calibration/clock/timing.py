@@ -9,9 +9,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from calibration.clock.coarse_delay import BlockSearch
+from calibration.clock.known_signal import BlockSearch, StretchedModels
 from calibration.clock.resampling import resampled
-from calibration.clock.stretched_models import StretchedModels
 from storage.errors import InputError, WavefocusError
 
 # Reference not explained by the known signal, above which a fit would be a guess.

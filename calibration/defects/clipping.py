@@ -1,8 +1,9 @@
-"""Samples that a converter or an amplifier has cut off."""
+"""What clipping leaves: flat tops, and harmonics at the loudest moment."""
 
 from __future__ import annotations
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 # A converter's last counts belong to clipping: 0.1 % below the end of the range.
@@ -60,3 +61,88 @@ def _beyond(recording: NDArray[np.float32], level_v: float) -> int:
     """Samples of this magnitude or more; two comparisons cost a fifth of one array of magnitudes."""
     level = np.float32(level_v)
     return int(np.count_nonzero(recording >= level) + np.count_nonzero(recording <= -level))
+
+
+# Long enough for a few periods, short enough for a sweep to stay on one frequency.
+WINDOW_S = 0.0256
+# In bins of the window: below, the fundamental's skirt reaches the third harmonic.
+LEAST_BIN = 3
+# The harmonic must stand this far above the noise, which is taken from the upper half of the spectrum.
+OVER_FLOOR = 10.0
+# The stretch around the peak that is nearly as loud.
+HIGH = 0.97
+# So many samples just after the largest that are as large as it, to a part in a thousand.
+TIED = 0.999
+TIES = 8
+# Between these a second look decides.
+UNSURE_DB = -72.0
+SURE_DB = -36.0
+FLOOR = 1e-30
+
+
+class ThirdHarmonic:
+    """Level of the third harmonic around a recording's loudest moment.
+
+    A peak cut off at 0.95 of its height has it at -38 dB, at 0.9 at -30 dB; in-band figures hardly see that, for
+    a response of L taps can be bent to explain a resonance that is a little too low.
+
+    sample_rate_hz: Rate in Hz, > 0.
+    period: Samples of a sweep with its silence; in the next one the same is as loud again.
+    """
+
+    def __init__(self, sample_rate_hz: float, period: int) -> None:
+        self._period = period
+        self._length = 1 << max(5, round(np.log2(WINDOW_S * sample_rate_hz)))
+        self._window = np.hanning(self._length + 1)[:-1].astype(np.float32)
+
+    def __call__(
+        self, response_v: NDArray[np.float32], loudest: NDArray[np.int64], which: NDArray[np.int64]
+    ) -> NDArray[np.float32]:
+        """Look at a batch of recordings.
+
+        response_v, float32 (records, samples): Recordings in volts.
+        loudest, int64 (records,): Sample of their largest magnitude.
+        which, int64 (looked at,): The recordings to look at.
+
+        Returns float32 (looked at,): in dB of the fundamental; -inf where it does not stand out from the noise, NaN
+        where the fundamental is too low to measure or its third harmonic too high to be sampled.
+        """
+        samples, length = response_v.shape[1], self._length
+        if samples < length or not which.size:
+            return np.full(which.size, np.nan, np.float32)
+        figure = self._level(response_v, which, loudest[which])
+        # The first sample of a cut stretch is as large as all others, and its window half before it.
+        after = np.minimum(loudest[which, None] + np.arange(2 * length), samples - 1)
+        level_v = np.abs(response_v[which, loudest[which]])[:, None]
+        flat = np.count_nonzero(np.abs(response_v[which[:, None], after]) >= np.float32(TIED) * level_v, axis=1)
+        unsure = np.flatnonzero(((figure > UNSURE_DB) | (flat >= TIES)) & ~(figure > SURE_DB))
+        middle = np.array([self._middle(response_v[which[one]], int(loudest[which[one]])) for one in unsure], int)
+        if unsure.size:
+            figure[unsure] = np.fmax(figure[unsure], self._level(response_v, which[unsure], middle))
+        return figure
+
+    def _level(
+        self, response_v: NDArray[np.float32], which: NDArray[np.int64], centre: NDArray[np.int64]
+    ) -> NDArray[np.float32]:
+        length = self._length
+        first = np.clip(centre - length // 2, 0, response_v.shape[1] - length)
+        pieces = response_v[which[:, None], first[:, None] + np.arange(length)]
+        spectra = scipy.fft.rfft(pieces * self._window, axis=1)
+        power = np.square(spectra.real) + np.square(spectra.imag)
+        rows = np.arange(which.size)
+        fundamental = power[:, 1:].argmax(axis=1) + 1
+        audible = (fundamental >= LEAST_BIN) & (3 * fundamental + 2 <= length // 2)
+        fundamental = np.where(audible, fundamental, LEAST_BIN)
+        near = np.arange(-1, 2)
+        whole = power[rows[:, None], fundamental[:, None] + near].sum(axis=1)
+        level = power[rows[:, None], 3 * fundamental[:, None] + near].sum(axis=1)
+        noise = np.partition(power[:, length // 4 :], length // 8, axis=1)[:, length // 8]
+        stands_out = level > 3 * OVER_FLOOR * noise
+        figure = np.where(stands_out, 10 * np.log10(np.maximum(level, FLOOR) / np.maximum(whole, FLOOR)), -np.inf)
+        return np.where(audible, figure, np.nan).astype(np.float32)
+
+    def _middle(self, recording: NDArray[np.float32], loudest: int) -> int:
+        """The middle of the stretch that is nearly as loud as the loudest sample."""
+        around = slice(max(0, loudest - self._period // 2), loudest + self._period // 2)
+        high = np.flatnonzero(np.abs(recording[around]) >= np.float32(HIGH) * np.abs(recording[loudest]))
+        return around.start + int(high[high.size // 2])

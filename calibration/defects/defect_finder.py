@@ -7,8 +7,8 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
+from calibration.defects.clipping import ThirdHarmonic
 from calibration.defects.figures import DEFECTS
-from calibration.defects.harmonics import ThirdHarmonic
 
 Complex64Array = NDArray[np.complex64]
 Float32Array = NDArray[np.float32]

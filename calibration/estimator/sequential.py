@@ -11,8 +11,7 @@ from calibration.clock.repeats import RepeatFinder
 from calibration.defects.clipping import count_clipped, find_peaks
 from calibration.defects.defect_finder import DefectFinder
 from calibration.defects.figures import DEFECTS, not_looked_at
-from calibration.estimator.fir_least_squares import CausalFit
-from calibration.estimator.toeplitz_fit import ToeplitzFit
+from calibration.estimator.causal_fit import CausalFit, ToeplitzFit
 from calibration.excitation.sweeps import Sweeps
 from storage.errors import InputError
 

@@ -6,10 +6,9 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from calibration.clock.czt import ring_signal
-from calibration.clock.decimation import Thinned, Thinning
+from calibration.clock.czt import require_coverage, ring_signal, ring_spectrum
 from calibration.clock.periodic_clock import RingClock, RingFit
-from calibration.clock.periodic_spectrum import require_coverage, ring_spectrum
+from calibration.clock.resampling import Thinned, Thinning
 from calibration.clock.timing import ReferenceMissingError
 from calibration.defects.clipping import count_clipped, find_peaks
 from calibration.defects.defect_finder import LEAKS

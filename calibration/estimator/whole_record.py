@@ -12,9 +12,9 @@ from calibration.clock.resampling import resampled
 from calibration.clock.timing import ReferenceMissingError
 from calibration.defects.clipping import count_clipped, find_peaks
 from calibration.defects.figures import not_looked_at
+from calibration.estimator.causal_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
 from calibration.estimator.position import Channels, by_actuator, require_records
 from calibration.estimator.sequential import FLOOR, Estimate, decibel
-from calibration.estimator.toeplitz_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
 from storage.errors import InputError
 from storage.raw.schedule import Schedule
 

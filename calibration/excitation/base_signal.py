@@ -10,10 +10,9 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from calibration.clock.decimation import Thinned, Thinning
-from calibration.clock.periodic_clock import RingClock, RingFit
-from calibration.clock.periodic_spectrum import require_coverage, ring_spectrum
-from calibration.clock.repeat_clock import RepeatFit, fit_repeats
+from calibration.clock.czt import require_coverage, ring_spectrum
+from calibration.clock.periodic_clock import RepeatFit, RingClock, RingFit, fit_repeats
+from calibration.clock.resampling import Thinned, Thinning
 from calibration.estimator.sequential import MAX_PPM
 from calibration.excitation.sweep_laws import fit_sweep_law
 from storage.errors import InputError

@@ -10,9 +10,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from calibration.clock.decimation import Thinned, Thinning
-from calibration.clock.repeat_clock import fit_repeats
-from calibration.clock.resampling import resampled
+from calibration.clock.periodic_clock import fit_repeats
+from calibration.clock.resampling import Thinned, Thinning, resampled
 from calibration.estimator.sequential import MAX_PPM
 from calibration.excitation.base_signal import REPEATING, SURE_PPM, highest_cycles
 from calibration.excitation.sweep_laws import fit_sweep_law, roundest

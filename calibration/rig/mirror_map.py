@@ -1,4 +1,4 @@
-"""Where the mirror must point for the beam to meet a place on the surface."""
+"""Where the mirror must point for the beam to meet a place on the surface, and how that map is fitted to marks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
 
 Row = tuple[float, float, float]
 
@@ -88,3 +90,106 @@ def _project(
         first = tuple(np.argwhere(unreachable)[0])
         raise InputError(f"{what.format(x[first], y[first])} lies outside what the mirror map reaches")
     return np.asarray(u / scale), np.asarray(v / scale)
+
+
+LEAST_MARKS = 4
+# Seventh over first singular value of the normalised equations: 0.1 and more where marks are spread out; with three
+# of four on a line it is 0 but for the marks' own errors, which reach 0.003 at 1 % of the spread.
+DEGENERATE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class MirrorFit:
+    """A mirror map and by how much it misses each mark.
+
+    mirror_map: From the surface to the mirror's angles.
+    residual_mm, float64 (marks,): Distance on the surface between each mark and where the map lets its beam fall.
+    """
+
+    mirror_map: MirrorMap
+    residual_mm: Float64Array
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square of the residuals."""
+        return float(np.sqrt(np.mean(self.residual_mm**2)))
+
+
+def fit_mirror_map(place_mm: ArrayLike, angles_mrad: ArrayLike) -> MirrorFit:
+    """Fit the projective map by normalised direct linear transformation, then least squares on the surface.
+
+    Hartley and Zisserman, Multiple View Geometry, algorithms 4.2 (normalised DLT) and 4.3; the error that is made
+    least is the distance on the surface, where it matters, and not that of angles. With four marks the map
+    goes through all of them and the residuals say nothing; each mark more is a check.
+
+    place_mm, (marks, 2): Where the marks are, x and y in millimetres; four or more, of which no three decide alone.
+    angles_mrad, (marks, 2): Optical angles of the mirror with the beam on each mark.
+
+    Returns MirrorFit. Raises InputError: too few marks, values that are not finite, marks on a line, or angles that no
+    plane surface explains.
+    """
+    place, angles = np.asarray(place_mm, dtype=np.float64), np.asarray(angles_mrad, dtype=np.float64)
+    if place.ndim != 2 or place.shape[1:] != (2,) or place.shape != angles.shape:
+        raise InputError(f"marks have the shapes {place.shape} and {angles.shape}; allowed is (marks, 2) for both")
+    if len(place) < LEAST_MARKS:
+        raise InputError(f"there are {len(place)} marks; a mirror map needs at least {LEAST_MARKS}")
+    if not (np.isfinite(place).all() and np.isfinite(angles).all() and np.abs(angles).max() < 500 * np.pi):
+        raise InputError("marks have places or angles that are not finite, or a quarter turn off; allowed are numbers")
+    seen, seen_scale = _normalised(np.tan(angles / 1000), "angles")
+    true, true_scale = _normalised(place, "places")
+    homography = _refined(seen, true, _direct(seen, true))
+    if not (np.column_stack([seen, np.ones(len(seen))]) @ homography[2] > 0).all():
+        raise InputError("no plane surface has its marks at these angles; was a mark confused with another?")
+    to_surface = np.linalg.inv(true_scale) @ homography @ seen_scale
+    residual_mm = np.hypot(*(_projected(to_surface, np.tan(angles / 1000)) - place).T)
+    to_mirror = np.linalg.inv(to_surface)
+    return MirrorFit(MirrorMap(_rows(to_mirror / to_mirror[2, 2])), residual_mm)
+
+
+def _normalised(points: Float64Array, what: str) -> tuple[Float64Array, Float64Array]:
+    """Points about their centroid at a mean distance of sqrt 2, and the matrix that brings them there."""
+    centre = points.mean(axis=0)
+    distance = float(np.hypot(*(points - centre).T).mean())
+    if distance == 0:
+        raise InputError(f"all marks have the same {what}; a mirror map needs marks that are spread out")
+    size = np.sqrt(2) / distance
+    matrix = np.array([[size, 0, -size * centre[0]], [0, size, -size * centre[1]], [0, 0, 1]])
+    return size * (points - centre), matrix
+
+
+def _direct(seen: Float64Array, true: Float64Array) -> Float64Array:
+    """The homography by direct linear transformation; centroids have positive depth, so its last entry is 1."""
+    rows = []
+    for (u, v), (x, y) in zip(seen, true, strict=True):
+        rows.append([u, v, 1, 0, 0, 0, -x * u, -x * v, -x])
+        rows.append([0, 0, 0, u, v, 1, -y * u, -y * v, -y])
+    _, singular, vectors = np.linalg.svd(np.array(rows))
+    if singular[7] < DEGENERATE * singular[0]:
+        raise InputError(
+            "the marks lie (nearly) on a line, or all but one do; a mirror map needs four of which no three are in line"
+        )
+    homography = vectors[8].reshape(3, 3)
+    if abs(homography[2, 2]) < 1e-9 * np.abs(homography).max():
+        raise InputError("no plane surface has its marks at these angles; was a mark confused with another?")
+    return np.asarray(homography / homography[2, 2])
+
+
+def _refined(seen: Float64Array, true: Float64Array, start: Float64Array) -> Float64Array:
+    """The homography of least squared distance to the marks, from a start near it."""
+    import scipy.optimize  # slow to load; only a mirror with marks is fitted
+
+    def missed(entries: Float64Array) -> Float64Array:
+        return (_projected(np.append(entries, 1.0).reshape(3, 3), seen) - true).ravel()
+
+    found = scipy.optimize.least_squares(missed, start.ravel()[:8], method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    return np.append(found.x, 1.0).reshape(3, 3)
+
+
+def _projected(homography: Float64Array, points: Float64Array) -> Float64Array:
+    x, y, depth = homography @ np.column_stack([points, np.ones(len(points))]).T
+    return np.column_stack([x / depth, y / depth])
+
+
+def _rows(matrix: Float64Array) -> tuple[Row, Row, Row]:
+    first, second, third = ((float(a), float(b), float(c)) for a, b, c in matrix)
+    return first, second, third

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.check.bank import check_bank
+from calibration.check import check_bank
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank

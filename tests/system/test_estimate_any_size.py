@@ -10,7 +10,7 @@ import pytest
 import scipy.signal
 
 from benchmarks import nights
-from calibration.estimator.estimation_memory import affordable_workers
+from calibration.estimator.raw_estimation import affordable_workers
 from storage.errors import InputError
 from storage.raw.reading import open_raw
 from wavefocus.__main__ import run

@@ -14,7 +14,7 @@ from acquisition.measuring.setup import Setup
 from acquisition.schedule.expectation import method_of
 from acquisition.schedule.plan import Plan
 from acquisition.schedule.trial import Band, decibel_of_median, relative, scheduled
-from calibration.estimator.expected_error import Noise, expected_error
+from calibration.estimator.schedule_error import Noise, expected_error
 from config.rig import Emulation
 from drivers.protocols import Take
 from wavefocus.campaign.blueprint import blueprint_from_files

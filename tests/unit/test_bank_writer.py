@@ -22,7 +22,7 @@ import xarray
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration.check.bank import check_bank
+from calibration.check import check_bank
 from rendering.greens.regularisation import rms_map
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord

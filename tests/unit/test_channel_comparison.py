@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from calibration.clock.timing import ReferenceMissingError
 from calibration.excitation.sweeps import Excitation
-from calibration.rig.channel_comparison import ChannelComparer, ResponseMissingError
+from calibration.rig.comparison import ChannelComparer, ResponseMissingError
 from mocks.virtual.signals import PlayedSignal
 
 RATE_HZ = 10_000.0

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.check.file import check_file
+from calibration.check import check_file
 from storage.bank.reading import open_bank
 from storage.drive_file import read_drive
 from storage.errors import InputError

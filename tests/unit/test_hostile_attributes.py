@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.check.file import check_file
+from calibration.check import check_file
 from storage.errors import InputError
 from tests.unit.test_mutations import MAKERS
 

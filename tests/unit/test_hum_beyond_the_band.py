@@ -10,8 +10,7 @@ from acquisition.quality.judgement import Judgement, judge
 from acquisition.quality.limits import QualityLimits
 from calibration.estimator.position import Channels, JointEstimator
 from calibration.estimator.sequential import Estimate, Estimator
-from calibration.excitation.staggered_signal import StaggeredSignal
-from calibration.excitation.sweeps import Excitation
+from calibration.excitation.sweeps import Excitation, StaggeredSignal
 from storage.point_status import Status
 
 RATE_HZ, BAND_HZ, TAPS, ACTUATORS = 10_000.0, (50.0, 500.0), 1000, 3

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.check.file import check_file
+from calibration.check import check_file
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter, create_bank

@@ -10,12 +10,11 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.clock.decimation import Thinning
+from calibration.clock.resampling import Thinning
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.position import Channels, JointEstimator
 from calibration.estimator.staggered import StaggeredEstimator
-from calibration.excitation.staggered_signal import StaggeredSignal
-from calibration.excitation.sweeps import Excitation
+from calibration.excitation.sweeps import Excitation, StaggeredSignal
 from storage.errors import InputError
 from storage.raw.schedule import EMPTY, Schedule, sequential, staggered
 

@@ -7,8 +7,13 @@ import pytest
 import scipy.linalg
 
 from calibration.clock.czt import fourier_sum
-from calibration.estimator.fir_least_squares import CausalFit
-from calibration.estimator.toeplitz_fit import ToeplitzFit, circulant_inverse, conjugate_gradients, toeplitz_product
+from calibration.estimator.causal_fit import (
+    CausalFit,
+    ToeplitzFit,
+    circulant_inverse,
+    conjugate_gradients,
+    toeplitz_product,
+)
 
 PERIOD = 3000
 BINS = np.arange(30, 700)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from acquisition.schedule.trial import Candidate, choose, repeated_error, sequential_errors
-from calibration.estimator.decay import measure_decay
+from calibration.estimator.schedule_error import measure_decay
 from storage.errors import InputError
 
 HOUR_S = 3600.0

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from acquisition.quality.limits import DriftLimits, QualityLimits
 from acquisition.schedule.plan import Plan
-from calibration.excitation.staggered_signal import StaggeredSignal
-from calibration.excitation.sweeps import Excitation
+from calibration.excitation.sweeps import Excitation, StaggeredSignal
 from storage.bank.header import BankHeader
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError

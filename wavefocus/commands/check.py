@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from calibration.check.file import check_file
+from calibration.check import check_file
 from wavefocus.console import answer, say
 from wavefocus.exits import Exit
 

@@ -15,8 +15,7 @@ from acquisition.durations import hours
 from acquisition.quality.judgement import judge
 from acquisition.quality.limits import QualityLimits
 from calibration.blas import one_blas_thread
-from calibration.estimator.estimation_memory import affordable_workers
-from calibration.estimator.raw_estimation import PositionResult, estimate_positions
+from calibration.estimator.raw_estimation import PositionResult, affordable_workers, estimate_positions
 from storage.bank.header import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter, create_bank

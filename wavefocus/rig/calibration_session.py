@@ -31,8 +31,7 @@ from acquisition.calibrate.operator import (
 )
 from acquisition.calibrate.probe import NotMeasuredError, Probe
 from acquisition.measuring.setup import Setup, names_of
-from calibration.rig.mirror_fit import LEAST_MARKS
-from calibration.rig.mirror_map import MirrorMap
+from calibration.rig.mirror_map import LEAST_MARKS, MirrorMap
 from config.calibration import (
     FORMAT,
     FORMAT_VERSION,

@@ -1,1 +1,0 @@
-"""Checks of finished files: checksums, physical sanity, rows against their neighbours."""
