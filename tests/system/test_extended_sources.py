@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from rendering.drive.rendering import render_with_report
-from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene, load_scene
 
@@ -55,15 +54,3 @@ def test_given_a_bar_then_its_points_move_abreast_and_say_the_same(scene: Scene,
     signals = [source.signal.samples(2000.0) for source in bar.sources]
     np.testing.assert_array_equal(signals[0], signals[1])
     np.testing.assert_array_equal(signals[0], signals[2])
-
-
-def test_given_sources_together_then_the_field_is_the_sum_of_theirs(scene: Scene, bank: GreenArray) -> None:
-    def field(part: Scene) -> np.ndarray:
-        return np.asarray(predict(render_with_report(part, bank)[0], bank, [7, 100, 200]).field)
-
-    together = field(scene)
-    total = np.zeros_like(together)
-    for source in scene.sources:
-        one = field(replace(scene, sources=(source,)))
-        total[:, : one.shape[1]] += one
-    np.testing.assert_allclose(together, total, rtol=0, atol=1e-5 * np.abs(total).max())

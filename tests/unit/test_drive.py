@@ -14,7 +14,7 @@ from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
 from rendering.report.render_report import RenderWarning
 from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point, Polyline
+from rendering.scene.paths import Circle, Line, Point
 from rendering.scene.signals import Impulse, Noise, Sine, SoundFile
 from storage.errors import InputError
 
@@ -115,21 +115,6 @@ def test_a_long_signal_emitted_anew_at_every_point_renders_to_the_direct_evaluat
     assert relative_error(drive.drive_v, direct(scene, bank, "sampled")) < 1e-12
 
 
-def test_without_normalisation_the_drive_is_the_plain_sum():
-    bank = make_bank()
-    scene = Scene("s", (MOVING,), Regularisation(normalise=False))
-    drive, _ = render_with_report(scene, bank)
-    assert relative_error(drive.drive_v, direct(scene, bank, "exact")) < 1e-12
-
-
-def test_saturation_as_a_fraction_is_of_the_median_rms():
-    bank = make_bank()
-    rms = np.sqrt(np.mean(bank.values**2, axis=2))
-    drive, _ = render_with_report(Scene("s", (MOVING,), Regularisation(saturation=0.9)), bank)
-    expected = direct(Scene("s", (MOVING,)), bank, "exact", 0.9 * float(np.median(rms)))
-    assert relative_error(drive.drive_v, expected) < 1e-12
-
-
 @given(
     seed=st.integers(0, 2**31),
     taps=st.integers(1, 90),
@@ -197,19 +182,6 @@ def test_the_method_is_sampled_only_where_every_source_emits_per_point():
     assert method_of(MOVING) == "exact"
     assert method_of(MOVING, REPEATING) == "exact"
     assert method_of(MOVING, method="sampled") == "sampled"
-
-
-def test_a_limit_scales_the_drive_down_and_says_by_how_much():
-    bank = make_bank()
-    free, _ = render_with_report(Scene("s", (MOVING,)), bank)
-    peak = np.abs(free.drive_v).max()
-    held, report = render_with_report(Scene("s", (MOVING,), output=Output(limit_v=peak / 3)), bank)
-    assert np.abs(held.drive_v).max() <= peak / 3
-    assert held.scale == pytest.approx(1 / 3)
-    assert report.scale == held.scale
-    np.testing.assert_allclose(held.drive_v, free.drive_v * held.scale, rtol=1e-15)
-    loose, _ = render_with_report(Scene("s", (MOVING,), output=Output(limit_v=peak * 3)), bank)
-    assert loose.scale == 1.0
 
 
 def test_a_drive_that_does_not_fit_into_float64_is_refused():
@@ -306,11 +278,6 @@ def test_the_bound_holds_with_weak_actuators_short_responses_and_quiet_stretches
     assert drive.omitted_bound <= 10 ** (tolerance_db / 20)
 
 
-def test_an_unknown_method_is_refused():
-    with pytest.raises(InputError, match="method is 'fast'"):
-        render(Scene("s", (MOVING,)), make_bank(), method="fast")
-
-
 @pytest.mark.parametrize(
     ("source", "message"),
     [
@@ -335,10 +302,3 @@ def test_a_doubtful_row_on_the_path_is_used_with_a_warning():
     assert any("position 31" in text for text in report.warnings)
     with pytest.warns(RenderWarning, match="position 31"):
         render(Scene("s", (Source(Point((0, 0)), Impulse()),)), bank)
-
-
-def test_the_report_tells_how_far_path_points_were_snapped():
-    path = Polyline([(0.0, 0.0), (0.0, 1.0), (0.0, 4.0)])
-    _, report = render_with_report(Scene("s", (Source(path, Impulse(), 0, 100.0, 1.0),)), make_bank())
-    assert (report.points, report.snapped_points, report.largest_snap_mm) == (5, 3, 2.0)
-    assert report.relative_rms_drive.max() == 1.0

@@ -99,9 +99,10 @@ def test_bilinear_weights_are_exact_for_a_bilinear_field(seed):
     np.testing.assert_array_equal(nodes.nearest, brute(position_mm, points_mm))
 
 
-def test_on_a_position_bilinear_is_that_row_alone_even_at_the_rim():
-    nodes = interpolation_method("bilinear")(PositionGrid(LATTICE)).nodes(LATTICE)
-    used = nodes.weights > 0
+@pytest.mark.parametrize("name", ["bilinear", "bicubic"])
+def test_on_a_position_a_method_gives_that_row_alone_even_at_the_rim(name):
+    nodes = interpolation_method(name)(PositionGrid(LATTICE)).nodes(LATTICE)
+    used = np.abs(nodes.weights) > 1e-12
     assert (used.sum(axis=1) == 1).all()
     np.testing.assert_array_equal(nodes.rows[used], np.arange(len(LATTICE)))
 
@@ -162,18 +163,6 @@ def test_bicubic_falls_back_to_the_cell_s_corners_beside_a_hole():
     )
     with pytest.raises(OffGridError, match="lacks a corner; bicubic"):
         cubic.nodes(np.array([[6.0, 2.0]]))
-
-
-def test_on_a_position_bicubic_is_that_row_alone_even_at_the_rim():
-    nodes = interpolation_method("bicubic")(PositionGrid(LATTICE)).nodes(LATTICE)
-    used = np.abs(nodes.weights) > 1e-12
-    assert (used.sum(axis=1) == 1).all()
-    np.testing.assert_array_equal(nodes.rows[used], np.arange(len(LATTICE)))
-
-
-def test_an_unknown_interpolation_names_those_allowed():
-    with pytest.raises(InputError, match="'cubic'; allowed are nearest, bilinear"):
-        interpolation_method("cubic")(PositionGrid(LATTICE))
 
 
 @pytest.mark.parametrize("position_mm", [np.zeros((0, 2)), np.zeros((3, 3)), [[0.0, np.nan]]])

@@ -89,13 +89,6 @@ def test_a_bank_in_another_unit_is_interpolated_to_the_same_rows_in_that_unit(sc
     np.testing.assert_allclose(found / scale, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
 
 
-def test_a_point_on_a_position_gives_that_row():
-    bank, kernel = kernel_on()
-    rows = [60, 84, 100]
-    found = greens_at(bank, kernel, bank.position_mm[rows])
-    assert np.median(errors_at(250.0, found, bank.position_mm[rows])) < 1e-3
-
-
 def test_patches_of_one_shape_share_their_weights():
     neighbourhoods = Neighbourhoods(SQUARE_MM, np.ones(len(SQUARE_MM), dtype=bool))
     inner = [row for row, point in enumerate(SQUARE_MM) if np.abs(point).max() <= 12.0]

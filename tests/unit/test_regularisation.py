@@ -27,14 +27,8 @@ def test_a_fraction_is_taken_of_the_median_over_measured_positions_alone():
     bank = make_bank(status=np.array([1, 1, 0, 8, 4, 17], np.uint8))
     expected = 0.5 * np.median(np.sqrt(np.mean(bank.values[[0, 1, 4]] ** 2, axis=2)))
     assert saturation_threshold(Regularisation(saturation=0.5), bank) == pytest.approx(expected, rel=1e-14)
-
-
-def test_an_absolute_saturation_is_taken_as_it_is():
-    assert saturation_threshold(Regularisation(saturation_absolute=2.5), make_bank()) == 2.5
-
-
-def test_no_saturation_is_an_infinite_threshold():
-    assert saturation_threshold(Regularisation(), make_bank()) == np.inf
+    assert saturation_threshold(Regularisation(saturation_absolute=2.5), bank) == 2.5
+    assert saturation_threshold(Regularisation(), bank) == np.inf
 
 
 def test_a_fraction_of_a_silent_bank_is_refused():

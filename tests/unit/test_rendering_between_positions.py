@@ -84,12 +84,6 @@ def test_the_other_kinds_are_as_wrong_as_the_report_says(kind):
     assert any(f"interpolation {kind!r} between the grid positions is wrong by about" in t for t in report.warnings)
 
 
-def test_kinds_come_in_the_order_of_their_error():
-    errors = [error_of(MOVING, kind, "exact")[0] for kind in ("nearest", "bilinear", "bicubic", "kernel")]
-    assert errors == sorted(errors, reverse=True)
-    assert errors[0] > 0.3
-
-
 def test_a_long_path_with_close_points_is_interpolated_between_nodes():
     """More path points than nodes: the two methods meet."""
     fine = Source(MOVING.path, SIGNAL, 0.0, 180.0, 0.05)
@@ -110,27 +104,6 @@ def test_foci_and_regularisation_name_measured_rows():
     np.testing.assert_array_equal(drive.focus_position, nearest.focus_position)
     np.testing.assert_array_equal(drive.focus_sample, nearest.focus_sample)
     assert max(report.rows) < bank().positions
-
-
-def test_a_hole_on_the_path_is_filled_by_its_neighbours():
-    status = np.ones(len(SQUARE_MM), np.uint8)
-    status[84] = 0  # (0, 0) mm
-    holed = plate_bank(status=status)
-    holed.values[84] = 0.0
-    source = Source(Line((-10.0, 0.3), (10.0, 0.3)), SIGNAL, 0.0, 100.0, 4.0)
-    scene = Scene("s", (source,), PLAIN, Output(interpolation="kernel"))
-    drive, _ = render_with_report(scene, holed, method="exact")
-    expected = direct(source, "exact")
-    assert np.linalg.norm(drive.drive_v - expected) < 0.02 * np.linalg.norm(expected)
-
-
-def test_the_report_s_table_says_error_by_band():
-    _, report = error_of(MOVING, "kernel", "exact")
-    table = report.interpolation_errors.table()
-    assert report.interpolation_errors.found_by == "leaving positions out"
-    assert sum(row["emitted_share"] for row in table) == pytest.approx(1.0)
-    assert [row["frequency_hz"] for row in table] == sorted(row["frequency_hz"] for row in table)
-    assert all(0.0 < row["median_percent"] <= row["worst_percent"] < 5.0 for row in table)
 
 
 def test_an_error_beyond_the_tolerance_is_refused_with_frequency_and_error():

@@ -33,8 +33,12 @@ def louder_scan(gain: float = 1.0, noise: float = 1e-3) -> Scan:
     return scan_of(field, prediction.start_s, RATE_HZ, noise_rms, playback_gain=np.full(len(field), gain))
 
 
-def report_of(out_dir: Path, scan: Scan | Field, source: GreenArray, name: str, **options) -> Path:
+def report_of(
+    out_dir: Path, scan: Scan | Field, source: GreenArray, name: str, foci: int | None = None, **options
+) -> Path:
     drive, prediction = rendered()
+    kept = {key: getattr(drive, key)[:foci] for key in ("focus_sample", "focus_position", "focus_source")}
+    drive = dataclasses.replace(drive, **kept)
     return build_report(
         out_dir,
         verification=compare(prediction, scan, drive, source),
@@ -104,7 +108,7 @@ def flawed_report(tmp_path_factory) -> Path:
     points = [DriftPoint(first + timedelta(hours=hour), -0.1 * hour, 0.0, 0.999, "steady") for hour in range(5)]
     points.append(DriftPoint(first + timedelta(hours=5), -6.0, 0.0, 0.999, "stop", (3, 4)))
     folder = tmp_path_factory.mktemp("flawed")
-    return report_of(folder, scan, flawed, "flawed", campaign={}, drift=points, save_pictures=True)
+    return report_of(folder, scan, flawed, "flawed", foci=1, campaign={}, drift=points, save_pictures=True)
 
 
 def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_them(flawed_report: Path) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from pydantic import ValidationError
 
-from config.scene import Output, Regularisation
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Line, Point
 from rendering.scene.signals import Impulse
@@ -37,28 +35,6 @@ def test_a_source_with_a_figure_out_of_range_is_refused_by_name(figure, value):
     figures = {"speed_mm_s": 80.0, "step_mm": 4.0, figure: value}
     with pytest.raises(InputError, match=f"{figure} is "):
         Source(Line((0, 0), (10, 0)), Impulse(), **figures)
-
-
-@pytest.mark.parametrize("figure", ["saturation", "saturation_absolute"])
-@pytest.mark.parametrize("value", [-0.5, NAN, INF])
-def test_a_saturation_that_is_not_a_finite_positive_number_is_refused(figure, value):
-    with pytest.raises(ValidationError, match=figure):
-        Regularisation(**{figure: value})
-
-
-def test_both_saturations_at_once_are_refused():
-    with pytest.raises(ValidationError, match="must be 0 or left out"):
-        Regularisation(saturation=0.5, saturation_absolute=1.0)
-
-
-def test_a_saturation_of_zero_is_off_and_may_stand_beside_the_other():
-    assert Regularisation(saturation=0.5, saturation_absolute=0.0).saturation == 0.5
-
-
-@pytest.mark.parametrize("limit_v", [0.0, -1.0, NAN, INF])
-def test_a_limit_that_is_not_a_finite_positive_number_is_refused(limit_v):
-    with pytest.raises(ValidationError, match="limit_v"):
-        Output(limit_v=limit_v)
 
 
 def test_a_scene_without_a_source_is_refused():

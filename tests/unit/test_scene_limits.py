@@ -200,12 +200,12 @@ def test_long_path_data_and_long_transforms_are_read_once(tmp_path: Path) -> Non
     assert SvgPath(tmp_path / "a.svg").length_mm == pytest.approx(100_000 * 2**0.5)
 
 
-def test_two_hundred_thousand_unknown_keys_are_one_short_line() -> None:
-    keys = "".join(f"unknown_{index} = {index}\n" for index in range(200_000))
+def test_twenty_thousand_unknown_keys_are_one_short_line() -> None:
+    keys = "".join(f"unknown_{index} = {index}\n" for index in range(20_000))
     with pytest.raises(InputError) as refused:
         read(f"{source('', POINT, IMPULSE)}[scene]\n{keys}")
     assert len(str(refused.value)) < 500
-    assert "199997 more" in str(refused.value)
+    assert "19997 more" in str(refused.value)
 
 
 EXTREMES = [5e-324, 1e-200, 1e-12, 1.0, 30.0, 1e12, 1e200, 1.7e308]
