@@ -41,7 +41,6 @@ class LiveDrive:
     The same numbers as `rendering.drive.rendering.render` gives, but for the order in which sources are added up.
 
     method, tolerance_db: As for `render`; the bound is available at the end.
-    gain: Factor by which all is multiplied, such as the scale that a first pass found.
     limits: What no actuator may exceed; by default the scene's. They cannot be met by scaling here, as the largest
         value is not available yet: drives that exceed them are refused when they come.
 
@@ -50,6 +49,8 @@ class LiveDrive:
 
     sampled: SampledScene
     rows: BankRows
+    gain: float = 1.0
+    """Factor by which all is multiplied, such as the scale that a first pass found."""
     latency_samples: int
     """How much later than a drive sample the source samples may be that it is made of, lead-in included."""
 
@@ -61,15 +62,11 @@ class LiveDrive:
         block_samples: int = 1024,
         method: Method | None = None,
         tolerance_db: float | None = None,
-        gain: float = 1.0,
         limits: DriveLimits | None = None,
     ) -> None:
         if block_samples < 1:
             raise InputError(f"block_samples is {block_samples}; it must be 1 or more")
-        if not np.isfinite(gain):
-            raise InputError(f"gain is {gain}; it must be a finite number")
         self._block_samples, self._rate_hz = block_samples, float(bank.sample_rate_hz)
-        self.gain = gain
         self.limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v) if limits is None else limits
         tolerance = tolerance_of(tolerance_db)
         self.sampled = sample_scene(scene, bank, method)

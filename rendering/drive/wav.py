@@ -39,7 +39,9 @@ class Interface:
         Raises InputError: the rates have no ratio of small whole numbers.
         """
         actuators, samples = drive_v.shape
-        pieces = InterfaceRate(sample_rate_hz, self.rate_hz).pieces(_chunks(drive_v), actuators, samples, CHUNK_SAMPLES)
+        pieces = InterfaceRate(sample_rate_hz, self.rate_hz).pieces(
+            in_chunks(drive_v), actuators, samples, CHUNK_SAMPLES
+        )
         return self.reached(largest_of(pieces, actuators))
 
     def reached(self, largest_v: Float64Array) -> Reached:
@@ -70,12 +72,6 @@ class InterfaceRate:
     def frames(self, samples: int) -> int:
         """Number of samples at the interface's rate of so many samples of drive."""
         return math.ceil(samples * self._ratio)
-
-    def whole(self, drive_v: Float64Array) -> Float64Array:
-        """All of a drive, (actuators, samples), at the interface's rate, from its sample 0 to its last one."""
-        lead = lead_samples(self._ratio)
-        reached_v = converted(drive_v, self._ratio)
-        return reached_v[:, lead : reached_v.shape[1] - lead]
 
     def pieces(
         self, blocks: Iterable[Float64Array], actuators: int, samples: int, piece_samples: int
@@ -157,28 +153,7 @@ def stream_wav(
     return largest_v
 
 
-def write_wav(
-    path: Path,
-    drive_v: NDArray[np.float64],
-    sample_rate_hz: float,
-    *,
-    interface_rate_hz: int,
-    full_scale_v: float,
-) -> None:
-    """Write drives as float32 WAV, one channel per actuator, 1.0 being full scale.
-
-    Raises InputError as `stream_wav` does.
-    """
-    stream_wav(
-        path,
-        _chunks(drive_v),
-        (drive_v.shape[0], drive_v.shape[1]),
-        sample_rate_hz,
-        interface_rate_hz=interface_rate_hz,
-        full_scale_v=full_scale_v,
-    )
-
-
-def _chunks(drive_v: Float64Array) -> Iterator[Float64Array]:
+def in_chunks(drive_v: Float64Array) -> Iterator[Float64Array]:
+    """A drive (actuators, samples) in pieces that do not take much memory when they are converted."""
     for begin in range(0, drive_v.shape[1], CHUNK_SAMPLES):
         yield drive_v[:, begin : begin + CHUNK_SAMPLES]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,13 +44,6 @@ class ResponseSpectra:
     energy_density: Float64Array
     position_index: Int64Array
     response_unit: str
-
-    def band_energy(self, edges_hz: Sequence[float]) -> Float64Array:
-        """Energy between neighbouring edges, (positions, edges - 1)."""
-        step_hz = float(self.frequency_hz[1] - self.frequency_hz[0]) if len(self.frequency_hz) > 1 else 1.0
-        at = np.searchsorted(self.frequency_hz, np.asarray(edges_hz, dtype=np.float64))
-        parts = [self.energy_density[:, first:last].sum(axis=1) * step_hz for first, last in pairwise(at.tolist())]
-        return np.stack(parts, axis=1)
 
 
 def predict_spectra(drive: Drive, bank: GreenSource, positions: Sequence[int] | Int64Array) -> ResponseSpectra:

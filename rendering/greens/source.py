@@ -109,51 +109,41 @@ class GreenSource(Protocol):
     @property
     def position_mm(self) -> Float64Array:
         """Grid, float64 (positions, 2), millimetres."""
-        ...
 
     @property
     def actuator_mm(self) -> Float64Array:
         """Actuator positions, float64 (actuators, 2), millimetres, NaN where unknown."""
-        ...
 
     @property
     def sample_rate_hz(self) -> float:
         """Rate of the Green's functions in Hz."""
-        ...
 
     @property
     def taps(self) -> int:
         """Length L of a Green's function in samples."""
-        ...
 
     @property
     def actuators(self) -> int:
         """Number N of actuators."""
-        ...
 
     @property
     def positions(self) -> int:
         """Number P of positions."""
-        ...
 
     @property
     def band_hz(self) -> tuple[float, float] | None:
         """Measured band in Hz, None where unknown."""
-        ...
 
     @property
     def status(self) -> NDArray[np.uint8]:
         """Status bits of each position, uint8 (positions,)."""
-        ...
 
     @property
     def response_unit(self) -> str:
         """Unit of the response, by default m/s/V per volt of drive."""
-        ...
 
     def green(self, position: int) -> NDArray[Any]:
         """Green's functions of one row, (actuators, taps)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

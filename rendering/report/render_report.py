@@ -94,8 +94,6 @@ class RenderWarning(UserWarning):
 class RenderReport:
     """Figures of one render.
 
-    points, snapped_points: Path points of all sources, and those that do not lie on a position.
-    largest_snap_mm: Largest distance of a path point from its nearest position.
     rows: Bank rows that were used, for interpolation or for regularisation.
     relative_rms_drive, float64 (actuators,): RMS of each actuator's drive relative to the largest (the paper's figure
         3B, right).
@@ -109,9 +107,6 @@ class RenderReport:
     """
 
     warnings: tuple[str, ...]
-    points: int
-    snapped_points: int
-    largest_snap_mm: float
     rows: tuple[int, ...]
     limiting: Limiting
     relative_rms_drive: Float64Array
@@ -155,7 +150,6 @@ def report_render(
     """Collect the figures and warnings of a render."""
     measured: GreenSource = getattr(rows.bank, "measured", rows.bank)
     peak = float(norms.max())
-    snaps = np.concatenate([source.snap_mm for source in sources])
     outside = tuple(1.0 - item.band_energy / item.energy if item.energy > 0 else None for item in accumulated)
     bank_rows = [row for row in rows.used if row < measured.positions]
     tail = response_tail(measured, bank_rows)
@@ -171,9 +165,6 @@ def report_render(
         warnings.append("the drive is silent: every amplitude is 0")
     return RenderReport(
         warnings=tuple(warnings),
-        points=len(snaps),
-        snapped_points=int(np.count_nonzero(snaps > 1e-9)),
-        largest_snap_mm=float(snaps.max()),
         rows=tuple(bank_rows),
         limiting=limiting,
         relative_rms_drive=norms / peak if peak > 0 else norms,

@@ -34,11 +34,9 @@ class Emission(Protocol):
 
     def events(self, start: int, stop: int) -> Events:
         """Events that begin at samples [start, stop), counted from `start`."""
-        ...
 
     def piece_spectra(self, fft_samples: int) -> Complex128Array | None:
         """Spectra (pieces, bins) of what begins at an event; None where an event is a sample."""
-        ...
 
 
 class ContinuousEmission:

@@ -25,11 +25,9 @@ class Path(Protocol):
     @property
     def length_mm(self) -> float:
         """Arc length in millimetres, 0 for a point."""
-        ...
 
     def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
         """Points at arc lengths in [0, length_mm], float64 (n, 2)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, scene_interpolation, show_mm
+from rendering.greens.interpolation.base import Follow, Interpolation, Nodes, OffGridError, scene_interpolation, show_mm
 from rendering.greens.source import GreenSource
 from rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from rendering.scene.model import Scene, Source
@@ -86,12 +87,20 @@ def sample_source(
         raise InputError(f"source {index} would go on for {instants_s[-1]:.3g} s; {MOST_SAMPLES} samples are allowed")
     focus = np.rint(instants_s * sample_rate_hz).astype(np.int64)
     exact = method == "exact" and moving and source.emission == "continuous"
-    where = _Whereabouts(source, index, interpolation, sample_rate_hz, None if exact else arc_length)
+    try:
+        follow = interpolation.follow(source.path, None if exact else arc_length)
+    except OffGridError as error:
+        raise InputError(f"the path of source {index} {error}") from error
     points_mm = source.path.point_at(arc_length)
-    nodes = where.nodes_at(arc_length, path_point=0)
+    nodes = _located(index, follow, arc_length, lambda point: f"path point {point}")
 
     def of_points(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         return nodes.rows[start:stop], nodes.weights[start:stop], nodes.nearest[start:stop]
+
+    def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
+        along = np.minimum(source.speed_mm_s * np.arange(start, stop) / sample_rate_hz, source.path.length_mm)
+        found = _located(index, follow, along, lambda point: f"sample {start + point} after its start")
+        return found.rows, found.weights, found.nearest
 
     emission: Emission
     if source.emission == "per_point" and moving:
@@ -104,7 +113,7 @@ def sample_source(
                 f" ({source.speed_mm_s:g}) or lengthen the path"
             )
         emission = (
-            ContinuousEmission(signal, int(focus[0]), last, where.of_samples)
+            ContinuousEmission(signal, int(focus[0]), last, of_samples)
             if exact
             else ContinuousEmission(signal, int(focus[0]), last, of_points, focus[:-1])
         )
@@ -143,41 +152,12 @@ def point_count(source: Source, index: int) -> int:
     return points
 
 
-class _Whereabouts:
-    """Finds rows for a source's path, and says where it went wrong."""
-
-    def __init__(
-        self,
-        source: Source,
-        index: int,
-        interpolation: Interpolation,
-        sample_rate_hz: float,
-        only_at_mm: Float64Array | None,
-    ) -> None:
-        self._source = source
-        self._index = index
-        self._rate_hz = sample_rate_hz
-        try:
-            self._follow = interpolation.follow(source.path, only_at_mm)
-        except OffGridError as error:
-            raise InputError(f"the path of source {index} {error}") from error
-
-    def nodes_at(self, arc_length_mm: Float64Array, *, path_point: int | None = None, sample: int = 0) -> Nodes:
-        try:
-            return self._follow(arc_length_mm)
-        except OffGridError as error:
-            what = (
-                f"path point {path_point + error.point}"
-                if path_point is not None
-                else f"sample {sample + error.point} after its start"
-            )
-            raise InputError(f"source {self._index}, {what}, {error}") from error
-
-    def of_samples(self, start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
-        sample = np.arange(start, stop)
-        along = np.minimum(self._source.speed_mm_s * sample / self._rate_hz, self._source.path.length_mm)
-        nodes = self.nodes_at(along, sample=start)
-        return nodes.rows, nodes.weights, nodes.nearest
+def _located(index: int, follow: Follow, along_mm: Float64Array, name: Callable[[int], str]) -> Nodes:
+    """Nodes at arc lengths; `name` is called with the number of the one that is off the grid, for the InputError."""
+    try:
+        return follow(along_mm)
+    except OffGridError as error:
+        raise InputError(f"source {index}, {name(error.point)}, {error}") from error
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,6 @@ class Signal(Protocol):
 
     def samples(self, sample_rate_hz: float) -> Float64Array:
         """Samples at `sample_rate_hz`, float64 (n,). Raises InputError where that cannot be."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -173,8 +173,14 @@ def read_pair(
         total, done = len(rows) + len(scanned.position_index), 0
 
         def limited(reader: FieldRowReader) -> Float32Array:
+            """The rows in a file without a name; never written through the map, which a full disk kills."""
             nonlocal done
-            with _RowFile(len(rows), reader.samples) as file:
+            with tempfile.TemporaryFile(prefix="wavefocus-") as file:
+
+                def write(row: int, line: Float32Array) -> None:
+                    file.seek(row * 4 * reader.samples)
+                    file.write(np.ascontiguousarray(line, np.float32).data)
+
                 for first, values in reader.blocks():
                     # Blocks of a reader are sized for its own memory; a transform takes some times that.
                     for start in range(0, len(values), _AT_ONCE):
@@ -182,12 +188,15 @@ def read_pair(
                             raise CancelledError
                         part = values[start : start + _AT_ONCE]
                         within = band.signals(band.spectrum(part)) if band_hz is not None else part
-                        at = [place[int(row)] for row in reader.position_index[first + start :][: len(part)]]
-                        file.write(at, within)
+                        for row, line in zip(reader.position_index[first + start :].tolist(), within, strict=False):
+                            write(place[row], line)
                         done += len(part)
                         if on_progress is not None:
                             on_progress(done, total)
-                return file.mapped()
+                for missing in set(place) - set(reader.position_index.tolist()):
+                    write(place[missing], np.full(reader.samples, np.nan, np.float32))
+                file.flush()
+                return np.memmap(file, np.float32, "r", shape=(len(rows), reader.samples))
 
         return FieldPair(
             limited(predicted), limited(scanned), rows, predicted.sample_rate_hz, predicted.start_s,
@@ -196,36 +205,6 @@ def read_pair(
 
 
 _AT_ONCE = 32
-
-
-class _RowFile:
-    """Rows written to a file without a name, then mapped; never written through the map, which a full disk kills."""
-
-    def __init__(self, rows: int, samples: int) -> None:
-        self._shape = rows, samples
-        self._missing = set(range(rows))
-        self._file = tempfile.TemporaryFile(prefix="wavefocus-")  # noqa: SIM115  # closed on the way out of the block
-
-    def write(self, at: list[int], values: NDArray[np.floating]) -> None:
-        """Write values (rows, samples), each row at its own place."""
-        for row, line in zip(at, np.ascontiguousarray(values, np.float32), strict=True):
-            self._file.seek(row * 4 * self._shape[1])
-            self._file.write(line.data)
-            self._missing.discard(row)
-
-    def mapped(self) -> Float32Array:
-        """The file as an array; rows never written are NaN."""
-        nothing = np.full((1, self._shape[1]), np.nan, np.float32)
-        for row in sorted(self._missing):
-            self.write([row], nothing)
-        self._file.flush()
-        return np.memmap(self._file, np.float32, "r", shape=self._shape)
-
-    def __enter__(self) -> _RowFile:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
 
 
 def _require_one_grid(predicted: FieldRowReader, scanned: FieldRowReader) -> None:

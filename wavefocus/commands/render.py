@@ -17,7 +17,7 @@ from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
 from rendering.drive.live import StreamedDrive
 from rendering.drive.rendering import render_with_report
-from rendering.drive.wav import stream_wav, write_wav
+from rendering.drive.wav import in_chunks, stream_wav
 from rendering.field.prediction import predicted_focus_peak
 from rendering.report.render_report import RenderReport
 from rendering.scene.model import Scene, load_scene
@@ -177,7 +177,10 @@ def _render_whole(job: _Job) -> _Result:
     if job.wav is not None:
         rate_hz, full_scale_v, each = job.wav_scale
         volts = drive.drive_v * each[:, np.newaxis]
-        write_wav(job.wav, volts, drive.sample_rate_hz, interface_rate_hz=rate_hz, full_scale_v=full_scale_v)
+        stream_wav(
+            job.wav, in_chunks(volts), (len(volts), volts.shape[1]), drive.sample_rate_hz,
+            interface_rate_hz=rate_hz, full_scale_v=full_scale_v,
+        )  # fmt: skip
     focus_peak = predicted_focus_peak(drive, job.bank)
     write_drive(job.out, drive)
     actuators, samples = drive.drive_v.shape

@@ -77,12 +77,6 @@ class InterpolationErrors:
         used = np.flatnonzero(self.emitted >= EMITTED_SHARE)
         return int(used[np.argmax(self.median[used])]) if len(used) else int(np.argmax(self.emitted))
 
-    def table(self) -> list[dict[str, float]]:
-        """The bands as plain numbers, errors in percent."""
-        columns = (self.frequency_hz, self.emitted, 100.0 * self.median, 100.0 * self.worst)
-        names = ("frequency_hz", "emitted_share", "median_percent", "worst_percent")
-        return [dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
-
 
 def judged_errors(
     scene: Scene, bank: GreenSource, kind: Interpolation, signals: Sequence[Float64Array], tolerance: float | None
