@@ -12,6 +12,7 @@ PLATES_OF_KEY = {
     "rim_admittance": ("stadium",),
     "quality": ("thin",),
     "edge": ("thin",),
+    "mode_tolerance": ("thin",),
     "shear_speed_m_s": ("solid",),
     "pressure_speed_m_s": ("solid",),
     "damping_per_s": ("solid",),
@@ -47,6 +48,10 @@ class PlateKeys(Table):
     )
     edge: Literal["supported", "infinite"] | None = Field(
         default=None, description='Of the plate "thin": a rectangle that is simply supported, or none'
+    )
+    mode_tolerance: Annotated[NonNegative, Field(le=1)] | None = Field(
+        default=None,
+        description='Of the plate "thin": modes may be left out up to this error, relative to the strongest response',
     )
     shear_speed_m_s: Positive | None = Field(default=None, description='Of the plate "solid": speed of shear waves')
     pressure_speed_m_s: Positive | None = Field(

@@ -65,10 +65,13 @@ class Plate(ABC):
         What it is registered as.
     unit_force_n : float
         Force in N for which its responses are velocities in m/s.
+    ringing_s : float
+        How long its responses take to fall by 60 dB, if that can be longer than a gel's.
     """
 
     name: str
     unit_force_n: float
+    ringing_s: float = 0.0
 
     def __init__(
         self,

@@ -52,6 +52,7 @@ class TouchedPlate(Plate):
     ) -> None:
         self._plate, self._beneath, self._chain = plate, beneath, chain
         self._covered_mm = [(float(x), float(y)) for x, y in np.asarray(place_mm) + DISK_MM]
+        self.ringing_s = plate.ringing_s
         self._finger = (mass_kg, damping_n_s_m, stiffness_n_m)
         self._pushed_back = lru_cache(6)(self._find_pushed_back)
 
@@ -68,7 +69,7 @@ class TouchedPlate(Plate):
     def fir_spectra(
         self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
     ) -> Complex128Array:
-        full, folds = impulse_length(taps, sample_rate_hz), -(-taps // length)
+        full, folds = impulse_length(taps, sample_rate_hz, self.ringing_s), -(-taps // length)
         spectra = []
         for x, y in np.asarray(position_mm, dtype=np.float64).reshape(-1, 2).tolist():
             whole = scipy.fft.irfft(self.response((x, y), sample_rate_hz / full, full // 2 + 1, single=False), full)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from config.outline import Outline
 from mocks.plates import PLATES, UNCHANGED, Change, Complex128Array
 from mocks.plates.infinite import InfinitePlate
-from mocks.plates.modal import ModalPlate
+from mocks.plates.modal import ALL, ModalPlate, Modes
 from mocks.plates.soft import MAGNET_RADIUS_MM, mean_hankel
 from mocks.plates.thin import ThinPlate
 
@@ -46,6 +46,8 @@ class ThinRectangle(ModalPlate):
         As of every plate; the outline is a rectangle. Raises ValueError.
     quality : float
         Quality factor of every mode, > 0, to 1e4: amplitudes decay as exp(-w t / (2 Q)).
+    mode_tolerance : float
+        As of `ModalPlate`.
     """
 
     name = "thin"
@@ -58,9 +60,10 @@ class ThinRectangle(ModalPlate):
         chain: Callable[[Float64Array], Complex128Array],
         *,
         quality: float = QUALITY,
+        mode_tolerance: float = 0.0,
         change: Change = UNCHANGED,
     ) -> None:
-        super().__init__(actuator_mm, outline, chain)
+        super().__init__(actuator_mm, outline, chain, mode_tolerance)
         if not (np.isfinite(quality) and quality > 0):
             raise ValueError(f"quality is {quality}; it must be finite and greater than 0")
         left, bottom, right, top = outline.box_mm
@@ -75,13 +78,17 @@ class ThinRectangle(ModalPlate):
         within = hertz <= HIGHEST_HZ
         self._across, self._along = across[within], along[within]
         self._angular, self._quality = 2 * np.pi * hertz[within], quality
+        self.ringing_s = float(np.log(1000.0) * 2 * quality / self._angular.min(initial=np.inf))
         self._modal_mass_kg = plate.mass_kg_m2 * plate.length_m * plate.width_m / 4
         # Mean of a mode over the disk of an actuator: its value at the centre times a factor of its wave number.
         argument = np.sqrt(self._angular / kappa) * MAGNET_RADIUS_MM / 1e3
         self._force = self._shapes(actuator_mm) * 2 * scipy.special.jv(1, argument) / argument
 
-    def coefficients(self, place_mm: Float64Array) -> Float64Array:
-        return np.asarray(self._shapes(place_mm)[:, None, :] * self._force)
+    def coefficients(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
+        return np.asarray(self._shapes(place_mm, modes)[:, None, :] * self._force[:, modes])
+
+    def largest_coefficients(self) -> Float64Array:
+        return np.abs(self._force)  # no sine is above 1
 
     def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
         angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
@@ -89,13 +96,13 @@ class ThinRectangle(ModalPlate):
         stiffness = own**2 - angular**2 + 1j * angular * own / self._quality
         return np.asarray(STRENGTH * 1j * angular / (self._modal_mass_kg * stiffness))
 
-    def _shapes(self, place_mm: Float64Array) -> Float64Array:
-        """Shapes of all modes at places (n, 2): (n, modes)."""
+    def _shapes(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
+        """Shapes of some modes at places (n, 2): (n, modes)."""
         x, y = (np.asarray(place_mm, dtype=np.float64) / 1e3 - self._corner_m).T
         plate = self._plate
         return np.asarray(
-            np.sin(np.pi * x[:, None] * self._across / plate.length_m)
-            * np.sin(np.pi * y[:, None] * self._along / plate.width_m)
+            np.sin(np.pi * x[:, None] * self._across[modes] / plate.length_m)
+            * np.sin(np.pi * y[:, None] * self._along[modes] / plate.width_m)
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -19,10 +20,36 @@ Float64Array = NDArray[np.float64]
 POSITIONS_AT_ONCE = 64
 
 
+Modes = slice | NDArray[np.intp]
+ALL = slice(None)
+
+
+@dataclass(frozen=True, slots=True)
+class ModeTable:
+    """Spectra (modes, bins) of the modes that are kept, and a bound on what the others add to any response."""
+
+    modes: Modes
+    spectra: NDArray[np.complexfloating]
+    left_out: float = 0.0
+
+
 class ModalPlate(Plate):
     """A plate whose responses are sums over modes.
 
     What it costs is proportional to the places, actuators, modes and frequencies asked for.
+
+    Parameters
+    ----------
+    actuator_mm, outline, chain
+        As of every plate.
+    mode_tolerance : float
+        Modes may be left out as long as no response anywhere on the plate, at no frequency asked for, changes by more
+        than this share of the strongest rms response there; 0 keeps all.
+
+    Attributes
+    ----------
+    mode_table : callable
+        Modes that make up the responses at frequencies (step_hz, bins, single), made once.
     """
 
     def __init__(
@@ -30,56 +57,76 @@ class ModalPlate(Plate):
         actuator_mm: Float64Array,
         outline: Outline,
         chain: Callable[[Float64Array], Complex128Array],
+        mode_tolerance: float = 0.0,
     ) -> None:
         super().__init__(actuator_mm, outline, chain)
-        self._table = lru_cache(6)(self._make_table)
+        self._mode_tolerance = mode_tolerance
+        self.mode_table = lru_cache(6)(self._make_table)
         self._cut_table = lru_cache(1)(self._make_cut_table)
         self._mean_power = lru_cache(1)(self._find_mean_power)
 
     @abstractmethod
-    def coefficients(self, place_mm: Float64Array) -> Float64Array:
-        """How much of every mode reaches places (n, 2) from each actuator: float64 (n, actuators, modes)."""
+    def coefficients(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
+        """How much of some modes reaches places (n, 2) from each actuator: float64 (n, actuators, modes)."""
 
     @abstractmethod
     def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
         """Velocity of every mode at frequencies >= 0 for a unit force on it: complex128 (modes, frequencies)."""
 
+    def largest_coefficients(self) -> Float64Array:
+        """Bound on the coefficients anywhere on the plate, float64 (actuators, modes); a plate may have none."""
+        raise ValueError(f'the plate "{self.name}" has no bound on its modes: leave out mode_tolerance')
+
     def response(
         self, place_mm: tuple[float, float], step_hz: float, bins: int, *, single: bool
     ) -> Complex64Array | Complex128Array:
-        part = self.coefficients(np.array([place_mm], dtype=np.float64))[0]
-        return _product(part, self._table(step_hz, bins, single))
+        table = self.mode_table(step_hz, bins, single)
+        part = self.coefficients(np.array([place_mm], dtype=np.float64), table.modes)[0]
+        return _product(part, table.spectra)
 
     def fir_spectra(
         self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
     ) -> Complex128Array:
         table = self._cut_table(taps, sample_rate_hz, length, bins.start, bins.stop)
         place = np.asarray(position_mm, dtype=np.float64).reshape(-1, 2)
-        spectra = np.empty((len(place), len(self._actuator_mm), table.shape[1]), dtype=np.complex128)
+        shape = len(place), len(self._actuator_mm), table.spectra.shape[1]
+        spectra = np.empty(shape, dtype=np.complex128)
         for first in range(0, len(place), POSITIONS_AT_ONCE):
             some = slice(first, first + POSITIONS_AT_ONCE)
-            spectra[some] = _product(self.coefficients(place[some]), table)
+            spectra[some] = _product(self.coefficients(place[some], table.modes), table.spectra)
         return spectra
 
     def loudness(self, frequency_hz: Float64Array) -> Float64Array:
         weight = self._mean_power()
         return np.asarray(np.sqrt(weight @ np.square(np.abs(self.mode_velocities(frequency_hz)))))
 
-    def _make_table(self, step_hz: float, bins: int, single: bool) -> NDArray[np.complexfloating]:
+    def _make_table(self, step_hz: float, bins: int, single: bool) -> ModeTable:
         frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
         table = self.mode_velocities(frequency_hz) * self._chain(frequency_hz)
-        return table.astype(np.complex64) if single else table
+        return self._reduced(table.astype(np.complex64) if single else table)
 
-    def _make_cut_table(
-        self, taps: int, sample_rate_hz: float, length: int, start: int, stop: int
-    ) -> NDArray[np.complexfloating]:
-        full = impulse_length(taps, sample_rate_hz)
+    def _reduced(self, spectra: NDArray[np.complexfloating]) -> ModeTable:
+        """The table without the modes that add least, by the triangle inequality over modes."""
+        if not self._mode_tolerance:
+            return ModeTable(ALL, spectra)
+        power = np.square(np.abs(spectra))
+        share = (self.largest_coefficients() * np.sqrt(power.max(axis=1))).max(axis=0)
+        order = np.argsort(share)
+        left_out = np.concatenate([[0.0], np.cumsum(share[order])])
+        allowed = self._mode_tolerance * np.sqrt((self._mean_power() @ power).max())
+        count = int(np.searchsorted(left_out, allowed, side="right")) - 1
+        kept = np.sort(order[count:])
+        return ModeTable(kept, np.ascontiguousarray(spectra[kept]), float(left_out[count]))
+
+    def _make_cut_table(self, taps: int, sample_rate_hz: float, length: int, start: int, stop: int) -> ModeTable:
+        full = impulse_length(taps, sample_rate_hz, self.ringing_s)
         frequency_hz = sample_rate_hz / full * np.arange(full // 2 + 1, dtype=np.float64)
         spectra = self.mode_velocities(frequency_hz) * self._chain(frequency_hz)
         # Folded, a transform of any length has the values at its frequencies.
         folded = np.zeros((len(spectra), -(-taps // length) * length))
         folded[:, :taps] = scipy.fft.irfft(spectra, full)[:, :taps]
-        return np.asarray(scipy.fft.rfft(folded.reshape(len(spectra), -1, length).sum(axis=1))[:, start:stop])
+        cut = scipy.fft.rfft(folded.reshape(len(spectra), -1, length).sum(axis=1))[:, start:stop]
+        return self._reduced(np.asarray(cut))
 
     def _find_mean_power(self) -> Float64Array:
         """Mean square of every mode's coefficients, over places within and actuators."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from config.outline import Outline
 from mocks.plates import PLATES, UNCHANGED, Change, Complex128Array
 from mocks.plates.finite_elements import Elements, RitzModes, Triangles, ritz_modes, spacing_mm, triangulate
-from mocks.plates.modal import ModalPlate
+from mocks.plates.modal import ALL, ModalPlate, Modes
 from mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 Float64Array = NDArray[np.float64]
@@ -58,12 +58,12 @@ class StadiumPlate(ModalPlate):
         self._elements, self._modes = _cached(actuator_mm, outline, rim_admittance)
         self._pairs = _damped_pairs(self._modes, self._wave, rim_admittance) if rim_admittance else None
 
-    def coefficients(self, place_mm: Float64Array) -> Float64Array:
+    def coefficients(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
         shapes = self._elements.values_at(place_mm, self._modes.shapes)
         if self._pairs is None:
-            return np.asarray(shapes[:, None, :] * self._modes.force.T)
+            return np.asarray(shapes[:, None, modes] * self._modes.force.T[:, modes])
         part = (shapes @ self._pairs.shapes)[:, None, :] * self._pairs.force.T
-        return np.concatenate([part.real, part.imag], axis=-1)
+        return np.concatenate([part.real, part.imag], axis=-1)[..., modes]
 
     def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
         angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)

@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from mocks.plates import REFERENCE_C, Plate, make_plate
-from mocks.plates.infinite import impulse_length, phase_ramp
+from mocks.plates.infinite import LONGEST_RINGING_S, impulse_length, phase_ramp
 from mocks.virtual.chain import actuator_gains, chain_response
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import PlayedSignal
@@ -153,6 +153,11 @@ class Synthesis:
                 response_v[spot.first : spot.stop] = heard_v[spot.place_mm][spot.first : spot.stop]
         return reference_v, response_v
 
+    @property
+    def ringing_s(self) -> float:
+        """How long the plate's responses take to fall by 60 dB, if longer than a gel's."""
+        return self._plate.ringing_s
+
     def green(self, place_mm: tuple[float, float], taps: int, sample_rate_hz: float) -> Float64Array:
         """FIRs from drive to surface velocity, on the player's clock.
 
@@ -170,7 +175,7 @@ class Synthesis:
         float64 array, shape (actuators, taps)
             In (m/s)/V.
         """
-        length = impulse_length(taps, sample_rate_hz)
+        length = impulse_length(taps, sample_rate_hz, self._plate.ringing_s)
         response = self._plate.response(place_mm, sample_rate_hz / length, length // 2 + 1, single=False)
         spectrum = response * self._velocity_per_volt[:, None]
         return np.asarray(scipy.fft.irfft(spectrum, length, axis=1)[:, :taps], dtype=np.float64)
@@ -242,10 +247,11 @@ class Synthesis:
     def _length(self, samples: int, rate_hz: float, start_ns: int, plays: Sequence[Play]) -> int:
         """A transform long enough that neither end of anything wraps; the same for every latency."""
         first, last = 0.0, float(samples)
+        tail_s = max(TAIL_S, min(self._plate.ringing_s, LONGEST_RINGING_S))
         for play in plays:
             requested_s = (play.requested_ns - start_ns) * 1e-9
             first = min(first, requested_s * rate_hz)
-            ends_s = requested_s + self._settings.latency_s[1] + play.duration_s + TAIL_S
+            ends_s = requested_s + self._settings.latency_s[1] + play.duration_s + tail_s
             last = max(last, ends_s * rate_hz)
         # Rounded up so that records of nearly one length share their tables.
         return int(scipy.fft.next_fast_len(2000 * ceil((last - first + 100) / 2000), real=True))

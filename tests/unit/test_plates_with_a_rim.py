@@ -18,6 +18,8 @@ from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, thin_plate_green
 from mocks.plates.stadium import StadiumPlate
 from mocks.plates.thin import ThinPlate
 from mocks.virtual.chain import chain_response
+from mocks.virtual.rig import VirtualRig
+from mocks.virtual.settings import VirtualSettings
 
 HIGHEST_HZ = 500.0
 SPACING_MM = spacing_mm(SOFT_PLATE, HIGHEST_HZ)
@@ -193,3 +195,34 @@ def test_given_taps_then_the_spectra_of_infinite_glass_are_those_of_the_cut_resp
     response = plate.response(tuple(PLACE_MM[0] / 2), rate_hz / full, full // 2 + 1, single=False)
     wanted = np.fft.rfft(np.fft.irfft(response, full)[:, :taps], length)[:, 3:52]
     assert np.linalg.norm(found - wanted) < 1e-4 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize("band_hz", [500.0, 5000.0])
+def test_given_a_tolerance_then_modes_are_left_out_within_the_bound_that_is_stated(band_hz: float) -> None:
+    outline, actuator_mm = Outline.rectangle(500.0, 300.0), np.array([[180.0, 60.0], [-90.0, -100.0]])
+    bins = round(band_hz / 10.0) + 1
+    whole, reduced = (
+        ThinRectangle(actuator_mm, outline, np.ones_like, quality=30.0, mode_tolerance=one) for one in (0.0, 0.02)
+    )
+    table, every = reduced.mode_table(10.0, bins, False), whole.mode_table(10.0, bins, False)
+    assert len(table.spectra) < (0.5 if band_hz == 500.0 else 0.95) * len(every.spectra)
+    places = np.random.default_rng(0).uniform(-140.0, 140.0, (40, 2))
+    wanted, found = (
+        np.stack([plate.response(tuple(place), 10.0, bins, single=False) for place in places])
+        for plate in (whole, reduced)
+    )
+    strongest = np.sqrt(np.square(np.abs(wanted)).mean(axis=(0, 1)).max())
+    assert 0 < np.abs(found - wanted).max() <= table.left_out < 0.03 * strongest
+    cut, cut_whole = (plate.fir_spectra(places, 2000, 10_000.0, 2000, slice(4, 100)) for plate in (reduced, whole))
+    assert np.abs(cut - cut_whole).max() < 0.03 * np.sqrt(np.square(np.abs(cut_whole)).mean(axis=(0, 1)).max())
+
+
+def test_given_glass_that_rings_for_seconds_then_its_response_does_not_wrap() -> None:
+    keys, places = (("quality", 200.0),), ((60.0, 30.0),)
+    rig = VirtualRig(
+        VirtualSettings(plate="thin", plate_keys=keys, outline=Outline.rectangle(250.0, 150.0), actuator_mm=places)
+    )
+    mode_hz = float(ThinPlate(0.25, 0.15, KAPPA_M2_S).mode_hz(1, 1))
+    assert rig.ringing_s == pytest.approx(np.log(1000) * 200.0 / (np.pi * mode_hz))
+    short, long = rig.truth(-40.0, 10.0, 1000)[0], rig.truth(-40.0, 10.0, 50_000)[0, :1000]
+    assert np.linalg.norm(short - long) < 2e-3 * np.linalg.norm(long)

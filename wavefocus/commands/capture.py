@@ -32,6 +32,7 @@ from wavefocus.campaign.blueprint import (
     blueprint_from_bank,
     blueprint_from_files,
     blueprint_with_rig,
+    ringing_of,
 )
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.schedule_choice import as_settled, settle
@@ -105,6 +106,8 @@ def _with_bank(
         settled, earlier = settle(blueprint, str(run_file))
         if is_network_mount(bank.absolute().parent):
             say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
+        if (rings := ringing_of(settled)) is not None and rings.advice:
+            say(f"warning: {rings.advice}")
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
             create_bank(bank, settled.bank_header())
             return settled, earlier

@@ -23,7 +23,7 @@ from config.run import RunConfig
 from rendering.greens.interpolation.needed_grid import needed_grid, wave_number_rad_mm
 from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
-from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, blueprint_of
+from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, blueprint_of, ringing_of
 from wavefocus.console import answer
 from wavefocus.rig.setup import open_setup
 
@@ -83,6 +83,8 @@ def plan(
         "plan_sha256": the_plan.sha256,
     }
     lines: list[str] = []
+    if (rings := ringing_of(blueprint)) is not None:
+        facts["ringing"] = {"seconds": rings.seconds, "taps": rings.taps, "enough": not rings.advice}
     start, stop = the_plan.excitation.band_hz
     lines.append(f"positions   {the_plan.positions}, {the_plan.actuators} actuators, {facts['records']} records")
     lines.append(f"sweeps      {schedule_name(the_plan)}, {start:g}-{stop:g} Hz, {the_plan.excitation.amplitude_v:g} V")
@@ -112,6 +114,8 @@ def plan(
     lines += advice_lines(grids, top_hz=top_hz, waves=waves, planned_s=the_plan.positions * position_s)
     lines.append(f"bank        {size / 1e6:.0f} MB; {free / 1e9:.1f} GB free here")
     lines += [f"instrument  {instrument}" for instrument in instruments]
+    if rings is not None and rings.advice:
+        lines.append(f"warning     {rings.advice}")
     lines.append(f"plan        {the_plan.sha256[:16]}; within all limits")
     if as_json:
         print(json.dumps({**facts, "lines": lines}))
