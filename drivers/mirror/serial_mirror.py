@@ -165,7 +165,7 @@ class SerialMirror:
         self._standing_since_s = None if self._dialect.says_when_idle else self._clock.now_s()
 
     def _new_dialogue(self) -> Dialogue:
-        return Dialogue(self._name, SerialLine(self._name, self._port, self._line_settings))
+        return Dialogue(self._name, SerialLine(self._name, self._port, self._line_settings), self._clock)
 
     def _check_identity(self, identity: str) -> None:
         stranger = self._stranger(identity)

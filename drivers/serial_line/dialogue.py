@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.protocols import Clock, WallClock
 from drivers.serial_line.line import LineFailedError, NoAnswerError, SerialLine
 from drivers.timeouts import CallThread, HungError
 
@@ -86,9 +87,11 @@ class Dialogue:
     """Asks a device over a line, one thread at a time.
 
     instrument: Whose device it is, for messages.
+    clock: Passes the time while a device starts; by default the wall's.
     """
 
-    def __init__(self, instrument: str, line: SerialLine) -> None:
+    def __init__(self, instrument: str, line: SerialLine, clock: Clock | None = None) -> None:
+        self._clock = clock or WallClock()
         self._instrument = instrument
         self._line = line
         self._marker: Marker | None = None
@@ -127,14 +130,14 @@ class Dialogue:
         """
         doing = "asking who it is"
         latest = NoAnswerError("no answer came")
-        gives_up_s = time.monotonic() + patience_s
+        gives_up_s = self._clock.now_s() + patience_s
         with self._turn(doing), self._losses(doing):
             while True:
                 try:
                     # An end rounds off what another program may have left half said.
                     self._line.send(before)
                     if before:
-                        time.sleep(BEFORE_S)
+                        self._clock.sleep(BEFORE_S)
                     self._line.send(query.text)
                     return self._first_readable(query)
                 except NoAnswerError as missing:
@@ -147,7 +150,7 @@ class Dialogue:
                         f"the connection was closed ({failure})",
                         "it may serve one program at a time: close the others; check its power",
                     ) from failure
-                if time.monotonic() > gives_up_s:
+                if self._clock.now_s() > gives_up_s:
                     raise InstrumentLostError(
                         self._instrument,
                         doing,

@@ -16,6 +16,7 @@ import re
 from dataclasses import dataclass
 
 from drivers.errors import InstrumentError
+from drivers.protocols import Clock
 from drivers.registry import VIBROMETERS, VibrometerReading, rig_key
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
 from drivers.serial_line.line import LineSettings, SerialLine
@@ -47,6 +48,7 @@ class Polytec:
         identity: str | None = None,
         any_level: bool = False,
         answer_s: float = 1.0,
+        clock: Clock | None = None,
     ) -> VibrometerReading:
         """Ask for the sensitivity that it is set to, and leave the controller alone again.
 
@@ -57,9 +59,10 @@ class Polytec:
         identity: Text that the names of controller and decoder must contain.
         any_level: Whether a signal below `least_signal_level` will do.
         answer_s: Longest wait for one answer, in s, > 0.
+        clock: Passes the time while the controller starts; by default the wall's.
         """
         name = f"vibrometer (polytec-ofv5000 at {port})"
-        dialogue = Dialogue(name, SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s)))
+        dialogue = Dialogue(name, SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s)), clock)
         dialogue.open()
         try:
             # With echo on, the controller repeats every command before its answer.

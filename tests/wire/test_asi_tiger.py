@@ -10,9 +10,8 @@ import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
-from mocks.wire.mirrors import mirror_device
 from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
-from tests.wire.serial_bench import LOCAL, mirror_bench
+from tests.wire.serial_bench import LOCAL, answering, mirror_bench
 
 MEMS = {"limit_mrad": 155.0, "park_mrad": (-150.0, -150.0)}
 
@@ -63,15 +62,14 @@ def test_given_two_scanners_and_no_named_axes_then_they_are_listed_to_choose_fro
         bench.mirror(axes=("A", "B"), **MEMS).move_to(10.0, 0.0)
 
 
-@pytest.mark.parametrize("board", ["mems", "dac_4ch", "signal_dac"])
-@pytest.mark.parametrize("address", ["2", "\x81", "\x85", "\xf5"])
+@pytest.mark.parametrize(
+    ("board", "address"), [("mems", "2"), ("mems", "\xf5"), ("dac_4ch", "\x81"), ("signal_dac", "\x85")]
+)
 def test_given_a_scanner_card_at_any_address_then_the_mirror_moves_and_the_stage_stands(board, address, tmp_path):
     with bench_with(tmp_path, board=board, address=address) as bench:
         mirror = bench.mirror(**MEMS)
         modes = bench.device.modes
-        mirror.move_to(40.0, -25.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(40.0, -25.0)
+        bench.check_move(mirror)
         assert bench.device.modes == modes
         assert bench.device.stage_units == {"X": 0.0, "Y": 0.0}
         mirror.reconnect()
@@ -95,7 +93,6 @@ def test_given_a_micro_mirror_on_its_analog_inputs_then_the_command_that_ends_th
     "beyond",
     [
         {"limit_mrad": 250.0, "park_mrad": (-240.0, -240.0)},
-        {"limit_mrad": 250.0, "park_mrad": (0.0, 0.0)},
         {"limit_mrad": 161.0, "park_mrad": (0.0, 0.0)},
     ],
 )
@@ -107,23 +104,11 @@ def test_given_limits_beyond_those_of_the_controller_then_opening_refuses_them_a
 
 
 def test_given_a_limit_on_one_side_alone_then_it_counts(tmp_path):
-    class Lopsided(AsiTigerDevice):
-        def answer(self, command):
-            return ":A B=-1.000\r\n" if command == "SL B?" else super().answer(command)
-
     with (
-        bench_with(tmp_path, device_class=Lopsided) as bench,
+        bench_with(tmp_path, device_class=answering(AsiTigerDevice, "SL B?", ":A B=-1.000")) as bench,
         pytest.raises(InstrumentError, match=r"ends at 34\.91 mrad"),
     ):
         bench.mirror(**MEMS)
-
-
-def test_given_the_emulators_own_card_then_it_is_a_micro_mirror_that_ends_where_they_do(tmp_path):
-    with (
-        mirror_bench("asi-tiger", LOCAL, tmp_path, device=lambda motion: mirror_device("asi-tiger", motion)) as bench,
-        pytest.raises(InstrumentError, match=r"ends at 160\.6 mrad"),
-    ):
-        bench.mirror()
 
 
 def test_given_a_controller_in_the_other_syntax_then_opening_changes_that(tmp_path):
@@ -149,43 +134,29 @@ def test_given_a_refusal_that_a_lost_character_explains_then_it_is_asked_once_mo
 
     with bench_with(tmp_path, device_class=LosesOneCharacter) as bench:
         mirror = bench.mirror(**MEMS)
-        mirror.move_to(40.0, -25.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(40.0, -25.0)
+        bench.check_move(mirror)
 
 
-@pytest.mark.parametrize("code", [":N-2", ":N-4"])
-def test_given_such_a_refusal_twice_then_it_is_final(code, tmp_path):
-    class Refuses(AsiTigerDevice):
-        def answer(self, command):
-            return f"{code}\r\n" if command.startswith("M ") else super().answer(command)
-
-    with bench_with(tmp_path, device_class=Refuses) as bench:
+def test_given_such_a_refusal_twice_then_it_is_final(tmp_path):
+    with bench_with(tmp_path, device_class=answering(AsiTigerDevice, "M ", ":N-4")) as bench:
         mirror = bench.mirror(**MEMS)
-        with pytest.raises(InstrumentError, match=code) as caught:
+        with pytest.raises(InstrumentError, match=":N-4") as caught:
             mirror.move_to(40.0, -25.0)
         assert not isinstance(caught.value, TransientInstrumentError)
         assert len([command for command in bench.far.commands if command.startswith("M ")]) == 2
 
 
-@pytest.mark.parametrize("operation", ["move", "busy", "where"])
+@pytest.mark.parametrize("operation", ["move", "where"])
 def test_given_a_controller_that_restarted_then_it_is_lost_and_set_up_again(operation, tmp_path):
     fault = WireFault("mirror", "restarted", operation, at_call=1)
     with bench_with(tmp_path, fault) as bench:
         mirror = bench.mirror(settle_s=0.0, **MEMS)
-
-        def move():
-            mirror.move_to(40.0, -25.0)
-            mirror.wait_settled(10.0)
-
         with pytest.raises(InstrumentLostError, match="switched off and on meanwhile: its position and its settings"):
-            move()
+            bench.check_move(mirror)
         before = len(bench.far.commands)
         mirror.reconnect()
         assert any(command == "VB F=0" for command in bench.far.commands[before:])
-        mirror.move_to(-40.0, 25.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(-40.0, 25.0)
+        bench.check_move(mirror, -40.0, 25.0)
 
 
 def test_given_a_restart_between_two_moves_then_the_banner_is_not_taken_for_an_answer(tmp_path):
@@ -210,9 +181,9 @@ def test_given_a_restart_between_two_moves_then_the_banner_is_not_taken_for_an_a
 
 def test_given_a_micro_mirror_that_is_back_on_its_inputs_after_a_restart_then_reconnecting_says_so(tmp_path):
     fault = WireFault("mirror", "restarted", "move", at_call=1)
-    with bench_with(tmp_path, fault) as bench:
+    with bench_with(tmp_path, fault, external_input=True) as bench:
+        bench.device.answer("PM A=0 B=0")
         mirror = bench.mirror(**MEMS)
-        bench.device._external_at_power_up = True
         with pytest.raises(InstrumentLostError):
             mirror.move_to(40.0, -25.0)
         with pytest.raises(InstrumentError, match="analog input, as it may after it was switched on"):

@@ -43,9 +43,7 @@ def hung_move(tmp_path, request):
 def test_given_a_call_that_hangs_then_the_mirror_is_connected_again_without_it(hung_move):
     bench, mirror = hung_move
     mirror.reconnect()
-    mirror.move_to(-40.0, 25.0)
-    mirror.wait_settled(10.0)
-    assert bench.stands_at(-40.0, 25.0)
+    bench.check_move(mirror, -40.0, 25.0)
 
 
 @pytest.mark.parametrize("hung_move", ["generic"], indirect=True)

@@ -10,11 +10,16 @@ import pytest
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
 from mocks.wire.mirrors.generic import GenericMirrorDevice
-from tests.wire.serial_bench import DIALECTS, EACH, FIRST, LOCAL, PARK_MRAD, SECOND, mirror_bench
+from tests.wire.serial_bench import DIALECTS, EACH, FIRST, LOCAL, OVER_TCP, PARK_MRAD, mirror_bench
 
 NAMED = [where for where in EACH if DIALECTS[where.split("/")[0]].names_itself]
 # Long enough that a busy machine answers in time where it shall, short enough to wait for where it shall not.
-ANSWER_S = 0.3
+ANSWER_S = 0.25
+
+
+def bench_at(where, folder, *faults, **settings):
+    dialect, wire = where.split("/")
+    return mirror_bench(dialect, wire, folder, *faults, **settings)
 
 
 def move_fault(kind, count=1, **more):
@@ -30,43 +35,31 @@ def moves(bench):
     [*((FIRST, kind) for kind in ("silent", "late", "truncated")), *((where, "garbled") for where in EACH)],
 )
 def test_given_one_answer_that_cannot_be_had_then_the_move_is_said_once_more_and_done(where, kind, tmp_path):
-    dialect, wire = where.split("/")
     fault = move_fault(kind, seconds=1.5 * ANSWER_S if kind == "late" else 0.0)
-    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
+    with bench_at(where, tmp_path, fault) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
-        mirror.move_to(40.0, -25.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(40.0, -25.0)
+        bench.check_move(mirror)
         assert len(moves(bench)) == 2
-        mirror.move_to(-40.0, 25.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(-40.0, 25.0)
+        bench.check_move(mirror, -40.0, 25.0)
 
 
-@pytest.mark.parametrize(
-    ("where", "kind"),
-    [(FIRST, "silent"), (FIRST, "truncated"), (SECOND, "garbled")],
-)
+@pytest.mark.parametrize(("where", "kind"), [(FIRST, "silent"), (OVER_TCP, "garbled")])
 def test_given_two_answers_that_cannot_be_had_then_the_attempt_fails_and_the_next_one_works(where, kind, tmp_path):
-    dialect, wire = where.split("/")
-    with mirror_bench(dialect, wire, tmp_path, move_fault(kind, count=2)) as bench:
+    with bench_at(where, tmp_path, move_fault(kind, count=2)) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         with pytest.raises(TransientInstrumentError, match="asked twice") as caught:
             mirror.move_to(40.0, -25.0)
-        assert f"({dialect} at " in caught.value.instrument
+        assert f"({bench.dialect} at " in caught.value.instrument
         assert "moving to (40.000, -25.000) mrad" in caught.value.operation
         assert len(moves(bench)) == 2
         with pytest.raises(TransientInstrumentError, match="latest move failed"):
             mirror.wait_settled(10.0)
-        mirror.move_to(40.0, -25.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(40.0, -25.0)
+        bench.check_move(mirror)
 
 
-@pytest.mark.parametrize("where", EACH)
+@pytest.mark.parametrize("where", [FIRST, OVER_TCP])
 def test_given_an_answer_later_than_all_patience_then_it_is_not_taken_for_the_next_one(where, tmp_path):
-    dialect, wire = where.split("/")
-    with mirror_bench(dialect, wire, tmp_path, move_fault("late", seconds=6 * ANSWER_S)) as bench:
+    with bench_at(where, tmp_path, move_fault("late", seconds=6 * ANSWER_S)) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         with pytest.raises(TransientInstrumentError):
             mirror.move_to(40.0, -25.0)
@@ -81,32 +74,25 @@ def test_given_an_answer_later_than_all_patience_then_it_is_not_taken_for_the_ne
 
 
 @pytest.mark.parametrize("where", EACH)
-def test_given_a_refusal_then_its_code_is_told_and_the_next_attempt_works(where, tmp_path):
-    dialect, wire = where.split("/")
-    with mirror_bench(dialect, wire, tmp_path, move_fault("refused")) as bench:
+def test_given_a_refusal_then_its_code_is_reported_and_the_next_attempt_works(where, tmp_path):
+    with bench_at(where, tmp_path, move_fault("refused")) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
-        with pytest.raises(TransientInstrumentError, match=DIALECTS[dialect].refusal):
+        with pytest.raises(TransientInstrumentError, match=DIALECTS[bench.dialect].refusal):
             mirror.move_to(40.0, -25.0)
         assert len(moves(bench)) == 1
-        mirror.move_to(40.0, -25.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(40.0, -25.0)
+        bench.check_move(mirror)
 
 
 def test_given_an_angle_that_the_device_does_not_reach_then_no_new_attempt_is_made(tmp_path):
     with mirror_bench("generic", LOCAL, tmp_path) as bench:
-        mirror = bench.mirror(limit_mrad=400.0)
         with pytest.raises(InstrumentError, match=r"ERR 3.*limit_mrad in the rig file") as caught:
-            mirror.move_to(300.0, 0.0)
+            bench.mirror(limit_mrad=400.0).move_to(300.0, 0.0)
         assert not isinstance(caught.value, TransientInstrumentError)
 
 
-@pytest.mark.parametrize("where", [FIRST, SECOND])
-def test_given_a_device_that_stops_reading_then_it_is_lost_in_bounded_time_and_found_again_after_replugging(
-    where, tmp_path
-):
-    dialect, wire = where.split("/")
-    with mirror_bench(dialect, wire, tmp_path, move_fault("stalled")) as bench:
+@pytest.mark.parametrize("where", [FIRST, OVER_TCP])
+def test_given_a_device_that_stops_reading_then_it_is_lost_and_found_again_after_replugging(where, tmp_path):
+    with bench_at(where, tmp_path, move_fault("stalled")) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         with pytest.raises(TransientInstrumentError):
             mirror.move_to(40.0, -25.0)
@@ -115,22 +101,15 @@ def test_given_a_device_that_stops_reading_then_it_is_lost_in_bounded_time_and_f
         bench.far.unplug()
         bench.far.plug()
         mirror.reconnect()
-        mirror.move_to(40.0, -25.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(40.0, -25.0)
+        bench.check_move(mirror)
 
 
 @pytest.mark.parametrize(
-    ("where", "operation"),
-    [
-        *((where, "move") for where in EACH),
-        *((FIRST, operation) for operation in ("identify", "park", "wait")),
-    ],
+    ("where", "operation"), [(OVER_TCP, "move"), *((FIRST, name) for name in ("move", "identify", "park", "wait"))]
 )
 def test_given_an_unplugged_device_then_it_is_lost_until_it_is_back_at_the_same_place(where, operation, tmp_path):
-    dialect, wire = where.split("/")
-    with mirror_bench(dialect, wire, tmp_path) as bench:
-        mirror = bench.mirror(answer_s=ANSWER_S, settle_s=0.0 if dialect in {"asi-tiger", "generic"} else 5.0)
+    with bench_at(where, tmp_path) as bench:
+        mirror = bench.mirror(answer_s=ANSWER_S, settle_s=0.0)
         port = bench.far.address
         mirror.move_to(40.0, -25.0)
         bench.far.unplug()
@@ -149,21 +128,12 @@ def test_given_an_unplugged_device_then_it_is_lost_until_it_is_back_at_the_same_
         bench.far.plug()
         assert bench.far.address == port
         mirror.reconnect()
-        mirror.move_to(-40.0, 25.0)
-        while not bench.stands_at(-40.0, 25.0):
-            pass
-        mirror.park()
-        while not bench.stands_at(*PARK_MRAD):
-            pass
+        bench.check_move(mirror)
 
 
-@pytest.mark.parametrize("where", [FIRST, SECOND])
-def test_given_a_plug_that_falls_out_and_is_put_back_by_itself_then_reconnecting_is_tried_until_it_works(
-    where, tmp_path
-):
-    dialect, wire = where.split("/")
+def test_given_a_plug_that_falls_out_and_is_put_back_by_itself_then_reconnecting_is_tried_until_it_works(tmp_path):
     fault = WireFault("mirror", "unplugged", "move", at_call=2, seconds=0.2)
-    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
+    with bench_at(FIRST, tmp_path, fault) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         mirror.move_to(40.0, -25.0)
         with pytest.raises(InstrumentLostError):
@@ -175,15 +145,12 @@ def test_given_a_plug_that_falls_out_and_is_put_back_by_itself_then_reconnecting
                 back = True
             except InstrumentLostError:
                 threading.Event().wait(0.05)
-        mirror.move_to(10.0, 10.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(10.0, 10.0)
+        bench.check_move(mirror)
 
 
 @pytest.mark.parametrize("where", EACH)
 def test_given_a_connection_that_broke_and_is_back_then_parking_finds_it(where, tmp_path):
-    dialect, wire = where.split("/")
-    with mirror_bench(dialect, wire, tmp_path) as bench:
+    with bench_at(where, tmp_path) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         mirror.move_to(40.0, -25.0)
         bench.far.unplug()
@@ -194,12 +161,13 @@ def test_given_a_connection_that_broke_and_is_back_then_parking_finds_it(where, 
 
 
 @pytest.mark.parametrize("where", NAMED)
-def test_given_another_device_at_the_same_place_then_reconnecting_refuses_it_for_good(where, tmp_path):
-    dialect, wire = where.split("/")
+def test_given_another_device_at_the_same_place_then_it_is_refused_for_good_and_both_are_named(where, tmp_path):
     # On opening it is asked twice; all after that is another's.
     fault = WireFault("mirror", "impostor", "identify", at_call=3, count=100)
-    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
+    with bench_at(where, tmp_path, fault) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
+        with pytest.raises(InstrumentError, match=r"another device answers in its place: .*, and not "):
+            mirror.identify()
         bench.far.unplug()
         bench.far.plug()
         with pytest.raises(InstrumentError, match="another device answers in its place") as caught:
@@ -208,42 +176,26 @@ def test_given_another_device_at_the_same_place_then_reconnecting_refuses_it_for
 
 
 @pytest.mark.parametrize("where", NAMED)
-def test_given_another_device_on_the_line_then_identifying_tells_both_names(where, tmp_path):
-    dialect, wire = where.split("/")
-    fault = WireFault("mirror", "impostor", "identify", at_call=3, count=100)
-    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
-        mirror = bench.mirror(answer_s=ANSWER_S)
-        with pytest.raises(InstrumentError, match=r"another device answers in its place: .*, and not "):
-            mirror.identify()
-
-
-@pytest.mark.parametrize("where", NAMED)
 def test_given_one_answer_with_another_name_then_it_is_asked_again_before_it_is_believed(where, tmp_path):
-    dialect, wire = where.split("/")
-    fault = WireFault("mirror", "impostor", "identify", at_call=3)
-    with mirror_bench(dialect, wire, tmp_path, fault) as bench:
-        mirror = bench.mirror(answer_s=ANSWER_S)
-        assert mirror.identify()
+    with bench_at(where, tmp_path, WireFault("mirror", "impostor", "identify", at_call=3)) as bench:
+        assert bench.mirror(answer_s=ANSWER_S).identify()
 
 
-@pytest.mark.parametrize("where", [FIRST, SECOND])
-def test_given_a_port_that_is_in_use_then_a_second_driver_is_told_so(where, tmp_path):
-    dialect, wire = where.split("/")
-    with mirror_bench(dialect, wire, tmp_path) as bench:
+@pytest.mark.parametrize(
+    ("where", "sentence"), [(FIRST, "another program has the port open"), (OVER_TCP, "one program at a time")]
+)
+def test_given_a_port_that_is_in_use_then_a_second_driver_is_refused(where, sentence, tmp_path):
+    with bench_at(where, tmp_path) as bench:
         first = bench.mirror(answer_s=ANSWER_S)
-        sentence = "another program has the port open" if wire != "tcp" else "one program at a time"
-        with pytest.raises(InstrumentLostError, match=sentence):
+        with pytest.raises(InstrumentLostError, match=sentence if where.endswith(LOCAL) else "one program at a time"):
             bench.mirror(answer_s=ANSWER_S)
-        first.move_to(3.0, 4.0)
-        first.wait_settled(10.0)
-        assert bench.stands_at(3.0, 4.0)
+        bench.check_move(first)
 
 
-@pytest.mark.parametrize("dialect", ["generic", "optotune-mre2"])
-def test_given_a_device_that_never_answers_then_opening_ends_with_what_to_check(dialect, tmp_path):
+def test_given_a_device_that_never_answers_then_opening_ends_with_what_to_check(tmp_path):
     fault = WireFault("mirror", "silent", "any", at_call=1, count=1000)
     with (
-        mirror_bench(dialect, LOCAL, tmp_path, fault) as bench,
+        mirror_bench("generic", LOCAL, tmp_path, fault) as bench,
         pytest.raises(InstrumentLostError, match=r"asking who it is: no answer came; switch it on.*driver and baud"),
     ):
         bench.mirror(answer_s=ANSWER_S)
@@ -259,21 +211,17 @@ def test_given_the_wrong_baud_then_opening_says_that_what_comes_is_no_text(tmp_p
         bench.mirror(baud=9600, answer_s=ANSWER_S)
 
 
-@pytest.mark.parametrize(("dialect", "other"), [("asi-tiger", "generic"), ("generic", "asi-tiger")])
-def test_given_the_wrong_dialect_then_opening_says_that_the_answers_do_not_fit(dialect, other, tmp_path):
-    with mirror_bench(dialect, LOCAL, tmp_path) as bench:
-        bench.dialect = other
+def test_given_the_wrong_dialect_then_opening_says_that_the_answers_do_not_fit(tmp_path):
+    with mirror_bench("asi-tiger", LOCAL, tmp_path) as bench:
+        bench.dialect = "generic"
         with pytest.raises(InstrumentLostError, match="driver and baud in the rig file"):
             bench.mirror(answer_s=ANSWER_S)
 
 
 def test_given_a_board_that_starts_when_the_port_opens_then_it_is_waited_for(tmp_path):
-    fault = WireFault("mirror", "silent", "any", at_call=1, count=3)
+    fault = WireFault("mirror", "silent", "any", at_call=1, count=2)
     with mirror_bench("generic", LOCAL, tmp_path, fault) as bench:
-        mirror = bench.mirror(answer_s=ANSWER_S, patience_s=10.0)
-        mirror.move_to(1.0, 2.0)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(1.0, 2.0)
+        bench.check_move(bench.mirror(answer_s=ANSWER_S, patience_s=10.0))
 
 
 def test_given_lines_that_nobody_asked_for_then_they_are_not_taken_for_answers(tmp_path):

@@ -14,14 +14,6 @@ from mocks.wire.mirrors.motion import MirrorMotion
 SECOND_NS = 1_000_000_000
 
 
-def test_given_no_move_then_it_stands_parked_for_all_time():
-    motion = MirrorMotion((-3.0, 4.0), 0.1, 100.0, 10.0)
-    now_ns = time.monotonic_ns()
-    assert not motion.busy()
-    assert motion.where_mrad() == (-3.0, 4.0)
-    assert motion.aims(now_ns - SECOND_NS, now_ns) == [(now_ns - SECOND_NS, (-3.0, 4.0))]
-
-
 def test_given_a_move_then_it_is_under_way_for_ramp_and_settling():
     motion = MirrorMotion((0.0, 0.0), 10.0, 1.0, 10.0)
     motion.start(5.0, -2.0)
@@ -30,16 +22,6 @@ def test_given_a_move_then_it_is_under_way_for_ramp_and_settling():
     x, y = motion.where_mrad()
     assert 0 <= x < 5
     assert y == pytest.approx(-0.4 * x)
-
-
-def test_given_a_move_cut_short_then_the_next_one_begins_where_it_was():
-    motion = MirrorMotion((0.0, 0.0), 0.0, 1000.0, 1000.0)
-    motion.start(1000.0, 0.0)
-    while motion.where_mrad()[0] < 50.0:
-        pass
-    motion.start(*motion.where_mrad())
-    x, _ = motion.where_mrad()
-    assert 50.0 <= x < 1000.0
 
 
 def test_given_a_target_beyond_the_limit_then_it_is_refused_but_for_rounding():

@@ -17,7 +17,7 @@ from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
 from mocks.wire.mirrors.generic import GenericMirrorDevice
 from mocks.wire.mirrors.mirrorcle import MirrorcleDevice
 from mocks.wire.mirrors.motion import MirrorMotion
-from mocks.wire.mirrors.optotune import LEAVE_PRO_MODE, OptotuneDevice
+from mocks.wire.mirrors.optotune import OptotuneDevice
 from mocks.wire.serial_far_side import SerialFarSide
 from mocks.wire.serial_wires import TcpWire
 from mocks.wire.vibrometer import PolytecDevice
@@ -90,14 +90,6 @@ def test_given_optotune_then_both_spellings_of_its_move_work():
         assert ask("xy=-1.5;0", "\r\n") == "OL\r\n"
         assert ask("xy=0.8;0.8", "\r\n") == "OU\r\n"
         assert ask("xy=up", "\r\n") == "NO\r\n"
-
-
-def test_given_optotune_in_its_pro_mode_then_it_is_deaf_to_text_until_its_frame_comes():
-    with terminal(OptotuneDevice(motion(), pro_mode=True)) as ask:
-        # The first two lines are not answered at all.
-        assert ask("start\r\n" + LEAVE_PRO_MODE + "\r\nstart", "\r\n") == "OK\r\n"
-        assert ask(LEAVE_PRO_MODE + "start", "\r\n") == "NO\r\n"
-        assert ask("Start", "\r\n") == "OK\r\n"
 
 
 def test_given_the_generic_mirror_then_it_can_be_typed_to_by_hand():
@@ -173,10 +165,6 @@ def test_given_plugs_pulled_and_put_back_at_will_then_the_address_stays(kind, tm
         assert far.address == address
     far.close()
     assert kind == "tcp" or not Path(address).is_symlink()
-
-
-def test_given_a_far_side_that_was_never_started_then_closing_it_is_harmless():
-    SerialFarSide(GenericMirrorDevice(motion()), TcpWire()).close()
 
 
 def test_given_a_fault_at_a_time_then_it_strikes_by_the_clock():

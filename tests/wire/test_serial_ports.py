@@ -38,24 +38,18 @@ def test_given_a_serial_number_then_its_port_is_found():
     assert find_port("serial-number:A1", "mirror", PRESENT) == "/dev/ttyUSB0"
 
 
-def test_given_a_serial_number_that_is_absent_then_those_present_are_named():
-    with pytest.raises(InstrumentLostError, match=r"'C3': no port has it; those present: A1 \(/dev/ttyUSB0\), B2"):
-        find_port("serial-number:C3", "mirror", PRESENT)
-
-
-def test_given_no_ports_at_all_then_that_is_said():
-    with pytest.raises(InstrumentLostError, match="none with a serial number"):
-        find_port("serial-number:C3", "mirror", ())
-
-
-def test_given_a_serial_number_that_two_ports_have_then_both_are_named():
-    with pytest.raises(InstrumentLostError, match="/dev/ttyUSB1 and /dev/ttyUSB2 both have it"):
-        find_port("serial-number:B2", "mirror", PRESENT)
-
-
-def test_given_an_empty_serial_number_then_no_port_is_taken_for_it():
-    with pytest.raises(InstrumentLostError, match="no port has it"):
-        find_port("serial-number:", "mirror", PRESENT)
+@pytest.mark.parametrize(
+    ("number", "present", "sentence"),
+    [
+        ("C3", PRESENT, r"'C3': no port has it; those present: A1 \(/dev/ttyUSB0\), B2"),
+        ("C3", (), "none with a serial number"),
+        ("", PRESENT, "no port has it"),
+        ("B2", PRESENT, "/dev/ttyUSB1 and /dev/ttyUSB2 both have it"),
+    ],
+)
+def test_given_a_serial_number_that_no_port_has_alone_then_those_present_are_named(number, present, sentence):
+    with pytest.raises(InstrumentLostError, match=sentence):
+        find_port(f"serial-number:{number}", "mirror", present)
 
 
 @pytest.mark.parametrize(
@@ -122,36 +116,21 @@ def test_given_a_port_that_this_user_may_not_open_then_the_group_is_named(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("text", "sentence"),
+    ("address", "failure", "sentence"),
     [
-        (
-            "could not open port 'COM3': FileNotFoundError(2, 'The system cannot find the file', None, 2)",
-            "no such port",
-        ),
-        ("could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)", "another program"),
-        ("could not open port 'COM3': OSError(22, 'The semaphore timeout period has expired.')", "cannot be opened"),
+        ("COM3", ("could not open port 'COM3': FileNotFoundError(2, 'The system cannot', None, 2)",), "no such port"),
+        ("COM3", ("could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)",), "another program"),
+        ("COM3", ("could not open port 'COM3': OSError(22, 'The semaphore timeout period')",), "cannot be opened"),
+        ("/dev/ttyUSB0", (errno.EAGAIN, "text"), "another program"),
+        ("/dev/ttyUSB0", (errno.EACCES, "text"), "may not open"),
+        ("/dev/ttyUSB0", (errno.ENXIO, "text"), "no such port"),
+        ("/dev/ttyUSB0", (errno.ENOTTY, "text"), "no serial port"),
+        ("socket://10.0.0.1:1", (errno.EHOSTUNREACH, "text"), "cannot be reached"),
+        ("socket://10.0.0.1:1", (errno.EPIPE, "text"), "no conn"),
     ],
 )
-def test_given_what_windows_says_then_it_is_told_in_the_same_sentences(text, sentence):
-    assert sentence in open_failure("COM3", OSError(text))[0]
-
-
-@pytest.mark.parametrize(
-    ("number", "sentence"),
-    [
-        (errno.EAGAIN, "another program"),
-        (errno.EACCES, "may not open"),
-        (errno.ENXIO, "no such port"),
-        (errno.ENOTTY, "no serial port"),
-    ],
-)
-def test_given_an_error_number_of_posix_then_it_has_its_sentence(number, sentence):
-    assert sentence in open_failure("/dev/ttyUSB0", OSError(number, "text"))[0]
-
-
-@pytest.mark.parametrize(("number", "sentence"), [(errno.EHOSTUNREACH, "cannot be reached"), (errno.EPIPE, "no conn")])
-def test_given_a_network_that_does_not_carry_then_it_has_its_sentence(number, sentence):
-    assert sentence in open_failure("socket://10.0.0.1:1", OSError(number, "text"))[0]
+def test_given_an_error_of_windows_posix_or_the_network_then_it_has_its_sentence(address, failure, sentence):
+    assert sentence in open_failure(address, OSError(*failure))[0]
 
 
 def test_given_no_pyserial_then_the_drivers_import_and_opening_says_what_to_install(tmp_path):
