@@ -26,7 +26,7 @@ help: ## Say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
 
 demo: ## Measure, interrupt, resume, render, verify on the virtual rig; writes demo-out/
-	@tools/set-up.sh
+	@tools/set-up.sh plates
 	$(PY) -m wavefocus demo --out demo-out --force $(ARGS)
 
 test: ## Run the tests; some minutes

@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
@@ -58,11 +59,14 @@ def test_every_line_that_is_commented_out_is_a_key_that_the_file_may_have(tmp_pa
             assert key[1] in models[table].model_fields, line
 
 
-def test_template_scene_moves_on_a_circle_for_about_two_seconds(tmp_path: Path) -> None:
+def test_template_scene_moves_along_positions_for_about_two_seconds(tmp_path: Path) -> None:
     write_templates(tmp_path, "virtual")
     (source,) = load_scene(tmp_path / "scene.toml").sources
     field_s = source.path.length_mm / source.speed_mm_s + 2 * 0.2  # and a response before and after
     assert 1.5 < field_s < 2.5
+    position_mm = load_run(tmp_path / "run.toml").position_mm
+    for point_mm in source.path.point_at(np.arange(0.0, source.path.length_mm + 1.0, source.step_mm)):
+        assert np.hypot(*(position_mm - point_mm).T).min() < 1e-9
 
 
 @pytest.mark.parametrize("kind", ["virtual", "template", "emulated"])
