@@ -196,9 +196,9 @@ def ritz_modes(
     space = space @ (turn[:, kept] / np.sqrt(norm[kept]))
     stiffness, turn = eigh(space.T @ (elements.stiffness @ space))
     shapes = space @ turn
-    return RitzModes(
-        shapes, np.maximum(stiffness, 0.0), shapes.T @ force, np.asarray(shapes.T @ (elements.rim @ shapes))
-    )
+    edge = np.unique(elements.rim.indices)
+    rim = shapes[edge].T @ (elements.rim[edge][:, edge] @ shapes[edge])
+    return RitzModes(shapes, np.maximum(stiffness, 0.0), shapes.T @ force, np.asarray(rim))
 
 
 def triangulate(outline: Outline, spacing: float) -> Triangles:

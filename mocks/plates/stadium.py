@@ -7,9 +7,11 @@ import hashlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -25,7 +27,7 @@ Float64Array = NDArray[np.float64]
 
 HIGHEST_HZ = 500.0
 """Upper end of the band in which the plate is accurate to 1 %; above, it is a causal plate with fewer modes."""
-RECIPE = 1
+RECIPE = 2
 """Raised when the same plate is computed in another way, so that no older file is used."""
 
 
@@ -55,8 +57,12 @@ class StadiumPlate(ModalPlate):
     ) -> None:
         super().__init__(actuator_mm, outline, change.softened(chain))
         self._wave = SOFT_PLATE.changed(change)
-        self._elements, self._modes = _cached(actuator_mm, outline, rim_admittance)
-        self._pairs = _damped_pairs(self._modes, self._wave, rim_admittance) if rim_admittance else None
+        self._elements, self._modes, facts = _elements_and_modes(actuator_mm, outline, rim_admittance)
+        self._pairs = None
+        if rim_admittance:
+            pairs = partial(_damped_pairs, self._modes, self._wave, rim_admittance)
+            kept = _kept("damped", (self._wave, *facts), lambda: _arrays(pairs()))
+            self._pairs = _DampedPairs(*(kept[item.name] for item in fields(_DampedPairs)))
 
     def coefficients(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
         shapes = self._elements.values_at(place_mm, self._modes.shapes)
@@ -102,29 +108,41 @@ def _damped_pairs(modes: RitzModes, wave: DampedWave, admittance: float) -> _Dam
     return _DampedPairs(rate[kept], shape[count:, kept], reached[kept] * share[:, None])
 
 
-def _cached(actuator_mm: Float64Array, outline: Outline, admittance: float) -> tuple[Elements, RitzModes]:
-    """Elements and modes from the disk, or computed and kept there; without a file that can be used, computed again."""
-    facts = (RECIPE, SOFT_PLATE, HIGHEST_HZ, outline, admittance)
-    digest = hashlib.sha256(repr(facts).encode() + np.ascontiguousarray(actuator_mm, dtype="<f8").tobytes())
-    path = cache_dir() / f"stadium-{digest.hexdigest()[:32]}.npz"
+def _elements_and_modes(
+    actuator_mm: Float64Array, outline: Outline, admittance: float
+) -> tuple[Elements, RitzModes, tuple[object, ...]]:
+    """Elements and modes, from the disk or computed, and the facts that they follow from."""
+    facts = (SOFT_PLATE, HIGHEST_HZ, outline, admittance, np.asarray(actuator_mm, dtype=np.float64).tolist())
+
+    def compute() -> dict[str, NDArray[Any]]:
+        triangles = triangulate(outline, spacing_mm(SOFT_PLATE, HIGHEST_HZ))
+        modes = ritz_modes(Elements(triangles), actuator_mm, SOFT_PLATE, admittance, HIGHEST_HZ)
+        return _arrays(triangles) | _arrays(replace(modes, shapes=modes.shapes.astype(np.float32)))
+
+    kept = _kept("stadium", facts, compute)
+    triangles = Triangles(*(kept[item.name] for item in fields(Triangles)))
+    return Elements(triangles), RitzModes(*(kept[item.name] for item in fields(RitzModes))), facts
+
+
+def _arrays(part: Triangles | RitzModes | _DampedPairs) -> dict[str, NDArray[Any]]:
+    return {item.name: getattr(part, item.name) for item in fields(part)}
+
+
+def _kept(name: str, facts: tuple[object, ...], compute: Callable[[], dict[str, Any]]) -> Mapping[str, Any]:
+    """Arrays from the disk, or computed and kept there; without a file that can be used, computed again."""
+    digest = hashlib.sha256(repr((RECIPE, *facts)).encode()).hexdigest()
+    path = cache_dir() / f"{name}-{digest[:32]}.npz"
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-            return (
-                Elements(Triangles(*(kept[item.name] for item in fields(Triangles)))),
-                RitzModes(*(kept[item.name] for item in fields(RitzModes))),
-            )
+            return dict(kept)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        triangles = triangulate(outline, spacing_mm(SOFT_PLATE, HIGHEST_HZ))
-    elements = Elements(triangles)
-    modes = ritz_modes(elements, actuator_mm, SOFT_PLATE, admittance, HIGHEST_HZ)
-    modes = replace(modes, shapes=modes.shapes.astype(np.float32))
-    kept = {item.name: getattr(part, item.name) for part in (triangles, modes) for item in fields(part)}
+        found = compute()
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".partial", delete=False) as partial:
-            np.savez(partial, **kept)
-        Path(partial.name).replace(path)
-    return elements, modes
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".partial", delete=False) as written:
+            np.savez(written, **found)
+        Path(written.name).replace(path)
+    return found
 
 
 def cache_dir() -> Path:
