@@ -31,66 +31,6 @@ class Path(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Strokes:
-    """One or more polylines, drawn one after another.
-
-    Arc length runs along the strokes only; between two strokes the source jumps. At the joint itself it is
-    already at the start of the next stroke.
-
-    strokes_mm, sequence of float64 (points, 2): The polylines in millimetres; points that repeat count once.
-
-    Raises InputError: a stroke has no point, or a coordinate is not finite.
-    """
-
-    strokes_mm: Sequence[Float64Array]
-    length_mm: float = field(init=False)
-    _starts: Float64Array = field(init=False, repr=False)
-    _directions: Float64Array = field(init=False, repr=False)
-    _from_mm: Float64Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        starts, directions = [], []
-        for stroke in self.strokes_mm:
-            points = np.asarray(stroke, dtype=np.float64)
-            if points.ndim != 2 or points.shape[1:] != (2,) or len(points) == 0:
-                raise InputError(f"a stroke has shape {points.shape}; expected at least one point (x, y)")
-            if not np.isfinite(points).all():
-                raise InputError("a path has a coordinate that is not finite; millimetres are expected")
-            starts.append(points[:-1])
-            with np.errstate(over="ignore"):
-                directions.append(np.diff(points, axis=0))
-        if not starts:
-            raise InputError("a path has no stroke; at least one point is needed")
-        start = np.concatenate(starts)
-        direction = np.concatenate(directions)
-        with np.errstate(over="ignore", under="ignore"):
-            lengths = np.hypot(direction[:, 0], direction[:, 1])
-        moving = lengths > 0
-        start, direction, lengths = start[moving], direction[moving], lengths[moving]
-        if not len(lengths):
-            start = np.asarray(self.strokes_mm[0], dtype=np.float64)[:1]
-            direction, lengths = np.zeros((1, 2)), np.ones(1)
-            from_mm = np.zeros(2)
-        else:
-            with np.errstate(over="ignore"):
-                from_mm = np.concatenate([[0.0], np.cumsum(lengths)])
-        if not np.isfinite(from_mm[-1]):
-            raise InputError("a path is longer than the range of numbers in millimetres")
-        object.__setattr__(self, "length_mm", float(from_mm[-1]))
-        object.__setattr__(self, "_starts", start)
-        object.__setattr__(self, "_directions", direction / lengths[:, None])
-        object.__setattr__(self, "_from_mm", from_mm)
-
-    def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
-        along = np.atleast_1d(np.asarray(arc_length_mm, dtype=np.float64))
-        segment = np.searchsorted(self._from_mm, along, side="right") - 1
-        np.clip(segment, 0, len(self._starts) - 1, out=segment)
-        rest = along - self._from_mm[segment]
-        points: Float64Array = self._starts[segment] + self._directions[segment] * rest[:, None]
-        return points
-
-
-@dataclass(frozen=True, slots=True)
 class Point:
     """A source that stands still.
 
@@ -112,19 +52,57 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class DrawnPath:
-    """A path that is drawn as strokes; base of those below."""
+    """A path that is drawn as polylines, one after another; base of those below.
 
-    _strokes: Strokes = field(init=False, repr=False, compare=False)
+    Arc length runs along the strokes only; between two strokes the source jumps. At the joint itself it is already at
+    the start of the next stroke. Points that repeat count once.
+    """
 
-    @property
-    def length_mm(self) -> float:
-        return self._strokes.length_mm
+    length_mm: float = field(init=False, compare=False)
+    _starts: Float64Array = field(init=False, repr=False, compare=False)
+    _directions: Float64Array = field(init=False, repr=False, compare=False)
+    _from_mm: Float64Array = field(init=False, repr=False, compare=False)
 
     def point_at(self, arc_length_mm: ArrayLike) -> Float64Array:
-        return self._strokes.point_at(arc_length_mm)
+        along = np.atleast_1d(np.asarray(arc_length_mm, dtype=np.float64))
+        segment = np.searchsorted(self._from_mm, along, side="right") - 1
+        np.clip(segment, 0, len(self._starts) - 1, out=segment)
+        rest = along - self._from_mm[segment]
+        return np.asarray(self._starts[segment] + self._directions[segment] * rest[:, None])
 
     def _draw(self, strokes_mm: Sequence[Float64Array]) -> None:
-        object.__setattr__(self, "_strokes", Strokes(strokes_mm))
+        strokes = [np.asarray(stroke, dtype=np.float64) for stroke in strokes_mm]
+        if not strokes:
+            raise InputError("a path has no stroke; at least one point is needed")
+        for points in strokes:
+            if points.ndim != 2 or points.shape[1:] != (2,) or len(points) == 0:
+                raise InputError(f"a stroke has shape {points.shape}; expected at least one point (x, y)")
+            if not np.isfinite(points).all():
+                raise InputError("a path has a coordinate that is not finite; millimetres are expected")
+        with np.errstate(over="ignore", under="ignore"):
+            direction = np.concatenate([np.diff(points, axis=0) for points in strokes])
+            lengths = np.hypot(direction[:, 0], direction[:, 1])
+            moving = lengths > 0
+            from_mm = np.concatenate([[0.0], np.cumsum(lengths[moving])])
+        if not np.isfinite(from_mm[-1]):
+            raise InputError("a path is longer than the range of numbers in millimetres")
+        start = np.concatenate([points[:-1] for points in strokes])[moving]
+        if not len(start):
+            start, direction, lengths, moving = strokes[0][:1], np.zeros((1, 2)), np.ones(1), np.ones(1, dtype=bool)
+        object.__setattr__(self, "length_mm", float(from_mm[-1]))
+        object.__setattr__(self, "_starts", start)
+        object.__setattr__(self, "_directions", direction[moving] / lengths[moving, None])
+        object.__setattr__(self, "_from_mm", from_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class Strokes(DrawnPath):
+    """Polylines, float64 (points, 2) each, in millimetres; InputError: one has no point, or is not finite."""
+
+    strokes_mm: Sequence[Float64Array]
+
+    def __post_init__(self) -> None:
+        self._draw(self.strokes_mm)
 
 
 @dataclass(frozen=True, slots=True)

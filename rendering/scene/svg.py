@@ -77,10 +77,8 @@ class _Pen:
         self._tolerance = tolerance
         self._points = 0
         self._most_points = most_points
-        self._at = 0j
-        self._start = 0j
-        self._cubic_handle: complex | None = None
-        self._quadratic_handle: complex | None = None
+        self._at = self._start = self._handle = 0j
+        self._handle_kind, self._closed = "", False
 
     def draw(self, command: str, values: list[float]) -> None:
         kind = command.upper()
@@ -90,33 +88,31 @@ class _Pen:
             self._begin(self._start)
         base = self._at if command.islower() else 0j
         points = [base + complex(x, y) for x, y in zip(values[::2], values[1::2], strict=False)]
-        cubic, quadratic = self._cubic_handle, self._quadratic_handle
-        self._cubic_handle = self._quadratic_handle = None
-        if kind == "M":
-            self._begin(points[0])
-        elif kind == "L":
-            self._line(points[0])
-        elif kind == "H":
-            self._line(complex(base.real + values[0], self._at.imag))
-        elif kind == "V":
-            self._line(complex(self._at.real, base.imag + values[0]))
-        elif kind == "Z":
-            self._line(self._start)
-            self._closed = True
-        elif kind == "C":
-            self._cubic(*points)
-        elif kind == "S":
-            first = self._at if cubic is None else 2 * self._at - cubic
-            self._cubic(first, *points)
-        elif kind == "Q":
-            self._quadratic(*points)
-        elif kind == "T":
-            first = self._at if quadratic is None else 2 * self._at - quadratic
-            self._quadratic(first, points[0])
-        else:
-            self._arc(values, base + complex(values[5], values[6]))
-
-    _closed = False
+        # A smooth curve mirrors the handle of a curve of its own kind before it.
+        mirrored = 2 * self._at - self._handle if self._handle_kind == kind else self._at
+        self._handle_kind = ""
+        match kind:
+            case "M":
+                self._begin(points[0])
+            case "L":
+                self._line(points[0])
+            case "H":
+                self._line(complex(base.real + values[0], self._at.imag))
+            case "V":
+                self._line(complex(self._at.real, base.imag + values[0]))
+            case "Z":
+                self._line(self._start)
+                self._closed = True
+            case "C" | "S":
+                first, second, end = points if kind == "C" else (mirrored, *points)
+                self._cubic(first, second, end)
+                self._handle, self._handle_kind = second, "S"
+            case "Q" | "T":
+                middle, end = points if kind == "Q" else (mirrored, *points)
+                self._cubic((self._at + 2 * middle) / 3, (end + 2 * middle) / 3, end)
+                self._handle, self._handle_kind = middle, "T"
+            case _:
+                self._arc(values, base + complex(values[5], values[6]))
 
     def _count(self, points: int) -> None:
         self._points += points
@@ -133,8 +129,7 @@ class _Pen:
 
     def _line(self, point: complex) -> None:
         self._count(1)
-        self.strokes[-1].append((point.real, point.imag))
-        self._at = point
+        self._curve(np.array([point]))
 
     def _curve(self, points: NDArray[np.complex128]) -> None:
         self.strokes[-1].extend(zip(points.real.tolist(), points.imag.tolist(), strict=True))
@@ -154,12 +149,6 @@ class _Pen:
         points = s**3 * start + 3 * s**2 * t * first + 3 * s * t**2 * second + t**3 * end
         points[-1] = end
         self._curve(points)
-        self._cubic_handle = second
-
-    def _quadratic(self, middle: complex, end: complex) -> None:
-        start = self._at
-        self._cubic((start + 2 * middle) / 3, (end + 2 * middle) / 3, end)
-        self._cubic_handle, self._quadratic_handle = None, middle
 
     def _arc(self, values: list[float], end: complex) -> None:
         """Endpoint to centre, SVG 1.1 appendix F.6.5 and F.6.6."""
