@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PyQt5.QtCore import Qt
@@ -41,6 +42,7 @@ class FiguresPanel(QWidget):
         super().__init__()
         self._theme = LIGHT
         self._record: VerificationRecord | None = None
+        self._folder = Path()
         self.verdict = Badge("Verdict")
         self.summary = QLabel()
         self.summary.setAccessibleName("Summary")
@@ -76,6 +78,7 @@ class FiguresPanel(QWidget):
     def show_results(self, results: Results | None) -> None:
         """Show another verification's figures; None shows none."""
         self._record = None if results is None else results.record
+        self._folder = Path() if results is None else results.folder
         for button in self.buttons.values():
             button.setEnabled(results is not None)
         self._fill()
@@ -110,9 +113,9 @@ class FiguresPanel(QWidget):
         self.verdict.show_word(
             "✓ passed" if record.passed else "✗ not good enough", theme.good if record.passed else theme.fault
         )
-        self.summary.setText(f"{record.scene}, {_when(record)}, in {record.folder.name}")
+        self.summary.setText(f"{record.scene}, {_when(record)}, in {self._folder.name}")
         self.summary.setToolTip(
-            f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{record.folder}"
+            f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{self._folder}"
         )
         colours = {True: theme.good, False: theme.fault, None: theme.faint}
         last = len(_COLUMNS) - 1

@@ -41,6 +41,8 @@ class Results:
 
     Parameters
     ----------
+    folder : Path
+        Folder of prediction, scan and report.
     record : VerificationRecord
         Figures, foci, sources, errors.
     pair : FieldPair
@@ -53,6 +55,7 @@ class Results:
         Ends of the scales for the whole scene, in response units.
     """
 
+    folder: Path
     record: VerificationRecord
     pair: FieldPair
     surface: Surface
@@ -75,7 +78,7 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
     from rendering.verify.record import read_record
 
     record = read_record(record_file)
-    folder = record.folder
+    folder = record_file.parent
     pair = read_pair(folder / PREDICTION_NAME, folder / SCAN_NAME, record.band_hz, on_progress, wanted)
     if not np.array_equal(pair.position_index, record.position_index):
         raise InputError(
@@ -85,10 +88,11 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
     looked_at = focus if len(focus) else np.linspace(0, pair.samples - 1, _INSTANTS).round().astype(np.int64)
     loudest, difference = pair.loudest(looked_at, record.compared)
     surface = Surface(
-        record.position_mm, record.actuator_mm, record.outline_mm, raster_of(record.position_mm, gaps=False),
-        [source.path_mm for source in record.sources],
+        record.position_mm, record.actuator_places_mm,
+        None if record.outline_mm is None else np.array(record.outline_mm), raster_of(record.position_mm, gaps=False),
+        [np.array(source.path_mm) for source in record.sources],
     )  # fmt: skip
-    return Results(record, pair, surface, focus, loudest, difference)
+    return Results(folder, record, pair, surface, focus, loudest, difference)
 
 
 def record_of(path: Path) -> Path | None:

@@ -212,11 +212,11 @@ class VerificationTab(Tab):
 
     def _open_report(self) -> None:
         if self.results is not None:
-            self._open(self.results.record.folder / REPORT_NAME)
+            self._open(self.results.folder / REPORT_NAME)
 
     def _open_folder(self) -> None:
         if self.results is not None:
-            self._open(self.results.record.folder)
+            self._open(self.results.folder)
 
     def _open(self, path: Path) -> None:
         if not path.exists():

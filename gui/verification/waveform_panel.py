@@ -125,8 +125,8 @@ def _lines(theme: Theme) -> list[tuple[str, str]]:
 def _figures_text(results: Results, index: int) -> str:
     """The figures of a position, or why it has none."""
     row = int(results.record.position_index[index])
-    if row in results.record.excluded:
-        return f"not compared: {results.record.excluded[row]}"
+    if excluded := [one.reason for one in results.record.excluded if one.position == row]:
+        return f"not compared: {excluded[0]}"
     figures = results.pair.figures(index)
     if math.isnan(figures.error):
         return "silent, or not scanned"

@@ -5,25 +5,27 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from config.messages.codec import Message, MessageError, from_record, to_record
 from storage.errors import InputError
 from storage.output_files import write_whole
 
 if TYPE_CHECKING:
-    from rendering.field.focus_figures import FocusInstant
     from rendering.greens.source import GreenSource
     from rendering.scene.model import Scene, Source
     from rendering.verify.verdict import Verification
     from storage.field_file import Field
 
 Float64Array = NDArray[np.float64]
+PointMm = tuple[float, float]
 
 DRIVE_NAME = "drive.h5"
 PREDICTION_NAME = "prediction.h5"
@@ -35,7 +37,6 @@ PICTURE_NAMES = tuple(
     for name in ("path", "snapshots", "waveforms", "positions", "snr", "error", "gain", "drive", "drift", "waves")
 )
 RECORD_NAME = "verify.json"
-FORMAT = "wavefocus-verification"
 VERSION = 1
 LOG_NAME = "verify.events.jsonl"
 """Progress, while it works."""
@@ -46,12 +47,12 @@ PATH_POINTS = 401
 """Points of a recorded path: it looks smooth on any screen."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Figure:
     """One figure of a verification.
 
     Of the prediction, of the scan, and between them: None where it has no such side. `value` is what the limit is for,
-    None where the positions needed were not scanned. `relation` is "at most" or "at least", empty without a limit;
+    None where the positions needed were not scanned. `relation` is "at most" or "at least", None without a limit;
     `passed` is None where nothing was judged.
     """
 
@@ -63,47 +64,67 @@ class Figure:
     difference: float | None = None
     value: float | None = None
     limit: float | None = None
-    relation: str = ""
+    relation: str | None = None
     passed: bool | None = None
 
 
-_NUMBERS = ("predicted", "scanned", "difference", "value", "limit")
+@dataclass(frozen=True)
+class RecordedFocus:
+    """A focus instant that was compared, on a bank row."""
+
+    source: int
+    position: int
+    time_s: float
+    at_mm: PointMm
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True)
 class RecordedSource:
-    """Path of a source: evenly along `path_mm`, shape (points, 2), from `start_s` to `stop_s`."""
+    """Path of a source: evenly along `path_mm` from `start_s` to `stop_s`."""
 
     start_s: float
     stop_s: float
-    path_mm: Float64Array
+    path_mm: tuple[PointMm, ...]
 
     def at_mm(self, time_s: float) -> Float64Array | None:
         """Its place, None before it starts; at rest at the end of its path after that."""
         if time_s < self.start_s:
             return None
         times_s = np.linspace(self.start_s, self.stop_s, len(self.path_mm))
-        return np.array([np.interp(time_s, times_s, along_mm) for along_mm in self.path_mm.T])
+        return np.array([np.interp(time_s, times_s, along_mm) for along_mm in np.array(self.path_mm).T])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class VerificationRecord:
-    """The content of ``verify.json``.
+@dataclass(frozen=True)
+class RecordedPositions:
+    """Bank rows of the predicted positions, their places, and the errors there, NaN where nothing was compared."""
 
-    scene, scene_file, bank, rig: Names of what was verified.
+    index: tuple[int, ...]
+    at_mm: tuple[PointMm, ...]
+    error: tuple[float, ...]
+    correlation: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ExcludedPosition:
+    """A scanned bank row that was not compared, and why."""
+
+    position: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class VerificationRecord(Message, format="wavefocus-verification"):
+    """The content of ``verify.json``, and the same as arrays.
+
+    scene_file, bank, rig: Names on the command line.
     passed: No figure is beyond its limit.
-    band_hz: To which both fields were limited.
+    band_hz: To which both fields were limited; None: not limited.
     figures: Those with a limit first.
-    focus_s, float64 (foci,): Focus instants that were compared.
-    outline_mm, float64 (points, 2) or None: Rim of the surface.
-    actuator_mm, float64 (actuators, 2): NaN where unknown.
-    position_index, position_mm, array (positions,) and (positions, 2): Bank rows of the predicted positions, and their
-        places.
-    position_error, position_correlation, float64 (positions,): NaN where nothing was compared.
-    excluded: Scanned bank rows that were not compared, and why.
+    outline_mm: Rim of the surface, closed.
+    actuator_mm: None where a place is unknown.
     """
 
-    path: Path
+    format_version: int
     made: datetime
     scene: str
     scene_file: str
@@ -113,16 +134,39 @@ class VerificationRecord:
     summary: str
     response_unit: str
     band_hz: tuple[float, float] | None
+    spacing_mm: float | None
     figures: tuple[Figure, ...]
-    focus_s: Float64Array
+    foci: tuple[RecordedFocus, ...]
     sources: tuple[RecordedSource, ...]
-    outline_mm: Float64Array | None
-    actuator_mm: Float64Array
-    position_index: NDArray[np.int64]
-    position_mm: Float64Array
-    position_error: Float64Array
-    position_correlation: Float64Array
-    excluded: dict[int, str]
+    outline_mm: tuple[PointMm, ...] | None
+    actuator_mm: tuple[PointMm | None, ...]
+    positions: RecordedPositions
+    excluded: tuple[ExcludedPosition, ...]
+
+    @cached_property
+    def position_index(self) -> NDArray[np.int64]:
+        """Bank rows of the predicted positions, (positions,)."""
+        return np.array(self.positions.index, np.int64)
+
+    @cached_property
+    def position_mm(self) -> Float64Array:
+        """Their places, (positions, 2)."""
+        return np.array(self.positions.at_mm, np.float64)
+
+    @cached_property
+    def position_error(self) -> Float64Array:
+        """Relative error at each, (positions,); NaN where nothing was compared."""
+        return np.array(self.positions.error, np.float64)
+
+    @cached_property
+    def position_correlation(self) -> Float64Array:
+        """Correlation at each, (positions,); NaN where nothing was compared."""
+        return np.array(self.positions.correlation, np.float64)
+
+    @property
+    def focus_s(self) -> list[float]:
+        """Focus instants that were compared."""
+        return [one.time_s for one in self.foci]
 
     @property
     def compared(self) -> NDArray[np.bool_]:
@@ -130,9 +174,9 @@ class VerificationRecord:
         return np.isfinite(self.position_error)
 
     @property
-    def folder(self) -> Path:
-        """Folder of prediction, scan and report."""
-        return self.path.parent
+    def actuator_places_mm(self) -> Float64Array:
+        """Places of the actuators, (actuators, 2); NaN where unknown."""
+        return np.array([point or (math.nan, math.nan) for point in self.actuator_mm], np.float64).reshape(-1, 2)
 
 
 def write_record(
@@ -152,34 +196,41 @@ def write_record(
     compared = verification.fields
     rows = np.asarray(prediction.position_index, np.int64)
     position_mm = np.asarray(bank.position_mm, np.float64)
-    content = {
-        "format": FORMAT,
-        "format_version": VERSION,
-        "made": datetime.now(UTC).isoformat(timespec="seconds"),
-        "scene": scene.name,
+
+    def of_rows(values: Float64Array) -> tuple[float, ...]:
+        by_row = dict(zip(compared.position_index.tolist(), values.tolist(), strict=True))
+        return tuple(by_row.get(row, math.nan) for row in rows.tolist())
+
+    record = VerificationRecord(
+        VERSION,
+        made=datetime.now(UTC).replace(microsecond=0),
+        scene=scene.name,
         **names,
-        "passed": verification.passed,
-        "summary": verification.summary,
-        "response_unit": compared.response_unit,
-        "band_hz": None if compared.band_hz is None else list(compared.band_hz),
-        "spacing_mm": verification.spacing_mm,
-        "figures": [_plain_figure(one) for one in verification.figures],
-        "foci": [_plain_focus(one, compared.sample_rate_hz, position_mm) for one in compared.instant],
-        "sources": [_plain_source(source) for source in scene.sources],
-        "outline_mm": None if outline_mm is None else np.round(outline_mm, 3).tolist(),
-        "actuator_mm": [
-            point.tolist() if np.isfinite(point).all() else None for point in np.asarray(bank.actuator_mm, np.float64)
-        ],
-        "positions": {
-            "index": rows.tolist(),
-            "at_mm": position_mm[rows].tolist(),
-            "error": _of_rows(rows, compared.position_index, compared.position_error),
-            "correlation": _of_rows(rows, compared.position_index, compared.position_correlation),
-        },
-        "excluded": [{"position": row, "reason": reason} for row, reason in compared.excluded],
-    }
+        passed=verification.passed,
+        summary=verification.summary,
+        response_unit=compared.response_unit,
+        band_hz=compared.band_hz,
+        spacing_mm=verification.spacing_mm,
+        figures=verification.figures,
+        foci=tuple(
+            RecordedFocus(one.source, one.row, one.sample / compared.sample_rate_hz, _points(position_mm[[one.row]])[0])
+            for one in compared.instant
+        ),
+        sources=tuple(_recorded(source) for source in scene.sources),
+        outline_mm=None if outline_mm is None else _points(np.round(outline_mm, 3)),
+        actuator_mm=tuple(
+            point if np.isfinite(point).all() else None for point in _points(np.asarray(bank.actuator_mm, np.float64))
+        ),
+        positions=RecordedPositions(
+            tuple(rows.tolist()),
+            _points(position_mm[rows]),
+            of_rows(compared.position_error),
+            of_rows(compared.position_correlation),
+        ),
+        excluded=tuple(ExcludedPosition(row, reason) for row, reason in compared.excluded),
+    )
     path = out_dir / RECORD_NAME
-    write_whole(path, json.dumps(content, allow_nan=False, indent=1) + "\n")
+    write_whole(path, json.dumps(to_record(record), allow_nan=False, indent=1) + "\n")
     return path
 
 
@@ -188,32 +239,22 @@ def finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def _plain_figure(figure: Figure) -> dict[str, object]:
-    plain = asdict(figure)
-    return plain | {name: finite(plain[name]) for name in _NUMBERS} | {"relation": figure.relation or None}
-
-
-def _plain_focus(focus: FocusInstant, rate_hz: float, position_mm: Float64Array) -> dict[str, object]:
-    time_s, at_mm = focus.sample / rate_hz, position_mm[focus.row].tolist()
-    return {"source": focus.source, "position": focus.row, "time_s": time_s, "at_mm": at_mm}
-
-
-def _plain_source(source: Source) -> dict[str, object]:
+def _recorded(source: Source) -> RecordedSource:
     length_mm = source.path.length_mm
     moves = length_mm > 0.0 and source.speed_mm_s > 0.0
     stop_s = source.start_s + (length_mm / source.speed_mm_s if moves else 0.0)
-    path_mm = path_line_mm(source, PATH_POINTS if moves else 1)
-    return {"start_s": source.start_s, "stop_s": stop_s, "path_mm": np.round(path_mm, 3).tolist()}
+    return RecordedSource(
+        source.start_s, stop_s, _points(np.round(path_line_mm(source, PATH_POINTS if moves else 1), 3))
+    )
+
+
+def _points(places_mm: Float64Array) -> tuple[PointMm, ...]:
+    return tuple((x, y) for x, y in places_mm.tolist())
 
 
 def path_line_mm(source: Source, points: int) -> Float64Array:
     """So many points evenly along a source's path, its start where it is one."""
     return np.asarray(source.path.point_at(np.linspace(0.0, source.path.length_mm, points)), np.float64)
-
-
-def _of_rows(rows: NDArray[np.int64], compared: NDArray[np.int64], values: Float64Array) -> list[float | None]:
-    by_row = dict(zip(compared.tolist(), values.tolist(), strict=True))
-    return [finite(by_row.get(row)) for row in rows.tolist()]
 
 
 def read_record(path: Path) -> VerificationRecord:
@@ -226,71 +267,29 @@ def read_record(path: Path) -> VerificationRecord:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError):
         raise InputError(f"{path} is no JSON file, or is damaged; run the verification again") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{path} is not the record of a verification: its format is not {FORMAT}")
+    if not isinstance(content, dict) or content.get("format") != VerificationRecord.tag["format"]:
+        raise InputError(
+            f"{path} is not the record of a verification: its format is not {VerificationRecord.tag['format']}"
+        )
     if content.get("format_version") != VERSION:
         raise InputError(
             f"{path}: format_version is {content.get('format_version')!r}; this program reads {VERSION}, a newer "
             "wavefocus wrote it"
         )
     try:
-        return _record(path, content)
-    except (KeyError, TypeError, ValueError, AttributeError) as wrong:
-        what = f"{wrong.args[0]} is missing" if isinstance(wrong, KeyError) else str(wrong)
-        raise InputError(f"{path} is damaged: {what}; run the verification again") from wrong
+        record = from_record(VerificationRecord, content)
+        _check(record)
+    except MessageError as wrong:
+        raise InputError(f"{path} is damaged: {wrong}; run the verification again") from wrong
+    return record
 
 
-def _record(path: Path, content: dict[str, Any]) -> VerificationRecord:
-    positions, band, outline_mm = content["positions"], content["band_hz"], content["outline_mm"]
-    index = np.asarray(positions["index"])
-    if index.ndim != 1 or not len(index) or index.dtype.kind != "i":
-        raise ValueError("positions.index is no list of bank rows")
-    nowhere = (math.nan, math.nan)
-    return VerificationRecord(
-        path=path,
-        made=datetime.fromisoformat(content["made"]),
-        scene=str(content["scene"]),
-        scene_file=str(content.get("scene_file", "")),
-        bank=str(content.get("bank", "")),
-        rig=str(content.get("rig", "")),
-        passed=bool(content["passed"]),
-        summary=str(content["summary"]),
-        response_unit=str(content["response_unit"]),
-        band_hz=None if band is None else (float(band[0]), float(band[1])),
-        figures=tuple(_figure(one) for one in content["figures"]),
-        focus_s=_floats([one["time_s"] for one in content["foci"]], "foci"),
-        sources=tuple(
-            RecordedSource(float(one["start_s"]), float(one["stop_s"]), _points(one["path_mm"], "sources.path_mm"))
-            for one in content["sources"]
-        ),
-        outline_mm=None if outline_mm is None else _points(outline_mm, "outline_mm"),
-        actuator_mm=np.array([point or nowhere for point in content["actuator_mm"]], np.float64).reshape(-1, 2),
-        position_index=index.astype(np.int64),
-        position_mm=_points(positions["at_mm"], "positions.at_mm", len(index)),
-        position_error=_floats(positions["error"], "positions.error", len(index)),
-        position_correlation=_floats(positions["correlation"], "positions.correlation", len(index)),
-        excluded={int(one["position"]): str(one["reason"]) for one in content["excluded"]},
-    )
-
-
-def _figure(one: dict[str, Any]) -> Figure:
-    values = {field.name: one[field.name] for field in fields(Figure)}
-    for name in _NUMBERS:
-        if isinstance(values[name], bool) or not isinstance(values[name], int | float | None):
-            raise ValueError(f"{values[name]!r} is no number")
-    return Figure(**{**values, "relation": values["relation"] or ""})
-
-
-def _floats(values: object, name: str, count: int | None = None) -> Float64Array:
-    if not isinstance(values, list) or (count is not None and len(values) != count):
-        raise ValueError(f"{name} is no list of {'numbers' if count is None else f'{count} numbers'}")
-    return np.array([math.nan if value is None else float(value) for value in values], np.float64)
-
-
-def _points(values: object, name: str, count: int | None = None) -> Float64Array:
-    points = np.asarray(values, np.float64)
-    if points.ndim != 2 or points.shape[1] != 2 or not len(points) or not np.isfinite(points).all():
-        raise ValueError(f"{name} is no list of points [x, y]")
-    if count is not None and len(points) != count:
-        raise ValueError(f"{name} has {len(points)} points for {count} positions")
-    return points
+def _check(record: VerificationRecord) -> None:
+    count = len(record.positions.index)
+    for name in ("at_mm", "error", "correlation"):
+        if len(getattr(record.positions, name)) != count:
+            raise MessageError(f"positions.{name} has other than {count} entries")
+    if not count or not np.isfinite(record.position_mm).all():
+        raise MessageError("positions.at_mm is no list of points [x, y]")
+    if not all(len(source.path_mm) and np.isfinite(source.path_mm).all() for source in record.sources):
+        raise MessageError("sources.path_mm is no list of points [x, y]")

@@ -220,7 +220,7 @@ def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_t
     assert "not good enough" in tab.figures.verdict.text()
     assert cells(tab, 0)[5] == "✗ fail"
     assert list(tab.results.record.position_index) == list(range(0, 12, 2))
-    assert tab.results.record.folder == lab / "new"
+    assert tab.results.folder == lab / "new"
     assert not (lab / "new" / "verify.stop").exists()
 
 

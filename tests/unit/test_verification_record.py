@@ -77,7 +77,7 @@ def test_given_a_record_then_it_says_what_the_comparison_found(record_file: Path
     compared = verification.fields.position_index
     np.testing.assert_allclose(record.position_error[compared], verification.fields.position_error)
     assert np.flatnonzero(np.isnan(record.position_error)).tolist() == [NOT_SCANNED]
-    assert np.isnan(record.actuator_mm[2]).all()
+    assert np.isnan(record.actuator_places_mm[2]).all()
     assert len(record.focus_s) == len(verification.fields.instant)
     assert (record.scene, record.scene_file, record.rig) == ("line", "line.toml", "virtual")
 
@@ -87,7 +87,7 @@ def test_given_a_moving_source_then_it_is_where_its_speed_takes_it(record_file: 
     assert source.at_mm(-0.01) is None
     np.testing.assert_allclose(source.at_mm(0.06), (0.0, 0.0), atol=1e-3)
     np.testing.assert_allclose(source.at_mm(9.0), (12.0, 0.0))
-    rest = RecordedSource(0.5, 0.5, np.array([[3.0, 4.0]]))
+    rest = RecordedSource(0.5, 0.5, ((3.0, 4.0),))
     assert rest.at_mm(0.4) is None
     np.testing.assert_array_equal(rest.at_mm(0.5), (3.0, 4.0))
 
@@ -98,7 +98,7 @@ def test_given_a_moving_source_then_it_is_where_its_speed_takes_it(record_file: 
         (lambda content: content.update(format="other"), "is not the record of a verification"),
         (lambda content: content.update(format_version=2), "a newer wavefocus wrote it"),
         (lambda content: content.update(made="yesterday"), "yesterday"),
-        (lambda content: content["figures"][0].update(value="much"), "'much' is no number"),
+        (lambda content: content["figures"][0].update(value="much"), "value is 'much'"),
         (lambda content: content["positions"].update(error=[1.0]), "positions.error"),
         (lambda content: content["positions"].update(at_mm=[[0.0, 0.0]]), "positions.at_mm"),
         (lambda content: content["sources"][0].update(path_mm=[["a", "b"]]), "damaged"),
