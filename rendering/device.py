@@ -68,10 +68,7 @@ def host_device() -> Device:
 
 
 def cuda_device() -> Device:
-    """The first GPU that CUDA sees, by CuPy.
-
-    Raises InputError: CuPy is missing, or it finds no GPU.
-    """
+    """The first GPU that CUDA sees, by CuPy. Raises InputError: CuPy is missing, or it finds no GPU."""
     try:
         import cupy
     except ImportError as error:

@@ -156,10 +156,7 @@ class RowSpectra:
         return self._spectra[row]
 
     def load(self, rows: Sequence[int]) -> None:
-        """Have the spectra of some rows, at most `most_rows`, in memory.
-
-        Raises InputError: a row may not be used.
-        """
+        """Have the spectra of some rows, at most `most_rows`, in memory. Raises InputError: a row may not be used."""
         missing = [row for row in rows if row not in self._spectra]
         for row in rows:
             if row in self._spectra:

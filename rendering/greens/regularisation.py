@@ -26,9 +26,7 @@ def rms_map(bank: GreenSource) -> Float64Array:
     bank: Rows whose rms is not stored with the bank (`storage.bank.reading.Bank.rms`) are read, one by one.
 
     Returns float64 (positions, actuators): in the unit of the Green's functions; NaN in rows that are unmeasured,
-    refused or all zeros.
-
-    Raises InputError: a row in use holds NaN or infinity.
+    refused or all zeros. Raises InputError: a row in use holds NaN or infinity.
     """
     rms = np.full((bank.positions, bank.actuators), np.nan)
     in_use = usable(bank)

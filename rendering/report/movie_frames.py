@@ -46,10 +46,7 @@ def plan_frames(
     slow: float | None = None,
     frame_rate_hz: float = 25.0,
 ) -> FramePlan:
-    """Choose the instants of a movie.
-
-    Raises InputError: nothing is left to show, or there would be too many frames.
-    """
+    """Choose the instants of a movie. Raises InputError: nothing is left to show, or there would be too many frames."""
     rate_hz = field.sample_rate_hz
     ends_s = field.start_s + (field.samples - 1) / rate_hz
     begin_s, end_s = field.start_s, ends_s

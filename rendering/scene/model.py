@@ -95,10 +95,7 @@ def _check(allowed: bool, name: str, value: float | None, words: str) -> None:
 
 
 def load_scene(path: str | Path, *, allow_large: bool = False) -> Scene:
-    """Read a scene file with all that it names.
-
-    Raises InputError: anything in the files is wrong.
-    """
+    """Read a scene file with all that it names. Raises InputError: anything in the files is wrong."""
     file = Path(path)
     return build_scene(validated(SceneConfig, read_toml(file), str(file)), file, allow_large=allow_large)
 

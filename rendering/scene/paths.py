@@ -32,10 +32,7 @@ class Path(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A source that stands still.
-
-    Raises InputError: a coordinate is not finite.
-    """
+    """A source that stands still. Raises InputError: a coordinate is not finite."""
 
     at_mm: PointMm
 

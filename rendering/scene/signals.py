@@ -139,10 +139,7 @@ class SoundFile:
         return channel / _check_audible(channel, str(self.path))
 
     def declared(self) -> tuple[int, int]:
-        """Frames that the file declares, and its rate in Hz.
-
-        Raises InputError: the file cannot be read.
-        """
+        """Frames that the file declares, and its rate in Hz. Raises InputError: the file cannot be read."""
         with self._opened() as file:
             return file.frames, file.samplerate
 

@@ -83,9 +83,8 @@ def judged_errors(
 ) -> tuple[InterpolationErrors | None, list[str]]:
     """Estimate the error along a scene's paths, and warn of one worth saying.
 
-    Returns None where every point lies on a position, or the bank has too few of them.
-
-    Raises InputError: the tolerance is not above 0, or a band exceeds it.
+    Returns None where every point lies on a position, or the bank has too few of them. Raises InputError: the tolerance
+    is not above 0, or a band exceeds it.
     """
     with one_blas_thread():
         errors = _errors(scene, bank, kind, signals, thorough=tolerance is not None)
