@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from benchmarks import nights
 from benchmarks.harness import Findings, Mark, Point, band_error_db, measure
-from calibration.estimator.sequential import Estimator
+from calibration.estimator.sequential import SequentialEstimator
 from calibration.excitation.sweeps import Excitation
 
 TAPS = 2000
@@ -53,10 +53,10 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     """Time every estimator in turns on one thread; then nights, streams and audio rates."""
     work = make_workload(records=8 if quick else 20)
     records, sweep = len(work.truth), work.excitation
-    estimator = Estimator(sweep, TAPS)
+    estimator = SequentialEstimator(sweep, TAPS)
     methods: dict[str, Method] = {
         "wavefocus": _ours(estimator),
-        **{f"wavefocus, ridge {ridge:g}": _ours(Estimator(sweep, TAPS, ridge=ridge)) for ridge in RIDGES},
+        **{f"wavefocus, ridge {ridge:g}": _ours(SequentialEstimator(sweep, TAPS, ridge=ridge)) for ridge in RIDGES},
         "plain H1 in float64": lambda x, y: _plain_h1(sweep)(x.astype(np.float64), y.astype(np.float64)),
         "plain H1, band mask, cut at 0": _plain_h1(sweep),
         "scipy csd / welch H1": _welch_h1(sweep),
@@ -117,7 +117,7 @@ def make_workload(records: int, seed: int = 0) -> Workload:
     return Workload(excitation, truth, reference.astype(np.float32), response.astype(np.float32), noise_v)
 
 
-def _limit_db(work: Workload, estimator: Estimator) -> NDArray[np.float64]:
+def _limit_db(work: Workload, estimator: SequentialEstimator) -> NDArray[np.float64]:
     """Error that white noise alone leaves: least squares from a noise-free reference, in expectation.
 
     The trace of the estimate's covariance over the band, by the fit's own unbiased in-band projection: noise
@@ -149,7 +149,7 @@ def _repeats(recording: NDArray[np.float32], excitation: Excitation) -> NDArray[
     return recording[:, OFFSET : OFFSET + length].reshape(recording.shape[0], excitation.averages, -1)
 
 
-def _ours(estimator: Estimator) -> Method:
+def _ours(estimator: SequentialEstimator) -> Method:
     return lambda x, y: estimator.estimate(x, y, range_v=(10.0, 1e3)).green
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.estimator.sequential import Estimator
+from calibration.estimator.sequential import SequentialEstimator
 from calibration.excitation.sweeps import Excitation
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
@@ -34,7 +34,7 @@ def draw_recording(folder: Path) -> None:
     excitation = Excitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
     truth = VirtualRig().truth(*PLACE_MM, TAPS)[ACTUATOR] / M_S_PER_V
     reference, response = _record(excitation, truth)
-    found = Estimator(excitation, TAPS).estimate(reference[None], response[None], range_v=(10.0, 10.0))
+    found = SequentialEstimator(excitation, TAPS).estimate(reference[None], response[None], range_v=(10.0, 10.0))
     green, period = found.green[0].astype(np.float64), excitation.period_samples
     hertz = np.fft.rfftfreq(period, 1 / RATE_HZ)
     band = (hertz >= 20) & (hertz <= 500)

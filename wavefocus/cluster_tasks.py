@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.blas import one_blas_thread
-from calibration.estimator.position import PositionEstimator
+from calibration.estimator.estimate import PositionEstimator
 from calibration.estimator.raw_estimation import PositionResult, estimate_positions
 from rendering.field.prediction import Prediction
 from storage.bank.reading import open_bank

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.calibrate.probe import TRIES, NotMeasuredError
+from acquisition.measuring.plays import channels_of
 from acquisition.measuring.record import point_at, take_record
 from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.sequential import Estimate, Estimator
+from calibration.estimator.estimate import Estimate
+from calibration.estimator.sequential import SequentialEstimator
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.comparison import DEAD_SNR_DB, ActuatorComparison, Verdict, compare_actuators
 from drivers.errors import TransientInstrumentError
@@ -77,13 +79,7 @@ def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int
         amplitude_v=task.amplitude_v,
         averages=1,
     )
-    estimator = Estimator(
-        excitation,
-        round(RESPONSE_S * task.sample_rate_hz),
-        reference_gain=setup.reference_gain,
-        response_per_volt=setup.response_per_volt,
-        inter_channel_delay_s=setup.response_delay_s,
-    )
+    estimator = SequentialEstimator(excitation, round(RESPONSE_S * task.sample_rate_hz), channels_of(setup))
     estimates: list[Estimate] = []
     for actuator, (x_mm, y_mm) in enumerate(task.position_mm):
         progress(actuator, len(task.position_mm))
@@ -94,7 +90,7 @@ def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int
     return compare_actuators(green, np.array([one.snr_db[0] for one in estimates]), task.sample_rate_hz)
 
 
-def _best_of(setup: Setup, excitation: Excitation, estimator: Estimator, actuator: int) -> Estimate:
+def _best_of(setup: Setup, excitation: Excitation, estimator: SequentialEstimator, actuator: int) -> Estimate:
     """The best of a few records of one actuator; the first that is good enough ends it."""
     best: Estimate | None = None
     for attempt in range(1, TRIES + 1):
@@ -112,7 +108,7 @@ def _best_of(setup: Setup, excitation: Excitation, estimator: Estimator, actuato
     return best
 
 
-def _once(setup: Setup, excitation: Excitation, estimator: Estimator, take: Take) -> Estimate:
+def _once(setup: Setup, excitation: Excitation, estimator: SequentialEstimator, take: Take) -> Estimate:
     signal_v = excitation.signal_v()
     channel = setup.actuator_channels[take.position]
     signals_v = {channel: signal_v, setup.loopback_channel: signal_v}

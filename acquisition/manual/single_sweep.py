@@ -15,7 +15,7 @@ from acquisition.quality.judgement import judge
 from acquisition.quality.limits import QualityLimits
 from calibration.blas import one_blas_thread
 from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.sequential import Estimator
+from calibration.estimator.sequential import SequentialEstimator
 from calibration.excitation.sweeps import Excitation
 from config.messages.operate import Defect, InputLevels, SweepFigures
 from drivers.protocols import Float32Array, Float64Array, Recording, Take
@@ -92,7 +92,7 @@ class SingleSweeps:
         self._setup = setup
         self._rate_hz = sample_rate_hz
         self._number = 0
-        self._estimator: tuple[Excitation, Estimator] | None = None
+        self._estimator: tuple[Excitation, SequentialEstimator] | None = None
 
     def take(self, order: SweepOrder) -> SweepResult:
         """Listen to silence for as long, play the sweep once, and look at what came back.
@@ -148,17 +148,10 @@ class SingleSweeps:
             defects=named,
         )
 
-    def _estimator_of(self, excitation: Excitation) -> Estimator:
+    def _estimator_of(self, excitation: Excitation) -> SequentialEstimator:
         if self._estimator is None or self._estimator[0] != excitation:
-            channels = channels_of(self._setup)
-            estimator = Estimator(
-                excitation,
-                round(TAPS_S * excitation.sample_rate_hz),
-                reference_gain=channels.reference_gain,
-                response_per_volt=channels.response_per_volt,
-                inter_channel_delay_s=channels.inter_channel_delay_s,
-            )
-            self._estimator = excitation, estimator
+            taps = round(TAPS_S * excitation.sample_rate_hz)
+            self._estimator = excitation, SequentialEstimator(excitation, taps, channels_of(self._setup))
         return self._estimator[1]
 
 

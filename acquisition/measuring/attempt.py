@@ -17,8 +17,7 @@ from acquisition.quality.judgement import Judgement, judge
 from acquisition.quality.limits import QualityLimits
 from acquisition.schedule.plan import Plan
 from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.position import PositionEstimator
-from calibration.estimator.sequential import Estimate
+from calibration.estimator.estimate import Estimate, PositionEstimator
 from drivers.protocols import Float64Array, Recording
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter

@@ -9,8 +9,9 @@ from acquisition.measuring.record import Rolls
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import Plan, lead_samples
 from calibration.blas import one_blas_thread
-from calibration.estimator.position import Channels, JointEstimator, PositionEstimator
-from calibration.estimator.sequential import Estimator
+from calibration.estimator.estimate import Channels, PositionEstimator, Records
+from calibration.estimator.sequential import SequentialEstimator
+from calibration.estimator.staggered import StaggeredEstimator
 from drivers.protocols import Float64Array, Recording
 
 
@@ -68,21 +69,10 @@ def position_estimator(plan: Plan, channels: Channels) -> PositionEstimator:
     """
     with one_blas_thread():
         if plan.staggered is not None:
-            return JointEstimator(
-                plan.staggered.base_v(),
-                plan.excitation.sample_rate_hz,
-                plan.excitation.band_hz,
-                plan.staggered.schedule(),
-                plan.taps,
-                channels,
-            )
-        return Estimator(
-            plan.excitation,
-            plan.taps,
-            reference_gain=channels.reference_gain,
-            response_per_volt=channels.response_per_volt,
-            inter_channel_delay_s=channels.inter_channel_delay_s,
-        )
+            sweep, schedule = plan.excitation, plan.staggered.schedule()
+            records = Records(sweep.sample_rate_hz, sweep.band_hz, plan.taps, schedule, channels)
+            return StaggeredEstimator(plan.staggered.base_v(), records)
+        return SequentialEstimator(plan.excitation, plan.taps, channels)
 
 
 def used_samples(plan: Plan, rolls: Rolls) -> slice | None:

@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.estimator.sequential import Estimate
+from calibration.estimator.estimate import Estimate
 
 MAINS_HZ = (50.0, 60.0)
 # A line belongs to the mains where it is this close to a multiple; their frequency itself strays by 0.2 Hz.

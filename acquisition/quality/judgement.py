@@ -20,7 +20,7 @@ from acquisition.quality.defects import (
     records_named,
 )
 from acquisition.quality.limits import QualityLimits
-from calibration.estimator.sequential import Estimate
+from calibration.estimator.estimate import Estimate
 from storage.point_status import Status
 
 # The bands of calibration and campaign differ, and with them what coupling capacitors take of the reference's level.

@@ -17,8 +17,8 @@ from acquisition.measuring.record import point_at
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import GROUP, Plan
 from calibration.clock.timing import ReferenceMissingError
+from calibration.estimator.estimate import Estimate
 from calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
-from calibration.estimator.sequential import Estimate
 from calibration.excitation.sweeps import StaggeredSignal
 from drivers.protocols import Take
 from storage.errors import InputError

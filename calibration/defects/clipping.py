@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
+
+from storage.errors import InputError
 
 # A converter's last counts belong to clipping: 0.1 % below the end of the range.
 CLIP_SHARE = 0.999
@@ -18,8 +22,39 @@ BELOW_SHARE = 0.97
 LEAST_PEAK_SHARE = 0.05
 
 
-def find_peaks(channel: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Largest magnitude of each recording and where it is, from recordings (records, samples)."""
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """Peaks of records, and what of them is clipped.
+
+    reference_v, response_v, float32 (records,): Largest magnitudes in volts.
+    loudest, int64 (records,): Sample of the response's.
+    clip_count, int32 (records,): Clipped samples of both channels.
+    """
+
+    reference_v: NDArray[np.float32]
+    response_v: NDArray[np.float32]
+    loudest: NDArray[np.int64]
+    clip_count: NDArray[np.int32]
+
+
+def measure_levels(
+    reference_v: NDArray[np.float32],
+    response_v: NDArray[np.float32],
+    range_v: tuple[float, float],
+    name: str = "a recording",
+) -> Levels:
+    """Measure records (records, samples) on converters that end at `range_v` on (reference, response).
+
+    Raises InputError: values that are not finite.
+    """
+    (reference_peak, reference_place), (peak, place) = _peaks(reference_v), _peaks(response_v)
+    if not (np.isfinite(reference_peak).all() and np.isfinite(peak).all()):
+        raise InputError(f"{name} holds values that are not finite; allowed are volts")
+    clipped = _count_clipped(reference_v, reference_peak, reference_place, range_v[0])
+    return Levels(reference_peak, peak, place, clipped + _count_clipped(response_v, peak, place, range_v[1]))
+
+
+def _peaks(channel: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     rows = np.arange(channel.shape[0])
     highest = np.array([recording.argmax() for recording in channel])
     lowest = np.array([recording.argmin() for recording in channel])
@@ -27,33 +62,25 @@ def find_peaks(channel: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArr
     return np.maximum(up, down), np.where(up >= down, highest, lowest)
 
 
-def count_clipped(
+def _count_clipped(
     channel: NDArray[np.float32], peak_v: NDArray[np.float32], place: NDArray[np.int64], range_v: float
 ) -> NDArray[np.int32]:
-    """Count the clipped samples of each recording.
+    """Count samples at 0.999 of the range or beyond, or else those of a flat top below it.
 
-    These are samples at 0.999 of the range or beyond, or else those of a flat top below it, since what comes
-    before the converter clips too. A flat top blurred by noise that was added after it is not seen;
-    the fit's residual is what shows it then.
-
-    channel, float32 (records, samples): Recordings in volts.
-    peak_v, float32 (records,): Largest magnitude of each recording in volts.
-    place, int64 (records,): Where that is.
-    range_v: End of the converter's range in volts, > 0.
-
-    Returns int32 (records,).
+    A flat top blurred by noise that was added after it is not seen; the fit's residual shows it then.
     """
     count = np.zeros(channel.shape[0], dtype=np.int32)
     for record, peak in enumerate(peak_v):
         if peak < LEAST_PEAK_SHARE * range_v:
             continue
-        if peak >= CLIP_SHARE * range_v:
-            count[record] = _beyond(channel[record], CLIP_SHARE * range_v)
-            continue
-        around = channel[record, max(0, place[record] - AROUND_SAMPLES) : place[record] + AROUND_SAMPLES]
-        top = _beyond(around, CLIP_SHARE * float(peak))
-        if top >= LEAST_FLAT and 4 * top > _beyond(around, BELOW_SHARE * float(peak)):
-            count[record] = _beyond(channel[record], CLIP_SHARE * float(peak))
+        level = range_v
+        if peak < CLIP_SHARE * range_v:
+            level = float(peak)
+            around = channel[record, max(0, place[record] - AROUND_SAMPLES) : place[record] + AROUND_SAMPLES]
+            top = _beyond(around, CLIP_SHARE * level)
+            if top < LEAST_FLAT or 4 * top <= _beyond(around, BELOW_SHARE * level):
+                continue
+        count[record] = _beyond(channel[record], CLIP_SHARE * level)
     return count
 
 

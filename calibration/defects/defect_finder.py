@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
-from calibration.defects.clipping import ThirdHarmonic
+from calibration.defects.clipping import Levels, ThirdHarmonic
 from calibration.defects.figures import DEFECTS
 
 Complex64Array = NDArray[np.complex64]
@@ -53,6 +55,39 @@ LEAKS = 3.0
 # Residuals below -75 dB of the response are left alone.
 MATTERS = 10**-7.5
 FLOOR = 1e-30
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """Spectra of a batch of records in the sweep's band, and what a fit leaves of them.
+
+    response_v, float32 (records, samples): Response channel in volts.
+    levels: Its peaks.
+    reference, complex64 (records, averages, bins): Spectra of the sweeps on the reference channel.
+    reference_power, float32 (records, bins): Their energy, all sweeps together.
+    answered_energy, float64 (records,): Energy of the sweeps on the response channel, in the same bins.
+    differing, complex64 (records, averages, bins): What one mean transfer function leaves of the response; None for a
+        single sweep.
+    differing_power, float32 (records, bins): Its energy, all sweeps together.
+    transfer, missed, complex64 (records, bins): That mean transfer function, and what of it the FIR of L taps leaves
+        unexplained.
+    whitened, complex64 (records, bins): `missed` as the fit sees it: white noise is even in it.
+    outside, float32 (records, more bins): What is left of the sweeps beyond the band, 0 in it.
+    first_outside: Number of the first of these bins.
+    """
+
+    response_v: Float32Array
+    levels: Levels
+    reference: Complex64Array
+    reference_power: Float32Array
+    answered_energy: Float64Array
+    differing: Complex64Array | None
+    differing_power: Float32Array | None
+    transfer: Complex64Array
+    missed: Complex64Array
+    whitened: Complex64Array
+    outside: Float32Array
+    first_outside: int
 
 
 class DefectFinder:
@@ -106,58 +141,26 @@ class DefectFinder:
         self._tail = slice(after, after + third)
         self._late = slice(after + 2 * third, after + 3 * third)
 
-    def find(
-        self,
-        *,
-        response_v: Float32Array,
-        loudest: NDArray[np.int64],
-        peak_v: Float32Array,
-        reference: Complex64Array,
-        reference_power: Float32Array,
-        answered_energy: Float64Array,
-        differing: Complex64Array | None,
-        differing_power: Float32Array | None,
-        transfer: Complex64Array,
-        missed: Complex64Array,
-        whitened: Complex64Array,
-        outside: Float32Array,
-        first_outside: int,
-    ) -> NDArray[np.void]:
-        """Look through a batch of records.
-
-        response_v, float32 (records, samples): Response channel in volts.
-        loudest, int64 (records,): Sample of its largest magnitude.
-        peak_v, float32 (records,): That magnitude in volts.
-        reference, complex64 (records, averages, bins): Spectra of the sweeps on the reference channel.
-        reference_power, float32 (records, bins): Their energy, all sweeps together.
-        answered_energy, float64 (records,): Energy of the sweeps on the response channel, in the same bins.
-        differing, complex64 (records, averages, bins): What one mean transfer function leaves of the response; None for
-            a single sweep.
-        differing_power, float32 (records, bins): Its energy, all sweeps together.
-        transfer, missed, complex64 (records, bins): That mean transfer function, and what of it the FIR of L taps
-            leaves unexplained.
-        whitened, complex64 (records, bins): `missed` as the fit sees it: white noise is even in it.
-        outside, float32 (records, more bins): What is left of the sweeps beyond the band, 0 in it.
-        first_outside: Number of the first of these bins.
-
-        Returns structured (records,): as `calibration.defects.figures.DEFECTS` has it.
-        """
-        whole = np.maximum(answered_energy, FLOOR)
+    def find(self, spectra: Residuals) -> NDArray[np.void]:
+        """Look through a batch of records: structured array (records,), as `calibration.defects.figures.DEFECTS`."""
+        missed, reference, transfer = spectra.missed, spectra.reference, spectra.transfer
+        differing, differing_power = spectra.differing, spectra.differing_power
+        whole = np.maximum(spectra.answered_energy, FLOOR)
         defects = np.zeros(len(missed), DEFECTS)
         for name in ("burst_db", "cut_db", "slip_db", "line_db", "tail_db", "step_db", "harmonic_db"):
             defects[name] = -np.inf
-        defects["dead"] = answered_energy <= DEAD_SHARE * np.square(peak_v, dtype=np.float64)
-        unexplained = _energy(missed) * reference_power
+        defects["dead"] = spectra.answered_energy <= DEAD_SHARE * np.square(spectra.levels.response_v, dtype=np.float64)
+        unexplained = _energy(missed) * spectra.reference_power
         power = unexplained if differing_power is None else unexplained + differing_power
         self._lines(power, whole, defects)
         # What is cut where the response stays loud for long bends the fit and leaves nothing.
         left = unexplained if differing_power is None else differing_power
         loud = np.flatnonzero(whole > LOUD * left.sum(axis=1, dtype=np.float64))
-        defects["harmonic_db"][loud] = self._harmonic(response_v, loudest, loud)
+        defects["harmonic_db"][loud] = self._harmonic(spectra.response_v, spectra.levels.loudest, loud)
         look = np.flatnonzero(self._suspicious(unexplained, differing_power, whole))
         if not look.size:
             return defects
-        beyond = self._hum_beyond(outside, first_outside, power, whole, defects)
+        beyond = self._hum_beyond(spectra.outside, spectra.first_outside, power, whole, defects)
         look = look[~beyond[look]]
         if not look.size:
             return defects
@@ -173,7 +176,7 @@ class DefectFinder:
         noise = None
         if differing_power is not None:
             noise = differing_power[look].sum(axis=1, dtype=np.float64) / (self._averages - 1)
-        self._tails(whitened[look], unexplained[look], noise, whole[look], closer)
+        self._tails(spectra.whitened[look], unexplained[look], noise, whole[look], closer)
         defects[look] = closer
         return defects
 

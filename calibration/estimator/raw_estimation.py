@@ -13,9 +13,10 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from calibration.clock.timing import ReferenceMissingError
+from calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
 from calibration.estimator.multichannel_fir_fit import MOST_JOINT_BYTES, joint_bytes
-from calibration.estimator.position import Channels, JointEstimator, PositionEstimator, SequentialEstimator
-from calibration.estimator.sequential import Estimate
+from calibration.estimator.sequential import SequentialEstimator
+from calibration.estimator.staggered import StaggeredEstimator
 from calibration.estimator.whole_record import WholeRecordEstimator
 from calibration.excitation.base_signal import learn_base
 from calibration.excitation.sequential_signal import RecordShape, find_sweeps, learn_sweeps, whole_record
@@ -54,13 +55,13 @@ def estimator_of(raw: RawFile, report: Callable[[str], None] = lambda line: None
     Raises InputError: no position whose reference shows what was played, or a schedule that cannot be estimated.
     """
     header = raw.header
-    channels = Channels(header.reference_gain, header.response_per_volt, header.inter_channel_delay_s)
+    records = records_of(header)
     failure: InputError | None = None
     for first in _recorded(raw, LEARNED_POSITIONS):
         try:
             if header.schedule.period_s > 0:
-                return _periodic(raw, first, channels, report)
-            return _with_silence(header, first, channels, report)
+                return _periodic(raw, records, first, report)
+            return _with_silence(header, records, first, report)
         except (InputError, ReferenceMissingError) as error:
             failure = failure or InputError(f"{raw.path}: {error}")
     raise failure or InputError(f"{raw.path} holds no recordings; there is nothing to estimate")
@@ -130,7 +131,7 @@ def _recorded(raw: RawFile, most: int) -> Iterator[Recordings]:
             return
 
 
-def _periodic(raw: RawFile, first: Recordings, channels: Channels, report: Callable[[str], None]) -> PositionEstimator:
+def _periodic(raw: RawFile, records: Records, first: Recordings, report: Callable[[str], None]) -> PositionEstimator:
     """The base signal is already running when a record starts."""
     header = raw.header
     period = header.schedule.period_s * header.sample_rate_hz
@@ -153,25 +154,17 @@ def _periodic(raw: RawFile, first: Recordings, channels: Channels, report: Calla
         same_clock=header.same_clock,
     )
     report(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (base.ratio - 1):.2f} ppm")
-    return JointEstimator(
-        base.base_v,
-        header.sample_rate_hz,
-        header.band_hz,
-        header.schedule,
-        header.taps,
-        channels,
-        expected_ratio=base.ratio,
-    )
+    return StaggeredEstimator(base.base_v, records, expected_ratio=base.ratio)
 
 
 def _with_silence(
-    header: RawHeader, first: Recordings, channels: Channels, report: Callable[[str], None]
+    header: RawHeader, records: Records, first: Recordings, report: Callable[[str], None]
 ) -> PositionEstimator:
     """Each record begins and ends by itself."""
     reference, rate, band_hz, taps = first.reference_v[0], header.sample_rate_hz, header.band_hz, header.taps
     if header.same_clock:
         report("same_clock: whole records, each with its own reference")
-        return WholeRecordEstimator(rate, band_hz, header.schedule, taps, channels)
+        return WholeRecordEstimator(records)
     shape, laws = _shape(header), header.laws
     sweep_samples = None if header.sweep_s is None else round(header.sweep_s * rate)
     found = find_sweeps(reference, rate, band_hz, taps, shape, sweep_samples=sweep_samples, laws=laws)
@@ -183,7 +176,9 @@ def _with_silence(
     whole = found.shape.averages * found.shape.period_samples
     if header.schedule.is_sequential and taps <= silence and (shape is not None or whole <= header.samples):
         sweeps = learn_sweeps(found, reference, rate, band_hz, taps, exact=shape is not None)
-        return SequentialEstimator(sweeps, header.schedule, taps, channels, comparable=shape is not None)
+        return SequentialEstimator(
+            sweeps, taps, records.channels, schedule=header.schedule, comparable=shape is not None
+        )
     latest = round(header.schedule.delay_s[header.schedule.actuator >= 0].max() * rate)
     ring = scipy.fft.next_fast_len(2 * header.samples + latest + taps, real=True)
     if joint_bytes(ring, (band_hz[1] - band_hz[0]) / rate, taps) > MOST_JOINT_BYTES:
@@ -197,9 +192,14 @@ def _with_silence(
                 raise ReferenceMissingError(str(error)) from error
             return here.ratio, here.offset
 
-        return WholeRecordEstimator(rate, band_hz, header.schedule, taps, channels, clock_ratio=clock)
-    base_v = whole_record(found, reference, ring)
-    return JointEstimator(base_v, rate, band_hz, header.schedule, taps, channels, expected_ratio=found.ratio)
+        return WholeRecordEstimator(records, clock_ratio=clock)
+    return StaggeredEstimator(whole_record(found, reference, ring), records, expected_ratio=found.ratio)
+
+
+def records_of(header: RawHeader) -> Records:
+    """The records of a position, as a raw file describes them."""
+    channels = Channels(header.reference_gain, header.response_per_volt, header.inter_channel_delay_s)
+    return Records(header.sample_rate_hz, header.band_hz, header.taps, header.schedule, channels)
 
 
 def _shape(header: RawHeader) -> RecordShape | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
@@ -10,13 +11,10 @@ from numpy.typing import NDArray
 
 from calibration.clock.resampling import resampled
 from calibration.clock.timing import ReferenceMissingError
-from calibration.defects.clipping import count_clipped, find_peaks
-from calibration.defects.figures import not_looked_at
+from calibration.defects.clipping import measure_levels
 from calibration.estimator.causal_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
-from calibration.estimator.position import Channels, by_actuator, require_records
-from calibration.estimator.sequential import FLOOR, Estimate, decibel
+from calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
 from storage.errors import InputError
-from storage.raw.schedule import Schedule
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -40,11 +38,7 @@ class WholeRecordEstimator:
     same slots are fitted together, so that each counts by its energy. Conjugate gradients and transforms, no
     matrix. Safe to call from several threads.
 
-    sample_rate_hz: Rate in Hz, > 0.
-    band_hz: Band of the excitation in Hz.
-    schedule: What plays when, not periodic.
-    taps: Length L of the FIRs.
-    channels: How the channels see it.
+    records: What plays when, not periodic.
     clock_ratio: DAQ rate over playback rate of a reference channel (samples,) in volts, and where it begins in samples;
         both channels are then resampled to the playback clock. Without it one clock played and recorded.
 
@@ -52,89 +46,49 @@ class WholeRecordEstimator:
     """
 
     def __init__(
-        self,
-        sample_rate_hz: float,
-        band_hz: tuple[float, float],
-        schedule: Schedule,
-        taps: int,
-        channels: Channels,
-        *,
-        clock_ratio: Callable[[Float32Array], tuple[float, float]] | None = None,
+        self, records: Records, *, clock_ratio: Callable[[Float32Array], tuple[float, float]] | None = None
     ) -> None:
-        if schedule.period_s > 0:
+        if records.schedule.period_s > 0:
             raise InputError("period_s is above 0; records that begin and end by themselves are needed")
-        self._rate_hz, self._band_hz, self._taps = sample_rate_hz, band_hz, taps
-        self._schedule, self._channels, self._clock_ratio = schedule, channels, clock_ratio
+        self._records, self._clock_ratio = records, clock_ratio
         groups: dict[bytes, list[int]] = {}
-        for record in range(schedule.records):
-            actuator, delay_s, gain = schedule.slots(record)
-            groups.setdefault(actuator.tobytes() + delay_s.tobytes() + gain.tobytes(), []).append(record)
+        for record in range(records.schedule.records):
+            groups.setdefault(b"".join(part.tobytes() for part in records.schedule.slots(record)), []).append(record)
         self._groups = list(groups.values())
 
     def estimate(
         self, reference_v: Float32Array, response_v: Float32Array, *, range_v: tuple[float, float]
     ) -> Estimate:
-        """See `calibration.estimator.position.PositionEstimator`; what compares sweeps is NaN."""
-        require_records(reference_v, response_v, self._schedule.records)
-        slots = [self._schedule.slots(group[0]) for group in self._groups]
-        found = [
-            self._estimated(reference_v[group], response_v[group], range_v, group, delay_s, gain)
-            for group, (_, delay_s, gain) in zip(self._groups, slots, strict=True)
-        ]
-        return by_actuator(found, [one[0] for one in slots], [one[2] for one in slots])
+        """See `calibration.estimator.estimate.PositionEstimator`; what compares sweeps is NaN."""
+        self._records.require(reference_v, response_v)
+        found = [self._estimate(reference_v[group], response_v[group], range_v, group) for group in self._groups]
+        return self._records.by_actuator(found, [group[0] for group in self._groups])
 
-    def _estimated(
-        self,
-        reference_v: Float32Array,
-        response_v: Float32Array,
-        range_v: tuple[float, float],
-        group: Sequence[int],
-        delay_s: Float64Array,
-        gain: Float64Array,
+    def _estimate(
+        self, reference_v: Float32Array, response_v: Float32Array, range_v: tuple[float, float], group: Sequence[int]
     ) -> Estimate:
-        peaks = [find_peaks(channel) for channel in (reference_v, response_v)]
-        if not all(np.isfinite(peak_v).all() for peak_v, _ in peaks):
-            raise InputError("a recording holds values that are not finite; allowed are volts")
-        for record, peak_v in zip(group, peaks[0][0], strict=True):
+        levels = measure_levels(reference_v, response_v, range_v)
+        for record, peak_v in zip(group, levels.reference_v, strict=True):
             if peak_v == 0:
                 raise ReferenceMissingError(f"the reference of record {record} is silent; check its cable and channel")
         clocks = [(1.0, 0.0)] * len(group) if self._clock_ratio is None else list(map(self._clock_ratio, reference_v))
-        fit = _Fit(
-            [self._played(row, ratio) for row, (ratio, _) in zip(reference_v, clocks, strict=True)],
-            [self._played(row, ratio) for row, (ratio, _) in zip(response_v, clocks, strict=True)],
-            self._rate_hz,
-            self._band_hz,
-            self._taps,
-            delay_s,
-            gain,
-            self._channels.inter_channel_delay_s,
+        references, responses = (
+            [self._played(row, ratio) for row, (ratio, _) in zip(channel, clocks, strict=True)]
+            for channel in (reference_v, response_v)
         )
-        solution = fit.solve()
-        slots = len(gain)
-        clipped = sum(
-            int(count_clipped(channel, *peak, end).sum())
-            for channel, peak, end in zip((reference_v, response_v), peaks, range_v, strict=True)
-        )
-
-        def each(figure: float) -> Float32Array:
-            return np.full(slots, figure, dtype=np.float32)
-
-        return Estimate(
-            green=(solution.green * (self._channels.reference_gain * self._channels.response_per_volt)).astype(
-                np.float32
-            ),
-            snr_db=decibel(
-                np.maximum(solution.whole - solution.noise, 0) * solution.shares, np.full(slots, solution.noise)
-            ),
-            residual_db=each(float(decibel(np.array(solution.left), np.array(solution.whole)))),
-            coherence=each(np.nan),
-            peak_v=each(float(peaks[1][0].max())),
-            repeat_db=each(np.nan),
-            noise_v=each(solution.noise_v),
-            clip_count=np.full(slots, clipped, dtype=np.int32),
-            offset_samples=np.full(slots, clocks[0][1]),
-            clock_ratio=np.full(slots, clocks[0][0]),
-            defects=not_looked_at(slots),
+        solution = _Fit(references, responses, self._records, group[0]).solve()
+        channels = self._records.channels
+        return Estimate.of_slots(
+            (solution.green * (channels.reference_gain * channels.response_per_volt)).astype(np.float32),
+            decibel(np.maximum(solution.whole - solution.noise, 0) * solution.shares, solution.noise),
+            residual_db=float(decibel(solution.left, solution.whole)),
+            coherence=np.nan,
+            peak_v=float(levels.response_v.max()),
+            repeat_db=np.nan,
+            noise_v=solution.noise_v,
+            clip_count=int(levels.clip_count.sum()),
+            offset_samples=clocks[0][1],
+            clock_ratio=clocks[0][0],
         )
 
     @staticmethod
@@ -146,30 +100,26 @@ class WholeRecordEstimator:
         return np.asarray(channel - channel.mean())
 
 
+@dataclass(frozen=True, slots=True)
 class _Solution:
     """FIRs (slots, taps), energies in band: of the responses, of what is left of them, and of the noise in it."""
 
-    def __init__(
-        self, green: Float64Array, shares: Float64Array, whole: float, left: float, noise: float, noise_v: float
-    ) -> None:
-        self.green, self.shares, self.whole, self.left = green, shares, whole, left
-        self.noise, self.noise_v = noise, noise_v
+    green: Float64Array
+    shares: Float64Array
+    whole: float
+    left: float
+    noise: float
+    noise_v: float
 
 
 class _Fit:
-    """The normal equations of records that drive the same slots."""
+    """The normal equations of records that drive the same slots, those of record `first`."""
 
     def __init__(
-        self,
-        references: Sequence[Float64Array],
-        responses: Sequence[Float64Array],
-        rate_hz: float,
-        band_hz: tuple[float, float],
-        taps: int,
-        delay_s: Float64Array,
-        gain: Float64Array,
-        late_s: float,
+        self, references: Sequence[Float64Array], responses: Sequence[Float64Array], records: Records, first: int
     ) -> None:
+        rate_hz, band_hz, taps = records.sample_rate_hz, records.band_hz, records.taps
+        _, delay_s, gain = records.schedule.slots(first)
         self._taps, self._gain = taps, gain
         self._samples = [one.size for one in references]
         self._lead = int(np.ceil(delay_s.max() * rate_hz)) + taps
@@ -178,7 +128,9 @@ class _Fit:
         self._in_band = (hertz >= band_hz[0]) & (hertz <= band_hz[1])
         self._band_share = (band_hz[1] - band_hz[0]) / (rate_hz / 2)
         # A response that is sampled late shows each event at an earlier sample.
-        self._slots = gain[:, None] * np.exp(-2j * np.pi * hertz * (delay_s[:, None] - late_s))
+        self._slots = gain[:, None] * np.exp(
+            -2j * np.pi * hertz * (delay_s[:, None] - records.channels.inter_channel_delay_s)
+        )
         self._spectra = [scipy.fft.rfft(one, self._length) for one in references]
         self._references, self._responses = references, responses
         power = sum(np.square(np.abs(one)) for one in self._spectra) * np.square(gain).mean()

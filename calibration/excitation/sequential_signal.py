@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.clock.periodic_clock import fit_repeats
 from calibration.clock.resampling import Thinned, Thinning, resampled
-from calibration.estimator.sequential import MAX_PPM
+from calibration.estimator.estimate import MAX_PPM
 from calibration.excitation.base_signal import REPEATING, SURE_PPM, highest_cycles
 from calibration.excitation.sweep_laws import fit_sweep_law, roundest
 from storage.errors import InputError

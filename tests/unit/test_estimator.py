@@ -13,14 +13,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.sequential import Estimate, Estimator
+from calibration.estimator.estimate import Channels, Estimate
+from calibration.estimator.sequential import SequentialEstimator
 from calibration.excitation.sweeps import Excitation
 from storage.errors import InputError
 
 # A quarter of the default in every length, for quick tests; one below runs the default itself.
 SMALL = Excitation(10_000.0, 40.0, 800.0, 0.3, 0.06, 1.0, 3)
 TAPS = 500
-ESTIMATOR = Estimator(SMALL, TAPS)
+ESTIMATOR = SequentialEstimator(SMALL, TAPS)
 RANGE = (10.0, 200.0)
 Float64Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ class Records:
     response: Float64Array
     noise_v: Float64Array
 
-    def estimate(self, estimator: Estimator = ESTIMATOR) -> Estimate:
+    def estimate(self, estimator: SequentialEstimator = ESTIMATOR) -> Estimate:
         return estimator.estimate(self.reference.astype(np.float32), self.response.astype(np.float32), range_v=RANGE)
 
 
@@ -138,7 +139,7 @@ def test_error_is_within_1_db_of_the_noise_limit_at_any_clock_ratio(kind: str, p
 
 def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm() -> None:
     default = Excitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
-    estimator = Estimator(default, 2000)
+    estimator = SequentialEstimator(default, 2000)
     truth = damped_modes(6, 2000, default)
     options: dict[str, Any] = {"offset": 200.3, "post_roll": 1000}
     still = error_db(records_of(truth, default, **options).estimate(estimator).green, truth, default)
@@ -183,7 +184,7 @@ def test_coupling_capacitors_do_not_pass_for_a_clock(averages: int) -> None:
         hertz = scipy.fft.rfftfreq(2 * channel.shape[1], 1 / SMALL.sample_rate_hz)
         passed = scipy.fft.rfft(channel, 2 * channel.shape[1]) * (1 - 1 / (1 + 1j * hertz / 5.0))
         channel[:] = scipy.fft.irfft(passed, 2 * channel.shape[1])[:, : channel.shape[1]]
-    estimate = records.estimate(Estimator(played_thus, TAPS))
+    estimate = records.estimate(SequentialEstimator(played_thus, TAPS))
     assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx(np.full(4, 30.0), abs=3)
     assert error_db(estimate.green, truth).max() < -70
 
@@ -193,13 +194,7 @@ def test_delay_between_channels_gain_and_response_unit_are_undone() -> None:
     records = records_of(truth, snr_db=None, response_late=0.4)
     records.reference *= 0.8
     records.response /= 0.005
-    estimator = Estimator(
-        SMALL,
-        TAPS,
-        reference_gain=0.8,
-        response_per_volt=0.005,
-        inter_channel_delay_s=0.4 / SMALL.sample_rate_hz,
-    )
+    estimator = SequentialEstimator(SMALL, TAPS, Channels(0.8, 0.005, 0.4 / SMALL.sample_rate_hz))
     assert error_db(records.estimate(estimator).green, truth).max() < -80
 
 
@@ -207,7 +202,7 @@ def test_single_sweep_gives_a_response_but_says_nothing_of_repeats() -> None:
     once = dataclasses.replace(SMALL, averages=1)
     truth = damped_modes(4, TAPS, once)
     records = records_of(truth, once, ppm=100.0)
-    estimate = records.estimate(Estimator(once, TAPS))
+    estimate = records.estimate(SequentialEstimator(once, TAPS))
     assert np.median(error_db(estimate.green, truth, once) - limit_db(records, truth, once)) < 1.0
     assert np.isnan(estimate.coherence).all()
     assert np.isnan(estimate.repeat_db).all()
@@ -294,9 +289,9 @@ def test_a_silent_response_is_explained_by_nothing() -> None:
 
 def test_the_same_record_gives_the_same_bytes_whatever_came_before() -> None:
     records = records_of(damped_modes(3, TAPS, SMALL))
-    first = Estimator(SMALL, TAPS)
+    first = SequentialEstimator(SMALL, TAPS)
     records_of(random_filters(3, TAPS), ppm=-200.0).estimate(first)
-    assert records.estimate(first).green.tobytes() == records.estimate(Estimator(SMALL, TAPS)).green.tobytes()
+    assert records.estimate(first).green.tobytes() == records.estimate(SequentialEstimator(SMALL, TAPS)).green.tobytes()
 
 
 def test_more_records_than_a_batch_come_out_in_order() -> None:
@@ -330,20 +325,24 @@ def test_a_record_cut_before_its_end_is_refused() -> None:
             Records(records.reference[:, kept], records.response[:, kept], records.noise_v).estimate()
 
 
+@pytest.mark.parametrize("options", [{"taps": 0}, {"taps": 601}, {"ridge": 0.0}])
+def test_settings_that_cannot_be_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=next(iter(options))):
+        SequentialEstimator(SMALL, **{"taps": TAPS, **options})
+
+
 @pytest.mark.parametrize(
     "options",
     [
-        {"taps": 0},
-        {"taps": 601},
         {"reference_gain": 0.0},
         {"response_per_volt": float("nan")},
         {"inter_channel_delay_s": 1.0},
-        {"ridge": 0.0},
+        {"inter_channel_delay_s": 0.5},
     ],
 )
-def test_settings_that_cannot_be_are_refused(options: dict[str, Any]) -> None:
+def test_channels_that_cannot_be_are_refused(options: dict[str, float]) -> None:
     with pytest.raises(InputError, match=next(iter(options))):
-        Estimator(SMALL, **{"taps": TAPS, **options})
+        SequentialEstimator(SMALL, TAPS, Channels(**options))
 
 
 def test_records_that_cannot_be_are_refused() -> None:
@@ -363,6 +362,6 @@ def test_records_that_cannot_be_are_refused() -> None:
 def test_given_an_audio_band_then_a_clock_that_turns_the_phases_many_times_is_found(ppm: float) -> None:
     audio = Excitation(48_000.0, 50.0, 18_000.0, 0.8, 0.1, 1.0, 2)
     truth = damped_modes(2, 4000, audio)
-    estimate = records_of(truth, audio, snr_db=50.0, offset=300.4, ppm=ppm).estimate(Estimator(audio, 4000))
+    estimate = records_of(truth, audio, snr_db=50.0, offset=300.4, ppm=ppm).estimate(SequentialEstimator(audio, 4000))
     assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx(np.full(2, ppm), abs=0.1)
     assert error_db(estimate.green, truth, audio).max() < -54

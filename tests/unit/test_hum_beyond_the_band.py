@@ -8,8 +8,9 @@ import pytest
 from acquisition.quality.agreement import in_band
 from acquisition.quality.judgement import Judgement, judge
 from acquisition.quality.limits import QualityLimits
-from calibration.estimator.position import Channels, JointEstimator
-from calibration.estimator.sequential import Estimate, Estimator
+from calibration.estimator.estimate import Estimate, Records
+from calibration.estimator.sequential import SequentialEstimator
+from calibration.estimator.staggered import StaggeredEstimator
 from calibration.excitation.sweeps import Excitation, StaggeredSignal
 from storage.point_status import Status
 
@@ -39,7 +40,7 @@ def _sequential(hum_hz: float, level_db: float) -> Estimate:
     played = np.concatenate([np.zeros(200), SWEEP.signal_v(), np.zeros(1000)])
     answered = np.stack([np.convolve(played, one)[: played.size] for one in _responses()])
     reference = np.tile(played, (ACTUATORS, 1)) + 1e-5 * np.random.default_rng(2).standard_normal(answered.shape)
-    return Estimator(SWEEP, TAPS).estimate(reference, _hummed(answered, hum_hz, level_db), range_v=RANGE_V)
+    return SequentialEstimator(SWEEP, TAPS).estimate(reference, _hummed(answered, hum_hz, level_db), range_v=RANGE_V)
 
 
 def _staggered(hum_hz: float, level_db: float) -> Estimate:
@@ -47,7 +48,7 @@ def _staggered(hum_hz: float, level_db: float) -> Estimate:
     answered = sum(np.convolve(sounding[k], one)[: base.size] for k, one in enumerate(_responses()))
     reference, answered = base[None, 4 * TAPS :], answered[None, 4 * TAPS :]  # type: ignore[index]
     reference = (reference + 1e-5 * np.random.default_rng(2).standard_normal(reference.shape)).astype(np.float32)
-    estimator = JointEstimator(SIGNAL.base_v(), RATE_HZ, BAND_HZ, SIGNAL.schedule(), TAPS, Channels())
+    estimator = StaggeredEstimator(SIGNAL.base_v(), Records(RATE_HZ, BAND_HZ, TAPS, SIGNAL.schedule()))
     return estimator.estimate(reference, _hummed(answered, hum_hz, level_db), range_v=RANGE_V)
 
 

@@ -13,7 +13,8 @@ from acquisition.measuring.setup import Setup
 from acquisition.quality.defects import Cure
 from acquisition.quality.judgement import Judgement, judge
 from acquisition.quality.limits import QualityLimits
-from calibration.estimator.sequential import Estimator
+from calibration.estimator.estimate import Channels
+from calibration.estimator.sequential import SequentialEstimator
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
 from drivers.protocols import Take
@@ -27,13 +28,13 @@ STRONG, WEAK = 0, 2
 DISTANCE_MM = np.array([np.hypot(x - POSITION_MM[0], y - POSITION_MM[1]) for x, y in ACTUATORS])
 RANGE_V = (10.0, 10.0)
 
-Channels = tuple[np.ndarray, np.ndarray]
-Spoil = Callable[[np.ndarray, np.ndarray], Channels]
+Volts = tuple[np.ndarray, np.ndarray]
+Spoil = Callable[[np.ndarray, np.ndarray], Volts]
 
 
 @cache
-def estimator(averages: int, taps: int) -> Estimator:
-    return Estimator(excitation(averages), taps, inter_channel_delay_s=5e-6)
+def estimator(averages: int, taps: int) -> SequentialEstimator:
+    return SequentialEstimator(excitation(averages), taps, Channels(inter_channel_delay_s=5e-6))
 
 
 def excitation(averages: int) -> Excitation:
@@ -41,7 +42,7 @@ def excitation(averages: int) -> Excitation:
 
 
 @cache
-def quiet_records(averages: int) -> Channels:
+def quiet_records(averages: int) -> Volts:
     """Both channels of a record per actuator, without the vibrometer's noise and hardly rounded."""
     settings = VirtualSettings(seed=5, noise_v=0.0, dropout_probability=0.0, actuator_mm=ACTUATORS, gain_spread_db=0.0)
     rig = VirtualRig(settings)
@@ -74,7 +75,7 @@ def judged(spoil: Spoil | None, record: int, *, snr_db: float = 40.0, averages: 
     return judge(estimate, False, QualityLimits(), DISTANCE_MM)
 
 
-def clipped(reference: np.ndarray, response: np.ndarray) -> Channels:
+def clipped(reference: np.ndarray, response: np.ndarray) -> Volts:
     end_v = 0.95 * np.abs(response).max()
     return reference, np.clip(response, -end_v, end_v)
 
@@ -87,7 +88,7 @@ def one_more(samples: np.ndarray) -> np.ndarray:
     return np.concatenate([samples[:13_000], samples[12_999:-1]])
 
 
-def dropped_out(reference: np.ndarray, response: np.ndarray) -> Channels:
+def dropped_out(reference: np.ndarray, response: np.ndarray) -> Volts:
     spoilt = response.copy()
     spoilt[13_000:13_050] = 0.0
     return reference, spoilt
@@ -96,7 +97,7 @@ def dropped_out(reference: np.ndarray, response: np.ndarray) -> Channels:
 def fainter(level_db: float) -> Spoil:
     """The second sweep of a record at another level."""
 
-    def stepped(reference: np.ndarray, response: np.ndarray) -> Channels:
+    def stepped(reference: np.ndarray, response: np.ndarray) -> Volts:
         spoilt = response.copy()
         spoilt[12_300:24_300] *= 10 ** (level_db / 20)
         return reference, spoilt
@@ -107,7 +108,7 @@ def fainter(level_db: float) -> Spoil:
 def early(spoil: Spoil) -> Spoil:
     """The same in the first sweep of a record."""
 
-    def moved(reference: np.ndarray, response: np.ndarray) -> Channels:
+    def moved(reference: np.ndarray, response: np.ndarray) -> Volts:
         spoilt = spoil(np.roll(reference, 12_000), np.roll(response, 12_000))
         return np.roll(spoilt[0], -12_000), np.roll(spoilt[1], -12_000)
 
@@ -115,7 +116,7 @@ def early(spoil: Spoil) -> Spoil:
 
 
 def humming(line_hz: float) -> Spoil:
-    def hum(reference: np.ndarray, response: np.ndarray) -> Channels:
+    def hum(reference: np.ndarray, response: np.ndarray) -> Volts:
         tone = np.sin(2 * np.pi * line_hz / RATE_HZ * np.arange(response.size) + 1.0)
         return reference, response + np.sqrt(2) * 0.01 * response.std() * tone
 

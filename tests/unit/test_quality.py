@@ -5,7 +5,7 @@ import pytest
 
 from acquisition.quality.judgement import judge
 from acquisition.quality.limits import QualityLimits
-from calibration.estimator.sequential import Estimate
+from calibration.estimator.estimate import Estimate
 from storage.point_status import Status, status_counts
 
 LIMITS = QualityLimits()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from calibration.clock.resampling import Thinning
 from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.position import Channels, JointEstimator
+from calibration.estimator.estimate import Channels, Estimate, Records
 from calibration.estimator.staggered import StaggeredEstimator
 from calibration.excitation.sweeps import Excitation, StaggeredSignal
 from storage.errors import InputError
@@ -55,9 +55,14 @@ def random_firs(seed: int) -> np.ndarray:
     return draw.standard_normal((5, TAPS)) * np.exp(-np.arange(TAPS) / 30)
 
 
-ESTIMATOR = StaggeredEstimator(
-    SIGNAL.base_v(), RATE_HZ, BAND_HZ, TAPS, 120.0 * np.arange(5), np.ones(5), response_per_volt=0.5
-)
+RECORDS = Records(RATE_HZ, BAND_HZ, TAPS, SIGNAL.schedule(), Channels(response_per_volt=0.5))
+ESTIMATOR = StaggeredEstimator(SIGNAL.base_v(), RECORDS)
+
+
+def estimated(reference: np.ndarray, response: np.ndarray) -> Estimate:
+    """Of one record."""
+    channels = (one[None].astype(np.float32) for one in (reference, response))
+    return ESTIMATOR.estimate(*channels, range_v=(1e3, 1e3))
 
 
 @cache
@@ -93,7 +98,7 @@ def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_lim
     # The limit is one of means: what a single noise leaves of one FIR scatters about it by some decibels.
     for _ in range(16):
         noisy = response / 0.5 + noise_v * draw.standard_normal(response.size)
-        found = ESTIMATOR.estimate(reference.astype(np.float32), noisy.astype(np.float32), range_v=(1e3, 1e3))
+        found = estimated(reference, noisy)
         above_db.append(error_db(found.green, green) - limit_db(green, noise_v))
         assert found.clock_ratio[0] == pytest.approx(1 + 1e-6 * ppm, abs=2e-6)
     assert 10 * np.log10(np.mean(10 ** (np.array(above_db) / 10))) <= 1.5
@@ -102,7 +107,7 @@ def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_lim
 def test_given_groups_then_each_record_gives_its_own_actuators_in_order() -> None:
     signal = StaggeredSignal(SWEEP, actuators=5, taps=TAPS, stagger_samples=120, groups=2)
     green, schedule = random_firs(3), signal.schedule()
-    estimator = JointEstimator(signal.base_v(), RATE_HZ, BAND_HZ, schedule, TAPS, Channels())
+    estimator = StaggeredEstimator(signal.base_v(), Records(RATE_HZ, BAND_HZ, TAPS, schedule))
     channels = []
     for record in range(2):
         actuator, delay_s, _ = schedule.slots(record)
@@ -118,40 +123,30 @@ def test_given_a_moment_without_light_then_the_residual_names_it() -> None:
     reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, 0.0, 0.0, SIGNAL.used_samples)
     response = response / 0.5
     response += 1e-3 * np.random.default_rng(5).standard_normal(response.size)
-    sound = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
+    sound = estimated(reference, response)
     response[200:210] = 0.0
-    spoilt = ESTIMATOR.estimate(reference.astype(np.float32), response.astype(np.float32), range_v=(1e3, 1e3))
+    spoilt = estimated(reference, response)
     assert sound.defects["burst_db"][0] < -60
     assert spoilt.defects["burst_db"][0] > -40
     assert spoilt.residual_db[0] > sound.residual_db[0] + 15
 
 
-def test_given_a_silent_reference_then_it_is_told_as_missing() -> None:
+def test_given_a_silent_reference_then_it_is_missing() -> None:
     noise = np.random.default_rng(0).standard_normal(SIGNAL.used_samples).astype(np.float32)
     with pytest.raises(ReferenceMissingError, match="check the loopback"):
-        ESTIMATOR.estimate(noise, noise, range_v=(1e3, 1e3))
+        estimated(noise, noise)
 
 
 def test_given_less_than_a_period_then_the_record_is_refused() -> None:
     short = np.zeros(500, np.float32)
     with pytest.raises(InputError, match="less than the period of 600"):
-        ESTIMATOR.estimate(short, short, range_v=(1.0, 1.0))
+        estimated(short, short)
 
 
-@pytest.mark.parametrize(
-    ("delays", "gain", "complaint"),
-    [
-        ([0, 50], [1, 1], "allowed is 1 to the distance of two slots, 50"),
-        ([0, 600], [1, 1], "less than the period, 600"),
-        ([0, 120], [1, 0], "not 0"),
-        ([0, 120], [1], "one per slot"),
-    ],
-)
-def test_given_slots_that_cannot_be_told_apart_then_they_are_refused(
-    delays: list[float], gain: list[float], complaint: str
-) -> None:
-    with pytest.raises(InputError, match=complaint):
-        StaggeredEstimator(SIGNAL.base_v(), RATE_HZ, BAND_HZ, TAPS, np.array(delays, float), np.array(gain, float))
+def test_given_slots_that_overlap_then_they_are_refused() -> None:
+    schedule = Schedule(np.array([[0, 1]]), np.array([[0.0, 50 / RATE_HZ]]), np.ones((1, 2)), 600 / RATE_HZ)
+    with pytest.raises(InputError, match="allowed is 1 to the distance of two slots, 50"):
+        StaggeredEstimator(SIGNAL.base_v(), Records(RATE_HZ, BAND_HZ, TAPS, schedule))
 
 
 def test_staggered_signals_are_one_sweep_round_the_period() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from calibration.estimator.sequential import Estimator
+from calibration.estimator.sequential import SequentialEstimator
 from calibration.excitation.sweeps import Excitation
 from config.scene import Output, Regularisation
 from mocks.plates.thin import ThinPlate
@@ -137,7 +137,7 @@ def test_row_24_the_estimate_does_not_divide_by_the_sweep_outside_its_band(recor
     response = np.convolve(reference, green)[: len(reference)]
     response += 1e-3 * np.sqrt(np.mean(response**2)) * rng.standard_normal(len(response))
     records = [part[None].astype(np.float32) for part in (reference, response)]
-    found = Estimator(excitation, taps).estimate(*records, range_v=(10.0, 10.0)).green[0]
+    found = SequentialEstimator(excitation, taps).estimate(*records, range_v=(10.0, 10.0)).green[0]
     length = 4000
     hertz = scipy.fft.rfftfreq(length, 1e-4)
     band = (hertz >= 20.0) & (hertz <= 500.0)

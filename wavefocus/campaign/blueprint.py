@@ -29,7 +29,7 @@ from wavefocus.configuration import (
 )
 
 if TYPE_CHECKING:
-    from calibration.estimator.position import PositionEstimator
+    from calibration.estimator.estimate import PositionEstimator
     from storage.raw.header import RawHeader
     from storage.raw.reading import RawFile
 
@@ -214,11 +214,8 @@ def estimator_for(
 ) -> PositionEstimator:
     """The campaign's own estimator, which gives its bank again; else one that is found from the reference channels."""
     from acquisition.measuring.plays import position_estimator  # of kept recordings alone
-    from calibration.estimator.position import Channels
-    from calibration.estimator.raw_estimation import estimator_of
+    from calibration.estimator.raw_estimation import estimator_of, records_of
 
     if plan is None:
         return estimator_of(recordings, tell)
-    header = recordings.header
-    channels = Channels(header.reference_gain, header.response_per_volt, header.inter_channel_delay_s)
-    return position_estimator(plan, channels)
+    return position_estimator(plan, records_of(recordings.header).channels)
