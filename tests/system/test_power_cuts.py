@@ -20,7 +20,6 @@ from storage.raw.writer import RawWriter, create_raw
 from tests.system.crash.logged import (
     INODE,
     LoggedFile,
-    LoggedMemory,
     WithoutFirstBarrier,
     WithoutSecondBarrier,
 )
@@ -29,7 +28,7 @@ from tests.system.crash.shares import Share
 from tests.system.test_bank_crash import green_of, header, record_of
 
 POSITIONS = 3
-TRIED = 70
+TRIED = 40
 # One position twice, so that the journal is used.
 TURNS = ((2, 1), (0, 1), (2, 2), (1, 1))
 STEP_V = 2.0**-15
@@ -135,51 +134,6 @@ def test_given_a_writer_without_the_first_barrier_then_the_checksum_alone_keeps_
                     continue  # it says that it is damaged, and is measured again
     assert wrong_by_ledger > 0
     assert wrong_by_checksum == 0
-
-
-def test_given_plain_h5py_with_a_flush_for_each_row_then_the_replay_sees_files_ruined(tmp_path: Path) -> None:
-    path = tmp_path / "plain.h5"
-    memory = LoggedMemory(path)
-    acknowledged: list[tuple[int, int]] = []
-    rows = 20  # enough for its index to grow, as it does in a bank of any use
-    with h5py.File(memory, "w") as file:
-        green = file.create_dataset("green", (rows, 2, 16), "f4", chunks=(1, 2, 16))
-        status = file.create_dataset("status", (rows,), "u1")
-        file.flush()
-        memory.barrier()
-        before, memory.log = memory.getvalue(), []
-        for position in range(rows):
-            green[position] = green_of(position)
-            status[position] = 1
-            file.flush()
-            memory.barrier()
-            acknowledged.append((len(memory.log), position))
-    ruined = 0
-    for step, image in cuts(path, before, memory.log):
-        path.write_bytes(image)
-        try:
-            with h5py.File(path, "r") as file:
-                found, valid = file["green"][...], file["status"][...]
-        except (OSError, RuntimeError, KeyError):
-            ruined += 1
-            continue
-        promised = [position for length, position in acknowledged if length <= step]
-        ruined += any(not (valid[one] and np.array_equal(found[one], green_of(one))) for one in promised)
-    assert ruined > 0
-
-
-def test_given_plain_h5py_without_a_flush_then_a_kill_between_rows_loses_what_was_acknowledged(tmp_path: Path) -> None:
-    path = tmp_path / "plain.h5"
-    memory = LoggedMemory(path)
-    with h5py.File(memory, "w") as file:
-        green = file.create_dataset("green", (4, 2, 16), "f4", chunks=(1, 2, 16))
-        file.flush()
-        for position in range(4):
-            green[position] = green_of(position)
-        path.write_bytes(memory.getvalue())  # what the operating system has of it when the process is killed here
-    with h5py.File(path, "r") as file:
-        lost = [position for position in range(4) if not np.array_equal(file["green"][position], green_of(position))]
-    assert lost
 
 
 def raw_of(position: int, take: int) -> np.ndarray:

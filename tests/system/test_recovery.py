@@ -17,22 +17,19 @@ from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 
 UNPLUGGED = {
-    "recorder before a record": 'role = "recorder"\noperation = "start"\nposition = 2\nrecord = 1',
     "recorder in a record": 'role = "recorder"\noperation = "read"\nposition = 2\nrecord = 2',
     "player before it plays": 'role = "player"\noperation = "play"\nposition = 0\nrecord = 0',
     "player while it plays": 'role = "player"\noperation = "wait"\nposition = 5\nrecord = 1',
     "mirror before a move": 'role = "mirror"\noperation = "move_to"\nat_call = 5',
     "mirror on its way": 'role = "mirror"\noperation = "wait_settled"\nat_call = 4',
-    "player asked for its name": 'role = "player"\noperation = "identify"\nat_call = 1',
 }
 
 
 @pytest.mark.parametrize("fault", UNPLUGGED.values(), ids=UNPLUGGED.keys())
 def test_given_an_instrument_unplugged_and_plugged_in_then_the_bank_is_that_of_a_quiet_night(
-    lab: Path, fault: str, capsys: pytest.CaptureFixture[str]
+    lab: Path, measured: Path, fault: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quiet, disturbed = empty_bank(lab, "quiet.h5"), empty_bank(lab, "disturbed.h5")
-    assert capture(lab, quiet) == 0
+    disturbed = empty_bank(lab, "disturbed.h5")
     with_faults(lab, f'{fault}\nkind = "unplugged"\ntries = 3')
     capsys.readouterr()
     assert capture(lab, disturbed) == 0
@@ -44,7 +41,7 @@ def test_given_an_instrument_unplugged_and_plugged_in_then_the_bank_is_that_of_a
     assert "recovering" in states_of(told)
     assert states_of(told)[-2:] == ["running", "finished"]
     assert events_of(told, "fault")[0]["retried"] is True
-    assert disturbed.read_bytes() == quiet.read_bytes()
+    assert disturbed.read_bytes() == measured.read_bytes()
     assert run(["check", str(disturbed)]) == 0
 
 
@@ -65,10 +62,9 @@ def test_given_a_hub_unplugged_then_both_instruments_on_it_come_back(
 
 
 def test_given_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_on(
-    lab: Path, capsys: pytest.CaptureFixture[str]
+    lab: Path, measured: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
-    assert capture(lab, quiet) == 0
+    bank = empty_bank(lab, "plate.h5")
     sound = (lab / "run.toml").read_text(encoding="utf-8")
     with_faults(lab, 'role = "mirror"\noperation = "move_to"\nkind = "lost"\nat_call = 6')
     capsys.readouterr()
@@ -86,7 +82,7 @@ def test_given_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_
     assert events_of(told.out, "session_ended")[0]["state"] == "failed"
     (lab / "run.toml").write_text(sound, encoding="utf-8")
     assert capture(lab, bank) == 0
-    assert bank.read_bytes() == quiet.read_bytes()
+    assert bank.read_bytes() == measured.read_bytes()
 
 
 def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(
@@ -105,16 +101,15 @@ def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(
 
 
 def test_given_a_record_that_fails_once_then_it_alone_is_taken_again_and_the_bank_is_the_same(
-    lab: Path, capsys: pytest.CaptureFixture[str]
+    lab: Path, measured: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quiet, disturbed = empty_bank(lab, "quiet.h5"), empty_bank(lab, "disturbed.h5")
-    assert capture(lab, quiet) == 0
+    disturbed = empty_bank(lab, "disturbed.h5")
     capsys.readouterr()
     with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "underflow"\nat_call = 8')
     assert capture(lab, disturbed) == 0
     faults = events_of(capsys.readouterr().out, "fault")
     assert [(one["instrument"], one["position"], one["retried"]) for one in faults] == [("virtual player", 2, True)]
-    assert disturbed.read_bytes() == quiet.read_bytes()
+    assert disturbed.read_bytes() == measured.read_bytes()
 
 
 def test_given_an_instrument_that_keeps_failing_passingly_then_it_gets_a_fresh_connection(
@@ -205,10 +200,7 @@ def test_given_status_before_the_first_try_has_ended_then_it_names_the_instrumen
     assert facts["recovering"]["tries"] is None
 
 
-def test_given_status_of_a_finished_campaign_then_it_is_idle(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bank = lab / "plate.h5"
-    assert capture(lab, bank) == 0
-    capsys.readouterr()
+def test_given_status_of_a_finished_campaign_then_it_is_idle(bank: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["status", str(bank), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["state"], facts["recovering"]) == ("idle", None)
@@ -216,10 +208,9 @@ def test_given_status_of_a_finished_campaign_then_it_is_idle(lab: Path, capsys: 
 
 @pytest.mark.parametrize("interrupts", [1, 2])
 def test_given_ctrl_c_while_an_instrument_is_waited_for_then_it_stops_at_once_and_can_be_resumed(
-    lab: Path, interrupts: int, capsys: pytest.CaptureFixture[str]
+    lab: Path, measured: Path, interrupts: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
-    assert capture(lab, quiet) == 0
+    bank = empty_bank(lab, "plate.h5")
     sound = (lab / "run.toml").read_text(encoding="utf-8")
     with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 2\nrecord = 1')
 
@@ -235,7 +226,7 @@ def test_given_ctrl_c_while_an_instrument_is_waited_for_then_it_stops_at_once_an
     assert f"wavefocus resume {bank}" in capsys.readouterr().err
     (lab / "run.toml").write_text(sound, encoding="utf-8")
     assert capture(lab, bank) == 0
-    assert bank.read_bytes() == quiet.read_bytes()
+    assert bank.read_bytes() == measured.read_bytes()
 
 
 def test_given_an_instrument_unplugged_during_a_scan_then_verification_goes_on_and_passes(

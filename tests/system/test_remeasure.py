@@ -43,14 +43,13 @@ def _kinds(events: list[dict[str, Any]]) -> list[str]:
     return [event["event"] for event in events if event["event"] in kinds]
 
 
-@pytest.mark.parametrize("schedule", ["sequential", "staggered"])
 @pytest.mark.parametrize(
-    ("kind", "level_db", "name"),
+    ("schedule", "kind", "level_db", "name"),
     [
-        ("faint_reference", -0.3, "reference level"),
-        ("faint_reference", 6.0, "reference level"),
-        ("drift", -0.3, "differs"),
-        ("drift", -20.0, "differs"),
+        ("sequential", "faint_reference", -0.3, "reference level"),
+        ("staggered", "faint_reference", 6.0, "reference level"),
+        ("staggered", "drift", -0.3, "differs"),
+        ("sequential", "drift", -20.0, "differs"),
     ],
 )
 def test_given_a_fault_that_stays_then_the_valid_row_is_kept_and_named(

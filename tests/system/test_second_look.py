@@ -62,8 +62,7 @@ def gains(rows: np.ndarray, clean: np.ndarray) -> np.ndarray:
     return np.sum(rows * clean, axis=2) / np.sum(clean * clean, axis=2)
 
 
-@pytest.mark.parametrize("level_db", [-0.5, -1.0, -20.0])
-@pytest.mark.parametrize("schedule", ["sequential", "staggered"])
+@pytest.mark.parametrize(("schedule", "level_db"), [("sequential", -0.5), ("staggered", -20.0)])
 def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(
     tmp_path: Path, schedule: str, level_db: float
 ) -> None:
@@ -81,24 +80,23 @@ def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(
     assert gains(twice, clean)[strength > 0.2 * strength.max(axis=1, keepdims=True)] == pytest.approx(1.0, abs=0.02)
 
 
-# Marks that are told before the process is killed; all of the grid's 14 positions are marked before the pass begins.
-@pytest.mark.parametrize("schedule", ["sequential", "staggered"])
+# All of the grid's 14 positions are marked before the pass begins.
+@pytest.mark.parametrize(
+    ("schedule", "event", "number"), [("sequential", "position_committed", 15), ("staggered", "position_started", 19)]
+)
 def test_given_a_kill_while_positions_are_marked_or_in_the_second_look_then_the_bank_ends_as_an_undisturbed_one(
-    tmp_path: Path, schedule: str
+    tmp_path: Path, schedule: str, event: str, number: int
 ) -> None:
     captured(tmp_path / "quiet", schedule, {}, look=True)
     quiet = (tmp_path / "quiet" / "plate.h5").read_bytes()
-    for event, number in (("position_committed", 15), ("position_committed", 21), ("position_started", 19)):
-        bank = tmp_path / "killed.h5"
-        bank.unlink(missing_ok=True)
-        with Lines("capture", tmp_path / "quiet" / "run.toml", "--bank", bank, "--json") as killed:
-            for _ in range(number):
-                killed.hear(event)
-            killed.process.kill()
-        with h5py.File(bank, "r", locking=False) as file:
-            assert (file["status"][...] != 0).all()
-        assert run(["resume", str(bank)]) == 0
-        assert bank.read_bytes() == quiet
+    bank = tmp_path / "killed.h5"
+    with Lines("capture", tmp_path / "quiet" / "run.toml", "--bank", bank, "--json") as killed:
+        for _ in range(number):
+            killed.hear(event)
+        killed.process.kill()
+    with h5py.File(bank, "r", locking=False) as file:
+        assert (file["status"][...] != 0).all()
+    for _ in range(2):
         assert run(["resume", str(bank)]) == 0
         assert bank.read_bytes() == quiet
 

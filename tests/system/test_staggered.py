@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from storage.bank.reading import open_bank
+from tests.system.conftest import write_lab
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_bank
 from wavefocus.commands.demo import compare_with_truth
@@ -141,16 +143,24 @@ def test_given_noise_that_grows_and_a_run_that_says_refuse_then_nothing_is_measu
     assert not (lab / "plate.h5").exists()
 
 
-def test_given_another_excitation_then_the_bank_refuses_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture(scope="module")
+def with_recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A lab with a sequential bank and its recordings; to be copied."""
+    lab = write_lab(tmp_path_factory.mktemp("with_recordings"))
+    _with_capture(lab, "keep_raw = true")
     assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
-    _with_capture(lab, KEEP)
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 2
-    assert "belongs to another plan" in capsys.readouterr().err
+    return lab
 
 
-@pytest.mark.parametrize("lines", [("keep_raw = true",), (KEEP, "keep_raw = true")], ids=["sequential", "staggered"])
-def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(lab: Path, lines: tuple[str, ...]) -> None:
-    _with_capture(lab, *lines)
+@pytest.fixture
+def kept(lab: Path, with_recordings: Path) -> Path:
+    """The lab with a sequential bank and its recordings."""
+    shutil.copytree(with_recordings, lab, dirs_exist_ok=True)
+    return lab
+
+
+def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(lab: Path) -> None:
+    _with_capture(lab, KEEP, "keep_raw = true")
     assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
     assert _wavefocus("estimate", lab / "plate.raw.h5", "--bank", lab / "again.h5") == 0
     with h5py.File(lab / "plate.h5") as then, h5py.File(lab / "again.h5") as now:
@@ -159,58 +169,39 @@ def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(lab:
 
 
 def test_given_recordings_that_are_gone_then_resume_refuses_by_a_sentence(
-    lab: Path, capsys: pytest.CaptureFixture[str]
+    kept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _with_capture(lab, "keep_raw = true")
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
-    (lab / "plate.raw.h5").unlink()
+    (kept / "plate.raw.h5").unlink()
     capsys.readouterr()
-    assert _wavefocus("resume", lab / "plate.h5") == 2
+    assert _wavefocus("resume", kept / "plate.h5") == 2
     assert "plate.raw.h5 is missing" in capsys.readouterr().err
 
 
-def test_given_recordings_of_another_plan_then_resume_refuses_by_a_sentence(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _with_capture(lab, "keep_raw = true")
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
-    _with_capture(lab, KEEP)
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "other.h5") == 0
-    (lab / "plate.raw.h5").write_bytes((lab / "other.raw.h5").read_bytes())
-    capsys.readouterr()
-    assert _wavefocus("resume", lab / "plate.h5") == 2
-    assert "plate.raw.h5 belongs to another plan" in capsys.readouterr().err
-
-
 def test_given_a_lost_row_of_recordings_then_resume_measures_that_position_again(
-    lab: Path, capsys: pytest.CaptureFixture[str]
+    kept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _with_capture(lab, "keep_raw = true")
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
-    raw = lab / "plate.raw.h5"
+    raw = kept / "plate.raw.h5"
     with h5py.File(raw, "r+") as file:
         file["durability/ledger"][2] = 0
     capsys.readouterr()
-    assert _wavefocus("resume", lab / "plate.h5") == 0
+    assert _wavefocus("resume", kept / "plate.h5") == 0
     assert "lacks the recordings of 1 measured position" in capsys.readouterr().err
-    assert _wavefocus("estimate", raw, "--bank", lab / "again.h5") == 0
-    with h5py.File(lab / "plate.h5") as then, h5py.File(lab / "again.h5") as now:
+    assert _wavefocus("estimate", raw, "--bank", kept / "again.h5") == 0
+    with h5py.File(kept / "plate.h5") as then, h5py.File(kept / "again.h5") as now:
         assert np.array_equal(then["green"][:], now["green"][:])
 
 
 def test_given_damaged_recordings_then_estimate_tells_and_remeasuring_the_position_cures_it(
-    lab: Path, capsys: pytest.CaptureFixture[str]
+    kept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _with_capture(lab, "keep_raw = true")
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
-    raw = lab / "plate.raw.h5"
+    raw = kept / "plate.raw.h5"
     with h5py.File(raw, "r+") as file:
         file["response"][2, 0, 100:200] ^= 64
     capsys.readouterr()
-    assert _wavefocus("estimate", raw, "--bank", lab / "damaged.h5") == 0
+    assert _wavefocus("estimate", raw, "--bank", kept / "damaged.h5") == 0
     assert "position 2 failed" in capsys.readouterr().err
-    assert _wavefocus("remeasure", lab / "plate.h5", "--positions", "2") == 0
-    assert _wavefocus("estimate", raw, "--bank", lab / "cured.h5") == 0
-    with h5py.File(lab / "plate.h5") as then, h5py.File(lab / "cured.h5") as now:
+    assert _wavefocus("remeasure", kept / "plate.h5", "--positions", "2") == 0
+    assert _wavefocus("estimate", raw, "--bank", kept / "cured.h5") == 0
+    with h5py.File(kept / "plate.h5") as then, h5py.File(kept / "cured.h5") as now:
         assert list(now["status"]) == [1] * 6
         assert np.array_equal(then["green"][:], now["green"][:])

@@ -46,7 +46,8 @@ duration_s = 0.2
 [capture]
 averages = 1
 decay_s = 0.1
-taps = 1000
+taps = 200
+sample_rate_hz = 2000.0
 [drift]
 every_positions = 2
 [quality]

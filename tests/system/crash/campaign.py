@@ -61,22 +61,13 @@ COUNTS = ("unreadable", "lost", "wrong", "different", "badly_told")
 class Verdict:
     """What was found wrong after a fault.
 
-    Parameters
-    ----------
-    faults : int
-        How many times the process was killed, the power cut, and so on; 0 when it had ended before.
-    unreadable : int
-        Files that h5py or the program could not open, 0 or 1.
-    lost : int
-        Positions that were told to be in and are not.
-    wrong : int
-        Positions called measured that do not hold what was measured.
-    different : int
-        Banks that did not end byte-identical to the uninterrupted run's, 0 or 1.
-    badly_told : int
-        Tracebacks, hangs and wrong exit codes.
-    notes : list of str
-        What that was.
+    faults: How many times the process was killed, the power cut, and so on; 0 when it had ended before.
+    unreadable: Files that h5py or the program could not open, 0 or 1.
+    lost: Positions that were told to be in and are not.
+    wrong: Positions called measured that do not hold what was measured.
+    different: Banks that did not end byte-identical to the uninterrupted run's, 0 or 1.
+    badly_told: Tracebacks, hangs and wrong exit codes.
+    notes: What that was.
     """
 
     faults: int = 1
@@ -123,14 +114,9 @@ def acknowledged(text: str) -> set[int]:
 class Campaign:
     """The campaign in its folder, with the processes that carry it out.
 
-    Parameters
-    ----------
-    folder : Path
-        A new folder for all of it.
-    library : Path, optional
-        The built `calls.c`.
-    keep_raw : bool
-        Whether it keeps its recordings; then their file is held to the same.
+    folder: A new folder for all of it.
+    library: The built `calls.c`.
+    keep_raw: Whether it keeps its recordings; then their file is held to the same.
     """
 
     def __init__(self, folder: Path, library: Path | None = None, *, keep_raw: bool = False) -> None:

@@ -86,12 +86,8 @@ class Image:
 class Disk:
     """A disk that takes calls one by one and may lose power at any.
 
-    Parameters
-    ----------
-    before : dict
-        What lies there, on the disk for good, before the first call: bytes by path, None for a folder.
-    inodes : dict
-        The number that the log has for each of them.
+    before: What lies there, on the disk for good, before the first call: bytes by path, None for a folder.
+    inodes: The number that the log has for each of them.
     """
 
     def __init__(self, before: Mapping[Path, bytes | None], inodes: Mapping[Path, int]) -> None:
@@ -133,18 +129,11 @@ class Disk:
     def cut(self, step: int, chance: np.random.Generator, last: Call | None, torn: int, subset: str) -> Image:
         """Lose power while `last` is on its way, `torn` bytes of it done.
 
-        Parameters
-        ----------
-        step : int
-            Calls that have returned.
-        chance : Generator
-            Draws subsets and garbage.
-        last : Call or None
-            The write on its way.
-        torn : int
-            How much of it is on the disk; negative: that much, and garbage in the sector after it.
-        subset : str
-            ``"all"``, ``"none"`` or ``"some"`` of what had returned and was not synced.
+        step: Calls that have returned.
+        chance: Draws subsets and garbage.
+        last: The write on its way.
+        torn: How much of it is on the disk; negative: that much, and garbage in the sector after it.
+        subset: ``"all"``, ``"none"`` or ``"some"`` of what had returned and was not synced.
         """
         names = [one for one in self._flying_names if subset == "all" or (subset == "some" and chance.random() < 0.5)]
         contents = {inode: self._content(file, chance, subset) for inode, file in self._files.items()}
@@ -175,18 +164,11 @@ def images(
 ) -> Iterator[Image]:
     """Every cut that is worth a look, each image once.
 
-    Parameters
-    ----------
-    disk : Disk
-        As it was before the first call.
-    log : list of Call
-        What was done to it.
-    chance : Generator
-        Draws subsets and garbage.
-    subsets : int
-        Random subsets of what was not synced, for each call.
-    drawn_from : int
-        The first call for which they are drawn.
+    disk: As it was before the first call.
+    log: What was done to it.
+    chance: Draws subsets and garbage.
+    subsets: Random subsets of what was not synced, for each call.
+    drawn_from: The first call for which they are drawn.
     """
     seen = set()
 

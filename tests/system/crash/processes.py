@@ -40,16 +40,10 @@ class How(IntEnum):
 class Order:
     """What becomes of a process: `how` at its `call`-th call, after `part` bytes of a write, or with an error.
 
-    Parameters
-    ----------
-    how : How
-        What happens.
-    call : int
-        At which call, counted from 1.
-    part : int
-        Bytes that a write completes before the process is killed within it.
-    error : int
-        The error number of calls that fail.
+    how: What happens.
+    call: At which call, counted from 1.
+    part: Bytes that a write completes before the process is killed within it.
+    error: The error number of calls that fail.
     """
 
     how: How = How.WATCH
@@ -89,12 +83,8 @@ def build_library(folder: Path) -> Path:
 class Processes:
     """Starts processes, one at a time, by forking one that has imported everything; a context manager.
 
-    Parameters
-    ----------
-    folder : Path
-        For the library, and what processes say.
-    watched : Path
-        Calls on files in this folder are counted.
+    folder: For the library, and what processes say.
+    watched: Calls on files in this folder are counted.
     """
 
     def __init__(self, folder: Path, watched: Path, library: Path | None = None) -> None:
@@ -135,10 +125,7 @@ class Processes:
     def wait(self) -> Ended:
         """Wait for the end of the process that was started.
 
-        Raises
-        ------
-        HungError
-            When it did not end in a minute; it was killed.
+        Raises HungError: when it did not end in a minute; it was killed.
         """
         try:
             code = self._answer("end")

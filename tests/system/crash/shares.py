@@ -13,12 +13,8 @@ T = TypeVar("T")
 class Share:
     """Share `index` of `of`, of `count` trials in all.
 
-    Parameters
-    ----------
-    count : int
-        Trials wanted of all shares together.
-    index, of : int
-        Which share of how many.
+    count: Trials wanted of all shares together.
+    index, of: Which share of how many.
     """
 
     count: int
