@@ -36,6 +36,10 @@ class HungError(Exception):
     """A call did not return in its time and was given up."""
 
 
+class ShutError(InstrumentError):
+    """Nothing is played, for the player was shut meanwhile."""
+
+
 class CallThread:
     """Carries out calls one after another in one thread of this name, each for so long and no longer.
 
@@ -242,6 +246,22 @@ class BoundedPlayer(_Bounded[Player]):
     _role = "player"
     _ahead_s = 0.0
 
+    def __init__(self, device: Player, hung_after_s: float) -> None:
+        super().__init__(device, hung_after_s)
+        self._gate = threading.Lock()
+        self._shut = 0
+
+    def shut(self) -> None:
+        """Fall silent, and play nothing until `open`; from any thread, whatever call is under way."""
+        with self._gate:
+            self._shut += 1
+        self._device.mute()
+
+    def open(self) -> None:
+        """Take one `shut` back; does no harm where there was none."""
+        with self._gate:
+            self._shut = max(0, self._shut - 1)
+
     @property
     def channels(self) -> int:
         return self._device.channels
@@ -253,7 +273,15 @@ class BoundedPlayer(_Bounded[Player]):
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         # Signals may be converted to the interface's rate first, which takes longer the longer they are.
         sounding_s = max((len(one) for one in signals_v.values()), default=0) / max(sample_rate_hz, 1.0)
-        self._work("playing", lambda: self._device.play(signals_v, sample_rate_hz), sounding_s)
+        self._work("playing", lambda: self._play_unless_shut(signals_v, sample_rate_hz), sounding_s)
+
+    def _play_unless_shut(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
+        if not self._shut:
+            self._device.play(signals_v, sample_rate_hz)
+            if not self._shut:
+                return
+            self._device.mute()
+        raise ShutError("player", "playing", "it was muted meanwhile", "give the order again")
 
     @property
     def latency_s(self) -> float:

@@ -70,15 +70,7 @@ def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int
     Raises NotMeasuredError: no signal from the loopback, or a response is too loud for its input. InstrumentError: of
     the instrument that failed for good.
     """
-    excitation = Excitation(
-        sample_rate_hz=task.sample_rate_hz,
-        start_hz=BAND_HZ[0],
-        stop_hz=BAND_HZ[1],
-        duration_s=DURATION_S,
-        decay_s=DECAY_S,
-        amplitude_v=task.amplitude_v,
-        averages=1,
-    )
+    excitation = Excitation(task.sample_rate_hz, *BAND_HZ, DURATION_S, DECAY_S, task.amplitude_v, averages=1)
     estimator = SequentialEstimator(excitation, round(RESPONSE_S * task.sample_rate_hz), channels_of(setup))
     estimates: list[Estimate] = []
     for actuator, (x_mm, y_mm) in enumerate(task.position_mm):
@@ -109,9 +101,7 @@ def _best_of(setup: Setup, excitation: Excitation, estimator: SequentialEstimato
 
 
 def _once(setup: Setup, excitation: Excitation, estimator: SequentialEstimator, take: Take) -> Estimate:
-    signal_v = excitation.signal_v()
-    channel = setup.actuator_channels[take.position]
-    signals_v = {channel: signal_v, setup.loopback_channel: signal_v}
+    signals_v = setup.signals_v(excitation.signal_v(), take.position)
     recording = take_record(setup, signals_v, excitation.sample_rate_hz, take)
     if any(recording.over_range):
         raise NotMeasuredError(

@@ -55,15 +55,8 @@ class Probe:
     def __init__(self, setup: Setup, sample_rate_hz: float, amplitude_v: float) -> None:
         self._setup = setup
         self._rate_hz = sample_rate_hz
-        excitation = Excitation(
-            sample_rate_hz=sample_rate_hz,
-            start_hz=LOWEST_HZ,
-            stop_hz=HIGHEST_SHARE * sample_rate_hz,
-            duration_s=DURATION_S,
-            decay_s=SILENCE_S,
-            amplitude_v=amplitude_v,
-            averages=1,
-        )
+        band_hz = LOWEST_HZ, HIGHEST_SHARE * sample_rate_hz
+        excitation = Excitation(sample_rate_hz, *band_hz, DURATION_S, SILENCE_S, amplitude_v, averages=1)
         self.amplitude_v = amplitude_v
         self._signal_v: Float64Array = excitation.signal_v()
         self._comparer = ChannelComparer(self._signal_v, sample_rate_hz)

@@ -101,13 +101,6 @@ def examine(rig: RigUnderTest, publish: Callable[[Finding], None], *, play: bool
     return examination.identities
 
 
-@dataclass(frozen=True, slots=True)
-class _Visit:
-    """Where the mirror stood after a move, against where it was sent; None where it cannot say."""
-
-    astray_mrad: float | None
-
-
 class _Examination:
     def __init__(self, rig: RigUnderTest, findings: Findings, play: bool) -> None:
         self._rig, self._findings, self._play = rig, findings, play
@@ -169,11 +162,10 @@ class _Examination:
             return False
         astray: list[float] = []
         for at_mrad in angles:
-            visit = findings.ask("mirror", "corners", partial(_visit, mirror, at_mrad), OPEN_S)
-            if visit is None:
+            found = findings.ask("mirror", "corners", partial(_astray_mrad, mirror, at_mrad), OPEN_S)
+            if found is None:
                 return False
-            if visit.astray_mrad is not None:
-                astray.append(visit.astray_mrad)
+            astray += found
         what = f"{len(angles) - 1} corners and the middle reached, "
         what += f"read back within {max(astray):.3f} mrad" if astray else "not read back: this mirror cannot say"
         if astray and max(astray) > MOST_ASTRAY_MRAD:
@@ -257,12 +249,12 @@ class _Examination:
             self._findings.ask(name, "putting it to rest", step, ANSWER_S)
 
 
-def _visit(mirror: Mirror, at_mrad: tuple[float, float]) -> _Visit:
-    """Send the mirror somewhere, wait, and ask where it stands."""
+def _astray_mrad(mirror: Mirror, at_mrad: tuple[float, float]) -> list[float]:
+    """Send the mirror somewhere and wait: how far off it stands, or nothing where it cannot say."""
     mirror.move_to(*at_mrad)
     mirror.wait_settled(SETTLE_S)
     there = mirror.where_mrad() if isinstance(mirror, ReadsBack) else None
-    return _Visit(None if there is None else max(abs(a - b) for a, b in zip(there, at_mrad, strict=True)))
+    return [] if there is None else [max(abs(a - b) for a, b in zip(there, at_mrad, strict=True))]
 
 
 class _NoMirror:

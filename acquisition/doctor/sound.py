@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from acquisition.measuring.record import ANSWER_MARGIN_S, point_at, take_record
+from acquisition.measuring.record import point_at, record_silence, take_record
 from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError, fit_clock
 from calibration.excitation.sweeps import Excitation
 from config.messages.doctor import Act, Finding, Verdict
-from drivers.protocols import Recorder, Recording, RecordRequest, Take
+from drivers.protocols import Recorder, Recording, Take
 
 SILENCE_S = 0.5
 SWEEP_S, DECAY_S = 0.5, 0.2
@@ -29,56 +29,27 @@ ACTUATORS_HEARD = 3
 
 
 def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[float, float]) -> list[Finding]:
-    """Record while nothing plays: whether a record comes, and what it holds.
-
-    Raises InstrumentError: of the recorder.
-    """
-    request = RecordRequest(
-        samples=round(SILENCE_S * sample_rate_hz),
-        sample_rate_hz=sample_rate_hz,
-        range_v=range_v,
-        take=Take(0, 1, 0, "doctor"),
-    )
-    try:
-        recorder.start(request)
-        recording = recorder.read(SILENCE_S + ANSWER_MARGIN_S)
-    except BaseException:
-        recorder.abort()
-        raise
-    findings: list[Finding] = [Finding("recorder", "record", "ok", f"{request.samples} samples of 2 channels")]
-    for name, volts, step_v, reached, end_v in zip(
-        ("reference", "response"),
-        recording.volts.astype(np.float64),
-        recording.volts_per_count,
-        recording.over_range,
-        range_v,
-        strict=True,
-    ):
-        noise_v, offset_v = float(volts.std()), float(volts.mean())
+    """Record while nothing plays: whether a record comes, and what it holds; raises InstrumentError of the recorder."""
+    recording = record_silence(recorder, SILENCE_S, sample_rate_hz, range_v, Take(0, 1, 0, "doctor"))
+    count = f"{recording.volts.shape[1]} samples of 2 channels"
+    findings: list[Finding] = [Finding("recorder", "record", "ok", count)]
+    for channel, name in enumerate(("reference", "response")):
+        volts = recording.volts[channel].astype(np.float64)
+        noise_v, offset_v, step_v = float(volts.std()), float(volts.mean()), recording.volts_per_count[channel]
         what = f"{1e3 * noise_v:.3g} mV rms, {1e3 * offset_v:+.3g} mV offset; step {1e3 * step_v:.3g} mV"
-        if reached:
-            findings.append(
-                Finding(
-                    "recorder",
-                    f"{name} noise",
-                    "fail",
-                    f"{what}; it reaches {end_v:g} V",
-                    "check what is plugged in there",
-                )
-            )
+        verdict: Verdict = "ok"
+        remedy, act = "", None
+        if recording.over_range[channel]:
+            verdict, remedy = "fail", "check what is plugged in there"
+            what += f"; it reaches {range_v[channel]:g} V"
         elif noise_v == 0.0:
-            findings.append(
-                Finding(
-                    "recorder",
-                    f"{name} noise",
-                    "warn",
-                    f"{what}: not even noise",
-                    "check cable and terminal configuration",
-                    Act("edit-rig", "recorder.terminal"),
-                )
+            verdict, remedy, act = (
+                "warn",
+                "check cable and terminal configuration",
+                Act("edit-rig", "recorder.terminal"),
             )
-        else:
-            findings.append(Finding("recorder", f"{name} noise", "ok", what))
+            what += ": not even noise"
+        findings.append(Finding("recorder", f"{name} noise", verdict, what, remedy, act))
     return findings
 
 
@@ -88,30 +59,40 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
     Raises InstrumentError: of the player or the recorder.
     """
     signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
-    recording = take_record(setup, {setup.loopback_channel: signal_v}, sample_rate_hz, Take(0, 1, 1, "doctor"))
+    recording = take_record(setup, setup.signals_v(signal_v), sample_rate_hz, Take(0, 1, 1, "doctor"))
     channel = setup.loopback_channel
     if recording.over_range[0]:
+        what = f"{amplitude_v:g} V reaches the end of the reference input"
         remedy = "raise recorder.reference_range_v, or lower what is played"
-        return [
-            Finding(
-                "player",
-                "loopback level",
-                "fail",
-                f"{amplitude_v:g} V reaches the end of the reference input",
-                remedy,
-                Act("edit-rig", "recorder.reference_range_v"),
-            )
-        ]
+        act = Act("edit-rig", "recorder.reference_range_v")
+        return [Finding("player", "loopback level", "fail", what, remedy, act)]
     try:
         found = fit_clock(recording.volts[0], signal_v)
     except ReferenceMissingError as missing:
         remedy = f"check the cable from output {channel} of the player to the recorder's reference input"
         return [Finding("player", "loopback level", "fail", str(missing), remedy)]
+    latency_s = found.offset_samples / sample_rate_hz - setup.pre_roll_s
     return [
         _level(found.gain / setup.reference_gain, amplitude_v, channel),
-        _latency(found.offset_samples / sample_rate_hz - setup.pre_roll_s, setup.post_roll_s),
-        _clock(found.skew_ppm),
-        _purity(found.residual_db),
+        _figure(
+            "latency",
+            f"{1e3 * latency_s:.1f} ms, {1e3 * setup.post_roll_s:.0f} ms of post-roll to cover it",
+            latency_s <= LATENCY_SHARE * setup.post_roll_s,
+            "raise recorder.post_roll_s, or choose a smaller buffer",
+            Act("edit-rig", "recorder.post_roll_s"),
+        ),
+        _figure(
+            "clock ratio",
+            f"the recorder's runs {found.skew_ppm:+.1f} ppm faster than the player's",
+            abs(found.skew_ppm) <= GOOD_PPM,
+            "check the sample rates set at the interface; the estimator allows 500 ppm",
+        ),
+        _figure(
+            "loopback purity",
+            f"{-found.residual_db:.0f} dB above noise and distortion",
+            found.residual_db <= GOOD_RESIDUAL_DB,
+            "look for hum, a loose cable or a range much too wide",
+        ),
     ]
 
 
@@ -122,7 +103,7 @@ def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
     """
     signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
     point_at(setup, 0.0, 0.0)
-    silence_v = {setup.loopback_channel: np.zeros_like(signal_v)}
+    silence_v = setup.signals_v(np.zeros_like(signal_v))
     quiet = take_record(setup, silence_v, sample_rate_hz, Take(0, 1, 1, "doctor"))
     noise_v = _in_band_v(quiet, sample_rate_hz)
     count = len(setup.actuator_channels)
@@ -132,17 +113,10 @@ def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
         signals_v = {setup.actuator_channels[actuator]: signal_v}
         recording = take_record(setup, signals_v, sample_rate_hz, Take(0, 1, 2 + actuator, "doctor"))
         if recording.over_range[1]:
+            what = f"actuator {actuator} reaches the end of the response input"
             remedy = "raise recorder.response_range_v, choose a wider range at the vibrometer, or lower what is played"
-            return [
-                Finding(
-                    "vibrometer",
-                    "response",
-                    "fail",
-                    f"actuator {actuator} reaches the end of the response input",
-                    remedy,
-                    Act("edit-rig", "recorder.response_range_v"),
-                )
-            ]
+            act = Act("edit-rig", "recorder.response_range_v")
+            return [Finding("vibrometer", "response", "fail", what, remedy, act)]
         snr_db[actuator] = 20 * math.log10(_in_band_v(recording, sample_rate_hz) / noise_v)
     return _heard(snr_db, amplitude_v)
 
@@ -150,71 +124,30 @@ def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
 def _in_band_v(recording: Recording, sample_rate_hz: float) -> float:
     """Rms of the response in the band of the sweep; never quite 0."""
     volts = recording.volts[1].astype(np.float64)
-    spectrum = np.fft.rfft(volts)
     frequency_hz = np.fft.rfftfreq(volts.size, 1 / sample_rate_hz)
     band = (frequency_hz >= BAND_HZ[0]) & (frequency_hz <= BAND_HZ[1])
-    energy = float(np.sum(np.abs(spectrum[band]) ** 2))
-    return math.sqrt(2 * energy) / len(volts) + 1e-9
+    return math.sqrt(2 * float(np.sum(np.abs(np.fft.rfft(volts)[band]) ** 2))) / len(volts) + 1e-9
 
 
 def _sweep(amplitude_v: float, sample_rate_hz: float) -> Excitation:
-    return Excitation(
-        sample_rate_hz=sample_rate_hz,
-        start_hz=BAND_HZ[0],
-        stop_hz=BAND_HZ[1],
-        duration_s=SWEEP_S,
-        decay_s=DECAY_S,
-        amplitude_v=amplitude_v,
-        averages=1,
-    )
+    return Excitation(sample_rate_hz, *BAND_HZ, SWEEP_S, DECAY_S, amplitude_v, averages=1)
+
+
+def _figure(check: str, what: str, good: bool, remedy: str, act: Act | None = None) -> Finding:
+    """A figure of the loopback that is good, or worth a warning."""
+    return Finding("player", check, "ok", what) if good else Finding("player", check, "warn", what, remedy, act)
 
 
 def _level(gain: float, amplitude_v: float, channel: int) -> Finding:
     what = f"{abs(gain) * amplitude_v:.4g} V for {amplitude_v:.4g} V asked"
     if gain < 0:
-        return Finding(
-            "player", "loopback level", "warn", f"{what}, upside down", f"swap the wires of output {channel}"
-        )
+        return _figure("loopback level", f"{what}, upside down", False, f"swap the wires of output {channel}")
     off = abs(gain - 1)
     if off <= GOOD_LEVEL:
         return Finding("player", "loopback level", "ok", what)
     remedy = "run wavefocus calibrate --only outputs, or correct player.full_scale_v and recorder.reference_gain"
     verdict: Verdict = "warn" if off <= LEAST_LEVEL else "fail"
     return Finding("player", "loopback level", verdict, what, remedy, Act("calibrate", "outputs"))
-
-
-def _latency(latency_s: float, post_roll_s: float) -> Finding:
-    what = f"{1e3 * latency_s:.1f} ms, {1e3 * post_roll_s:.0f} ms of post-roll to cover it"
-    if latency_s <= LATENCY_SHARE * post_roll_s:
-        return Finding("player", "latency", "ok", what)
-    return Finding(
-        "player",
-        "latency",
-        "warn",
-        what,
-        "raise recorder.post_roll_s, or choose a smaller buffer",
-        Act("edit-rig", "recorder.post_roll_s"),
-    )
-
-
-def _clock(skew_ppm: float) -> Finding:
-    what = f"the recorder's runs {skew_ppm:+.1f} ppm faster than the player's"
-    if abs(skew_ppm) <= GOOD_PPM:
-        return Finding("player", "clock ratio", "ok", what)
-    return Finding(
-        "player",
-        "clock ratio",
-        "warn",
-        what,
-        "check the sample rates set at the interface; the estimator allows 500 ppm",
-    )
-
-
-def _purity(residual_db: float) -> Finding:
-    what = f"{-residual_db:.0f} dB above noise and distortion"
-    if residual_db <= GOOD_RESIDUAL_DB:
-        return Finding("player", "loopback purity", "ok", what)
-    return Finding("player", "loopback purity", "warn", what, "look for hum, a loose cable or a range much too wide")
 
 
 def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Finding]:
@@ -228,15 +161,7 @@ def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Finding]:
     findings: list[Finding] = [Finding("vibrometer", "response", verdict, what, remedy)]
     for actuator, ratio_db in snr_db.items():
         if ratio_db < LEAST_SNR_DB:
+            what = f"actuator {actuator} is hardly above the noise ({ratio_db:z.0f} dB)"
             remedy = "run wavefocus calibrate --only actuators; check its cable, amplifier and coil"
-            findings.append(
-                Finding(
-                    "vibrometer",
-                    "actuator",
-                    "fail",
-                    f"actuator {actuator} is hardly above the noise ({ratio_db:z.0f} dB)",
-                    remedy,
-                    Act("calibrate", "actuators"),
-                )
-            )
+            findings.append(Finding("vibrometer", "actuator", "fail", what, remedy, Act("calibrate", "actuators")))
     return findings

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from acquisition.measuring.setup import Setup, as_lost, asking, silence
 from drivers.errors import TransientInstrumentError
-from drivers.protocols import Float64Array, Recording, RecordRequest, Take
+from drivers.protocols import Float64Array, Recorder, Recording, RecordRequest, Take
 
 # A driver that has not answered this long after the record should have ended is not going to.
 ANSWER_MARGIN_S = 5.0
@@ -79,6 +79,20 @@ def take_record(
                 raise as_lost(also, also.cause) from failure
             failure.add_note(str(also))
         raise
+
+
+def record_silence(
+    recorder: Recorder, seconds: float, sample_rate_hz: float, range_v: tuple[float, float], take: Take
+) -> Recording:
+    """Record for a while, > 0 s, while nothing plays; raises InstrumentError of the recorder, which was stopped."""
+    request = RecordRequest(max(1, round(seconds * sample_rate_hz)), sample_rate_hz, range_v, take)
+    with asking("recorder"):
+        try:
+            recorder.start(request)
+            return recorder.read(request.duration_s + ANSWER_MARGIN_S)
+        except BaseException:
+            recorder.abort()
+            raise
 
 
 def start_move(setup: Setup, x_mm: float, y_mm: float) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from acquisition.quality.watch import NOTHING_WATCHED, Watch
 from calibration.rig.mirror_map import MirrorMap
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import Instrument, Instruments
+from drivers.protocols import Float64Array, Instrument, Instruments
 from drivers.timeouts import Role
 
 
@@ -60,6 +60,10 @@ class Setup:
     def widest_response_v(self) -> float:
         """Largest input range that the response may be measured with."""
         return max((self.range_v[1], *self.response_ranges_v))
+
+    def signals_v(self, signal_v: Float64Array, *actuators: int) -> dict[int, Float64Array]:
+        """One signal for the loopback and some actuators, by player channel."""
+        return dict.fromkeys((self.loopback_channel, *(self.actuator_channels[one] for one in actuators)), signal_v)
 
     def close(self) -> None:
         """Mute the player, park the mirror and release every instrument, whatever fails on the way.

@@ -9,18 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.manual.level import GatedPlayer, LevelMeter, ShutError
-from acquisition.manual.single_sweep import SingleSweeps, SweepOrder
+from acquisition.manual import ManualMeasurements
 from acquisition.measuring.record import point_at
 from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
+from config.messages.operate import TakeSweep
 from drivers.protocols import DeviceIdentity, Float64Array, Instruments
+from drivers.timeouts import BoundedPlayer, ShutError
 from mocks.virtual.rig import VirtualRig, VirtualSettings
 from storage.errors import InputError
 
 RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))
-SWEEP = SweepOrder(actuator=0, amplitude_v=1.0, start_hz=40.0, stop_hz=400.0, duration_s=0.3)
+SWEEP = TakeSweep(actuator=0, level_v=1.0, start_hz=40.0, stop_hz=400.0, duration_s=0.3)
 
 
 def bench(**changes: object) -> Setup:
@@ -40,7 +41,7 @@ def bench(**changes: object) -> Setup:
 
 
 def test_given_silence_then_the_level_is_the_noise_of_each_input() -> None:
-    level = LevelMeter(bench(noise_v=2e-3, reference_noise_v=1e-3), RATE_HZ).measure()
+    level = ManualMeasurements(bench(noise_v=2e-3, reference_noise_v=1e-3), RATE_HZ).level()
     assert level.response.rms_v == pytest.approx(2e-3, rel=0.15)
     assert level.reference.rms_v == pytest.approx(1e-3, rel=0.15)
     assert level.response.range_v == 10.0
@@ -48,40 +49,39 @@ def test_given_silence_then_the_level_is_the_noise_of_each_input() -> None:
 
 
 def test_given_an_actuator_that_sounds_then_its_level_is_heard_on_both_inputs() -> None:
-    meter = LevelMeter(bench(), RATE_HZ)
-    quiet = meter.measure()
+    meter = ManualMeasurements(bench(), RATE_HZ)
+    quiet = meter.level()
     meter.sound(0, 0.5)
-    loud = meter.measure()
+    loud = meter.level()
     assert loud.reference.peak_v == pytest.approx(0.5, rel=0.01)
     assert loud.response.rms_v > 10 * quiet.response.rms_v
     meter.sound(None)
-    assert meter.measure().response.rms_v < loud.response.rms_v / 10
+    assert meter.level().response.rms_v < loud.response.rms_v / 10
 
 
 def test_given_an_input_too_small_for_what_plays_then_the_level_says_over_range() -> None:
     setup = replace(bench(), range_v=(0.2, 10.0))
-    meter = LevelMeter(setup, RATE_HZ)
+    meter = ManualMeasurements(setup, RATE_HZ)
     meter.sound(0, 0.5)
-    assert meter.measure().reference.over_range
+    assert meter.level().reference.over_range
 
 
 def test_given_a_sound_rig_then_a_sweep_stands_above_the_silence_in_its_band_and_nothing_is_wrong() -> None:
-    result = SingleSweeps(bench(), RATE_HZ).take(SWEEP)
+    result = ManualMeasurements(bench(), RATE_HZ).sweep(SWEEP)
     assert result.trouble == ""
     assert result.figures is not None
     assert result.figures.defects == ()
     assert result.figures.snr_db > 30
     assert 0 <= result.figures.latency_s <= 0.1
-    inside = (result.frequency_hz > 60) & (result.frequency_hz < 380)
-    outside = result.frequency_hz > 700
-    assert np.min(result.response_db[inside] - result.noise_db[inside]) > 15
-    assert abs(np.median(result.response_db[outside] - result.noise_db[outside])) < 3
+    frequency_hz, above_db = np.array(result.frequency_hz), np.subtract(result.response_db, result.noise_db)
+    assert np.min(above_db[(frequency_hz > 60) & (frequency_hz < 380)]) > 15
+    assert abs(np.median(above_db[frequency_hz > 700])) < 3
     assert len(result.response_v) == len(result.reference_v)
 
 
 def test_given_a_dead_actuator_then_the_sweep_names_it_by_its_number() -> None:
     setup = bench(actuator_strength=(1.0, 1.0, 0.0))
-    figures = SingleSweeps(setup, RATE_HZ).take(replace(SWEEP, actuator=2)).figures
+    figures = ManualMeasurements(setup, RATE_HZ).sweep(replace(SWEEP, actuator=2)).figures
     assert figures is not None
     assert figures.snr_db < 6
     assert figures.defects
@@ -90,21 +90,21 @@ def test_given_a_dead_actuator_then_the_sweep_names_it_by_its_number() -> None:
 
 def test_given_a_response_that_is_cut_off_then_the_sweep_says_so() -> None:
     setup = replace(bench(), range_v=(10.0, 5e-3))
-    figures = SingleSweeps(setup, RATE_HZ).take(SWEEP).figures
+    figures = ManualMeasurements(setup, RATE_HZ).sweep(SWEEP).figures
     assert figures is not None
     assert "over-range" in [one.name for one in figures.defects]
 
 
 def test_given_a_loopback_that_is_not_plugged_in_then_the_sweep_tells_that_in_place_of_figures() -> None:
     setup = bench()
-    result = SingleSweeps(replace(setup, loopback_channel=setup.actuator_channels[1]), RATE_HZ).take(SWEEP)
+    result = ManualMeasurements(replace(setup, loopback_channel=setup.actuator_channels[1]), RATE_HZ).sweep(SWEEP)
     assert result.figures is None
     assert "no signal from the loopback" in result.trouble
 
 
 def test_given_a_band_that_no_sweep_has_then_it_is_refused() -> None:
     with pytest.raises(InputError, match="start_hz"):
-        SingleSweeps(bench(), RATE_HZ).take(replace(SWEEP, start_hz=500.0))
+        ManualMeasurements(bench(), RATE_HZ).sweep(replace(SWEEP, start_hz=500.0))
 
 
 class SlowPlayer:
@@ -140,7 +140,7 @@ class SlowPlayer:
 
 def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds() -> None:
     player = SlowPlayer()
-    gate = GatedPlayer(player)
+    gate = BoundedPlayer(player, 30.0)
     refused: list[ShutError] = []
 
     def play() -> None:
@@ -162,7 +162,7 @@ def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds() -> Non
 def test_given_a_gate_shut_twice_then_it_takes_two_to_open_it() -> None:
     player = SlowPlayer()
     player.go_on.set()
-    gate = GatedPlayer(player)
+    gate = BoundedPlayer(player, 30.0)
     gate.shut()
     gate.shut()
     gate.open()
@@ -175,13 +175,13 @@ def test_given_a_gate_shut_twice_then_it_takes_two_to_open_it() -> None:
 
 def test_given_a_gate_that_is_shut_then_a_record_fails_silently_muted_and_leaves_the_rig_usable() -> None:
     setup = bench()
-    gate = GatedPlayer(setup.instruments.player)
+    gate = BoundedPlayer(setup.instruments.player, 30.0)
     roles = setup.instruments
     gated = replace(setup, instruments=Instruments(roles.mirror, roles.recorder, gate, roles.clock))
-    meter = LevelMeter(gated, RATE_HZ)
+    meter = ManualMeasurements(gated, RATE_HZ)
     meter.sound(0, 0.5)
     gate.shut()
     with pytest.raises(ShutError):
-        meter.measure()
+        meter.level()
     gate.open()
-    assert meter.measure().reference.peak_v == pytest.approx(0.5, rel=0.01)
+    assert meter.level().reference.peak_v == pytest.approx(0.5, rel=0.01)

@@ -46,8 +46,7 @@ duration_s = 0.2
 [capture]
 averages = 1
 decay_s = 0.1
-taps = 200
-sample_rate_hz = 2000.0
+taps = 1000
 [drift]
 every_positions = 2
 [quality]
@@ -130,10 +129,10 @@ def pause_and_go_on(session: TrialSession) -> None:
 # Each is tried at every so many moments.
 ACTS: dict[str, tuple[Callable[[TrialSession], object], int]] = {
     "stop": (lambda session: session.stop.finish_position(), 1),
-    "pause": (lambda session: session.stop.pause(), 2),
-    "pause and go on": (pause_and_go_on, 2),
-    "pause and stop": (pause_and_stop, 2),
-    "at once": (at_once, 2),
+    "pause": (lambda session: session.stop.pause(), 3),
+    "pause and go on": (pause_and_go_on, 4),
+    "pause and stop": (pause_and_stop, 3),
+    "at once": (at_once, 3),
 }
 
 

@@ -9,7 +9,7 @@ from datetime import date
 from pathlib import Path
 
 from acquisition.calibrate.operator import Operator
-from acquisition.manual.level import LevelMeter
+from acquisition.manual import ManualMeasurements
 from acquisition.measuring.setup import Setup
 from config.calibration import PARTS, CalibrationRecord, name_calibration, write_calibration
 from config.messages.calibrate import Begin, CalibrationDone
@@ -87,7 +87,7 @@ def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
 
     answers = LinesIn()
     answers.start()
-    return LinesOperator(answers, lines, LevelMeter(setup, SAMPLE_RATE_HZ).measure, place_mm)
+    return LinesOperator(answers, lines, ManualMeasurements(setup, SAMPLE_RATE_HZ).level, place_mm)
 
 
 def _keep(file: Path, record: CalibrationRecord, measured: list[str], rig_file: Path, *, use: bool) -> None:

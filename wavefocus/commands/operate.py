@@ -7,12 +7,11 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from acquisition.manual.level import GatedPlayer
 from acquisition.quality.watch import Sensor
 from config.messages.operate import Done, End, Ended, Mute, Opening, Refused
 from config.rig import RigConfig
 from drivers.errors import InstrumentError
-from drivers.timeouts import RECONNECTING, CallThread, HungError
+from drivers.timeouts import RECONNECTING, BoundedPlayer, CallThread, HungError
 from storage.errors import InputError
 from wavefocus.configuration import named_rig
 from wavefocus.console import say
@@ -58,16 +57,16 @@ def operate(rig_file: Path) -> Exit:
 def _operate(rig: RigConfig, publish: LinesOut) -> None:
     """Open the rig, obey, and put it to rest however that ends."""
     opened = open_rig(in_time(openers(rig), RECONNECTING * rig.recovery.hung_after_s))
-    gate = GatedPlayer(opened.instruments.player)
-    opened = replace(opened, instruments=replace(opened.instruments, player=gate))
     setup = setup_of(rig, opened)
+    player = setup.instruments.player
     with put_to_rest(setup):
-        operation = Operation(rig, setup, gate, _light(rig, opened), publish)
+        assert isinstance(player, BoundedPlayer)  # as every player of a set-up
+        operation = Operation(rig, setup, player, _light(rig, opened), publish)
         operation.introduce()
-        _obey(operation, gate, rig, publish)
+        _obey(operation, player, rig, publish)
 
 
-def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, publish: LinesOut) -> None:
+def _obey(operation: Operation, player: BoundedPlayer, rig: RigConfig, publish: LinesOut) -> None:
     muting = CallThread("muting")
     orders = LinesIn()
 
@@ -76,7 +75,7 @@ def _obey(operation: Operation, gate: GatedPlayer, rig: RigConfig, publish: Line
 
     def mute() -> None:
         with suppress(HungError, InstrumentError):  # reported by the next mute: the order itself, or the way out
-            muting.call(gate.shut, _MUTES_WITHIN_S)
+            muting.call(player.shut, _MUTES_WITHIN_S)
 
     def overtake(content: Mapping[str, object]) -> None:
         """What shall be silent is so at once, whatever is under way; orders that wait are no longer wanted."""

@@ -8,10 +8,8 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from acquisition.manual.level import GatedPlayer, LevelMeter, ShutError
-from acquisition.manual.single_sweep import SingleSweeps, SweepOrder, SweepResult, excitation_of
+from acquisition.manual import ManualMeasurements, excitation_of
 from acquisition.measuring.setup import Setup, asking, instrument_of, names_of, silence
 from acquisition.quality.watch import Sensor
 from config.messages.codec import Message, MessageError, from_record
@@ -36,11 +34,11 @@ from config.messages.operate import (
     ShowLevel,
     SurfaceSize,
     Sweeping,
-    SweepTaken,
     TakeSweep,
 )
 from config.rig import RigConfig
 from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.timeouts import BoundedPlayer, ShutError
 from storage.errors import InputError
 from wavefocus.exits import one_line
 from wavefocus.rig.limits import largest_sine_v, safe_amplitude_v
@@ -83,7 +81,7 @@ def order_of(content: Mapping[str, object], rig: RigConfig) -> Order:
                 _require("stop_hz", order.stop_hz, 1.0, SAMPLE_RATE_HZ / 2)
                 _require("duration_s", order.duration_s, 0.05, LONGEST_S)
                 order = replace(order, level_v=_level_v(order.level_v, rig))
-                excitation_of(_sweep_of(order), SAMPLE_RATE_HZ)  # refuses a band that no sweep has
+                excitation_of(order, SAMPLE_RATE_HZ)  # refuses a band that no sweep has
     except MessageError as wrong:
         raise InputError(one_line(f"{word}: {wrong}", 300)) from None
     return order
@@ -125,18 +123,14 @@ def _level_v(level_v: float | None, rig: RigConfig) -> float:
     return level_v
 
 
-def _sweep_of(order: TakeSweep) -> SweepOrder:
-    assert order.level_v is not None
-    return SweepOrder(order.actuator, order.level_v, order.start_hz, order.stop_hz, order.duration_s)
-
-
 class Operation:
     """Carries out orders on an open rig, and publishes what comes of them."""
 
-    def __init__(self, rig: RigConfig, setup: Setup, gate: GatedPlayer, light: Sensor | None, publish: Publish) -> None:
-        self._rig, self._setup, self._gate, self._light, self._publish = rig, setup, gate, light, publish
-        self._meter = LevelMeter(setup, SAMPLE_RATE_HZ)
-        self._sweeps = SingleSweeps(setup, SAMPLE_RATE_HZ)
+    def __init__(
+        self, rig: RigConfig, setup: Setup, player: BoundedPlayer, light: Sensor | None, publish: Publish
+    ) -> None:
+        self._rig, self._setup, self._player, self._light, self._publish = rig, setup, player, light, publish
+        self._measurements = ManualMeasurements(setup, SAMPLE_RATE_HZ)
         self._spot = MirrorMoved()
         self._every_s: float | None = None
         self._due_s = 0.0
@@ -175,7 +169,7 @@ class Operation:
         if self._every_s is None or time.monotonic() < self._due_s:
             return
         self._due_s = time.monotonic() + self._every_s
-        self._attempt(lambda: self._publish(level_measured(self._meter.measure(), self._light_now())))
+        self._attempt(lambda: self._publish(level_measured(self._measurements.level(), self._light_now())))
 
     def carry_out(self, order: Order) -> bool:
         """Carry out an order that `order_of` has checked; what prevents it is published. True where it was done."""
@@ -193,12 +187,11 @@ class Operation:
                 self._every_s = order.every_s if order.on else None
                 self._due_s = 0.0
                 if order.on:
-                    self._meter.sound(order.actuator, order.level_v or 0.0)
+                    self._measurements.sound(order.actuator, order.level_v or 0.0)
                 self._publish(LevelsSwitched(order.on, order.actuator if order.on else None))
             case TakeSweep():
-                sweep = _sweep_of(order)
-                self._publish(Sweeping(sweep.actuator, sweep.amplitude_v))
-                self._publish(_sweep_taken(sweep, self._sweeps.take(sweep)))
+                self._publish(Sweeping(order.actuator, order.level_v or 0.0))
+                self._publish(self._measurements.sweep(order))
             case Mute() | End():
                 self._mute()
             case ReportState():
@@ -230,7 +223,7 @@ class Operation:
     def _mute(self) -> None:
         self._every_s = None
         failures = silence(self._setup.instruments)
-        self._gate.open()
+        self._player.open()
         self._publish(LevelsSwitched(False))
         if failures:
             raise failures[0]
@@ -288,27 +281,4 @@ def faulted(failure: InstrumentError) -> Faulted:
         remedy=failure.remedy,
         passing=isinstance(failure, TransientInstrumentError),
         sentence=" ".join(str(failure).split()),
-    )
-
-
-def _sweep_taken(order: SweepOrder, result: SweepResult) -> SweepTaken:
-    """A sweep as a message, its numbers to the digits that mean something."""
-
-    def rounded(values: NDArray[np.floating], digits: int) -> tuple[float, ...]:
-        return tuple(np.round(values.astype(np.float64), digits).tolist())
-
-    return SweepTaken(
-        actuator=order.actuator,
-        level_v=order.amplitude_v,
-        start_hz=order.start_hz,
-        stop_hz=order.stop_hz,
-        sample_rate_hz=result.sample_rate_hz,
-        level=result.level,
-        figures=result.figures,
-        trouble=result.trouble,
-        reference_v=rounded(result.reference_v, 7),
-        response_v=rounded(result.response_v, 7),
-        frequency_hz=rounded(result.frequency_hz, 3),
-        response_db=rounded(result.response_db, 2),
-        noise_db=rounded(result.noise_db, 2),
     )

@@ -1,1 +1,0 @@
-"""Measuring by hand: live level, single sweeps."""
