@@ -20,6 +20,8 @@ PLATES_OF_KEY = {
     "oscillation_deg": ("solid",),
 }
 """Keys that only some plates have, and which."""
+FINGER_MM = 3.0
+"""Half the width of a finger, and a little."""
 _OF_ANY_PLATE = ("speed_per_k", "loss_per_k", "finger")
 
 
@@ -67,10 +69,6 @@ class PlateKeys(Table):
         default=None, description='Of the plate "solid": direction of the velocity that is measured'
     )
 
-    speed_per_k: Finite | None = Field(
-        default=None, description="Change of the wave speed per kelvin of the room above 21 degrees Celsius, relative"
-    )
-    loss_per_k: Finite | None = Field(default=None, description="The same of the loss")
     finger: Finger | None = Field(
         default=None,
         description="A finger on the surface: { place_mm = [x, y], mass_kg, damping_n_s_m, stiffness_n_m }",
@@ -93,3 +91,9 @@ class PlateKeys(Table):
                 plates = " or ".join(f'"{name}"' for name in PLATES_OF_KEY[key])
                 raise mistake(key, value, f"belongs to plate = {plates}")
         return self
+
+
+def plate_of(virtual: PlateKeys | None, emulation: PlateKeys) -> PlateKeys:
+    """Plate of a virtual rig: the run file's where it asks for any but the default, else the rig file's."""
+    asked = virtual is not None and (virtual.plate_keys or virtual.plate != PlateKeys().plate)
+    return virtual if virtual is not None and asked else emulation

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from config.calibration import CalibrationRecord, with_calibration
 from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
 from config.outline import Kind, Outline
+from config.plate import PlateKeys
 from config.rig_instruments import AnalogInput, Matrix, MirrorSection, PlayerSection, RecorderSection, VibrometerSection
 
 
@@ -85,7 +86,7 @@ class WireFaultTable(Table):
     seconds: Finite = 0.0
 
 
-class Emulation(Table):
+class Emulation(PlateKeys):
     """What `wavefocus emulate` builds, and what the virtual rig is like; real instruments take no notice of it.
 
     What is left out is as the rig's own tables say, and without a flaw.
@@ -140,6 +141,7 @@ class Emulation(Table):
     def truth(self) -> dict[str, object]:
         """What is measured of the rig depends on this; on faults and on how a wire is emulated it does not."""
         unused = {key for key in ("noise_per_response", "cubic_per_v2") if getattr(self, key) == 0}
+        unused |= {key for key, field in PlateKeys.model_fields.items() if getattr(self, key) == field.default}
         return self.model_dump(exclude={"fault_plan", "period_frames", "ni_product"} | unused)
 
     @model_validator(mode="after")

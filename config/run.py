@@ -178,6 +178,10 @@ class Virtual(PlateKeys):
     room_c: Course = Field(
         default=(), description="Temperature of the room: pairs of seconds, rising, and degrees Celsius"
     )
+    speed_per_k: Finite | None = Field(
+        default=None, description="Change of the wave speed per kelvin of the room above 21 degrees Celsius, relative"
+    )
+    loss_per_k: Finite | None = Field(default=None, description="The same of the loss")
     light: Course = Field(
         default=(), description="Share of light that comes back to the vibrometer: pairs of seconds, rising, and 0 to 1"
     )

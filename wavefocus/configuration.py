@@ -17,7 +17,7 @@ from calibration.rig.mirror_map import MirrorMap
 from config.calibration import load_calibration
 from config.fields import Table
 from config.loading import named_file, printable, read_toml, shown, validated
-from config.plate import PlateKeys
+from config.plate import FINGER_MM, PlateKeys, plate_of
 from config.rig import RigConfig, default_rig
 from config.run import FaultFile, RunConfig, Virtual
 from storage.errors import InputError
@@ -130,13 +130,9 @@ def with_rig(configuration: Configuration, rig: RigConfig, source: str) -> Confi
     return replace(configuration, rig=rig)
 
 
-FINGER_MM = 3.0
-"""Half the width of a finger, and a little."""
-
-
 def plate_behind(rig: RigConfig, run: RunConfig) -> PlateKeys:
     """The plate that a run is measured on; of real instruments no more is known than that it is one."""
-    return run.virtual if run.virtual is not None and rig.is_virtual else PlateKeys()
+    return plate_of(run.virtual, rig.emulation) if rig.is_virtual else PlateKeys()
 
 
 def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
@@ -147,17 +143,18 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     if run.virtual is not None and not rig.is_virtual:
         raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
     plate = plate_behind(rig, run)
+    table = "emulation" if plate is rig.emulation else "virtual"
     if plate.plate == "thin" and plate.edge != "infinite" and rig.surface.kind != "rectangle":
         raise InputError(
-            f'{source}: virtual.plate = "thin": needs kind = "rectangle" in [surface] of the rig file, '
+            f'{source}: {table}.plate = "thin": needs kind = "rectangle" in [surface] of the rig file, '
             'or edge = "infinite"'
         )
     if plate.finger is not None and not rig.surface.outline.contains(plate.finger.place_mm, FINGER_MM):
         x_mm, y_mm = plate.finger.place_mm
         allowed = f"must be on the surface, {FINGER_MM:g} mm or more from its edge"
-        raise InputError(f"{source}: virtual.finger.place_mm = [{x_mm:g}, {y_mm:g}]: {allowed}")
+        raise InputError(f"{source}: {table}.finger.place_mm = [{x_mm:g}, {y_mm:g}]: {allowed}")
     if plate.plate == "stadium" and find_spec("skfem") is None:
-        raise InputError(f'{source}: virtual.plate = "stadium": needs scikit-fem: pip install "wavefocus[plates]"')
+        raise InputError(f'{source}: {table}.plate = "stadium": needs scikit-fem: pip install "wavefocus[plates]"')
     actuators = len(rig.actuators.position_mm)
     if run.capture.groups > actuators:
         allowed = f"must be at most {actuators}, the number of actuators"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.outline import Outline
+from config.plate import FINGER_MM
 from drivers.registry import Registry
 
 Float64Array = NDArray[np.float64]
@@ -140,6 +141,9 @@ def make_plate(
     if (finger := keys.get("finger")) is None:
         return kind(actuator_mm, outline, chain, change=change, **own)
     from mocks.plates.finger import TouchedPlate
+
+    if not outline.contains(finger["place_mm"], FINGER_MM):
+        raise ValueError(f"finger.place_mm is {finger['place_mm']}; it must be {FINGER_MM:g} mm within the outline")
 
     plate = kind(actuator_mm, outline, np.ones_like, change=change, **own)
     if name == "solid":

@@ -89,7 +89,8 @@ class WireBench:
         self.patch_bay = PatchBay(settings.channel_of_actuator, settings.channel_of_loopback)
         self.onsets: deque[float] = deque(maxlen=KEPT_ONSETS)
         self._store = SignalStore(max(full_scale_v))
-        self._synthesis: dict[float, Synthesis] = {}
+        # The plate is made, and refused, before anything is played.
+        self._synthesis = {settings.inter_channel_delay_s: Synthesis(settings)}
         self._generator = np.random.default_rng(settings.seed)
         self._lock = threading.Lock()
 

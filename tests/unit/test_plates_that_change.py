@@ -11,6 +11,8 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from config.outline import Outline
+from config.rig import RigConfig
+from config.run import Virtual
 from mocks.plates import make_plate
 from mocks.plates.finger import DISK_MM, DISK_WEIGHTS
 from mocks.plates.finite_elements import Elements, spacing_mm, triangulate
@@ -19,6 +21,8 @@ from mocks.virtual.chain import chain_response
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import SignalStore
 from mocks.virtual.synthesis import Play, Spot, Synthesis
+from mocks.wire.bench import WireBench
+from wavefocus.rig.virtual_bench import virtual_settings
 
 ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0]])
 STADIUM, RECTANGLE = Outline.stadium(70.0, 40.0), Outline.rectangle(70.0, 40.0)
@@ -114,6 +118,25 @@ def test_given_a_course_of_the_room_then_the_plate_follows_it_and_without_the_ke
     assert np.array_equal(recorded(following, 0.0), recorded((), 0.0))
     assert not np.array_equal(recorded(following, 0.0), recorded(following, 100.0))
     assert np.array_equal(recorded((), 0.0), recorded((), 100.0))
+
+
+def test_given_a_plate_in_the_rig_file_then_its_emulation_has_it_and_that_of_the_run_file_is_stronger() -> None:
+    finger = {"place_mm": (0.0, 0.0), "mass_kg": 1e-4}
+    rig = RigConfig.model_validate({"emulation": {"plate": "solid", "force_deg": 30.0, "finger": finger}})
+    settings = virtual_settings(rig)
+    assert (settings.plate, dict(settings.plate_keys)["force_deg"]) == ("solid", 30.0)
+    assert virtual_settings(rig, Virtual(plate="stadium")).plate == "stadium"
+    assert virtual_settings(rig, Virtual(seed=5)).plate == "solid"
+    plain = RigConfig().emulation
+    assert plain.is_flawless
+    assert "plate" not in plain.truth()
+    assert not rig.emulation.is_flawless
+
+
+def test_given_a_plate_that_cannot_be_then_the_emulated_wires_are_refused_before_anything_is_played() -> None:
+    settings = VirtualSettings(plate="thin")  # on the default stadium
+    with pytest.raises(ValueError, match="rectangle"):
+        WireBench(settings, None, None, full_scale_v=(1.0,))  # type: ignore[arg-type]
 
 
 def test_given_a_plate_that_would_be_too_hot_then_it_is_refused() -> None:

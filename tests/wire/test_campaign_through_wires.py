@@ -100,7 +100,10 @@ def in_band_db(green: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return 20 * np.log10(np.linalg.norm(ours - theirs, axis=-1) / np.linalg.norm(theirs, axis=-1))
 
 
-def test_given_emulated_wires_then_the_bank_is_as_good_as_the_in_process_rigs(lab):
+def test_given_emulated_wires_before_another_plate_then_the_bank_is_as_good_as_the_in_process_rigs(lab):
+    for name in ("rig.toml", "virtual-rig.toml"):
+        keys = 'plate = "solid"\nforce_deg = 40.0\noscillation_deg = 40.0\n'
+        (lab / name).write_text((lab / name).read_text(encoding="utf-8") + keys, encoding="utf-8")
     with far_sides(lab / "rig.toml") as sides:
         wavefocus("capture", lab / "run.toml", "--bank", lab / "wires.h5", sides=sides)
     wavefocus("capture", lab / "virtual-run.toml", "--bank", lab / "virtual.h5")

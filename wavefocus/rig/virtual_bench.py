@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from config.plate import plate_of
 from config.rig import Emulation, RigConfig, strength
 from config.run import Virtual
 from mocks.virtual.chain import output_errors
@@ -21,6 +22,7 @@ def virtual_rig(rig: RigConfig, virtual: Virtual | None = None) -> VirtualRig:
 def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualSettings:
     """What the bench behind a rig is like, for the virtual rig and for emulated wires."""
     emulation, defaults = rig.emulation, VirtualSettings()
+    plate = plate_of(virtual, emulation)
     seed = emulation.seed if virtual is None else virtual.seed
     noise_v = emulation.noise_v if virtual is None or virtual.noise_v is None else virtual.noise_v
     delay_s = emulation.inter_channel_delay_s
@@ -40,8 +42,8 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         output_latency_s=latency_s,
         output_gain=gain,
         actuator_strength=strength(emulation, len(rig.actuators.position_mm)),
-        plate=defaults.plate if virtual is None else virtual.plate,
-        plate_keys=() if virtual is None else tuple(virtual.plate_keys.items()),
+        plate=plate.plate,
+        plate_keys=tuple(plate.plate_keys.items()),
         outline=rig.surface.outline,
         mirror=MirrorGeometry(matrix=emulation.mirror_map or rig.mirror.matrix),
         settle_s=rig.mirror.settle_s,
