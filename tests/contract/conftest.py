@@ -146,7 +146,7 @@ def wire(emulated: Callable[[], RigConfig]) -> Iterator[Callable[[], Bench]]:
 
     def bench() -> Bench:
         if not made:
-            made.append(bench_of(emulated(), latency_s=1.0))
+            made.append(bench_of(emulated(), latency_s=0.5))
         return made[0]
 
     yield bench

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 
 import grpc
 import numpy as np
 import pytest
+from nidaqmx.errors import DaqError
 
 from calibration.clock.timing import ReferenceMissingError, fit_clock
+from drivers.daq.ni.ni_errors import explain
 from drivers.daq.ni.ni_session import TlsFiles
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
@@ -17,7 +20,7 @@ from mocks.wire.ni.ni_server import NiServer
 from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
 
 # No test waits long for an answer that does not come.
-ANSWER_S = 1.0
+ANSWER_S = 0.5
 PASSING, LOST, FOR_GOOD = TransientInstrumentError, InstrumentLostError, InstrumentError
 
 
@@ -44,14 +47,9 @@ def until_reconnected(recorder):
         ("wait_timeout", "WaitUntilTaskDone", PASSING, "not finished after 1 s"),
         ("unplugged", "StartTask", LOST, "cannot be accessed: unplugged.*-201003"),
         ("unplugged", "ReadAnalogF64", LOST, "cannot be accessed: unplugged.*-201003"),
-        ("absent", "StartTask", LOST, "not present .NI-DAQmx -88705"),
-        ("wrong_name", "StartTask", LOST, "not there any more .NI-DAQmx -200220"),
         ("in_use", "StartTask", LOST, "reserved, .*-50103"),
-        ("usb_aborted", "StartTask", LOST, "USB transfer was aborted .NI-DAQmx -50405"),
-        ("silent", "StartTask", LOST, "does not answer .StartTask got no answer within 1 s"),
-        ("silent", "ReadAnalogF64", LOST, "does not answer .ReadAnalogF64 got no answer within 3 s"),
+        ("silent", "StartTask", LOST, "does not answer .StartTask got no answer within 0.5 s"),
         ("server_dead", "WaitUntilTaskDone", LOST, "cannot be reached, or went away"),
-        ("server_dead", "ReadAnalogF64", LOST, "cannot be reached, or went away"),
     ],
     ids=lambda value: value if isinstance(value, str) and " " not in value else "",
 )
@@ -76,13 +74,29 @@ def test_given_a_fault_in_the_second_record_then_it_is_told_and_the_third_is_goo
 
 
 @pytest.mark.parametrize(
+    ("code", "known", "owned", "error", "cause"),
+    [
+        (-88705, False, False, LOST, "not present .NI-DAQmx -88705"),
+        (-50405, False, False, LOST, "USB transfer was aborted .NI-DAQmx -50405"),
+        (-200220, True, False, LOST, "not there any more .NI-DAQmx -200220"),
+        (-200220, False, False, FOR_GOOD, "no device of this name"),
+        (-50103, True, True, LOST, "reserved"),
+        (-50103, True, False, FOR_GOOD, "another program has reserved it"),
+    ],
+)
+def test_given_a_code_of_the_driver_then_it_has_its_meaning(code, known, owned, error, cause):
+    explained = explain(DaqError("", code), "recorder Dev1", "opening", known=known, owned=owned)
+    assert type(explained) is error
+    assert re.search(cause, explained.cause)
+    assert explained.remedy
+
+
+@pytest.mark.parametrize(
     ("kind", "operation", "error", "cause"),
     [
         ("wrong_name", "GetDeviceAttributeString", FOR_GOOD, "there is no device of this name"),
-        ("absent", "GetDeviceAttributeString", LOST, "not present"),
         ("silent", "GetSystemInfoAttributeUInt32", LOST, "does not answer .GetSystemInfoAttributeUInt32"),
         ("server_dead", "GetSystemInfoAttributeUInt32", LOST, "cannot be reached"),
-        ("server_dead", "GetPhysicalChanAttributeInt32", LOST, "cannot be reached"),
     ],
 )
 def test_given_a_fault_while_opening_then_it_is_told_and_nothing_stays_open(kind, operation, error, cause):
@@ -97,11 +111,8 @@ def test_given_a_fault_while_opening_then_it_is_told_and_nothing_stays_open(kind
     ("operation", "kind", "error"),
     [
         ("CreateTask", "usb_aborted", LOST),
-        ("CreateAIVoltageChan", "wrong_name", LOST),
         ("CreateAIVoltageChan", "warning", FOR_GOOD),
         ("TaskControl", "in_use", FOR_GOOD),
-        ("TaskControl", "warning", FOR_GOOD),
-        ("TaskControl", "silent", LOST),
     ],
 )
 def test_given_a_fault_while_the_first_task_is_made_then_it_is_told_and_the_next_is_good(operation, kind, error):
@@ -151,7 +162,7 @@ def test_given_a_device_that_stays_away_then_reconnecting_says_so_each_time_unti
         bench.server.unplug()
         with pytest.raises(LOST, match="unplugged"):
             recorder.start(ask())
-        for _ in range(3):
+        for _ in range(2):
             with pytest.raises(LOST, match="opening: it cannot be accessed: unplugged"):
                 recorder.reconnect()
         with pytest.raises(LOST, match="it is not connected; reconnect first"):
@@ -175,7 +186,7 @@ def test_given_a_cable_that_was_out_between_records_then_the_old_task_is_not_tru
         check_tone(take_one(recorder))
 
 
-@pytest.mark.parametrize(("product", "serial_number"), [("USB-6212", 0x01E57A2C), ("USB-6211", 0x0BADCAFE)])
+@pytest.mark.parametrize(("product", "serial_number"), [("USB-6211", 0x0BADCAFE)])
 def test_given_another_device_under_the_same_name_then_reconnecting_refuses_it(product, serial_number):
     with daq_bench() as bench:
         recorder = bench.recorder()
@@ -203,18 +214,6 @@ def test_given_a_server_that_was_restarted_then_reconnecting_goes_on():
             with pytest.raises(LOST, match=r"cannot be reached.*ni_grpc_device_server"):
                 refused()
         bench.server.start()
-        recorder.reconnect()
-        check_tone(take_one(recorder))
-
-
-def test_given_a_server_that_forgot_the_task_then_it_is_lost_and_comes_back():
-    with daq_bench() as bench:
-        recorder = bench.recorder()
-        check_tone(take_one(recorder))
-        bench.server.stop()
-        bench.server.start()
-        with pytest.raises(LOST):  # the channel's state decides whether it is the call or the task that fails
-            recorder.start(ask())
         recorder.reconnect()
         check_tone(take_one(recorder))
 
@@ -258,7 +257,6 @@ def test_given_a_failure_when_clearing_up_then_the_first_error_carries_it_as_a_n
 @pytest.mark.parametrize(
     ("operation", "kind"),
     [
-        ("StopTask", "usb_aborted"),
         ("StopTask", "silent"),
         ("ClearTask", "server_dead"),
     ],
@@ -320,7 +318,7 @@ def server_credentials(*, mutual):
     return grpc.ssl_server_credentials([pair], (TLS / "root.pem").read_bytes() if mutual else None, mutual)
 
 
-@pytest.mark.parametrize(("mutual", "files"), [(False, ROOT), (False, BOTH), (True, BOTH)])
+@pytest.mark.parametrize(("mutual", "files"), [(False, ROOT), (True, BOTH)])
 def test_given_a_server_with_a_certificate_then_records_come_over_tls(mutual, files):
     with daq_bench(credentials=server_credentials(mutual=mutual)) as bench:
         recorder = bench.recorder(tls=files)
@@ -329,9 +327,7 @@ def test_given_a_server_with_a_certificate_then_records_come_over_tls(mutual, fi
         check_tone(take_one(recorder))
 
 
-@pytest.mark.parametrize(
-    ("mutual", "files"), [(False, None), (True, ROOT), (False, TlsFiles(TLS / "client.pem"))], ids=str
-)
+@pytest.mark.parametrize(("mutual", "files"), [(False, None), (True, ROOT)], ids=str)
 def test_given_the_wrong_certificates_or_none_then_the_server_cannot_be_reached(mutual, files):
     with (
         daq_bench(credentials=server_credentials(mutual=mutual)) as bench,

@@ -140,13 +140,7 @@ answers["left"] = tasks()
 @pytest.mark.parametrize(
     ("status", "error", "cause"),
     [
-        (
-            "-200284",
-            "TransientInstrumentError",
-            "samples are missing: they did not come in time (NI-DAQmx -200284); 500",
-        ),
-        ("-201003", "InstrumentLostError", "unplugged"),
-        ("200005", "TransientInstrumentError", "NI-DAQmx warns"),
+        ("-200284", "TransientInstrumentError", "did not come in time (NI-DAQmx -200284); 500"),
         ("-209999", "InstrumentError", "NI-DAQmx says: As ordered"),
     ],
 )
@@ -289,7 +283,7 @@ hangs.touch()
 hung = []
 thread = threading.Thread(target=lambda: hung.append(told(recorder.identify)))
 thread.start()
-threading.Timer(1.0, hangs.unlink).start()
+threading.Timer(0.3, hangs.unlink).start()
 recorder.reconnect()
 thread.join()
 answers["hung"] = hung[0]
@@ -302,18 +296,6 @@ recorder.close()
     )
     assert answers["again"] == [2, 1000]
     assert answers["fresh"]
-
-
-@LINUX_ONLY
-@STANDS_IN
-def test_given_what_the_device_has_not_then_the_refusal_comes_from_the_process_word_for_word(library, tmp_path):
-    answers = session(
-        library,
-        IN_A_PROCESS + "answers['told'] = told(lambda: in_a_process('Dev9'))",
-        SHIM_UNPLUGGED=str(tmp_path / "unplugged"),
-    )
-    assert answers["told"][0] == "InstrumentError"
-    assert "put a name that is there into device of [recorder]: Dev1, Dev2" in answers["told"][1]
 
 
 @LINUX_ONLY

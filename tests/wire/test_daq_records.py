@@ -10,25 +10,17 @@ import pytest
 
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import DeviceIdentity
-from mocks.wire.ni.ni_products import DIFFERENTIAL, PRODUCTS, RSE
+from mocks.wire.ni.ni_products import PRODUCTS
 from tests.wire.daq_bench import RATE_HZ, TAKE, Tone, Wires, ask, check_tone, daq_bench, take_one
 
-# One of each family.
-SOME = [PRODUCTS[name] for name in ("USB-6001", "USB-6009", "USB-6211", "USB-6356")]
+# Unlike ranges by terminal, and codes beyond the range.
+SOME = [PRODUCTS[name] for name in ("USB-6009", "USB-6211")]
 
 
 @pytest.fixture
 def bench():
     with daq_bench() as bench:
         yield bench
-
-
-@pytest.mark.parametrize("samples", [1, 2, 1999, 2000])
-def test_given_a_length_then_both_channels_have_it_and_reading_takes_it(bench, samples):
-    recorder = bench.recorder()
-    before_s = time.monotonic()
-    assert take_one(recorder, samples).volts.shape == (2, samples)
-    assert time.monotonic() - before_s >= 0.99 * samples / RATE_HZ
 
 
 def test_given_what_is_played_then_it_arrives_with_its_voltages_where_it_was_in_time():
@@ -72,20 +64,13 @@ def test_given_records_of_one_kind_then_a_start_is_one_call(bench):
     assert bench.calls("CreateTask") == 1
 
 
-@pytest.mark.parametrize("change", [{"samples": 400}, {"rate_hz": 20_000.0}, {"range_v": (5.0, 10.0)}])
+@pytest.mark.parametrize("change", [{"samples": 400}, {"range_v": (5.0, 10.0)}])
 def test_given_a_record_of_another_kind_then_it_gets_a_task_of_its_own(bench, change):
     recorder = bench.recorder()
     take_one(recorder)
     check_tone(take_one(recorder, **change), change.get("samples", 500))
     assert bench.calls("CreateTask") == 2
     assert bench.calls("ClearTask") == 1
-
-
-def test_given_a_closed_recorder_then_the_device_is_free_for_the_next_one(bench):
-    first = bench.recorder()
-    take_one(first)
-    first.close()
-    check_tone(take_one(bench.recorder()))
 
 
 def test_given_another_program_on_the_device_then_starting_says_so_and_does_not_reset_it(bench):
@@ -116,17 +101,7 @@ def test_given_each_product_then_its_fastest_rate_and_all_its_ranges_record_whol
             recorder.close()
 
 
-def test_given_a_converter_for_each_input_then_the_rate_is_that_of_each_and_no_input_is_late():
-    source = Wires()
-    with daq_bench(source, "USB-6356", speed=50.0) as bench:
-        recorder = bench.recorder()
-        recorder.start(ask(2000, 1.25e6, (10.0, 10.0)))
-        assert recorder.read(10.0).volts.shape == (2, 2000)
-        *_, delay_s = source.asked[-1]
-        assert delay_s == 0.0
-
-
-@pytest.mark.parametrize("product", SOME, ids=lambda product: product.name)
+@pytest.mark.parametrize("product", [*SOME, PRODUCTS["USB-6356"]], ids=lambda product: product.name)
 def test_given_a_rate_beyond_the_product_then_the_refusal_names_the_limit(product):
     with daq_bench(product=product.name) as bench:
         recorder = bench.recorder()
@@ -136,7 +111,7 @@ def test_given_a_rate_beyond_the_product_then_the_refusal_names_the_limit(produc
         assert bench.calls("CreateTask") == 0
 
 
-@pytest.mark.parametrize(("range_v", "named"), [((2.0, 10.0), "2 V"), ((1.0, 20.0), "20 V")])
+@pytest.mark.parametrize(("range_v", "named"), [((2.0, 10.0), "2 V")])
 def test_given_a_range_between_those_of_the_device_then_the_refusal_names_them(bench, range_v, named):
     recorder = bench.recorder()
     with pytest.raises(InstrumentError, match=f"USB-6211 has no range of {named}; choose 0.2, 1, 5 or 10 V"):
@@ -164,7 +139,6 @@ def test_given_a_rate_that_the_clock_cannot_divide_to_then_the_refusal_names_the
     ("changes", "cause", "remedy"),
     [
         ({"reference_input": "ai16"}, "no input 'ai16'", "ai0, ai1, .*ai14 or ai15 into reference_input"),
-        ({"response_input": "ao0"}, "no input 'ao0'", "into response_input"),
         ({"response_input": "ai0"}, "ai0 is both inputs", "two inputs"),
         ({"terminal": "floating"}, "'floating' is no terminal configuration", "differential, rse, nrse or"),
         ({"terminal": "pseudodifferential"}, "cannot be a pseudodifferential", "differential, rse or nrse"),
@@ -198,15 +172,14 @@ def test_given_one_converter_then_the_response_is_sampled_later_by_its_convert_c
 
 @pytest.mark.parametrize(
     ("product", "rate_hz", "delay_s"),
-    [("USB-6211", 10e3, 14e-6), ("USB-6211", 125e3, 4e-6), ("USB-6212", 10e3, 12.5e-6), ("USB-6001", 10e3, 50e-6)],
+    [("USB-6211", 10e3, 14e-6), ("USB-6211", 125e3, 4e-6), ("USB-6001", 10e3, 50e-6)],
 )
 def test_given_a_rate_then_conversions_are_as_close_as_settling_allows(product, rate_hz, delay_s):
     assert PRODUCTS[product].channel_delay_s(rate_hz, 2) == pytest.approx(delay_s)
 
 
-@pytest.mark.parametrize("terminal", [DIFFERENTIAL, RSE])
-def test_given_a_signal_beyond_one_range_then_that_flag_alone_is_up(bench, terminal):
-    recorder = bench.recorder(terminal=terminal)
+def test_given_a_signal_beyond_one_range_then_that_flag_alone_is_up(bench):
+    recorder = bench.recorder()
     assert take_one(recorder, range_v=(0.2, 1.0)).over_range == (True, False)
     assert take_one(recorder, range_v=(1.0, 0.2)).over_range == (False, True)
 
@@ -264,15 +237,6 @@ def test_given_a_good_connection_then_reconnecting_goes_on_with_the_same_device(
     recorder.reconnect()
     assert recorder.identify() == named
     check_tone(take_one(recorder))
-
-
-def test_given_a_closed_recorder_then_nothing_but_closing_works(bench):
-    recorder = bench.recorder()
-    recorder.close()
-    recorder.abort()
-    for call in (recorder.identify, recorder.reconnect, lambda: recorder.read(0.1), lambda: recorder.start(ask())):
-        with pytest.raises(InstrumentError, match="it is closed"):
-            call()
 
 
 def test_given_another_input_then_its_volts_are_read_between_two_records_and_records_go_on():

@@ -13,9 +13,8 @@ from nidaqmx.constants import TerminalConfiguration
 from nidaqmx.errors import DaqError, DaqReadError
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 
-from drivers.errors import InstrumentLostError
 from mocks.wire.ni.ni_server import NiServer
-from tests.wire.daq_bench import Tone, ask, daq_bench, take_one
+from tests.wire.daq_bench import Tone, daq_bench
 
 ROOT = Path(__file__).parents[2]
 
@@ -53,24 +52,10 @@ def test_given_more_time_needed_than_allowed_then_what_there_is_comes_with_zeros
         assert not volts[:, count:].any()
 
 
-def test_given_a_look_up_of_devices_then_the_box_tells_what_it_is():
-    with daq_bench(product="USB-6009") as bench, client(bench.server.address) as options:
-        system = nidaqmx.system.System.remote(options)
-        device = system.devices["Dev1"]
-        assert system.devices.device_names == ["Dev1"]
-        assert (device.product_type, device.serial_num) == ("USB-6009", 0x01E57A2C)
-        assert device.ai_voltage_rngs[-2:] == [-20.0, 20.0]
-        assert device.ai_max_multi_chan_rate == 48_000
-        assert not device.ai_simultaneous_sampling_supported
-        device.reset_device()
-
-
 @pytest.mark.parametrize(
     ("settings", "code"),
     [
-        ({"physical_channel": "Dev2/ai0"}, -200220),
         ({"physical_channel": "Dev1/ai99"}, -200170),
-        ({"physical_channel": "Dev1/ai0", "max_val": 30.0}, -200077),
         ({"physical_channel": "Dev1/ai8", "terminal_config": TerminalConfiguration.DIFF}, -200077),
     ],
 )
@@ -81,9 +66,7 @@ def test_given_a_channel_that_the_box_has_not_then_it_has_the_codes_of_the_drive
         assert caught.value.error_code == code
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "samples", "code"), [(125_001, 500, -200081), (1e6, 500, -200077), (1e4, 1, -200077)]
-)
+@pytest.mark.parametrize(("rate_hz", "samples", "code"), [(125_001, 500, -200081), (1e4, 1, -200077)])
 def test_given_timing_that_the_box_cannot_do_then_it_has_the_codes_of_the_driver(rate_hz, samples, code):
     with daq_bench() as bench, voltage_task(bench) as task:
         with pytest.raises(DaqError) as caught:
@@ -104,16 +87,3 @@ def test_given_a_port_that_is_taken_then_a_second_server_does_not_start():
         second = NiServer(Tone(), address=bench.server.address)
         with pytest.raises(RuntimeError, match=bench.server.address):
             second.start()
-
-
-def test_given_a_server_then_its_log_tells_calls_and_what_came_of_them():
-    with daq_bench() as bench:
-        recorder = bench.recorder()
-        take_one(recorder)
-        bench.server.unplug()
-        with pytest.raises(InstrumentLostError):
-            recorder.start(ask())
-        started = [call.status for call in bench.server.log if call.name == "StartTask"]
-        assert started == [0, -201003]
-        waited = next(call for call in bench.server.log if call.name == "WaitUntilTaskDone")
-        assert waited.seconds > 0
