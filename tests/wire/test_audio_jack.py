@@ -156,14 +156,6 @@ def test_given_a_mute_from_another_thread_then_waiting_ends(player):
     muting.join()
 
 
-def test_given_too_little_time_then_waiting_fails_and_a_mute_makes_room_for_the_next(player):
-    player.play({0: np.full(60 * RATE_HZ, 0.1)}, RATE_HZ)
-    with pytest.raises(TransientInstrumentError):
-        player.wait(0.01)
-    player.mute()
-    player.play({0: np.full(100, 0.1)}, RATE_HZ)
-
-
 def test_given_a_server_that_stood_still_then_waiting_says_underflow_and_the_next_play_is_good(server, player):
     player.play({0: np.full(20 * RATE_HZ, 0.25)}, RATE_HZ)
     time.sleep(0.2)
@@ -177,12 +169,6 @@ def test_given_a_server_that_stood_still_then_waiting_says_underflow_and_the_nex
     signals = noise(4800)
     assert_ends_with(heard_of(server, player, signals), signals)
     assert server.played.interruptions
-
-
-def test_given_an_underflow_while_nothing_plays_then_the_next_play_is_good(server, player):
-    server.underflow()
-    signals = noise(4800)
-    assert_ends_with(heard_of(server, player, signals), signals)
 
 
 def test_given_a_closed_player_then_the_outputs_are_silent_and_free_for_the_next(bench, server):

@@ -53,13 +53,6 @@ def ramp(frames, channel=0, start=0):
     return Voice(channel, np.linspace(0.1, 0.9, frames, dtype=np.float32), start)
 
 
-def test_given_nothing_to_play_then_every_period_is_silent():
-    host = Host()
-    host.periods(3)
-    assert not host.heard.any()
-    assert host.playback.callbacks == 3
-
-
 @pytest.mark.parametrize("frames", [1, PERIOD - 1, PERIOD, PERIOD + 1, 5 * PERIOD + 7])
 def test_given_a_play_then_it_begins_with_the_next_period_and_is_whole(frames):
     host = Host()
@@ -206,20 +199,6 @@ def test_given_a_play_in_pieces_then_it_is_whole_and_each_piece_is_told(sizes):
     told = taken(host)
     assert told[:-1] == [Taken(1, int(frames)) for frames in np.cumsum(sizes)]
     assert told[-1].outcome == PLAYED
-
-
-def test_given_pieces_that_come_while_it_sounds_then_there_is_no_gap():
-    host = Host()
-    play, pieces = in_pieces(host, [2 * PERIOD] * 4)
-    play.add(pieces[0])
-    host.playback.start(play)
-    for piece in pieces[1:]:
-        play.add(piece)
-        host.periods(2)
-    play.end()
-    host.periods(8)
-    np.testing.assert_array_equal(host.heard[: 8 * PERIOD, [2, 0]], np.concatenate(pieces))
-    assert [one.outcome for one in taken(host) if isinstance(one, Ended)] == [PLAYED]
 
 
 def test_given_a_piece_that_comes_too_late_then_it_fades_and_the_play_ends_as_an_underflow():

@@ -34,19 +34,12 @@ def test_given_a_port_where_something_is_then_it_is_left_alone(tmp_path, capsys)
     assert (tmp_path / "mirror").read_text(encoding="utf-8") == "precious"
 
 
-@pytest.mark.parametrize(
-    ("wrong", "key"),
-    [
-        ('port = "socket://no-such-host.invalid:4001"', "mirror.port"),
-        ('port = "serial-number:ABC"', "mirror.port"),
-        ('port = "no/such/folder/mirror"', "mirror.port"),
-    ],
-)
-def test_given_a_port_that_nothing_can_be_put_at_then_it_says_which(tmp_path: Path, capsys, wrong, key):
+@pytest.mark.parametrize("wrong", ['port = "serial-number:ABC"', 'port = "no/such/folder/mirror"'])
+def test_given_a_port_that_nothing_can_be_put_at_then_it_says_which(tmp_path: Path, capsys, wrong):
     text = rig_text(tmp_path, f"localhost:{free_port()}")
     (tmp_path / "rig.toml").write_text(text.replace(f'port = "{tmp_path / "mirror"}"', wrong), encoding="utf-8")
     assert run(["emulate", str(tmp_path / "rig.toml")]) == 2
-    assert key in told(capsys)
+    assert "mirror.port" in told(capsys)
 
 
 def test_given_a_recorder_without_an_address_then_it_says_what_to_give(tmp_path, capsys):

@@ -33,6 +33,7 @@ def expect(device: VirtualUsbDevice, serial_number: str | None = None, role: str
 def test_given_a_bus_then_each_device_is_listed_with_its_ids_texts_place_and_kind():
     bus = VirtualUsb([HUB, DAQ, ADAPTER, AUDIO])
     hub, daq, adapter, audio = list_devices(bus)
+    assert bus.open_handles == 0
     assert (daq.vendor_id, daq.product_id, daq.kind) == (0x3923, 0x7179, Kind.DAQ)
     assert (daq.manufacturer, daq.product, daq.serial_number) == ("National Instruments", "USB-6211", "01A2B3C4")
     assert (daq.bus, daq.address, daq.port_path) == (1, 2, (1, 2))
@@ -40,16 +41,6 @@ def test_given_a_bus_then_each_device_is_listed_with_its_ids_texts_place_and_kin
     assert (audio.bus, audio.serial_number) == (2, None)
     assert all(one.problem is Problem.NONE for one in (hub, daq, adapter, audio))
     assert str(daq) == "3923:7179 National Instruments USB-6211, serial number 01A2B3C4, bus 1 port 1.2"
-
-
-def test_given_a_list_then_no_device_stays_open():
-    bus = VirtualUsb([DAQ, ADAPTER, AUDIO])
-    list_devices(bus)
-    assert bus.open_handles == 0
-
-
-def test_given_an_empty_bus_then_the_list_is_empty():
-    assert list_devices(VirtualUsb()) == ()
 
 
 def test_given_what_the_rig_expects_then_each_is_found():
@@ -89,13 +80,6 @@ def test_given_two_of_a_kind_and_one_serial_number_then_the_other_is_left_for_th
     assert (mirror.verdict, vibrometer.verdict) == (Verdict.FOUND, Verdict.FOUND)
     assert mirror.expected.role == "mirror"
     assert mirror.devices[0].serial_number == "A7004IXX"
-
-
-def test_given_two_devices_that_claim_one_serial_number_then_nobody_guesses():
-    clone = VirtualUsbDevice(0x0403, 0x6001, "A50285BI", "FTDI", "FT232R USB UART", port_path=(1, 4))
-    (several,) = found(VirtualUsb([ADAPTER, clone]), expect(ADAPTER, "A50285BI", role="mirror"))
-    assert several.verdict is Verdict.SEVERAL
-    assert "unplug" in several.remedy
 
 
 def test_given_another_unit_of_the_same_make_then_its_serial_number_is_told():
@@ -139,11 +123,6 @@ def test_given_no_permission_and_no_serial_number_asked_for_then_the_ids_are_eno
     assert "names cannot be read" in there.sentence
     assert "udev" in there.remedy
     assert there.devices[0].kind is Kind.DAQ
-
-
-def test_given_no_permission_then_an_audio_interface_is_still_known_by_its_class():
-    (audio,) = list_devices(VirtualUsb([AUDIO], (NO_PERMISSION,)))
-    assert (audio.kind, audio.problem, audio.product) == (Kind.AUDIO, Problem.NO_PERMISSION, None)
 
 
 def test_given_a_driver_that_keeps_the_device_then_that_is_told_and_not_a_traceback():
@@ -191,23 +170,6 @@ def test_given_a_device_unplugged_while_the_list_is_made_then_the_list_is_made_a
     assert [device.kind for device in list_devices(bus)] == [Kind.AUDIO]
 
 
-def test_given_a_hub_unplugged_then_all_is_gone_until_it_is_plugged_in():
-    bus = VirtualUsb([DAQ, AUDIO], (WireFault("usb", "unplugged", "enumerate", at_call=2),))
-    assert len(list_devices(bus)) == 2
-    assert list_devices(bus) == ()
-    bus.plug(AUDIO)
-    bus.plug(DAQ)
-    assert [device.kind for device in list_devices(bus)] == [Kind.AUDIO, Kind.DAQ]
-
-
-def test_given_a_device_unplugged_for_a_moment_then_it_comes_back_by_itself_under_a_new_address():
-    bus = VirtualUsb([DAQ])
-    bus.unplug(DAQ, seconds=1e-9)
-    while not (devices := list_devices(bus)):
-        pass
-    assert (devices[0].serial_number, devices[0].address) == (DAQ.serial_number, 2)
-
-
 def test_given_a_bus_that_fails_again_and_again_then_the_list_is_given_up_with_a_sentence():
     class Broken(VirtualUsb):
         def enumerate_devices(self):
@@ -230,9 +192,7 @@ def test_given_a_device_that_answers_rubbish_then_it_is_unreadable():
     assert "does not answer properly" in silent.sentence
 
 
-@pytest.mark.parametrize(
-    "ids", [(0x0403, 0x6001), (0x10C4, 0xEA60), (0x10C4, 0xEA70), (0x10C4, 0xEA71), (0x0483, 0x5740), (0x0483, 0xA31E)]
-)
+@pytest.mark.parametrize("ids", [(0x0403, 0x6001), (0x10C4, 0xEA60), (0x0483, 0xA31E)])
 def test_given_a_bridge_of_a_serial_instrument_then_it_is_a_serial_adapter(ids):
     bus = VirtualUsb([VirtualUsbDevice(*ids, "1", port_path=(1, 5))])
     (found,) = list_devices(bus)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import errno
 
 import pytest
-import usb.core
 
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.usb.devices import list_devices
@@ -32,32 +30,20 @@ def test_given_a_device_that_keeps_its_address_then_it_is_reset_and_found():
     assert bus.open_handles == 0
 
 
-@pytest.mark.parametrize("away_s", [0.0, 0.3])
+@pytest.mark.parametrize("away_s", [0.0, 0.1])
 def test_given_a_device_that_re_enumerates_then_it_is_found_under_its_new_address(away_s):
     bus = bus_with(after_reset="re-enumerates", away_s=away_s)
-    before = list_devices(bus)[0]
+    before, other = list_devices(bus)
     after = reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0)
     assert after.address > before.address
     assert dataclasses.replace(after, address=before.address) == before
+    assert other in list_devices(bus)
     assert bus.open_handles == 0
-
-
-def test_given_a_device_that_re_enumerates_then_pyusb_says_not_found_which_is_a_success():
-    with pytest.raises(usb.core.USBError, match="Entity not found") as caught:
-        usb.core.find(backend=bus_with(after_reset="re-enumerates"), idVendor=0x3923).reset()
-    assert caught.value.errno == errno.ENOENT
 
 
 def test_given_a_device_without_a_serial_number_then_its_socket_tells_that_it_is_the_same():
     bus = VirtualUsb([dataclasses.replace(DAQ, serial_number="")])
     assert reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0).port_path == (1, 2)
-
-
-def test_given_a_reset_then_no_other_device_is_touched():
-    bus = bus_with(after_reset="re-enumerates")
-    other = list_devices(bus)[1]
-    reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0)
-    assert other in list_devices(bus)
 
 
 def test_given_a_device_that_does_not_come_back_then_the_waiting_ends_with_what_to_do():
