@@ -1,4 +1,4 @@
-"""The bank between its positions by kernel regression, against the analytic plate."""
+"""The bank between its positions by kernel regression, against the analytic plate, and nodes along paths."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from calibration.neighbours.wave_model import DISK_RADIUS, PatchKernel, WaveMode
 from mocks.plates.soft import SOFT_PLATE
 from rendering.greens.interpolation.base import OffGridError
 from rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
-from rendering.greens.interpolation.kernel import KernelInterpolation
+from rendering.greens.interpolation.kernel import KernelInterpolation, PathNodes, node_spacing_mm
 from rendering.greens.interpolation.neighbourhoods import Neighbourhoods
 from rendering.greens.source import GreenArray
+from rendering.scene.paths import Circle, Line, Polyline, Strokes
 from storage.errors import InputError
 from tests.unit.plate_banks import SPACING_MM, SQUARE_MM, errors_at, plate_bank, plate_greens
 
@@ -228,3 +229,58 @@ def test_many_rows_are_made_in_bounded_memory_and_the_same_again():
     np.testing.assert_allclose(again, first, rtol=0, atol=1e-8 * np.abs(first).max())
     assert np.median(errors_at(250.0, first, points_mm)) < 0.002
     np.testing.assert_allclose(plate_greens(points_mm[:1]), first[:1], atol=0.02 * np.abs(first[:1]).max())
+
+
+def interpolated(nodes, values, along):
+    index, weights = nodes.weights(along)
+    return (values[index] * weights).sum(axis=1)
+
+
+def wave(points_mm, k=0.6, direction=0.4):
+    return np.exp(-1j * k * (points_mm @ [np.cos(direction), np.sin(direction)]))
+
+
+@pytest.mark.parametrize("error", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("path", [Line((0.0, 0.0), (50.0, 0.0)), Circle((3.0, -2.0), 30.0, 1.7, 10.0)])
+def test_a_wave_along_the_path_comes_back_with_the_error_asked_for(path, error):
+    k = 0.6
+    nodes = PathNodes(path, node_spacing_mm(k, error))
+    along = np.linspace(0.0, path.length_mm, 3001)
+    values = wave(path.point_at(nodes.arc_length_mm), k, 0.0)
+    found = interpolated(nodes, values, along)
+    rms = np.sqrt(np.mean(np.abs(found - wave(path.point_at(along), k, 0.0)) ** 2))
+    assert 0.2 * error < rms < 1.3 * error
+
+
+def test_weights_sum_to_one_and_are_exact_on_a_node():
+    nodes = PathNodes(Polyline([(0.0, 0.0), (10.0, 0.0), (10.0, 0.3), (14.0, 0.3)]), 0.7)
+    index, weights = nodes.weights(np.linspace(0.0, 14.3, 400))
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
+    index, weights = nodes.weights(nodes.arc_length_mm[1:9])
+    at = index[np.arange(8), np.argmax(np.abs(weights), axis=1)]
+    np.testing.assert_array_equal(at, np.arange(1, 9))
+
+
+def test_corners_and_gaps_are_not_interpolated_across():
+    square = Polyline([(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)], closed=True)
+    strokes = Strokes([np.array([[0.0, 0.0], [15.0, 0.0]]), np.array([[5.0, 9.0], [5.0, -9.0]])])
+    for path in (square, strokes):
+        nodes = PathNodes(path, node_spacing_mm(0.6, 1e-3))
+        along = np.linspace(0.0, path.length_mm, 5003)[1:-1]
+        found = interpolated(nodes, wave(path.point_at(nodes.arc_length_mm)), along)
+        assert np.abs(found - wave(path.point_at(along))).max() < 5e-3
+
+
+def test_turns_of_a_circle_share_their_nodes():
+    once, five = (PathNodes(Circle((0.0, 0.0), 10.0, turns), 0.8) for turns in (1.0, 5.0))
+    points = Circle((0.0, 0.0), 10.0, 5.0).point_at(five.arc_length_mm)
+    assert len(np.unique(np.round(points, 6), axis=0)) == len(once.arc_length_mm) - 1
+
+
+@pytest.mark.parametrize("length_mm", [1e-4, 0.5, 0.8, 1.5, 2.3])
+def test_a_path_shorter_than_four_nodes_takes_what_there_is(length_mm):
+    path = Line((0.0, 0.0), (length_mm, 0.0))
+    nodes = PathNodes(path, 0.8)
+    along = np.linspace(0.0, length_mm, 11)
+    found = interpolated(nodes, 2.0 + 3.0 * nodes.arc_length_mm, along)
+    np.testing.assert_allclose(found, 2.0 + 3.0 * along, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Fields by the array API: on any namespace that follows the standard, and on a GPU where there is one."""
+"""Drives and fields by the array API: on any namespace that follows the standard, and on a GPU where there is one."""
 
 from __future__ import annotations
 
@@ -8,14 +8,87 @@ import array_api_strict
 import numpy as np
 import pytest
 import scipy.signal
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from config.scene import Output, Regularisation
 from rendering.device import Device, cuda_device, host_device
+from rendering.drive.rendering import render_with_report
 from rendering.field.prediction import Prediction
 from rendering.greens.source import GreenArray
+from rendering.scene.model import Scene, Source
+from rendering.scene.paths import Circle, Line, Point
+from rendering.scene.signals import Noise, Sine
 from storage.drive_file import Drive
 from storage.errors import InputError
+
+RATE_HZ = 1000.0
+STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)
+MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)
+REPEATING = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 0.05, 4), 0.2, 100.0, 3.0, 1.5, "per_point")
+STANDING = Source(Point((3, 3)), Sine(70, 0.3), 0.3)
+
+
+def make_bank(scale: float = 1.0, seed: int = 0, taps: int = 60) -> GreenArray:
+    position_mm = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])
+    values = np.random.default_rng(seed).standard_normal((len(position_mm), 3, taps))
+    return GreenArray(values * scale, position_mm, RATE_HZ, band_hz=(50.0, 400.0))
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    sources=st.lists(st.sampled_from([MOVING, REPEATING, STANDING]), min_size=1, max_size=3),
+    saturation=st.sampled_from([None, 0.7]),
+    normalise=st.booleans(),
+    interpolation=st.sampled_from(["nearest", "bilinear"]),
+    scale=st.sampled_from([1.0, 1e-200, 1e30]),
+    taps=st.integers(1, 90),
+    seed=st.integers(0, 2**32),
+)
+def test_given_any_bank_and_scene_then_the_standard_alone_gives_the_drives(
+    sources: list[Source],
+    saturation: float | None,
+    normalise: bool,
+    interpolation: str,
+    scale: float,
+    taps: int,
+    seed: int,
+) -> None:
+    bank = make_bank(scale, seed, taps)
+    scene = Scene(
+        "s",
+        tuple(sources),
+        Regularisation(saturation=saturation or 0.0, normalise=normalise),
+        Output(interpolation=interpolation),
+    )
+    expected, report = render_with_report(scene, bank)
+    largest = np.abs(expected.drive_v).max()
+    for device in (STRICT, host_device()):
+        found, told = render_with_report(scene, bank, device=device)
+        assert np.abs(found.drive_v - expected.drive_v).max() <= 1e-12 * largest
+        assert (found.omitted_bound, told.omitted_bound) == (0.0, 0.0)
+        assert told.warnings == report.warnings
+        assert told.pairs > 0
+        for share, right in zip(told.out_of_band, report.out_of_band, strict=True):
+            assert share == pytest.approx(right, abs=1e-3)
+
+
+def test_given_little_memory_then_rows_are_transformed_anew_and_nothing_changes() -> None:
+    little = Device("strict", array_api_strict, np.from_dlpack, 1)
+    scene = Scene("s", (MOVING, MOVING))
+    expected = render_with_report(scene, make_bank())[0].drive_v
+    found = render_with_report(scene, make_bank(), device=little)[0].drive_v
+    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.may_skip("a GPU is not everywhere")
+@pytest.mark.skipif(importlib.util.find_spec("cupy") is None, reason="needs CuPy and a GPU")
+def test_given_a_gpu_then_it_gives_the_drives_of_the_cpu() -> None:
+    scene = Scene("s", (MOVING, REPEATING, STANDING), Regularisation(saturation=0.7), Output(interpolation="bilinear"))
+    here = render_with_report(scene, make_bank(taps=500))[0].drive_v
+    there = render_with_report(scene, make_bank(taps=500), device=cuda_device())[0].drive_v
+    assert np.abs(there - here).max() <= 1e-12 * np.abs(here).max()
+
 
 STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)
 
