@@ -25,9 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 MOST_KEPT = 0.9
 """Beyond this share of kept bins, leaving out the rest saves nothing."""

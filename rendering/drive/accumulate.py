@@ -17,14 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.arrays import BoolArray, Float64Array, Int64Array
 from rendering.band import Band, choose_band, norm_of, scale
 from rendering.device import WORKERS, Device, fast_length, host_device, in_order
 from rendering.drive.windows import RowSpectra, Windows
 from rendering.greens.regularisation import BankRows
 from rendering.scene.sampling import SampledSource
-
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 WINDOWS_AT_ONCE = 32
 """Windows that are transformed together: about as many as stay in the cache of one core."""
@@ -200,7 +198,7 @@ class SourceDrives:
             self._exponent = int(np.frexp(self._rows.weigh(rows[:1], by[:1])[0][0])[1])
         windows.weigh(self._weigh)
 
-    def _weigh(self, rows: Int64Array, regularised_by: Int64Array) -> tuple[Float64Array, NDArray[np.bool_]]:
+    def _weigh(self, rows: Int64Array, regularised_by: Int64Array) -> tuple[Float64Array, BoolArray]:
         return self._rows.weigh(rows, regularised_by, self._exponent or 0)
 
     @np.errstate(over="ignore", invalid="ignore")

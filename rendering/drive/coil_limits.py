@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array
 from rendering.band import row_norms
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 RMS_WINDOW_S = 1.0
 """Far shorter than a coil takes to warm up, far longer than a period."""

@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from config.scene import Regularisation
+from rendering.arrays import Complex128Array, Float64Array, Int64Array
 from rendering.device import fast_length
 from rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive, require_finite
 from rendering.field.metrics import band_weights
@@ -29,10 +29,6 @@ from rendering.scene.model import Scene
 from rendering.scene.sampling import SampledSource, sample_scene
 from storage.drive_file import Drive
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
-Int64Array = NDArray[np.int64]
 
 REGULARISATION_DB = -20.0
 ILL_CONDITIONED = 1e3

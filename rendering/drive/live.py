@@ -12,8 +12,8 @@ from contextlib import ExitStack, closing
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array
 from rendering.band import norm_of, relative_bound, tolerance_of
 from rendering.drive.accumulate import Accumulated, SourceDrives
 from rendering.drive.coil_limits import DriveLimits, Reached, RunningLevels, strictest
@@ -27,7 +27,6 @@ from rendering.scene.model import Scene
 from rendering.scene.sampling import Method, SampledScene, sample_scene
 from storage.errors import InputError
 
-Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
 SUMMED = 1e-9

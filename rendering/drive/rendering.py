@@ -7,8 +7,8 @@ import warnings
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array
 from rendering.band import norm_of, relative_bound, row_norms, tolerance_of
 from rendering.device import Device
 from rendering.drive.accumulate import Accumulated, SourceDrives
@@ -22,7 +22,6 @@ from rendering.scene.sampling import Method, SampledScene, sample_scene
 from storage.drive_file import Drive
 from storage.errors import InputError
 
-Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
 STRICTER = (1.0, 0.6, 0.2, 0.0)

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.audio.resampling import HALF_LENGTH, converted, lead_samples, rate_ratio
+from rendering.arrays import Float64Array
 from rendering.drive.coil_limits import Reached
 from storage.errors import InputError
 from storage.exchange.wav import sound_failures
 from storage.output_files import replacement, require_room
-
-Float64Array = NDArray[np.float64]
 
 BETWEEN_SAMPLES = "full scale of the interface between samples"
 CHUNK_SAMPLES = 2**15

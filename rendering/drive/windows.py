@@ -8,17 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from rendering.band import Band, power_over
 from rendering.device import WORKERS, Device, in_order
 from rendering.greens.regularisation import BankRows
 
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
-Complex128Array = NDArray[np.complex128]
-
-Weigh = Callable[[Int64Array, Int64Array], tuple[Float64Array, NDArray[np.bool_]]]
+Weigh = Callable[[Int64Array, Int64Array], tuple[Float64Array, BoolArray]]
 """For pairs of a row and its regularising row: the factor, and whether actuators are saturated."""
 
 

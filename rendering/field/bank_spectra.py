@@ -7,16 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Complex128Array, Float64Array, Int64Array
 from rendering.band import Band
 from rendering.device import Device, fast_length, host_device, in_order
 from rendering.greens.source import GreenSource, RowReader
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
-Complex128Array = NDArray[np.complex128]
 
 BLOCK_SHARE = 4.1
 """Transform length in taps of spectra that are kept: longer blocks overlap less and take as much more memory."""

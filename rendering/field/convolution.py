@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.arrays import Float32Array, Float64Array, Int64Array
 from rendering.band import Band, choose_band, relative_bound, row_norms
 from rendering.device import Device, fast_length
 from rendering.field.bank_spectra import BankSpectra, Decimation, RowsSpectra, transform_rows
 from rendering.greens.source import RowReader
 from storage.errors import InputError
 
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
-RealArray = NDArray[np.float32] | NDArray[np.float64]
+RealArray = Float32Array | Float64Array
 
 HOST_PART_BYTES = 24 * 2**20
 """Memory of one part of a field on this processor; the call of a matrix product costs about as much as ten rows."""

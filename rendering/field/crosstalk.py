@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from config.scene import Regularisation
+from rendering.arrays import Float64Array
 from rendering.device import fast_length
 from rendering.field.metrics import band_weights
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenSource, read_row
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 
 RESPONSE_BYTES = 2**29
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float32Array, Float64Array, Int64Array
 from rendering.field import metrics
 
 if TYPE_CHECKING:
@@ -50,36 +50,36 @@ class FocusTable:
     scanned_artefact_db, float64 (K,): Largest magnitude beyond 15 mm over the largest within.
     """
 
-    intended_mm: NDArray[np.float64]
-    predicted_mm: NDArray[np.float64]
-    scanned_mm: NDArray[np.float64]
-    predicted_width_mm: NDArray[np.float64]
-    scanned_width_mm: NDArray[np.float64]
-    scanned_artefact_db: NDArray[np.float64]
+    intended_mm: Float64Array
+    predicted_mm: Float64Array
+    scanned_mm: Float64Array
+    predicted_width_mm: Float64Array
+    scanned_width_mm: Float64Array
+    scanned_artefact_db: Float64Array
 
     @property
-    def from_intended_mm(self) -> NDArray[np.float64]:
+    def from_intended_mm(self) -> Float64Array:
         """Distance from path point to scanned focus, shape (K,)."""
         return np.asarray(np.hypot(*(self.scanned_mm - self.intended_mm).T))
 
     @property
-    def from_prediction_mm(self) -> NDArray[np.float64]:
+    def from_prediction_mm(self) -> Float64Array:
         """Distance from predicted to scanned focus, shape (K,)."""
         return np.asarray(np.hypot(*(self.scanned_mm - self.predicted_mm).T))
 
     @property
-    def width_difference_mm(self) -> NDArray[np.float64]:
+    def width_difference_mm(self) -> Float64Array:
         """Scanned minus predicted focal width, shape (K,)."""
         return self.scanned_width_mm - self.predicted_width_mm
 
 
-def median_or_none(values: NDArray[np.float64]) -> float | None:
+def median_or_none(values: Float64Array) -> float | None:
     """Median of the elements that are finite, None when there are none."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if finite.size else None
 
 
-def evenly(count: int, most: int) -> NDArray[np.int64]:
+def evenly(count: int, most: int) -> Int64Array:
     """At most so many indices of `count` items, evenly spread, the first and the last among them."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
@@ -101,7 +101,7 @@ def emission_windows(drive: Drive) -> tuple[FocusInstant, ...]:
 
 
 def focus_instants(
-    windows: tuple[FocusInstant, ...], predicted: NDArray[np.float32], first_sample: int
+    windows: tuple[FocusInstant, ...], predicted: Float32Array, first_sample: int
 ) -> tuple[FocusInstant, ...]:
     """Move each focus to its instant and leave the quiet ones out.
 
@@ -121,10 +121,10 @@ def focus_instants(
 
 def focus_table(
     instants: tuple[FocusInstant, ...],
-    predicted: NDArray[np.float32],
-    scanned: NDArray[np.float32],
-    rows: NDArray[np.int64],
-    position_mm: NDArray[np.float64],
+    predicted: Float32Array,
+    scanned: Float32Array,
+    rows: Int64Array,
+    position_mm: Float64Array,
     spacing_mm: float | None,
 ) -> FocusTable:
     """Find places and widths of the foci.

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.arrays import Float32Array, Float64Array
 from rendering.device import fast_length
 from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
 
 RealArray = NDArray[np.floating[Any]]
-Place = tuple[float, float] | NDArray[np.float64]
+Place = tuple[float, float] | Float64Array
 """A point on the surface, x and y in millimetres."""
 
 # Cells per grid spacing on which a focal spot is drawn: area to about 1 % at 8 mm width on 4 mm.
@@ -68,9 +69,7 @@ def range_db(amplitude: RealArray) -> float:
     return level_db(float(usable.max()) / float(usable.min())) if usable.size > 1 else math.nan
 
 
-def gain_range_db(
-    gain: RealArray, position_mm: NDArray[np.float64], actuator_mm: NDArray[np.float64], clear_mm: float
-) -> float:
+def gain_range_db(gain: RealArray, position_mm: Float64Array, actuator_mm: Float64Array, clear_mm: float) -> float:
     """Range of n(x), or of its inverse, over the positions further than `clear_mm` from every actuator.
 
     The paper (section IV.A) says up to 17 dB and not where: next to an actuator n(x) falls without end. `gain` is NaN
@@ -83,16 +82,14 @@ def gain_range_db(
     return range_db(gain[distance > clear_mm])
 
 
-def grid_spacing_mm(position_mm: NDArray[np.float64]) -> float:
+def grid_spacing_mm(position_mm: Float64Array) -> float:
     """Median distance from each position to its nearest neighbour. Raises InputError: fewer than two positions."""
     if len(position_mm) < 2:
         raise InputError(f"a grid spacing needs two positions, there are {len(position_mm)}")
     return PositionGrid(position_mm).spacing_mm
 
 
-def focus_peak(
-    position_mm: NDArray[np.float64], field: RealArray, near_mm: Place, radius_mm: float
-) -> FocusPeak | None:
+def focus_peak(position_mm: Float64Array, field: RealArray, near_mm: Place, radius_mm: float) -> FocusPeak | None:
     """Find the place of the largest ``|field|`` within `radius_mm` of a point.
 
     The largest grid position is refined by the vertex of a quadratic surface fitted (least
@@ -128,9 +125,7 @@ def focus_peak(
     return FocusPeak(row=row, at_mm=(float(at[0]), float(at[1])), value=value)
 
 
-def focal_width_mm(
-    position_mm: NDArray[np.float64], field: RealArray, peak_row: int, spacing_mm: float
-) -> float | None:
+def focal_width_mm(position_mm: Float64Array, field: RealArray, peak_row: int, spacing_mm: float) -> float | None:
     """Full width at half maximum of a focal spot: the diameter of a disk of equal area.
 
     The field within five spacings of the peak is interpolated (quintic radial basis
@@ -174,11 +169,11 @@ def focal_width_mm(
 
 
 def artefact_level_db(
-    position_mm: NDArray[np.float64],
+    position_mm: Float64Array,
     field: RealArray,
     near_mm: Place,
     radius_mm: float,
-    others_mm: NDArray[np.float64] | None = None,
+    others_mm: Float64Array | None = None,
 ) -> float:
     """Largest ``|field|`` further than `radius_mm` from every focus over the largest within it of one, in dB.
 
@@ -210,12 +205,12 @@ class FocusSpot:
 
 
 def focus_spot(
-    position_mm: NDArray[np.float64],
+    position_mm: Float64Array,
     field: RealArray,
     near_mm: Place,
     radius_mm: float,
     spacing_mm: float | None,
-    others_mm: NDArray[np.float64] | None = None,
+    others_mm: Float64Array | None = None,
 ) -> FocusSpot | None:
     """All figures of the focus near a point; None where no position lies within the radius."""
     peak = focus_peak(position_mm, field, near_mm, radius_mm)
@@ -231,7 +226,7 @@ def focus_spot(
     )
 
 
-def band_weights(samples: int, sample_rate_hz: float, band_hz: tuple[float, float]) -> NDArray[np.float32]:
+def band_weights(samples: int, sample_rate_hz: float, band_hz: tuple[float, float]) -> Float32Array:
     """Zero-phase weights of a band on the bins of ``rfft``, shape (samples // 2 + 1,).
 
     1 inside `band_hz`, falling to 0 over a quarter of an octave outside it, as half a cosine on the logarithm of
@@ -252,7 +247,7 @@ def band_limited(field: RealArray, sample_rate_hz: float, band_hz: tuple[float, 
     return limited
 
 
-def _quadratic_vertex(offset: NDArray[np.float64], value: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _quadratic_vertex(offset: Float64Array, value: Float64Array) -> Float64Array | None:
     """Vertex of a quadratic surface through values around the origin, None without a maximum nearby."""
     x, y = offset.T
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
@@ -262,7 +257,7 @@ def _quadratic_vertex(offset: NDArray[np.float64], value: NDArray[np.float64]) -
     hessian = np.array([[2.0 * cxx, cxy], [cxy, 2.0 * cyy]])
     if cxx >= 0.0 or np.linalg.det(hessian) <= 0.0:
         return None
-    vertex: NDArray[np.float64] = -np.linalg.solve(hessian, np.array([bx, by]))
+    vertex: Float64Array = -np.linalg.solve(hessian, np.array([bx, by]))
     return vertex if float(np.hypot(*vertex)) <= 1.0 else None
 
 

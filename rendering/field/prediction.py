@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
 from calibration.blas import one_blas_thread
+from rendering.arrays import Float32Array, Float64Array, Int64Array
 from rendering.band import relative_bound, tolerance_of
 from rendering.device import WORKERS, Device, fast_length, host_device, in_order
 from rendering.field.bank_spectra import BankSpectra, Decimation
@@ -21,9 +22,7 @@ from storage.errors import InputError
 from storage.field_file import Field, LowPass
 from storage.units import response_unit
 
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
-RealArray = NDArray[np.float32] | NDArray[np.float64]
+RealArray = Float32Array | Float64Array
 OnProgress = Callable[[int, int], None]
 
 LISTED = 8

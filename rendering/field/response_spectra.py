@@ -11,18 +11,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.blas import one_blas_thread
+from rendering.arrays import Float64Array, Int64Array
 from rendering.band import Band
 from rendering.device import fast_length, host_device
 from rendering.field.bank_spectra import transform_rows
 from rendering.field.prediction import field_unit
 from rendering.greens.source import GreenSource, RowReader
 from storage.drive_file import Drive
-
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 WINDOW_TAPS = 2.0
 """Length of a window in taps."""

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array, Int64Array
 from rendering.device import fast_length
 from rendering.field.metrics import band_limited
 from rendering.greens.source import GreenSource, read_row, usable
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +166,7 @@ class _Line:
     correlation: float
 
 
-def _fit(distance_mm: Float64Array, value: Float64Array, actuator: NDArray[np.int64]) -> _Line:
+def _fit(distance_mm: Float64Array, value: Float64Array, actuator: Int64Array) -> _Line:
     """Common slope of straight lines with an offset per actuator."""
     _, group = np.unique(actuator, return_inverse=True)
     count = np.bincount(group)
@@ -186,7 +185,6 @@ def _fit(distance_mm: Float64Array, value: Float64Array, actuator: NDArray[np.in
     return _Line(slope, doubt, float(x @ y) / power if power else 0.0)
 
 
-Int64Array = NDArray[np.int64]
 RESOLUTION_HZ = 5.0
 
 

@@ -8,13 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from config.scene import Regularisation
+from rendering.arrays import BoolArray, Float64Array, Int64Array
 from rendering.greens.source import GreenSource, ScaledRow, fetch_row, read_row, refusal, scale_row, usable
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 LEAST_TOTAL = 1e-300
 """The reciprocal of a smaller sum of energies is beyond the range of numbers."""
@@ -143,8 +141,6 @@ def _rms(row: ScaledRow) -> Float64Array:
     return rms
 
 
-Int64Array = NDArray[np.int64]
-
 PLAIN_EXPONENT = 300
 """Drives within 2**300 of 1 are accumulated as they are."""
 
@@ -209,9 +205,7 @@ class BankRows:
         """Saturation factors (actuators,) of a row, None where all are 1."""
         return self._known(regularised_by).sigma
 
-    def weigh(
-        self, rows: Int64Array, regularised_by: Int64Array, exponent: int = 0
-    ) -> tuple[Float64Array, NDArray[np.bool_]]:
+    def weigh(self, rows: Int64Array, regularised_by: Int64Array, exponent: int = 0) -> tuple[Float64Array, BoolArray]:
         """Weights of rows, each regularised by another or by itself.
 
         rows, regularised_by, int64 (k,): Bank rows.

@@ -10,12 +10,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rendering.arrays import BoolArray, Float32Array, Float64Array
 from storage.errors import InputError
 from storage.point_status import DOUBTFUL, USABLE, Status
 from storage.point_status import usable as usable_rows
 
-Float64Array = NDArray[np.float64]
-RealArray = NDArray[np.float32] | NDArray[np.float64]
+RealArray = Float32Array | Float64Array
 
 FLUSH = np.float32(2.0**-70)
 """Added and taken away again, it rounds single precision to multiples of 2**-94: no denormal is left."""
@@ -203,7 +203,7 @@ def read_row(bank: GreenSource, position: int) -> ScaledRow:
     return scale_row(fetch_row(bank, position), position)
 
 
-def read_rows(bank: GreenSource, positions: Sequence[int]) -> NDArray[np.float32]:
+def read_rows(bank: GreenSource, positions: Sequence[int]) -> Float32Array:
     """Read some rows as float32, each scaled by a power of two, (rows, actuators, taps). Raises as `read_row` does."""
     return np.stack([scale_row(fetch_row(bank, row), row, single=True).values for row in positions])
 
@@ -245,7 +245,7 @@ class RowReader:
         return scale_row(raw, position, single=single)
 
 
-def usable(bank: GreenSource) -> NDArray[np.bool_]:
+def usable(bank: GreenSource) -> BoolArray:
     """Which rows hold a measurement that may be used, bool (positions,)."""
     return usable_rows(np.asarray(bank.status))
 

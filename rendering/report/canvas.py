@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array, Int64Array
 from rendering.greens.interpolation.position_grid import PositionGrid
 
 if TYPE_CHECKING:
@@ -137,18 +138,18 @@ class Surface:
     rim of the surface, closed.
     """
 
-    position_mm: NDArray[np.float64]
+    position_mm: Float64Array
     spacing_mm: float
-    actuator_mm: NDArray[np.float64]
-    paths_mm: tuple[NDArray[np.float64], ...]
-    outline_mm: NDArray[np.float64] | None = None
+    actuator_mm: Float64Array
+    paths_mm: tuple[Float64Array, ...]
+    outline_mm: Float64Array | None = None
 
     @classmethod
     def of(
         cls,
         bank: GreenSource,
-        paths_mm: Sequence[NDArray[np.float64]] = (),
-        outline_mm: NDArray[np.float64] | None = None,
+        paths_mm: Sequence[Float64Array] = (),
+        outline_mm: Float64Array | None = None,
     ) -> Surface:
         """The surface of a bank."""
         position_mm = np.asarray(bank.position_mm, np.float64)
@@ -190,7 +191,7 @@ def draw_surface(axes: Axes, surface: Surface, *, path: bool, path_colour: str =
 def draw_cells(
     axes: Axes,
     surface: Surface,
-    rows: NDArray[np.int64],
+    rows: Int64Array,
     values: NDArray[np.floating[Any]] | None = None,
     *,
     colour: str | None = None,
@@ -219,7 +220,7 @@ class Panel:
 
     title: str
     values: NDArray[np.floating[Any]]
-    rings_mm: NDArray[np.float64] | None = None
+    rings_mm: Float64Array | None = None
 
 
 def draw_maps(
@@ -231,7 +232,7 @@ def draw_maps(
     columns: int,
     limits: tuple[float, float],
     colours: str = "viridis",
-    rows: NDArray[np.int64] | None = None,
+    rows: Int64Array | None = None,
     path_colour: str | None = None,
     ring_colour: str = INK,
 ) -> PolyCollection:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.quality.limits import DriftLimits, DriftPoint
+from rendering.arrays import Float64Array, Int64Array
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
 from rendering.field.metrics import normalised_error
 from rendering.report.canvas import (
@@ -48,9 +49,7 @@ STATUS_COLOURS = {
 
 
 @drawn_in_style
-def status_map(
-    surface: Surface, rows: NDArray[np.int64], status: NDArray[np.uint8], crossed: NDArray[np.int64]
-) -> Picture:
+def status_map(surface: Surface, rows: Int64Array, status: NDArray[np.uint8], crossed: Int64Array) -> Picture:
     """Positions coloured by status, with the number of each; some crossed out."""
     from matplotlib.patches import Patch
 
@@ -72,7 +71,7 @@ def status_map(
 def value_map(
     name: str,
     surface: Surface,
-    rows: NDArray[np.int64],
+    rows: Int64Array,
     values: NDArray[np.floating[Any]],
     label: str,
     *,
@@ -111,7 +110,7 @@ def path_map(surface: Surface, fields: FieldComparison) -> Picture:
 
 
 @drawn_in_style
-def snapshots(surface: Surface, fields: FieldComparison, chosen: NDArray[np.int64]) -> Picture:
+def snapshots(surface: Surface, fields: FieldComparison, chosen: Int64Array) -> Picture:
     """Prediction, scan and their difference at focus instants, all on one colour scale."""
     top = focus_level(surface, fields)
     factor, unit = scaled_unit(top, fields.response_unit)
@@ -178,7 +177,7 @@ def waveforms(surface: Surface, fields: FieldComparison) -> Picture:
 
 
 @drawn_in_style
-def drive_levels(drive_v: NDArray[np.float64]) -> Picture:
+def drive_levels(drive_v: Float64Array) -> Picture:
     """Rms of each actuator's drive relative to the largest, as the paper's figure 3B."""
     rms = np.sqrt(np.mean(drive_v**2, axis=1))
     top = float(rms.max())

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.arrays import Float32Array, Float64Array
 from rendering.greens.source import GreenSource
 from rendering.report.canvas import (
     FAINT,
@@ -36,7 +37,6 @@ from storage.output_files import replacement
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
 COLOURS = "RdBu_r"
@@ -122,7 +122,7 @@ class _Stage:
         self._background = self._canvas.copy_from_bbox(figure.bbox)
         self._still = [one for one in axes.get_children() if one not in moving and one is not axes.patch]
 
-    def draw(self, frames: NDArray[np.float32], frame: int) -> NDArray[np.uint8]:
+    def draw(self, frames: Float32Array, frame: int) -> NDArray[np.uint8]:
         """Draw one frame; uint8 (height, width, 3)."""
         time_s = self._field.start_s + int(self._plan.sample[frame]) / self._field.sample_rate_hz
         self._cells.set_array(self._factor * frames[frame])
@@ -139,7 +139,7 @@ class _Stage:
         return np.array(self._canvas.buffer_rgba())[:, :, :3]
 
     def frames(
-        self, frames: NDArray[np.float32], on_progress: OnProgress | None
+        self, frames: Float32Array, on_progress: OnProgress | None
     ) -> Iterator[tuple[NDArray[np.uint8], int, int]]:
         """Draw all frames: the first one whole, of the others the part that may differ, and its left upper corner."""
         width, height = self._size_px

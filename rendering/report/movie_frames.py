@@ -6,15 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float32Array, Float64Array, Int64Array
 from rendering.field.focus_figures import evenly
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.field_file import FieldRowReader
-
-Float32Array = NDArray[np.float32]
-Int64Array = NDArray[np.int64]
 
 DEFAULT_FRAMES = 240
 MOST_FRAMES = 5000
@@ -81,8 +78,8 @@ class Foci:
     Each focus counts from its instant to the next one of its source; the last as long as the one before it.
     """
 
-    start_s: NDArray[np.float64]
-    stop_s: NDArray[np.float64]
+    start_s: Float64Array
+    stop_s: Float64Array
     position: Int64Array
     source: Int64Array
 
@@ -133,7 +130,7 @@ class Seen:
 
     focus: Int64Array
     sample: Int64Array
-    peak: NDArray[np.float64]
+    peak: Float64Array
 
     def some(self, most: int) -> Seen:
         """Some of them, evenly chosen in time."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.quality.limits import DriftLimits, DriftPoint
+from rendering.arrays import Float64Array, Int64Array
 from rendering.field import metrics
 from rendering.field.focus_figures import evenly
 from rendering.greens.regularisation import focus_gain_map
@@ -43,7 +44,7 @@ def build_report(
     scan: Field | Scan,
     bank: GreenSource,
     campaign: Mapping[str, object],
-    outline_mm: NDArray[np.float64] | None = None,
+    outline_mm: Float64Array | None = None,
     drift: Sequence[DriftPoint] = (),
     drift_limits: DriftLimits | None = None,
     save_pictures: bool = False,
@@ -100,7 +101,7 @@ def _pictures(
     verification: Verification,
     drive: Drive,
     bank: GreenSource,
-    gain: NDArray[np.float64],
+    gain: Float64Array,
 ) -> tuple[dict[str, Picture | None], dict[str, str]]:
     fields = verification.fields
     every_row = np.arange(len(surface.position_mm))
@@ -136,8 +137,8 @@ def _pictures(
 
 
 def _signal_to_noise(
-    verification: Verification, bank: GreenSource, every_row: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.floating[Any]], str]:
+    verification: Verification, bank: GreenSource, every_row: Int64Array
+) -> tuple[Int64Array, NDArray[np.floating[Any]], str]:
     """The bank's own figure where it has one, else the scan's."""
     quality: Mapping[str, NDArray[np.floating[Any]]] = getattr(bank, "quality", {})
     if "snr_db" in quality:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array
 from rendering.device import fast_length
 from rendering.drive.accumulate import Accumulated
 from rendering.drive.coil_limits import Limiting, dynamic_range_db
@@ -20,8 +20,6 @@ from rendering.scene.emission import ContinuousEmission
 from rendering.scene.model import Scene
 from rendering.scene.sampling import SampledSource
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 ROWS = 6
 LOUD_DB = -40.0

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array, Int64Array
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenSource, read_row, refusal, usable
 from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import PolyCollection
 
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 # Okabe & Ito's, in an order that keeps neighbours apart; more sources than colours begin anew.
 SOURCE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")

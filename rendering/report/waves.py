@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from rendering.field.crosstalk import CrosstalkTable, crosstalk_table
 from rendering.field.wave_figures import (
     IMPULSE_BAND_HZ,
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from rendering.scene.model import Scene
     from rendering.verify.comparison import FieldComparison
 
-Int64Array = NDArray[np.int64]
 
 SPEEDS_MM_S = (40.0, 80.0, 160.0, 320.0, 640.0, 1000.0)
 EVERY = (1, 2, 4)
@@ -80,7 +79,7 @@ def waves_of(scene: Scene, bank: GreenSource, fields: FieldComparison, spacing_m
     return Waves(travel, correlation, crosstalk, predicted, scanned)
 
 
-def line_of(position_mm: NDArray[np.float64], measured: NDArray[np.bool_], spacing_mm: float) -> Int64Array:
+def line_of(position_mm: Float64Array, measured: BoolArray, spacing_mm: float) -> Int64Array:
     """Measured positions one spacing apart on a line along x, as near the middle as they come; at most 24."""
     longest = np.zeros(0, dtype=np.int64)
     off_mm = np.abs(position_mm[:, 1] - np.median(position_mm[:, 1]))
@@ -220,7 +219,7 @@ def _say(axes: Axes, text: str) -> None:
     axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)
 
 
-def _spectrum(fields: FieldComparison, waveforms: NDArray[np.float32]) -> PathSpectrum | None:
+def _spectrum(fields: FieldComparison, waveforms: Float32Array) -> PathSpectrum | None:
     place = {int(row): number for number, row in enumerate(fields.waveform_index)}
     kept = [one for one in fields.instant if one.row in place]
     if not kept:

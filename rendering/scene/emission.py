@@ -6,13 +6,9 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Complex128Array, Float64Array, Int64Array
 from rendering.drive.windows import Events
-
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
-Complex128Array = NDArray[np.complex128]
 
 NodesAt = Callable[[int, int], tuple[Int64Array, Float64Array, Int64Array]]
 """Rows (n, k), weights (n, k) and regularising rows (n,) of a range of samples or path points."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rendering.arrays import Float64Array
 from storage.errors import InputError
 
-Float64Array = NDArray[np.float64]
 PointMm = tuple[float, float]
 
 MOST_TURNS = 1e12

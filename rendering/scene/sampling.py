@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array, Int64Array
 from rendering.greens.interpolation.base import Follow, Interpolation, Nodes, OffGridError, scene_interpolation, show_mm
 from rendering.greens.source import GreenSource
 from rendering.scene.emission import ContinuousEmission, Emission, PointEmission
@@ -18,8 +18,6 @@ from rendering.scene.signals import MOST_SAMPLES
 from rendering.scene.size import check_scene_size
 from storage.errors import InputError
 
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 Method = Literal["sampled", "exact"]
 
 MOST_POINTS = 10**8

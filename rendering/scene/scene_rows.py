@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from rendering.arrays import Float64Array, Int64Array
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
 from rendering.greens.interpolation.base import interpolation_method
 from rendering.greens.interpolation.on_grid import Nearest
@@ -18,9 +18,6 @@ from rendering.scene.paths import Path
 from rendering.scene.sampling import MOST_POINTS as LARGEST_POINTS
 from rendering.scene.size import MOST_PATH_POINTS
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 POINTS_AT_ONCE = 4096
 STEPS_PER_SPACING = 32

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array
 from storage.errors import InputError
 
 if TYPE_CHECKING:
     from soundfile import SoundFile as SoundFileReader
 
-Float64Array = NDArray[np.float64]
 
 MOST_SAMPLES = 2**31
 """No signal and no scene may have more."""

@@ -11,12 +11,10 @@ from typing import NoReturn
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Complex128Array, Float64Array
 from rendering.scene.paths import DrawnPath, PointMm, check_point
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 _ARGUMENTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
 _NUMBER = re.compile(r"[\s,]*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)")
@@ -131,7 +129,7 @@ class _Pen:
         self._count(1)
         self._curve(np.array([point]))
 
-    def _curve(self, points: NDArray[np.complex128]) -> None:
+    def _curve(self, points: Complex128Array) -> None:
         self.strokes[-1].extend(zip(points.real.tolist(), points.imag.tolist(), strict=True))
         self._at = complex(points[-1])
 

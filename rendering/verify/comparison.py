@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import Float32Array, Float64Array, Int64Array
 from rendering.field.focus_figures import FocusInstant, emission_windows, evenly, focus_instants
 from rendering.field.metrics import RealArray, level_db
 from rendering.verify.field_pair import MOST_DELAY_S, BandLimit
@@ -53,18 +53,18 @@ class FieldComparison:
     correlation: float
     level_db: float
     delay_samples: float
-    position_index: NDArray[np.int64]
-    position_error: NDArray[np.float64]
-    position_correlation: NDArray[np.float64]
-    position_scanned: NDArray[np.float64]
-    position_noise: NDArray[np.float64]
+    position_index: Int64Array
+    position_error: Float64Array
+    position_correlation: Float64Array
+    position_scanned: Float64Array
+    position_noise: Float64Array
     excluded: tuple[tuple[int, str], ...]
     instant: tuple[FocusInstant, ...]
-    predicted_snapshot: NDArray[np.float32]
-    scanned_snapshot: NDArray[np.float32]
-    waveform_index: NDArray[np.int64]
-    predicted_waveform: NDArray[np.float32]
-    scanned_waveform: NDArray[np.float32]
+    predicted_snapshot: Float32Array
+    scanned_snapshot: Float32Array
+    waveform_index: Int64Array
+    predicted_waveform: Float32Array
+    scanned_waveform: Float32Array
 
     @property
     def correlation_median(self) -> float:
@@ -72,7 +72,7 @@ class FieldComparison:
         return float(np.nanmedian(self.position_correlation))
 
     @property
-    def position_snr_db(self) -> NDArray[np.float64]:
+    def position_snr_db(self) -> Float64Array:
         """Scan over its noise at each position in dB, noise power taken off the scan's; NaN where unknown."""
         noise = self.position_noise**2
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -175,7 +175,7 @@ def _check_grids(prediction: Field, scan: Field | Scan) -> None:
 
 def _compared_rows(
     prediction: Field, scan: Field | Scan, bank: GreenSource
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], tuple[tuple[int, str], ...]]:
+) -> tuple[Int64Array, Int64Array, Int64Array, tuple[tuple[int, str], ...]]:
     """Compared bank rows, their places in prediction and scan, and the rows left out with the reason."""
     reasons: dict[int, str] = {}
     scan_status = scan.status if isinstance(scan, Scan) else np.full(len(scan.position_index), Status.VALID)
@@ -200,7 +200,7 @@ def _compared_rows(
     return rows[sound].astype(np.int64), in_prediction[sound], in_scan[sound], tuple(sorted(reasons.items()))
 
 
-def _energy(signals: RealArray) -> NDArray[np.float64]:
+def _energy(signals: RealArray) -> Float64Array:
     return np.asarray(np.einsum("ps,ps->p", signals, signals, dtype=np.float64))
 
 

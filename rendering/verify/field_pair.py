@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.arrays import BoolArray, Complex128Array, Float32Array, Int64Array
 from rendering.device import fast_length
 from rendering.field.metrics import RealArray, band_weights, correlation, level_db, normalised_error
 from storage.errors import InputError
@@ -45,11 +46,11 @@ class BandLimit:
         limited *= self._weights
         return limited
 
-    def signals(self, spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
+    def signals(self, spectrum: NDArray[np.complex64]) -> Float32Array:
         """The signals of such spectra."""
         return np.asarray(np.fft.irfft(spectrum, self._padded)[..., : self._samples], dtype=np.float32)
 
-    def delay_samples(self, cross_spectrum: NDArray[np.complex128], most: int) -> float:
+    def delay_samples(self, cross_spectrum: Complex128Array, most: int) -> float:
         """Lag of the largest value of a cross-correlation, at most so many samples, between samples by a parabola."""
         lags = np.fft.irfft(cross_spectrum, self._padded)
         near = np.concatenate([lags[-most:], lags[: most + 1]])
@@ -60,8 +61,6 @@ class BandLimit:
         curvature = before - 2.0 * at + after
         return float(peak - most + (0.5 * (before - after) / curvature if curvature < 0.0 else 0.0))
 
-
-Float32Array = NDArray[np.float32]
 
 LOUDEST_SHARE = 0.999
 """A few very loud positions, mostly next to actuators, do not count for colour scales."""
@@ -97,7 +96,7 @@ class FieldPair:
         self,
         predicted: Float32Array,
         scanned: Float32Array,
-        position_index: NDArray[np.int64],
+        position_index: Int64Array,
         sample_rate_hz: float,
         start_s: float,
         response_unit: str,
@@ -133,7 +132,7 @@ class FieldPair:
             normalised_error(scanned, predicted), correlation(scanned, predicted), level_db(norms[1] / norms[0])
         )
 
-    def loudest(self, samples: NDArray[np.int64], compared: NDArray[np.bool_]) -> tuple[float, float]:
+    def loudest(self, samples: Int64Array, compared: BoolArray) -> tuple[float, float]:
         """Magnitude that all but a thousandth of both fields, and of their difference, keep to."""
         fields, differences = [np.zeros(0)], [np.zeros(0)]
         for sample in samples:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from config.messages.codec import Message, MessageError, from_record, to_record
+from rendering.arrays import BoolArray, Float64Array, Int64Array
 from storage.errors import InputError
 from storage.output_files import write_whole
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from rendering.verify.verdict import Verification
     from storage.field_file import Field
 
-Float64Array = NDArray[np.float64]
 PointMm = tuple[float, float]
 
 DRIVE_NAME = "drive.h5"
@@ -144,7 +143,7 @@ class VerificationRecord(Message, format="wavefocus-verification"):
     excluded: tuple[ExcludedPosition, ...]
 
     @cached_property
-    def position_index(self) -> NDArray[np.int64]:
+    def position_index(self) -> Int64Array:
         """Bank rows of the predicted positions, (positions,)."""
         return np.array(self.positions.index, np.int64)
 
@@ -169,7 +168,7 @@ class VerificationRecord(Message, format="wavefocus-verification"):
         return [one.time_s for one in self.foci]
 
     @property
-    def compared(self) -> NDArray[np.bool_]:
+    def compared(self) -> BoolArray:
         """Positions that were compared, bool array (positions,)."""
         return np.isfinite(self.position_error)
 
@@ -187,7 +186,7 @@ def write_record(
     prediction: Field,
     bank: GreenSource,
     names: Mapping[str, str],
-    outline_mm: NDArray[np.float64] | None = None,
+    outline_mm: Float64Array | None = None,
 ) -> Path:
     """Write ``verify.json`` into the verification's folder; an older one is replaced when the new one is whole.
 

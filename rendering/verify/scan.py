@@ -21,6 +21,7 @@ from calibration.clock.timing import ReferenceMissingError
 from config.messages.campaign import State, Subscriber
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Recording, Take
+from rendering.arrays import Float32Array, Float64Array, Int64Array
 from rendering.field.prediction import field_unit
 from rendering.verify.scan_signals import Aligned, Alignment, scan_signals
 from storage.errors import InputError
@@ -50,16 +51,16 @@ class Scan:
     faults: Bank row and cause of each failed position.
     """
 
-    field: NDArray[np.float32]
-    position_index: NDArray[np.int64]
+    field: Float32Array
+    position_index: Int64Array
     sample_rate_hz: float
     start_s: float
     response_unit: str
     status: NDArray[np.uint8]
-    attempts: NDArray[np.int64]
-    noise_rms: NDArray[np.float64]
-    clock_ratio: NDArray[np.float64]
-    playback_gain: NDArray[np.float64]
+    attempts: Int64Array
+    noise_rms: Float64Array
+    clock_ratio: Float64Array
+    playback_gain: Float64Array
     faults: tuple[tuple[int, str], ...] = ()
 
     def as_field(self) -> Field:
@@ -240,7 +241,7 @@ class _ScanRun:
             self._on_progress(self._done, len(self._place))
 
 
-def _planned_rows(plan: ScanPlan, positions: int) -> NDArray[np.int64]:
+def _planned_rows(plan: ScanPlan, positions: int) -> Int64Array:
     if not plan.position:
         raise InputError("the scan has no position; at least one is needed")
     rows = np.unique(np.asarray(plan.position, np.int64))

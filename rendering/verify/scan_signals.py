@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ClockFitter, to_playback_clock
-from drivers.protocols import Float64Array, Recording
+from drivers.protocols import Recording
+from rendering.arrays import Float32Array, Float64Array
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ SILENCE_GUARD_SAMPLES = 8
 class Aligned:
     """A response on the playback clock, with noise and clock ratio of its record."""
 
-    response: NDArray[np.float32]
+    response: Float32Array
     noise_rms: float
     clock_ratio: float
     playback_gain: float
@@ -154,7 +154,7 @@ class DropoutCheck:
         # Where the drive fills the spectrum, no bin is left for the check.
         self._outside = np.concatenate([outside.real, outside.imag], axis=1).astype(np.float32)
 
-    def finds_one(self, response_v: NDArray[np.float32]) -> bool:
+    def finds_one(self, response_v: Float32Array) -> bool:
         """The vibrometer lost the signal during a record."""
         windows = np.lib.stride_tricks.sliding_window_view(response_v, 2 * self._half)[:: self._half]
         if not self._outside.size or len(windows) < LEAST_WINDOWS:
@@ -165,6 +165,6 @@ class DropoutCheck:
         return bool(outside.max() > max(NOISE_FACTOR * float(np.median(outside)), RESPONSE_SHARE * loudest))
 
 
-def _norm(rows: NDArray[np.float32]) -> NDArray[np.float32]:
+def _norm(rows: Float32Array) -> Float32Array:
     """Root of the sum of the squares of each row."""
     return np.asarray(np.sqrt(np.einsum("rs,rs->r", rows, rows)))

@@ -13,17 +13,14 @@ from importlib import import_module
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from config.interpolations import INTERPOLATIONS
+from rendering.arrays import Float64Array, Int64Array
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene
 from rendering.scene.paths import Path
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 SLACK = 1e-9
 """Rounding that is forgiven, relative to the grid spacing."""

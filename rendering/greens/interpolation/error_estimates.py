@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.neighbours.wave_model import PatchKernel
+from rendering.arrays import Complex128Array, Float64Array, Int64Array
 from rendering.greens.interpolation.base import GridInterpolation, Nodes
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource, read_row, read_rows, usable
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def transform_at(
-    values: NDArray[np.floating], frequency_hz: NDArray[np.float64], rate_hz: float
+    values: NDArray[np.floating], frequency_hz: Float64Array, rate_hz: float
 ) -> NDArray[np.complexfloating]:
     """Transform FIRs (..., taps) at frequencies (n,); complex (..., n) of the precision of `values`."""
     both = values @ _cos_sin(values.shape[-1], tuple((frequency_hz / rate_hz).tolist()), values.dtype.char)
@@ -34,9 +35,6 @@ def _cos_sin(taps: int, turns_per_sample: tuple[float, ...], dtype: str) -> NDAr
     phase = -2.0 * np.pi * np.remainder(np.outer(np.arange(taps), np.array(turns_per_sample)), 1.0)
     return np.concatenate([np.cos(phase), np.sin(phase)], axis=1).astype(dtype)
 
-
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 PAIRS = 4
 BANDS_BELOW = 8
@@ -163,9 +161,6 @@ class ErrorBands:
     worst: Float64Array
     power: Float64Array
     kernel: Float64Array
-
-
-Complex128Array = NDArray[np.complex128]
 
 
 class RowValues:

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.blas import one_blas_thread
+from rendering.arrays import BoolArray, Float64Array
 from rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError, scene_points
 from rendering.greens.interpolation.error_estimates import ErrorBands, expected_errors
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 WORTH_SAYING = 0.05
 """Error from which a render says something where no tolerance is given."""
@@ -232,6 +230,6 @@ class _Emitted:
         whole = float(self._power[inside].sum())
         return float(self._power[inside & outside].sum()) / whole if whole > 0 else 0.0
 
-    def _inside(self, within_hz: tuple[float, float]) -> NDArray[np.bool_]:
+    def _inside(self, within_hz: tuple[float, float]) -> BoolArray:
         half_bin_hz = 0.5 * float(self._bins_hz[1])
         return (self._bins_hz >= within_hz[0] - half_bin_hz) & (self._bins_hz <= within_hz[1] + half_bin_hz)

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calibration.blas import one_blas_thread
 from calibration.neighbours.wave_fit import fit_waves
 from calibration.neighbours.wave_model import WaveModel
+from rendering.arrays import Float64Array, Int64Array
 from rendering.greens.interpolation.base import Follow, Interpolation, Nodes, OffGridError, near, show_mm
 from rendering.greens.interpolation.error_estimates import RowValues
 from rendering.greens.interpolation.kernel_rows import KernelRows
@@ -21,9 +21,6 @@ from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS, Neighbourh
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_row, usable
 from rendering.scene.paths import Circle, Path
-
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 STENCIL = 4
 """Nodes that make one point: a cubic polynomial in arc length."""

@@ -11,13 +11,10 @@ from scipy import fft as scipy_fft
 
 from calibration.blas import one_blas_thread
 from calibration.neighbours.wave_model import PatchKernel, WaveModel
+from rendering.arrays import Complex128Array, Float64Array, Int64Array
 from rendering.greens.interpolation.neighbourhoods import Neighbourhoods, Patch
 from rendering.greens.source import GreenSource, read_row
 from storage.point_status import Status
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
-Int64Array = NDArray[np.int64]
 
 PHASE_STEP = 0.35
 """Radians that a wave may turn across half a patch from one frequency of the weights to the next: the cubic spline

@@ -12,17 +12,15 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.neighbours.wave_model import PatchKernel, WaveModel, disk_integral, plane_waves
+from rendering.arrays import Complex128Array, Float64Array
 from rendering.greens.interpolation.base import GridInterpolation, interpolation_method
 from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS
 from rendering.greens.interpolation.on_grid import LatticeInterpolation
 from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
 
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 Lattice = Literal["square", "hexagonal"]
 
 PLACES_PER_SPACING = 8

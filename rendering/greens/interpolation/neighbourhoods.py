@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rendering.arrays import BoolArray, Float64Array, Int64Array
 from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 NEIGHBOURS = 36
 """Whole rings about a position, on a square and on a hexagonal grid alike."""
@@ -55,7 +52,7 @@ class Neighbourhoods:
     spacing_mm: float
     """Median distance of neighbouring positions."""
 
-    def __init__(self, position_mm: Float64Array, allowed: NDArray[np.bool_]) -> None:
+    def __init__(self, position_mm: Float64Array, allowed: BoolArray) -> None:
         rows = np.flatnonzero(allowed)
         if not len(rows):
             raise InputError("interpolation is 'kernel', but no position of the bank was measured well; use 'nearest'")

@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rendering.greens.interpolation.base import (
-    SLACK,
-    Float64Array,
-    GridInterpolation,
-    Int64Array,
-    Nodes,
-    OffGridError,
-    near,
-    show_mm,
-)
+from rendering.arrays import BoolArray, Float64Array, Int64Array
+from rendering.greens.interpolation.base import SLACK, GridInterpolation, Nodes, OffGridError, near, show_mm
 from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
-
-BoolArray = NDArray[np.bool_]
 
 
 class Nearest(GridInterpolation):

@@ -7,15 +7,14 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rendering.arrays import BoolArray, Float64Array, Int64Array
 from storage.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 TIES = 8
 TIE_SLACK = 1e-5
@@ -113,7 +112,7 @@ class PositionGrid:
             rows[point] = np.argmin(offset[:, 0] ** 2 + offset[:, 1] ** 2)
         return rows
 
-    def _closest(self, points_mm: Float64Array, candidates: Int64Array) -> tuple[Int64Array, NDArray[np.bool_]]:
+    def _closest(self, points_mm: Float64Array, candidates: Int64Array) -> tuple[Int64Array, BoolArray]:
         """The closest of some rows (n, k), the lowest on a tie, and whether all are equally close."""
         offset = self.position_mm[candidates] - points_mm[:, None, :]
         square = offset[..., 0] ** 2 + offset[..., 1] ** 2
