@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable, Generator
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
@@ -21,6 +22,7 @@ from pytestqt.qtbot import QtBot
 from gui.campaign.tab import CampaignTab
 from gui.shell.files import Settings
 from gui.shell.front_door import FrontDoor
+from gui.shell.tab import Tab
 from gui.shell.window import Window, require_fonts
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
@@ -56,6 +58,7 @@ seed = 3
 noise_v = 1e-4
 """
 
+AnyTab = TypeVar("AnyTab", bound=Tab)
 # What a busy machine may take; nothing is judged by it.
 SOON_MS = 30_000
 
@@ -122,11 +125,14 @@ def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Windo
         window.deleteLater()
 
 
-def campaign_of(window: Window) -> CampaignTab:
-    """The Campaign tab of a window."""
-    tab = window.tabs[0]
-    assert isinstance(tab, CampaignTab)
+def tab_of(window: Window, kind: type[AnyTab]) -> AnyTab:
+    """The tab of a kind in a window."""
+    (tab,) = (one for one in window.tabs if isinstance(one, kind))
     return tab
+
+
+def campaign_of(window: Window) -> CampaignTab:
+    return tab_of(window, CampaignTab)
 
 
 def wait(qtbot: QtBot, true: Callable[[], bool], within_ms: int = SOON_MS) -> None:

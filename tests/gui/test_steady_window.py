@@ -19,7 +19,7 @@ from gui.scene.tab import SceneTab
 from gui.shell.window import Window
 from gui.surface.plot import MOST_COLUMNS, thinned
 from storage.errors import InputError
-from tests.gui.conftest import campaign_of, wait, write_lab
+from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
 from wavefocus.commands.gui import front_door
 
 
@@ -58,7 +58,7 @@ def test_given_another_run_file_then_the_bank_of_the_former_one_is_let_go(
 
 def test_given_virtual_typed_as_a_rig_then_it_stays_a_word(qtbot: QtBot, open_window: Callable[..., Window]) -> None:
     window = open_window()
-    scene = next(tab for tab in window.tabs if isinstance(tab, SceneTab))
+    scene = tab_of(window, SceneTab)
     window._pages.setCurrentWidget(scene)
     bar = scene.results.bar
     for text, rig in (("virtual", "virtual"), ("rig.toml", str(Path("rig.toml").absolute())), ("virtual", "virtual")):
@@ -104,7 +104,7 @@ def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_comma
     qtbot: QtBot, open_window: Callable[..., Window]
 ) -> None:
     window = open_window()
-    tab = next(one for one in window.tabs if isinstance(one, SceneTab))
+    tab = tab_of(window, SceneTab)
     document = tab.document
     text = TextTable(string="wave" * 300, height_mm=8.0)
     document.edit("add", SceneConfig(source=(new_source(text),)))

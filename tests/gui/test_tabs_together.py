@@ -18,7 +18,7 @@ from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
 from storage.bank.layout import BankHeader
 from storage.bank.writer import create_bank
-from tests.gui.conftest import campaign_of, wait, write_lab
+from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
 from tests.gui.scenes import line_scene
 from tests.gui.test_run import HOLDER, answer, press
 
@@ -40,21 +40,6 @@ driver = "sounddevice"
 device = "none"
 """
 SCENE = line_scene(step_mm=4.0)
-
-
-def scene_of(window: Window) -> SceneTab:
-    (tab,) = (one for one in window.tabs if isinstance(one, SceneTab))
-    return tab
-
-
-def rig_of(window: Window) -> RigTab:
-    (tab,) = (one for one in window.tabs if isinstance(one, RigTab))
-    return tab
-
-
-def verification_of(window: Window) -> VerificationTab:
-    (tab,) = (one for one in window.tabs if isinstance(one, VerificationTab))
-    return tab
 
 
 @pytest.fixture
@@ -94,7 +79,7 @@ def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments
 ) -> None:
     bank, owner = measured_now
     window = open_window(bank, real_rig)
-    rig, scene, verification = rig_of(window), scene_of(window), verification_of(window)
+    rig, scene, verification = tab_of(window, RigTab), tab_of(window, SceneTab), tab_of(window, VerificationTab)
     wait(qtbot, lambda: bool(campaign_of(window).instruments_held()))
 
     def refused(word: str) -> None:
@@ -142,7 +127,7 @@ def test_given_instruments_in_hand_then_a_campaign_on_them_is_not_started_withou
     text = run.read_text(encoding="utf-8").partition("[virtual]")[0]
     run.write_text(text.replace('"rig.toml"', f'"{real_rig}"'), encoding="utf-8")
     window = open_window(real_rig, run)
-    tab, rig = campaign_of(window), rig_of(window)
+    tab, rig = campaign_of(window), tab_of(window, RigTab)
     wait(qtbot, tab.controls.buttons["start"].isEnabled)
     rig.take()
     assert rig.session.running
@@ -159,7 +144,7 @@ def test_given_a_campaign_and_an_unsaved_scene_then_closing_asks_one_after_the_o
     qtbot: QtBot, open_window: Callable[..., Window], long_run: Path
 ) -> None:
     window = open_window(long_run)
-    tab, scene = campaign_of(window), scene_of(window)
+    tab, scene = campaign_of(window), tab_of(window, SceneTab)
     press(qtbot, tab, "start")
     wait(qtbot, tab.controls.buttons["stop"].isEnabled)
     scene.document.edit("draw", SCENE)

@@ -12,7 +12,6 @@ from gui.shell.toml_files import TomlKind, names_virtual_rig, runs_on_virtual_ri
 REAL_RIG = '[rig]\nname = "lab"\n\n[mirror]\ndriver = "mirrorcle"\n\n[player]\nlimit_v = 2.0\n'
 
 
-@pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["plain", "with a byte-order mark"])
 @pytest.mark.parametrize(
     ("text", "kind"),
     [
@@ -22,17 +21,16 @@ REAL_RIG = '[rig]\nname = "lab"\n\n[mirror]\ndriver = "mirrorcle"\n\n[player]\nl
         ('[mirror]\ndriver = "virtual"\n[player]\nlimit_v = 1.0\n', TomlKind.RIG),
         ('rig = "rig.toml"\n\n[grid]\nspacing_mm = 2.0\n', TomlKind.RUN),
         ('format = "wavefocus-calibration"\nrig = "lab"\n[mirror]\ndevice = "virtual mirror"\n', TomlKind.OTHER),
+        ("\ufeff" + REAL_RIG, TomlKind.RIG),  # with a byte-order mark
         ("rig = [", TomlKind.UNREADABLE),
+        (None, TomlKind.UNREADABLE),
     ],
 )
-def test_a_file_is_told_by_its_tables(tmp_path: Path, mark: str, text: str, kind: TomlKind) -> None:
+def test_the_kind_of_a_file_follows_from_its_tables(tmp_path: Path, text: str | None, kind: TomlKind) -> None:
     file = tmp_path / "file.toml"
-    file.write_text(mark + text, encoding="utf-8")
+    if text is not None:
+        file.write_text(text, encoding="utf-8")
     assert toml_kind(file) is kind
-
-
-def test_a_file_that_is_not_there_is_unreadable(tmp_path: Path) -> None:
-    assert toml_kind(tmp_path / "gone.toml") is TomlKind.UNREADABLE
 
 
 @pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["plain", "with a byte-order mark"])

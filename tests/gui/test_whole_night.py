@@ -20,7 +20,7 @@ from rendering.verify.record import RECORD_NAME
 from storage.bank.reading import open_bank
 from storage.ledger.owner import bank_owner
 from storage.point_status import not_valid
-from tests.gui.conftest import campaign_of, wait
+from tests.gui.conftest import campaign_of, tab_of, wait
 from tests.gui.test_details import click, pixel
 from wavefocus.__main__ import run
 
@@ -53,6 +53,14 @@ operation = "read"
 kind = "dropout"
 position = {dark}
 count = 99
+"""
+# Six actuators, between positions of the grid, play in a quarter of the time of the usual twenty-four.
+RIG = """
+[rig]
+name = "six"
+
+[actuators]
+position_mm = [[109.0, 11.0], [50.0, 68.0], [-50.0, 68.0], [-109.0, -11.0], [-50.0, -68.0], [50.0, -68.0]]
 """
 DARK = 5
 # What 1500 positions may take on a busy machine; nothing is judged by it.
@@ -105,13 +113,14 @@ def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
 
 
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("spacing_mm", [16.0, pytest.param(4.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("spacing_mm", [20.0, pytest.param(4.0, marks=pytest.mark.long)])
 def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rendered_and_verified_with_the_mouse_alone(
     qtbot: QtBot, open_window: Callable[..., Window], memory: Settings, tmp_path: Path, spacing_mm: float
 ) -> None:
     assert run(["init", str(tmp_path / "lab")]) == 0
     lab = tmp_path / "lab"
     (lab / "scene.toml").unlink()
+    (lab / "rig.toml").write_text(RIG, encoding="utf-8")
     (lab / "run.toml").write_text(RUN.format(spacing_mm=spacing_mm, dark=DARK), encoding="utf-8")
     for ending in (".toml", ".h5"):
         memory.keep(f"folder/{ending}", str(lab))  # where files were chosen last time
@@ -123,10 +132,14 @@ def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rend
     buttons = tab.controls.buttons
     press(qtbot, buttons["start"])
     wait(qtbot, lambda: tab.campaign.measured > 8)
+    press(qtbot, buttons["pause"])
+    wait(qtbot, lambda: tab.progress.state.text() == "paused" and "paused by the user" in window.messages.sentence)
+    assert tab.controls.actions_by_name["pause"].text() == "Continue"
     owner = bank_owner(bank)
     assert owner is not None
     os.kill(owner.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)  # the power is cut
     wait(qtbot, lambda: tab.progress.state.text() == "gone")
+    assert "ended unexpectedly" in window.messages.sentence
     press(qtbot, buttons["resume"])
     wait(qtbot, lambda: tab.progress.state.text() == "finished", A_NIGHT_MS)
     assert tab.campaign.surface is not None
@@ -147,7 +160,7 @@ def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rend
     assert _not_valid(bank) == [DARK]
 
     turn_to(qtbot, window, "Scene")
-    scene = next(one for one in window.tabs if isinstance(one, SceneTab))
+    scene = tab_of(window, SceneTab)
     assert scene.document.bank == bank
     canvas = scene.surface.canvas
     press(qtbot, scene.surface.tools["line"])
@@ -166,13 +179,14 @@ def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rend
     wait(qtbot, (lab / "scene-drive.h5").exists, A_NIGHT_MS)
 
     turn_to(qtbot, window, "Verification")
-    verification = next(one for one in window.tabs if isinstance(one, VerificationTab))
+    verification = tab_of(window, VerificationTab)
     choose(qtbot, window, verification.form.bank, "plate.h5")
     assert verification.form.missing() == ""  # scene and rig lie beside the bank
+    verification.form.positions.setCurrentIndex(verification.form.positions.findData("path"))
     press(qtbot, _named(verification, "Verify"))
     wait(qtbot, lambda: verification.results is not None, A_NIGHT_MS)
     assert verification.results is not None
-    assert verification.results.record.passed
+    assert 0.0 < verification.results.loudest_difference < 1e-3 * verification.results.loudest
     assert (bank.with_name("verify") / RECORD_NAME).exists()
     maps = verification.maps
     press(qtbot, maps.time.play)

@@ -29,7 +29,7 @@ from gui.shell.files import Settings
 from gui.shell.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
 from gui.shell.window import Window
 from storage.errors import InputError
-from tests.gui.conftest import campaign_of, wait, write_lab
+from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
 from tests.system.test_startup import loaded_by
 from wavefocus.commands.gui import front_door
 
@@ -194,7 +194,7 @@ def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(
     keys = [action.shortcut().toString() for action in everything]
     own_keys = [action.shortcut().toString() for action in actions]
     assert [key for key in own_keys if key and keys.count(key) != 1] == []
-    scene, campaign = next(tab for tab in window.tabs if isinstance(tab, SceneTab)), campaign_of(window)
+    scene, campaign = tab_of(window, SceneTab), campaign_of(window)
     for tab, plot in ((campaign, campaign.map_panel.map), (scene, scene.surface.canvas)):
         window._pages.setCurrentWidget(tab)
         plot.getPlotItem().getViewBox().setRange(xRange=(-0.3, 0.3), yRange=(-0.3, 0.3))
