@@ -115,7 +115,7 @@ class PlateTable:
             rows.append(wave.kernels(frequency_hz, radius_mm, source_radius_mm) * colour / carrier)
         table = np.stack(rows, axis=1).astype(self._complex)
         self._kernels = len(table)
-        self._table = table.reshape(-1, bins).view(self._real)
+        self._table = table.reshape(self._kernels * NODES, bins).view(self._real)
 
     def evaluate(
         self, radius_mm: Float64Array, weights: Float64Array | None = None
@@ -291,7 +291,10 @@ class TruncatedPlate:
             folded = np.zeros((radius_mm.size, -(-full // length) * length))
             folded[:, :full] = response
             ends = scipy.fft.rfft(folded.reshape(radius_mm.size, -1, length).sum(axis=1))[:, bins]
-            self._ends.append(CubicSpline(radius_mm, ends))
+            # Slow in time and smooth over distance, the ends are few shapes: 1e-9 of them is left out.
+            shape, strength, spectrum = np.linalg.svd(ends, full_matrices=False)
+            kept = strength > 1e-9 * strength[0]
+            self._ends.append((CubicSpline(radius_mm, shape[:, kept] * strength[kept]), spectrum[kept]))
 
     def spectra(self, radius_mm: Float64Array, weights: Float64Array | None = None) -> Complex128Array:
         """Transfer functions at some distances, within 1e-6 of that of the FIR.
@@ -310,9 +313,9 @@ class TruncatedPlate:
         spectra = _summed([table.evaluate(radius_mm, weights)[:, self._bins] for table in self._whole])
         low, high = self._span_mm
         within = (radius_mm >= low) & (radius_mm <= high)
-        for kernel, end in enumerate(self._ends):
-            cut = end(radius_mm[within])
-            spectra[within] -= cut if weights is None else weights[within, kernel, None] * cut
+        for kernel, (shapes, spectrum) in enumerate(self._ends):
+            amounts = np.where(within[:, None], shapes(np.clip(radius_mm, low, high)), 0.0)
+            spectra -= (amounts if weights is None else weights[:, kernel, None] * amounts) @ spectrum
         return np.asarray(spectra, dtype=np.complex128)
 
 
