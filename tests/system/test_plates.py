@@ -114,3 +114,14 @@ def test_given_glass_that_rings_longer_than_its_taps_then_plan_and_capture_name_
     if not enough:
         run(["capture", str(tmp_path / "run.toml"), "--bank", str(tmp_path / "plate.h5")])
         assert f"set taps = {ringing['taps']} and decay_s" in capsys.readouterr().err
+
+
+def test_given_kept_recordings_of_a_solid_then_the_bank_estimated_from_them_has_its_directions(tmp_path: Path) -> None:
+    (tmp_path / "grid.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
+    text = RUN.replace("{plate}", "solid").replace('rig = "rig.toml"\n', "").replace("{spacing}", "4.0")
+    text = text.replace("margin_mm", 'positions_file = "grid.csv"\nmargin_mm').replace("taps", "keep_raw = true\ntaps")
+    (tmp_path / "run.toml").write_text(text + "force_deg = 30.0\n", encoding="utf-8")
+    assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(tmp_path / "plate.h5")]) == 0
+    assert run(["estimate", str(tmp_path / "plate.raw.h5"), "--bank", str(tmp_path / "again.h5")]) == 0
+    with open_bank(tmp_path / "again.h5") as bank:
+        assert bank.directions_deg == (30.0, 0.0)

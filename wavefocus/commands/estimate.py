@@ -26,6 +26,7 @@ from storage.raw.header import RawHeader
 from storage.raw.reading import open_raw
 from wavefocus.campaign.blueprint import estimator_for, own_plan
 from wavefocus.cluster import estimate_on_cluster
+from wavefocus.configuration import configuration_from_json, plate_behind
 from wavefocus.console import progress, say
 
 # So many faults are listed one by one.
@@ -124,7 +125,16 @@ def _bank_header(header: RawHeader) -> BankHeader:
         plan_sha256=header.identity(),
         software=f"wavefocus {version('wavefocus')}, from raw recordings",
         response_unit=unit if unit.endswith("/V") else f"{unit}/V",
+        directions_deg=_directions_deg(header),
     )
+
+
+def _directions_deg(header: RawHeader) -> tuple[float, float] | None:
+    try:
+        found = configuration_from_json(header.rig_json, header.run_json, header.position_mm, "raw recordings")
+    except InputError:
+        return None  # recordings of other programs name no plate
+    return plate_behind(found.rig, found.run).directions_deg
 
 
 def _require_alike(held: BankHeader, header: RawHeader, bank: Path, raw: Path) -> None:
