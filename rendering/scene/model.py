@@ -3,30 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from config.loading import named_file, parse_toml, printable, read_toml, validated
-from config.scene import (
-    CircleTable,
-    FileTable,
-    ImpulseTable,
-    LineTable,
-    NoiseTable,
-    Output,
-    PathTable,
-    PointTable,
-    PolylineTable,
-    Regularisation,
-    SceneConfig,
-    SignalTable,
-    SineTable,
-    SvgTable,
-    TextTable,
-)
+from config.scene import Output, PathTable, Regularisation, SceneConfig, SignalTable
 from rendering.scene import paths, signals
-from rendering.scene.paths import Point, TextPath
 from rendering.scene.signals import Signal
 from rendering.scene.svg import SvgPath
 from storage.errors import InputError
@@ -61,7 +45,7 @@ class Source:
         _check(True, "amplitude", self.amplitude, "")
         if self.emission not in ("continuous", "per_point"):
             raise InputError(f"emission is {self.emission!r}; allowed are 'continuous' and 'per_point'")
-        if isinstance(self.path, Point):
+        if isinstance(self.path, paths.Point):
             return
         for name in ("speed_mm_s", "step_mm"):
             value = getattr(self, name)
@@ -116,11 +100,12 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
     built = []
     for index, table in enumerate(config.source):
         key = f"source[{index}]"
+        may_be_large = {"allow_large": allow_large} if table.path.kind in ("svg", "text") else {}
         try:
             built.append(
                 Source(
-                    path=_path(table.path, file, f"{key}.path", allow_large=allow_large),
-                    signal=_signal(table.signal, file, f"{key}.signal"),
+                    path=PATHS[table.path.kind](**_parameters(table.path, file, f"{key}.path"), **may_be_large),
+                    signal=SIGNALS[table.signal.kind](**_parameters(table.signal, file, f"{key}.signal")),
                     start_s=table.start_s,
                     speed_mm_s=table.speed_mm_s or 0.0,
                     step_mm=table.step_mm or 0.0,
@@ -140,30 +125,26 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
     )
 
 
-def _path(table: PathTable, file: Path, key: str, *, allow_large: bool) -> paths.Path:
-    match table:
-        case PointTable():
-            return paths.Point(table.at_mm)
-        case LineTable():
-            return paths.Line(table.start_mm, table.end_mm)
-        case CircleTable():
-            return paths.Circle(table.centre_mm, table.radius_mm, table.turns, table.start_deg)
-        case PolylineTable():
-            return paths.Polyline(table.points_mm, table.closed)
-        case SvgTable():
-            drawing = named_file(file, f"{key}.file", table.file)
-            return SvgPath(drawing, table.path_id, table.scale, table.origin_mm, allow_large)
-        case TextTable():
-            return TextPath(table.string, table.height_mm, table.centre_mm, allow_large)
+PATHS: Mapping[str, Callable[..., paths.Path]] = {
+    "point": paths.Point,
+    "line": paths.Line,
+    "circle": paths.Circle,
+    "polyline": paths.Polyline,
+    "svg": SvgPath,
+    "text": paths.TextPath,
+}
+SIGNALS: Mapping[str, Callable[..., Signal]] = {
+    "impulse": signals.Impulse,
+    "sine": signals.Sine,
+    "noise": signals.Noise,
+    "file": signals.SoundFile,
+}
+"""Classes by the kind of a table, whose keys are their parameters."""
 
 
-def _signal(table: SignalTable, file: Path, key: str) -> signals.Signal:
-    match table:
-        case ImpulseTable():
-            return signals.Impulse()
-        case SineTable():
-            return signals.Sine(table.frequency_hz, table.duration_s)
-        case NoiseTable():
-            return signals.Noise(table.band_hz, table.duration_s, table.seed)
-        case FileTable():
-            return signals.SoundFile(named_file(file, f"{key}.path", table.path))
+def _parameters(table: PathTable | SignalTable, scene_file: Path, key: str) -> dict[str, Any]:
+    """Keys of a table, with the files that it names."""
+    values = table.model_dump(exclude={"kind"})
+    for name in {"file", "path"} & values.keys():
+        values[name] = named_file(scene_file, f"{key}.{name}", values[name])
+    return values

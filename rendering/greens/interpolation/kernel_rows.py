@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy import fft as scipy_fft
 from calibration.blas import one_blas_thread
 from calibration.neighbours.wave_model import PatchKernel, WaveModel
 from rendering.arrays import Complex128Array, Float64Array, Int64Array
-from rendering.greens.interpolation.neighbourhoods import Neighbourhoods, Patch
+from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS, Neighbourhoods, Patch
 from rendering.greens.source import GreenSource, read_row
 from storage.point_status import Status
 
@@ -59,9 +60,9 @@ class KernelRows:
         self._at_anchor: dict[int, list[int]] = {}
         self._rows: OrderedDict[int, Float64Array] = OrderedDict()
         self._kernels: OrderedDict[bytes, PatchKernel] = OrderedDict()
-        self._spectra: OrderedDict[int, tuple[Complex128Array, int]] = OrderedDict()
-        self._spectra_bytes = 0
         self._plan(waves)
+        row_bytes = 16 * len(self._to_bins) * self.actuators
+        self._spectrum = lru_cache(max(2 * (NEIGHBOURS + 1), SPECTRA_BYTES // row_bytes))(self._transform)
 
     def add(self, points_mm: Float64Array) -> Int64Array:
         """Add rows at points, float64 (n, 2), and return their numbers; a point is added once."""
@@ -169,17 +170,8 @@ class KernelRows:
         self._kernels.move_to_end(patch.key)
         return self._kernels[patch.key]
 
-    def _spectrum(self, row: int) -> tuple[Complex128Array, int]:
+    def _transform(self, row: int) -> tuple[Complex128Array, int]:
         """Spectrum of a measured row, (bins, actuators), over a power of two."""
-        if row not in self._spectra:
-            scaled = read_row(self.measured, row)
-            bins = len(self._to_bins)
-            spectrum = np.ascontiguousarray(scipy_fft.rfft(scaled.values, self._samples, axis=1)[:, :bins].T)
-            self._spectra[row] = (spectrum, scaled.exponent)
-            self._spectra_bytes += spectrum.nbytes
-            while self._spectra_bytes > SPECTRA_BYTES and len(self._spectra) > 2 * len(
-                self._neighbourhoods.patch(row).rows
-            ):
-                self._spectra_bytes -= self._spectra.popitem(last=False)[1][0].nbytes
-        self._spectra.move_to_end(row)
-        return self._spectra[row]
+        scaled = read_row(self.measured, row)
+        spectrum = scipy_fft.rfft(scaled.values, self._samples, axis=1)[:, : len(self._to_bins)]
+        return np.ascontiguousarray(spectrum.T), scaled.exponent
