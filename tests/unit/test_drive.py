@@ -45,16 +45,16 @@ def green_at(bank, point, kind):
     ), nearest
 
 
-def emitted(source, method):
+def emitted(source, method, rate_hz=RATE_HZ):
     """Yield (sample, value, point) for everything the source emits, and its last sample plus one."""
-    u = source.amplitude * source.signal.samples(RATE_HZ)
+    u = source.amplitude * source.signal.samples(rate_hz)
     length, d, v = source.path.length_mm, source.step_mm, source.speed_mm_s
     if length == 0 or v == 0:
-        n0 = round(source.start_s * RATE_HZ)
+        n0 = round(source.start_s * rate_hz)
         point = source.path.point_at([0.0])[0]
         return [(n0 + s, u[s], point) for s in range(len(u))], n0 + len(u)
     points = int(np.floor(length / d + 1e-9)) + 1
-    n = [round((source.start_s + m * d / v) * RATE_HZ) for m in range(points + 1)]
+    n = [round((source.start_s + m * d / v) * rate_hz) for m in range(points + 1)]
     if source.emission == "per_point":
         events = [(n[m] + s, u[s], source.path.point_at([m * d])[0]) for m in range(points) for s in range(len(u))]
         return events, n[points - 1] + len(u)
@@ -62,7 +62,7 @@ def emitted(source, method):
     for s in range(min(len(u), n[points] - n[0])):
         while n[m + 1] <= n[0] + s:
             m += 1
-        along = min(v * s / RATE_HZ, length) if method == "exact" else m * d
+        along = min(v * s / rate_hz, length) if method == "exact" else m * d
         events.append((n[0] + s, u[s], source.path.point_at([along])[0]))
     return events, n[points]
 

@@ -15,6 +15,7 @@ from rendering.scene.paths import Circle, Line, Point, Polyline
 from rendering.scene.signals import Impulse, Noise, Sine
 from storage.errors import InputError
 from tests.unit.plate_banks import ANGLES, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
+from tests.unit.test_drive import emitted
 
 SIGNAL = Noise((80.0, 420.0), 0.4, 3)
 MOVING = Source(Circle((1.3, -0.7), 13.0, 0.9, 20.0), SIGNAL, 0.01, 180.0, 3.0, 2.0)
@@ -31,28 +32,11 @@ def bank():
 @functools.lru_cache
 def direct(source, method):
     """Eqs. (9) and (16) with the true Green's functions, sample by sample."""
-    u = source.amplitude * source.signal.samples(RATE_HZ)
-    length, d, v = source.path.length_mm, source.step_mm, source.speed_mm_s
-    n0 = round(source.start_s * RATE_HZ)
-    events = []
-    if length == 0:
-        events = [(n0 + s, u[s], 0.0) for s in range(len(u))]
-        end = n0 + len(u)
-    else:
-        points = int(np.floor(length / d + 1e-9)) + 1
-        n = [round((source.start_s + m * d / v) * RATE_HZ) for m in range(points + 1)]
-        if source.emission == "per_point":
-            events = [(n[m] + s, u[s], m * d) for m in range(points) for s in range(len(u))]
-            end = n[points - 1] + len(u)
-        else:
-            end = n[points]
-            for s in range(min(len(u), n[points] - n[0])):
-                m = np.searchsorted(n[:-1], n[0] + s, side="right") - 1
-                events.append((n[0] + s, u[s], min(v * s / RATE_HZ, length) if method == "exact" else m * d))
-    along, place = np.unique([event[2] for event in events], return_inverse=True)
-    greens = plate_greens(source.path.point_at(along))
+    events, end = emitted(source, method, RATE_HZ)
+    points_mm, place = np.unique([point for _, _, point in events], axis=0, return_inverse=True)
+    greens = plate_greens(points_mm)
     drive = np.zeros((greens.shape[1], end + TAPS - 1))
-    for (sample, value, _), at in zip(events, place, strict=True):
+    for (sample, value, _), at in zip(events, place.ravel(), strict=True):
         drive[:, sample : sample + TAPS] += value * greens[at][:, ::-1]
     return drive
 
