@@ -3,28 +3,38 @@
 - The gel without a rim: velocity of 20 actuators at some positions, by the table over distance and by Hankel functions
   in float64, which are the truth.
 - The gel with a rim: a stadium at 450 Hz by finite elements of several sizes; truth: elements of 4 mm.
-- Glass let go from a mode at rest, some periods later: leapfrog and Newmark on grids; truth: the
-  closed form.
-- Glass by its modes: responses of 20 actuators at some positions up to 500 Hz, modes summed up to a frequency; truth:
-  modes up to 32 kHz.
+- Glass released from the shape of a mode, some periods later: leapfrog and Newmark on grids; truth: the closed form.
+- Glass of Q = 1e4, driven for some time: modal exponentials with modes up to a frequency; truth: the closed form with
+  modes up to 4 kHz.
+- Glass, a bank in which modes are left out; truth: the bank with all modes.
+- A bank of the default grid on every plate, and the stadium's modes computed and read from the cache: times alone.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import fftconvolve, get_window
 
 from benchmarks.harness import Findings, Mark, Point, measure, relative_error
+from benchmarks.rig_bank import RATE_HZ, TAPS, default_grid, true_bank
 from config.outline import Outline
 from mocks.plates.finite_elements import Elements, triangulate
+from mocks.plates.glass import ThinRectangle
 from mocks.plates.infinite import PlateTable
 from mocks.plates.soft import SOFT_PLATE
-from mocks.plates.thin import ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s
+from mocks.plates.thin import ExactPlate, ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s
+from mocks.virtual.chain import chain_response
+from mocks.virtual.rig import VirtualRig, VirtualSettings
+from mocks.virtual.settings import rim_places
 
 Float64Array = NDArray[np.float64]
 Actions = dict[tuple[str, float | None], Callable[[], Any]]
@@ -38,13 +48,32 @@ PERIODS = 2.625
 GRIDS_MM = (4.0, 8.0, 16.0)
 NEWMARK_STEPS_S = (1e-4, 2e-5)
 BANK_POSITIONS, BANK_BINS, BANK_STEP_HZ = 100, 1000, 1.0
+HIGH_QUALITY, STEP_S, DRIVEN_STEPS = 1e4, 1e-4, 5000
+MODES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
+TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
+GLASS_OUTLINE = Outline.rectangle(225.0, 148.0)
+"""Whose default grid has 1500 positions."""
+GLASS_ACTUATORS_MM = tuple((0.8 * x, 0.8 * y) for x, y in rim_places(20))
+RIGS = {
+    "soft": VirtualSettings(),
+    "stadium": VirtualSettings(plate="stadium"),
+    "thin": VirtualSettings(plate="thin", outline=GLASS_OUTLINE, actuator_mm=GLASS_ACTUATORS_MM),
+    "thin, infinite": VirtualSettings(plate="thin", plate_keys=(("edge", "infinite"),)),
+    "solid": VirtualSettings(plate="solid"),
+}
 
 
 def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     """Measure all plates."""
     repeats = 1 if quick else 5
-    points = [*_without_a_rim(repeats, 10 if quick else BANK_POSITIONS), *_with_a_rim(repeats, quick=quick)]
-    points += _glass_in_time(repeats, GRIDS_MM[1:] if quick else GRIDS_MM)
+    points = [
+        *_without_a_rim(repeats, 10 if quick else BANK_POSITIONS),
+        *_with_a_rim(repeats, quick=quick),
+        *_glass_in_time(repeats, GRIDS_MM[1:] if quick else GRIDS_MM),
+        *_driven_glass(repeats),
+        *_fewer_modes(repeats, 20 if quick else BANK_POSITIONS),
+        *_banks(1 if quick else 3, 60 if quick else None),
+    ]
     return Findings(points, "the truth that the module states for each plate")
 
 
@@ -141,4 +170,85 @@ def _glass_in_time(repeats: int, grids_mm: tuple[float, ...]) -> list[Point]:
             for size in grids_mm
         },
     }
-    return _points(f"glass, a mode let go, {1e3 * run_s:.1f} ms later", actions, truth, "grid_mm", min(repeats, 3))
+    return _points(
+        f"glass released from a mode, {1e3 * run_s:.1f} ms later", actions, truth, "grid_mm", min(repeats, 3)
+    )
+
+
+def _driven_glass(repeats: int) -> list[Point]:
+    """Velocity at five places for half a second, of glass pushed at two places for the first 28 ms, below 400 Hz."""
+    rng = np.random.default_rng(5)
+    points_m, sources_m = (rng.uniform(0.01, 0.15, (count, 2)) for count in (5, 2))
+    push_n_s = np.zeros((2, DRIVEN_STEPS))
+    push_n_s[:, :280] = fftconvolve(rng.standard_normal((2, 200)), get_window("hann", 81)[None], axes=1)
+
+    def closed_form(highest_hz: float) -> Float64Array:
+        green = GLASS.impulse_velocity(
+            points_m, sources_m, DRIVEN_STEPS, 1 / STEP_S, quality=HIGH_QUALITY, band_hz=(0.0, highest_hz)
+        )
+        return np.asarray(fftconvolve(green, push_n_s[None], axes=2)[..., :DRIVEN_STEPS].sum(axis=1))
+
+    def exponentials(highest_hz: float) -> Float64Array:
+        plate = ExactPlate(GLASS, points_m, sources_m, STEP_S, quality=HIGH_QUALITY, band_hz=(0.0, highest_hz))
+        return plate.driven(push_n_s)
+
+    timing = measure({"closed form": partial(closed_form, MODES_HZ[-1])}, 1)["closed form"]
+    work = f"glass of Q = {HIGH_QUALITY:g}, driven, {DRIVEN_STEPS * STEP_S:g} s"
+    actions: Actions = {("modal exponentials", hertz): partial(exponentials, hertz) for hertz in MODES_HZ}
+    points = _points(work, actions, timing.result, "modes_to_hz", min(repeats, 3))
+    exact = replace(points[-1], marks=(Mark("error", 1e-10, at_most=True),))
+    return [Point(work=work, method="closed form, the truth", timing=timing), *points[:-1], exact]
+
+
+def _fewer_modes(repeats: int, positions: int) -> list[Point]:
+    """A bank on glass with the modes that a tolerance lets go left out."""
+    place_mm = np.random.default_rng(6).uniform(-60.0, 60.0, (positions, 2))
+
+    def bank(tolerance: float) -> NDArray[np.complex128]:
+        plate = ThinRectangle(np.array(GLASS_ACTUATORS_MM), GLASS_OUTLINE, chain_response, mode_tolerance=tolerance)
+        return plate.fir_spectra(place_mm, TAPS, RATE_HZ, 2 * TAPS, slice(8, 201))
+
+    timing = measure({"all": partial(bank, 0.0)}, repeats, memory=True)["all"]
+    work = f"glass, {positions} positions x 20 actuators x {TAPS} taps, modes left out"
+    actions: Actions = {("modes within the tolerance", one): partial(bank, one) for one in TOLERANCES}
+    points = _points(work, actions, timing.result, "mode_tolerance", repeats)
+    pasted = [
+        replace(one, paste=f'# run.toml\n[virtual]\nplate = "thin"\nmode_tolerance = {value:g}')
+        for one, value in zip(points, TOLERANCES, strict=True)
+    ]
+    return [Point(work=work, method="all modes, the truth", timing=timing), *pasted]
+
+
+def _banks(repeats: int, positions: int | None) -> list[Point]:
+    """Green's functions of whole banks on every plate, and the stadium's modes."""
+    with TemporaryDirectory() as folder:
+        kept = os.environ.get("WAVEFOCUS_CACHE")
+        os.environ["WAVEFOCUS_CACHE"] = folder
+        try:
+            first, again = (measure({"": _stadium_modes}, count)[""] for count in (1, repeats))
+            found = measure({name: partial(_bank, name, positions) for name in RIGS}, repeats, slow_s=60.0)
+        finally:
+            if kept is None:
+                del os.environ["WAVEFOCUS_CACHE"]
+            else:
+                os.environ["WAVEFOCUS_CACHE"] = kept
+    work = "modes of the stadium"
+    points = [
+        Point(work=work, method="the first time", timing=first, marks=(Mark("wall_s", 15.0, at_most=True),)),
+        Point(work=work, method="from the cache", timing=again, marks=(Mark("wall_s", 1.0, at_most=True),)),
+    ]
+    limits = {} if positions else {"soft": 3.0, "thin": 2.0}
+    for name, timing in found.items():
+        marks = (Mark("wall_s", limits[name], at_most=True),) if name in limits else ()
+        work = f"a bank, {positions or 'all'} positions of the default grid x 20 actuators x {TAPS} taps"
+        points.append(Point(work=work, method=name, timing=timing, marks=marks))
+    return points
+
+
+def _stadium_modes() -> None:
+    VirtualRig(RIGS["stadium"]).truth(0.0, 0.0, TAPS)
+
+
+def _bank(name: str, positions: int | None) -> None:
+    rig = VirtualRig(RIGS[name])
+    true_bank(rig, default_grid(rig)[:positions], None)

@@ -46,13 +46,12 @@ class PaperBank:
     how: str
 
 
-def paper_bank(out: Path, *, quick: bool) -> PaperBank:
-    """The bank ``plate.h5`` in a folder, measured there first if need be; quick: the truth with noise."""
-    rig = VirtualRig()
+def paper_bank(out: Path, rig: VirtualRig, name: str, *, quick: bool) -> PaperBank:
+    """The bank ``plate-NAME.h5`` in a folder, measured there first if need be; quick: the truth with noise."""
     if quick:
         bank = true_bank(rig, default_grid(rig), QUICK_ERROR_DB)
         return PaperBank(bank, rig, f"true Green's functions with noise at {QUICK_ERROR_DB:g} dB")
-    path = out / "plate.h5"
+    path = out / f"plate-{name}.h5"
     if not path.exists():
         # Under its final name only once it is whole: what is there is taken for a bank.
         part = path.with_name(f"measuring-{path.name}")
