@@ -46,11 +46,12 @@ SCENE = """
 [[source]]
 speed_mm_s = 80.0
 step_mm = 4.0
-path = { kind = "line", start_mm = [-16, 0], end_mm = [16, 0] }
+path = { kind = "line", start_mm = [-15, 1], end_mm = [16, -3] }
 signal = { kind = "impulse" }
 
 [output]
 limit_v = 1.0
+interpolation = "kernel"
 """
 
 
