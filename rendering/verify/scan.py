@@ -22,8 +22,9 @@ from config.messages.campaign import State, Subscriber
 from drivers.errors import TransientInstrumentError
 from drivers.protocols import Recording, Take
 from rendering.arrays import Float32Array, Float64Array, Int64Array
-from rendering.field.prediction import field_unit
-from rendering.verify.scan_signals import Aligned, Alignment, scan_signals
+from rendering.field.prediction import field_unit, predict
+from rendering.greens.source import usable
+from rendering.verify.scan_signals import Aligned, Alignment, quiet_above_hz, scan_signals
 from storage.errors import InputError
 from storage.point_status import Status
 
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 
 GIVE_UP_POSITIONS = 5
 """So many positions given up one after the other mean that the rig, and not a position, is at fault."""
+
+PREDICTED_ROWS = 16
+"""Positions whose predicted responses say from which frequency on a scan is quiet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +153,8 @@ class _ScanRun:
         rows = _planned_rows(plan, len(bank.position_mm))
         samples = drive.drive_v.shape[1] + bank.taps - 1
         self._signals_v = scan_signals(setup, drive, samples)
-        self._alignment = Alignment(setup, self._signals_v, drive.sample_rate_hz, bank.band_hz)
+        quiet_hz = _quiet_above_hz(drive, bank, rows[usable(bank)[rows]])
+        self._alignment = Alignment(setup, self._signals_v, drive.sample_rate_hz, quiet_hz)
         self._place = {int(row): index for index, row in enumerate(rows)}
         self._scan = Scan(
             field=np.zeros((rows.size, samples), np.float32),
@@ -239,6 +244,15 @@ class _ScanRun:
         self._done += 1
         if self._on_progress is not None:
             self._on_progress(self._done, len(self._place))
+
+
+def _quiet_above_hz(drive: Drive, bank: GreenSource, rows: Int64Array) -> float:
+    """Frequency above which the responses expected at these rows have no energy; half the rate where there are none."""
+    if not rows.size:
+        return drive.sample_rate_hz / 2
+    some = rows[np.unique(np.linspace(0, rows.size - 1, PREDICTED_ROWS).astype(int))]
+    expected = predict(drive, bank, some.tolist(), dtype=np.float32).field
+    return quiet_above_hz(expected, drive.sample_rate_hz, bank.band_hz)
 
 
 def _planned_rows(plan: ScanPlan, positions: int) -> Int64Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -75,24 +75,17 @@ class Alignment:
     """Brings the responses of one scan to the playback clock, in response units.
 
     Safe to share between threads; a result depends on its recording alone. `signals_v` are those of every record, from
-    `scan_signals`, `rate_hz` their rate, `band_hz` the bank's band.
+    `scan_signals`, `rate_hz` their rate; above `quiet_hz` no response has energy to speak of.
     """
 
-    def __init__(
-        self,
-        setup: Setup,
-        signals_v: Mapping[int, Float64Array],
-        rate_hz: float,
-        band_hz: tuple[float, float] | None,
-    ) -> None:
+    def __init__(self, setup: Setup, signals_v: Mapping[int, Float64Array], rate_hz: float, quiet_hz: float) -> None:
         self._setup = setup
         marker_v = signals_v[setup.loopback_channel]
         self._samples = marker_v.size
         self._clock = ClockFitter(marker_v)
         # The response channel is sampled later, so its samples of an instant come earlier in the record.
         self._delay_samples = -setup.response_delay_s * rate_hz
-        drive_v = [signals_v[channel] for channel in setup.actuator_channels]
-        self._dropouts = DropoutCheck(drive_v, rate_hz, band_hz)
+        self._dropouts = DropoutCheck(rate_hz, quiet_hz)
 
     def align(self, recording: Recording) -> Aligned:
         """Bring one recorded response to the playback clock.
@@ -117,8 +110,8 @@ class Alignment:
         )
 
 
-# Share of the drive's energy above the frequency from which a response is taken to be noise alone.
-DRIVE_SHARE = 1e-5
+# Share of a response's energy above the frequency from which it is taken to be noise alone.
+QUIET_SHARE = 1e-5
 # A dropout lasts some milliseconds (speckle crossing the spot); windows of this length overlap by half.
 WINDOW_S = 0.0032
 # The window's shape keeps all that lies more than this many of its bins away below -60 dB.
@@ -131,27 +124,28 @@ RESPONSE_SHARE = 0.02
 LEAST_WINDOWS = 8
 
 
-class DropoutCheck:
-    """Looks for bursts of noise in responses to one drive, above all that the drive can excite.
+def quiet_above_hz(response: Float32Array, rate_hz: float, band_hz: tuple[float, float] | None) -> float:
+    """Frequency above which responses (positions, samples) have no energy to speak of, in Hz.
 
     Frequencies up to twice the bank's band belong to the signal in any case.
     """
+    power = np.square(np.abs(scipy.fft.rfft(response, axis=1))).sum(axis=0)
+    above = np.cumsum(power[::-1])[::-1]
+    quiet_hz = float(np.count_nonzero(above > QUIET_SHARE * above[0]) * rate_hz / response.shape[1])
+    return quiet_hz if band_hz is None else max(quiet_hz, 2 * band_hz[1])
 
-    def __init__(self, drive_v: Sequence[Float64Array], rate_hz: float, band_hz: tuple[float, float] | None) -> None:
-        power = np.zeros(drive_v[0].size // 2 + 1)
-        for signal_v in drive_v:
-            power += np.abs(scipy.fft.rfft(signal_v.astype(np.float32))) ** 2
-        above = np.cumsum(power[::-1])[::-1]
-        quiet_hz = float(np.count_nonzero(above > DRIVE_SHARE * above[0]) * rate_hz / drive_v[0].size)
-        if band_hz is not None:
-            quiet_hz = max(quiet_hz, 2 * band_hz[1])
+
+class DropoutCheck:
+    """Looks for bursts of noise in recorded responses, above the frequency from which these are quiet."""
+
+    def __init__(self, rate_hz: float, quiet_hz: float) -> None:
         half = max(round(WINDOW_S * rate_hz / 2), 1)
         self._half = half
         shape = np.kaiser(2 * half, WINDOW_BETA)
         bins = np.arange(int(quiet_hz * 2 * half / rate_hz) + 1 + CLEAR_BINS, half)
         turn = np.exp(-1j * np.pi * np.outer(np.arange(2 * half), bins) / half)
         outside = shape[:, None] * turn / np.sqrt(max(bins.size, 1) * np.square(shape).sum())
-        # Where the drive fills the spectrum, no bin is left for the check.
+        # Where responses fill the spectrum, no bin is left for the check.
         self._outside = np.concatenate([outside.real, outside.imag], axis=1).astype(np.float32)
 
     def finds_one(self, response_v: Float32Array) -> bool:

@@ -125,6 +125,17 @@ def test_given_a_fault_that_passes_then_the_position_is_repeated_and_the_scan_co
     assert compared(found).fields.error < 0.005
 
 
+def test_given_a_drive_with_noise_beyond_the_band_then_a_dropout_is_found_all_the_same():
+    # As banks measured with noise give: their Green's functions, reversed, are the drives.
+    drive = impulse_drive()
+    noise_v = 0.02 * np.random.default_rng(2).standard_normal(drive.drive_v.shape)
+    fault = Fault("recorder", "read", "dropout", position=49, purpose="scan")
+    rig = VirtualRig(dataclasses.replace(SETTINGS, fault_plan=(fault,)))
+    noisy = dataclasses.replace(drive, drive_v=drive.drive_v + noise_v)
+    found = scan(ScanPlan((48, 49, 50)), setup_of(rig), noisy, bank())
+    assert found.attempts.tolist() == [1, 2, 1]
+
+
 @pytest.mark.parametrize(
     ("kind", "status", "attempts", "reason"),
     [
