@@ -57,7 +57,8 @@ NUMBERS = {
     "spectrum at the path points": (
         "stimuli concentrated in 150-300 Hz", "bursts of 50 ms, white in 20-500 Hz, at each of 6 points, 10 cm/s;"
         " energy of y(p_m, t) from 20 ms before t_m to 70 ms after the burst. The paper does not say how white its"
-        " bursts were"),
+        " bursts were; the virtual signal chain is flat to 500 Hz, and on the stadium an actuator 6 mm from a rim that"
+        " reflects and its image cancel in part near 200 Hz"),
     "crosstalk at d = 4 mm, 16 cm/s": (
         "negligible below", "energy at p_m of all other points' foci over that of its own, in a window one period long"
         f" about t_m, pooled over 30 points along x; impulses, saturation C = {SATURATION:g} median rms; negligible:"

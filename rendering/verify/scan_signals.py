@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.fft
+from numpy.typing import NDArray
 
 from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ClockFitter, to_playback_clock
@@ -124,7 +125,7 @@ RESPONSE_SHARE = 0.02
 LEAST_WINDOWS = 8
 
 
-def quiet_above_hz(response: Float32Array, rate_hz: float, band_hz: tuple[float, float] | None) -> float:
+def quiet_above_hz(response: NDArray[np.floating], rate_hz: float, band_hz: tuple[float, float] | None) -> float:
     """Frequency above which responses (positions, samples) have no energy to speak of, in Hz.
 
     Frequencies up to twice the bank's band belong to the signal in any case.
