@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 
 from benchmarks.harness import Findings, Mark, Point, Timing
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter, create_bank

@@ -20,7 +20,7 @@ from benchmarks.harness import Findings, Mark, Point, Timing, measure, relative_
 from benchmarks.machine import run_command
 from benchmarks.rig_bank import BAND_HZ, QUICK_ERROR_DB, RATE_HZ, TAPS, default_grid, true_bank
 from mocks.virtual.rig import VirtualRig
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter, create_bank
 from storage.field_file import read_field

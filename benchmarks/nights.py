@@ -38,8 +38,7 @@ from benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure, r
 from drivers.protocols import Recording, Take
 from mocks.virtual.rig import VirtualRig, VirtualSettings
 from storage.bank.reading import open_bank
-from storage.raw.header import RawHeader
-from storage.raw.schedule import sequential
+from storage.raw.header import RawHeader, sequential
 from storage.raw.writer import RawWriter, create_raw
 
 Float64Array = NDArray[np.float64]

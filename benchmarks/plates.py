@@ -32,9 +32,9 @@ from mocks.plates.glass import ThinRectangle
 from mocks.plates.infinite import PlateTable
 from mocks.plates.soft import SOFT_PLATE
 from mocks.plates.thin import ExactPlate, ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s
-from mocks.virtual.chain import chain_response
 from mocks.virtual.rig import VirtualRig, VirtualSettings
 from mocks.virtual.settings import rim_places
+from mocks.virtual.synthesis import chain_response
 
 Float64Array = NDArray[np.float64]
 Actions = dict[tuple[str, float | None], Callable[[], Any]]

@@ -21,7 +21,7 @@ from config.messages.campaign import Subscriber
 from mocks.virtual.rig import VirtualRig
 from rendering.field.metrics import band_weights
 from rendering.greens.source import GreenArray
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter, create_bank
 

@@ -23,7 +23,7 @@ from storage.hdf5_digest import format_of
 from storage.ledger.owner import bank_owner, owner_path
 from storage.ledger.reader import LedgerReader
 from storage.raw.header import RAW
-from storage.raw.reading import RawRows, open_raw
+from storage.raw.writer import RawRows, open_raw
 
 # A response this far from the median of all valid positions is no neighbour of them: ten times in amplitude.
 _RMS_OUTLIER = 10.0

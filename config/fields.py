@@ -1,11 +1,15 @@
-"""Shared by the tables of every configuration file: strict numbers, closed tables, mistakes."""
+"""Shared by the tables of all configuration files: strict numbers, closed tables, mistakes, explanations of keys."""
 
 from __future__ import annotations
 
+import json
 import re
-from typing import Annotated, Any
+import textwrap
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, StrictBool
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 # Strict: "20" and true are no numbers in TOML, and guessing would hide a slip of the pen.
@@ -57,3 +61,89 @@ def like(pattern: str, allowed: str) -> AfterValidator:
         return text
 
     return AfterValidator(check)
+
+
+UNITS = {
+    "_at_0_v": "",
+    "_m_s": "m/s",
+    "_mm_s": "mm/s", "_mm": "mm", "_mrad": "mrad", "_deg": "degrees", "_s": "s", "_min": "minutes", "_days": "days",
+    "_hz": "Hz", "_v": "V", "_db": "dB", "_ppm": "ppm", "_ohm": "ohm", "_w": "W", "_samples": "samples",
+}  # fmt: skip
+"""Units by the endings of keys."""
+_COLUMN, _WIDTH = 31, 120
+
+
+def explanation(key: str, field: FieldInfo) -> str:
+    """What a key means, in which unit, and what it may be."""
+    unit = next((unit for ending, unit in UNITS.items() if key.endswith(ending) and "_per_" not in key), "")
+    choices, bounds = _allowed(field)
+    brackets = ", ".join(part for part in (unit, bounds) if part)
+    return (field.description or "") + (f": {choices}" if choices else "") + (f" ({brackets})" if brackets else "")
+
+
+def fields_of(model: type[BaseModel], path: str = "") -> dict[str, FieldInfo]:
+    """The fields of a table of a file, by its heading: ``"watch.noise"``; none where there is no such table."""
+    models = [model]
+    for name in path.split(".") if path else ():
+        fields = {key: field for one in models for key, field in one.model_fields.items()}
+        models = list(_models(fields[name].annotation)) if name in fields else []
+    return {key: field for one in models for key, field in one.model_fields.items()}
+
+
+def with_explanations(text: str, model: type[BaseModel]) -> str:
+    """A TOML file with a comment after each ``key = value`` that has none; also where the key is commented out."""
+    lines, fields = [], fields_of(model)
+    for line in text.splitlines():
+        if heading := re.match(r"(?:# )?\[+([\w.]+)\]+", line):
+            fields = fields_of(model, heading[1])
+        key = re.match(r"(?:# )?(\w+) = [^#]*[^#\[{(,\s]$", line)
+        if key is None or key[1] not in fields or not fields[key[1]].description:
+            lines.append(line)
+            continue
+        column = max(_COLUMN, len(line) + 2)
+        about = textwrap.wrap(explanation(key[1], fields[key[1]]), _WIDTH - _COLUMN - 2)
+        if column + 2 + len(about[0]) > _WIDTH:
+            lines += [*(f"# {one}" for one in about), line]
+        else:
+            lines += [f"{line:<{column - 1}} # {about[0]}", *(f"{'#':<{_COLUMN}}# {one}" for one in about[1:])]
+    return "\n".join(lines) + "\n"
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models(part)
+
+
+def _allowed(field: FieldInfo) -> tuple[str, str]:
+    """Choices and bounds in words; empty where there are none, and of the parts of tuples."""
+    bounds: dict[str, float] = {}
+    choices: list[str] = []
+
+    def gather(metadata: Any) -> None:
+        for one in metadata:
+            bounds.update({name: getattr(one, name) for name in _BOUNDS if getattr(one, name, None) is not None})
+            gather(getattr(one, "metadata", ()))
+
+    def walk(annotation: Any) -> None:
+        if get_origin(annotation) is Literal:
+            choices.extend(json.dumps(one) for one in get_args(annotation))
+        elif get_origin(annotation) is not tuple:
+            gather(getattr(annotation, "__metadata__", ()))
+            for part in get_args(annotation):
+                walk(part)
+
+    walk(field.annotation)
+    gather(field.metadata)
+    listed = " or ".join(", ".join(choices).rsplit(", ", 1)) if len(choices) > 1 else ""
+    if "ge" in bounds and "le" in bounds and "gt" not in bounds:
+        return listed, f"{_number(bounds['ge'])} to {_number(bounds['le'])}"
+    return listed, ", ".join(text.format(_number(bounds[name])) for name, text in _BOUNDS.items() if name in bounds)
+
+
+_BOUNDS = {"gt": "above {}", "ge": "{} or more", "lt": "below {}", "le": "at most {}"}
+
+
+def _number(value: float) -> str:
+    return str(int(value)) if value == int(value) else f"{value:g}"

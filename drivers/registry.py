@@ -13,7 +13,7 @@ from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from drivers.mirror.dialect import Dialect
+    from drivers.mirror.serial_mirror import Dialect
     from drivers.protocols import Player, Recorder
 
 

@@ -1,1 +1,8 @@
-"""Stand-ins for a rig: `plates`, a `virtual` rig without wires, and emulated devices on wires (`wire`)."""
+"""Stand-ins for a rig, all before one plate.
+
+=========================  ==================================================================
+`plates`                   `Plate`, `make_plate`: responses from actuators to positions, by name
+`virtual.rig`              `VirtualRig`: a rig without wires, much faster than real time
+`wire.emulated_rig`        `EmulatedRig`: emulated devices behind real drivers
+=========================  ==================================================================
+"""

@@ -1,1 +1,14 @@
-"""Scenes into drives, drives into fields, fields against scans."""
+"""Scenes into drives, drives into fields, fields against scans.
+
+=========================  ==================================================================
+`scene.model`              `Scene`, `Source`, `load_scene`; paths and signals next to it
+`greens.source`            `GreenSource`, `GreenArray`: the bank as the renderer reads it
+`greens.interpolation`     the bank between its positions
+`drive.rendering`          `render`, `render_with_report`: a scene into the drives of all actuators
+`drive.live`               `StreamedDrive`, `LiveDrive`: drives made while they sound
+`field.prediction`         `predict`, `Prediction`: drives into the field
+`verify.scan`              `ScanPlan`, `scan`: the field measured again
+`verify.verdict`           `compare`, `Tolerances`, `Verification`
+`report.page`              `build_report`
+=========================  ==================================================================
+"""

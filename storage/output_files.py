@@ -15,7 +15,7 @@ from pathlib import Path
 
 from storage import durable
 from storage.errors import InputError
-from storage.staging_dir import clear_leftovers, workplace
+from storage.sidecar_files import clear_leftovers, workplace
 
 _STAGED = "results"
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"

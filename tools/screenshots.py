@@ -259,7 +259,7 @@ class Pictures:
         import numpy as np
 
         from calibration.rig.mirror_map import MirrorMap
-        from config.messages.calibrate import AskJog
+        from config.messages.rig_checks import AskJog
 
         true, rng, calibration = MirrorMap(MIRROR_MAP), np.random.default_rng(1), tab.calibration
         self.until(tab.calibration_page.options.start.isEnabled)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from storage.drive_file import read_drive, write_drive
     from storage.errors import InputError
     from storage.field_file import read_field, write_field
-    from storage.raw.reading import open_raw
+    from storage.raw.writer import open_raw
 
 _MODULES = {
     "InputError": "storage.errors",
@@ -31,7 +31,7 @@ _MODULES = {
     "estimator": "calibration.estimator.raw_estimation:estimator_of",
     "load_scene": "rendering.scene.model",
     "open_bank": "storage.bank.reading",
-    "open_raw": "storage.raw.reading",
+    "open_raw": "storage.raw.writer",
     "predict": "rendering.field.prediction",
     "read_drive": "storage.drive_file",
     "read_field": "storage.field_file",

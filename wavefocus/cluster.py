@@ -1,21 +1,38 @@
-"""Work spread over a dask cluster: parts in, results out in their order, a bounded number of them under way."""
+"""Work spread over a dask cluster: parts in, results out in their order, a bounded number of them under way.
+
+Workers open files by their path, once for all tasks, and hold BLAS to one thread, as every command does.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
+import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.blas import one_blas_thread
+from calibration.estimator.estimate import PositionEstimator
+from calibration.estimator.raw_estimation import PositionResult, estimate_positions
+from rendering.field.prediction import Prediction
+from storage.bank.reading import open_bank
+from storage.drive_file import read_drive
 from storage.errors import InputError, WavefocusError
+from storage.raw.writer import RawFile, open_raw
+from wavefocus.campaign.blueprint import estimator_for, own_plan
 from wavefocus.console import say
 
 if TYPE_CHECKING:
     from calibration.estimator.raw_estimation import PositionResult
+
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")
@@ -105,7 +122,7 @@ def estimate_on_cluster(
     address: str, raw: Path, positions: Sequence[int], workers: int | None
 ) -> Iterator[PositionResult]:
     """Estimate positions on a cluster, in their order; each by itself, so that it is the same as here."""
-    from wavefocus.cluster_tasks import estimated_part, identity_of
+    from wavefocus.cluster import estimated_part, identity_of
 
     file = identity_of(raw)
     parts = [
@@ -129,7 +146,7 @@ def field_on_cluster(
     client: Any, drive: Path, bank: Path, rate_hz: float | None, parts: Iterable[Sequence[int]]
 ) -> Iterator[Any]:
     """Predict the parts of a field on a cluster, in their order; float32 arrays (rows, samples)."""
-    from wavefocus.cluster_tasks import field_parts, identity_of
+    from wavefocus.cluster import field_parts, identity_of
 
     files, chosen = (identity_of(drive), identity_of(bank)), [list(part) for part in parts]
     tasks = ((*files, rate_hz, chosen[first : first + PARTS_AT_ONCE]) for first in range(0, len(chosen), PARTS_AT_ONCE))
@@ -148,3 +165,61 @@ def _result(future: Any, stopped: str) -> Any:
         raise WavefocusError(
             f"{stopped}: workers of the cluster were lost: {error}; look at their logs, and start it again"
         ) from None
+
+
+Identity = tuple[str, int, int]
+"""A file as all machines must see it: path, bytes, when it was changed last in ns."""
+
+
+def identity_of(path: Path) -> Identity:
+    """A file's identity, to be compared on another machine."""
+    facts = path.stat()
+    return str(path.absolute()), facts.st_size, facts.st_mtime_ns
+
+
+def field_parts(
+    drive: Identity, bank: Identity, rate_hz: float | None, parts: Sequence[Sequence[int]]
+) -> list[NDArray[np.float32]]:
+    """Predict some parts of a field, each computed as one, and rounded once to the float32 of its file.
+
+    Raises InputError: this machine does not have the files.
+    """
+    prediction = _prediction(_here(drive), _here(bank), rate_hz)
+    return [prediction.respond(np.asarray(part, dtype=np.int64)).astype(np.float32) for part in parts]
+
+
+def estimated_part(raw: Identity, positions: Sequence[int]) -> list[PositionResult]:
+    """Estimate some positions of raw recordings.
+
+    Raises InputError: this machine does not have the file, or recordings in it cannot be used.
+    """
+    recordings, estimator = _recordings(_here(raw))
+    with one_blas_thread():
+        return list(estimate_positions(recordings, estimator, positions, 1))
+
+
+def _here(file: Identity) -> Identity:
+    path = Path(file[0])
+    if not path.exists():
+        raise InputError(f"cluster worker {_name()}: {path} does not exist there; workers need the same files by path")
+    if identity_of(path)[1] != file[1]:
+        raise InputError(f"cluster worker {_name()}: {path} is another file there, it has {path.stat().st_size} bytes")
+    return file
+
+
+def _name() -> str:
+    return f"{socket.gethostname()} (process {os.getpid()})"
+
+
+# One scene and one bank at a time; the next one takes its place. A bank that is dropped closes its file.
+@lru_cache(maxsize=1)
+def _prediction(drive: Identity, bank: Identity, rate_hz: float | None) -> Prediction:
+    dtype = np.float64 if rate_hz is None else np.float32
+    return Prediction(read_drive(drive[0]), open_bank(bank[0]), (), dtype=dtype, rate_hz=rate_hz)
+
+
+@lru_cache(maxsize=1)
+def _recordings(raw: Identity) -> tuple[RawFile, PositionEstimator]:
+    recordings = open_raw(raw[0])
+    with one_blas_thread():
+        return recordings, estimator_for(recordings, own_plan(recordings.header, Path(raw[0])))

@@ -10,7 +10,7 @@ from acquisition.measuring.record import point_at, record_silence, take_record
 from acquisition.measuring.setup import Setup
 from calibration.clock.timing import ReferenceMissingError, fit_clock
 from calibration.excitation.sweeps import Excitation
-from config.messages.doctor import Act, Finding, Verdict
+from config.messages.rig_checks import Act, Finding, Verdict
 from drivers.protocols import Recorder, Recording, Take
 
 SILENCE_S = 0.5

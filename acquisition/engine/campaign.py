@@ -13,13 +13,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from acquisition.engine.recovery import Recovery
+from acquisition.engine.recovery import Recovery, Suspension
 from acquisition.engine.report import CampaignReport
 from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
-from acquisition.engine.suspension import Suspension
 from acquisition.measuring.attempt import (
     Attempt,
     AttemptResult,
+    PositionRecords,
     Recorded,
     attempts_again,
     commit_attempt,
@@ -30,7 +30,6 @@ from acquisition.measuring.attempt import (
     next_attempt,
 )
 from acquisition.measuring.plays import measuring_of
-from acquisition.measuring.position_records import PositionRecords
 from acquisition.measuring.setup import Setup, names_of
 from acquisition.quality.conditions import Conditions
 from acquisition.quality.drift_watch import DriftError, DriftWatch

@@ -20,8 +20,7 @@ from acquisition.schedule.plan import Plan
 from drivers.protocols import Recording
 from storage.errors import InputError
 from storage.point_status import Status
-from storage.raw.header import RawHeader
-from storage.raw.schedule import sequential
+from storage.raw.header import RawHeader, sequential
 from storage.raw.writer import RawWriter
 
 COUNTS = 32768

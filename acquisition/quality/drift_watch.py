@@ -7,12 +7,11 @@ from collections.abc import Callable
 from acquisition.engine.recovery import Recovery
 from acquisition.engine.report import CampaignReport
 from acquisition.engine.session import Session
-from acquisition.measuring.attempt import Attempt, AttemptResult, Recorded
-from acquisition.measuring.position_records import PositionRecords
+from acquisition.measuring.attempt import Attempt, AttemptResult, PositionRecords, Recorded
 from acquisition.quality.defects import REFERENCE_LEVEL
 from acquisition.quality.limits import DriftFigures, compare_sentinel
+from acquisition.schedule.grid import row_ranges
 from acquisition.schedule.plan import Plan, sentinel_of
-from acquisition.schedule.row_ranges import row_ranges
 from config.messages.campaign import Drift
 from drivers.errors import TransientInstrumentError
 from storage.bank.writer import BankWriter

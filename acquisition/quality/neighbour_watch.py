@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from acquisition.measuring.attempt import AttemptResult, row_of
 from acquisition.measuring.raw_keeping import MEASURED
-from acquisition.quality.agreement import Row, difference, in_band
 from acquisition.quality.defects import Cure, Defect
-from acquisition.quality.judgement import Judgement, differing
+from acquisition.quality.judgement import Judgement, Row, difference, differing, in_band
 from acquisition.schedule.plan import Plan
 from calibration.neighbours.judge import Difference, NeighbourJudge, RowSpectra
 from storage.bank.writer import BankWriter

@@ -11,8 +11,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from acquisition.durations import hours
+from acquisition.measuring.attempt import record_play
 from acquisition.measuring.plays import Measuring, measuring_of
-from acquisition.measuring.position_records import record_play
 from acquisition.measuring.record import point_at
 from acquisition.measuring.setup import Setup
 from acquisition.schedule.plan import GROUP, Plan

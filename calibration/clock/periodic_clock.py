@@ -10,7 +10,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from calibration.clock.czt import fourier_sum, ring_signal
-from calibration.clock.resampling import KERNEL_HALF, Thinned, Thinning, resampled
+from calibration.clock.known_signal import KERNEL_HALF, Thinned, Thinning, resampled
 from calibration.clock.timing import CORNERS
 
 Float64Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from calibration.clock.band_spectrum import BandSpectrum
+from calibration.clock.czt import BandSpectrum
 from calibration.clock.timing import CORNERS, ReferenceMissingError, check_inside
 from calibration.excitation.sweeps import Sweeps
 from storage.errors import InputError

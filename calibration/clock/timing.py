@@ -9,8 +9,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from calibration.clock.known_signal import BlockSearch, StretchedModels
-from calibration.clock.resampling import resampled
+from calibration.clock.known_signal import BlockSearch, StretchedModels, resampled
 from storage.errors import InputError, WavefocusError
 
 # Reference not explained by the known signal, above which a fit would be a guess.

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.defects.figures import not_looked_at, worst_of
+from calibration.defects.defect_finder import not_looked_at, worst_of
 from storage.errors import InputError
-from storage.raw.schedule import Schedule
+from storage.raw.header import Schedule
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class Estimate:
     offset_samples, float64 (records,): DAQ sample at which the first sweep starts.
     clock_ratio, float64 (records,): DAQ rate over playback rate.
     defects, structured (records,): What stands out of the residuals beyond chance, as
-        `calibration.defects.figures.DEFECTS` has it; not examined by default.
+        `calibration.defects.defect_finder.DEFECTS` has it; not examined by default.
     reference_db, float32 (records,): Level in band of the recorded reference over that of the played signal at the
         calibrated `reference_gain`, in dB: 0 where the rig is as it was calibrated. NaN by default.
     """

@@ -22,7 +22,7 @@ from calibration.excitation.base_signal import learn_base
 from calibration.excitation.sequential_signal import RecordShape, find_sweeps, learn_sweeps, whole_record
 from storage.errors import InputError
 from storage.raw.header import RawHeader
-from storage.raw.reading import DamagedError, RawFile, Recordings
+from storage.raw.writer import DamagedError, RawFile, Recordings
 
 Float32Array = NDArray[np.float32]
 

@@ -14,7 +14,7 @@ from calibration.estimator.causal_fit import CausalFit, ToeplitzFit
 from calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
 from calibration.excitation.sweeps import Sweeps
 from storage.errors import InputError
-from storage.raw.schedule import Schedule
+from storage.raw.header import Schedule
 
 # Bounds memory to about 20 MB however many records are given, and to a tenth of a GB however long they are.
 BATCH_RECORDS = 32

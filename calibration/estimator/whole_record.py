@@ -9,7 +9,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from calibration.clock.resampling import resampled
+from calibration.clock.known_signal import resampled
 from calibration.clock.timing import ReferenceMissingError
 from calibration.defects.clipping import measure_levels
 from calibration.estimator.causal_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients

@@ -11,8 +11,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from calibration.clock.czt import require_coverage, ring_spectrum
+from calibration.clock.known_signal import Thinned, Thinning
 from calibration.clock.periodic_clock import RepeatFit, RingClock, RingFit, fit_repeats
-from calibration.clock.resampling import Thinned, Thinning
 from calibration.estimator.estimate import MAX_PPM
 from calibration.excitation.sweep_laws import fit_sweep_law
 from storage.errors import InputError

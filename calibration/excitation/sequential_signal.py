@@ -10,8 +10,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from calibration.clock.known_signal import Thinned, Thinning, resampled
 from calibration.clock.periodic_clock import fit_repeats
-from calibration.clock.resampling import Thinned, Thinning, resampled
 from calibration.estimator.estimate import MAX_PPM
 from calibration.excitation.base_signal import REPEATING, SURE_PPM, highest_cycles
 from calibration.excitation.sweep_laws import fit_sweep_law, roundest

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from calibration.clock.resampling import Thinned, Thinning
+from calibration.clock.known_signal import Thinned, Thinning
 from calibration.clock.timing import CORNERS
 from storage.raw.header import LAWS, Law
 

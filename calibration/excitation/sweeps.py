@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.errors import InputError
-from storage.raw.schedule import EMPTY, Schedule, staggered
+from storage.raw.header import EMPTY, Schedule, staggered
 
 Float64Array = NDArray[np.float64]
 

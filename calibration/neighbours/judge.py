@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.blas import one_blas_thread
-from calibration.neighbours.common_gain import Gains, common_gains
-from calibration.neighbours.prediction import RowsPredicted
+from calibration.neighbours.prediction import Gains, RowsPredicted, common_gains
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from drivers.errors import InstrumentError
-from drivers.mirror.dialect import Dialect, tolerance_key
+from drivers.mirror.serial_mirror import Dialect, tolerance_key
 from drivers.protocols import DeviceIdentity
 from drivers.registry import MIRRORS, rig_key
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import TypeVar
 
-from drivers.mirror.dialect import Dialect, tolerance_key
+from drivers.mirror.serial_mirror import Dialect, tolerance_key
 from drivers.protocols import DeviceIdentity
 from drivers.registry import MIRRORS
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError

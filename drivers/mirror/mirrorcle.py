@@ -20,7 +20,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from drivers.mirror.dialect import Dialect
+from drivers.mirror.serial_mirror import Dialect
 from drivers.protocols import DeviceIdentity
 from drivers.registry import MIRRORS, rig_key
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError

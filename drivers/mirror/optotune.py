@@ -19,7 +19,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from drivers.mirror.dialect import Dialect
+from drivers.mirror.serial_mirror import Dialect
 from drivers.protocols import DeviceIdentity
 from drivers.registry import MIRRORS
 from drivers.serial_line.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError

@@ -14,7 +14,7 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.campaign.events import Line, Weight, clock
+from gui.campaign.follower import Line, Weight, clock
 from gui.campaign.model import Campaign
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import column, fill_row, make_choice, make_label, make_table, named, row

@@ -26,8 +26,7 @@ from config.messages.campaign import (
     State,
     StateChanged,
 )
-from gui.campaign.events import Line, line_of
-from gui.campaign.follower import DriftSeen, Ledger, Life, Opened, Records, Seen, Trouble
+from gui.campaign.follower import DriftSeen, Ledger, Life, Line, Opened, Records, Seen, Trouble, line_of
 from gui.campaign.quality import DAMAGED, Float32Array
 from gui.shell.front_door import Pulse
 from gui.surface.surface import Surface

@@ -9,8 +9,8 @@ from pathlib import Path
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QAbstractItemView, QFormLayout, QPlainTextEdit, QPushButton, QWidget
 
-from config.messages.calibrate import AskAgain, AskConnect, AskJog, MapView
 from config.messages.operate import Numbers
+from config.messages.rig_checks import AskAgain, AskConnect, AskJog, MapView
 from config.outline import default_marks_mm
 from config.rig import Surface
 from gui.rig.jog import Arrows, SurfacePicture

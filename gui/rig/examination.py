@@ -9,7 +9,7 @@ from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QToolButton, QWidget
 
 from config.messages.codec import from_record
-from config.messages.doctor import Action, Finding, FindingMade
+from config.messages.rig_checks import Action, Finding, FindingMade
 from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.shell.tab import TabContext
 from gui.shell.theme import LIGHT, Theme

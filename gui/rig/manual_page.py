@@ -26,7 +26,7 @@ from gui.shell.widgets import (
     side_by_side,
     stacked,
 )
-from gui.surface.plot import Plot
+from gui.surface.field_map import Plot
 
 _FLOOR_DB = -100
 _NEAR_RANGE_DB = -3.0

@@ -7,17 +7,6 @@ from pathlib import Path
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from config.messages.calibrate import (
-    CALIBRATE_EVENTS,
-    AskAgain,
-    AskConnect,
-    AskJog,
-    Begin,
-    CalibrationDone,
-    MapView,
-    Question,
-    Tell,
-)
 from config.messages.codec import message_of
 from config.messages.operate import (
     OPERATE_EVENTS,
@@ -30,6 +19,17 @@ from config.messages.operate import (
     Ready,
     Refused,
     SweepTaken,
+)
+from config.messages.rig_checks import (
+    CALIBRATE_EVENTS,
+    AskAgain,
+    AskConnect,
+    AskJog,
+    Begin,
+    CalibrationDone,
+    MapView,
+    Question,
+    Tell,
 )
 from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.shell.tab import TabContext

@@ -10,21 +10,21 @@ from PyQt5.QtGui import QKeyEvent, QMouseEvent
 
 from config.scene import PathTable, PolylineTable
 from gui.scene.canvas_items import SceneItems, sketched
-from gui.scene.document import SceneDocument
-from gui.scene.draft import PointMm
-from gui.scene.handles import (
+from gui.scene.document import PointMm, SceneDocument
+from gui.scene.preview import LivePreview
+from gui.scene.tools import (
     Box,
     Handle,
+    Tool,
     anchor_of,
     box_of,
     handles_of,
     shifted,
+    tool_of,
     with_handle_at,
     with_vertex,
     without_vertex,
 )
-from gui.scene.preview import LivePreview
-from gui.scene.tools import Tool, tool_of
 from gui.shell.theme import Theme
 from gui.surface.view import STEPS, Keys, SurfaceView
 

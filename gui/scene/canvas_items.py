@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from PyQt5.QtCore import Qt
 
 from config.scene import CircleTable, LineTable, PathTable, PolylineTable
-from gui.scene.handles import Handle
 from gui.scene.preview import Ground, Trace
+from gui.scene.tools import Handle
 from gui.shell.theme import LIGHT, Theme
 from gui.surface.view import MARK, Spots, SurfaceView, looked_up, rgba
 

@@ -34,11 +34,10 @@ from config.scene import (
     SourceTable,
     SvgTable,
 )
-from gui.scene.document import SceneDocument
-from gui.scene.draft import NEW_PATHS, NEW_SIGNALS, PointMm, changed, new_source
+from gui.scene.document import NEW_PATHS, NEW_SIGNALS, PointMm, SceneDocument, changed, new_source
 from gui.scene.form import ChoiceField, Form, NumberField, align
-from gui.scene.handles import anchor_of, shifted
 from gui.scene.preview import Preview, trace_text
+from gui.scene.tools import anchor_of, shifted
 from gui.shell.files import Settings, choose_file
 from gui.shell.tab import TabContext
 

@@ -21,10 +21,9 @@ from PyQt5.QtWidgets import (
 
 from config.scene import FileTable, PathTable, SourceTable, SvgTable
 from gui.scene.canvas_items import source_colour
-from gui.scene.document import SceneDocument
-from gui.scene.draft import changed, new_source, read_draft, source_toml
-from gui.scene.handles import box_of, shifted
+from gui.scene.document import SceneDocument, changed, new_source, read_draft, source_toml
 from gui.scene.preview import LivePreview, Trace, title_of
+from gui.scene.tools import box_of, shifted
 from gui.shell.files import choose_file
 from gui.shell.tab import TabContext
 from gui.shell.theme import LIGHT, Theme

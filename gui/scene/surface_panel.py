@@ -17,8 +17,7 @@ from gui.scene.preview import LivePreview, problem_of
 from gui.scene.sources import SourceActions
 from gui.shell.theme import LIGHT, Theme
 from gui.shell.widgets import make_action, named
-from gui.surface.field_map import ColourBar
-from gui.surface.plot import Plot
+from gui.surface.field_map import ColourBar, Plot
 
 _TOOLS = (
     ("", "Select", "V", "Choose, move and shape paths"),

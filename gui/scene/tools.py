@@ -1,13 +1,188 @@
-"""Tools that draw a path with clicks and drags on the surface."""
+"""Tools that draw a path with clicks and drags, and the handles that shape it afterwards."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from config.scene import CircleTable, LineTable, PathTable, PolylineTable
-from gui.scene.draft import NEW_PATHS, PointMm, changed
-from gui.scene.handles import rounded
+from config.scene import CircleTable, LineTable, PathTable, PointTable, PolylineTable, SvgTable, TextTable
+from gui.scene.document import NEW_PATHS, PointMm, changed
+
+Box = tuple[PointMm, PointMm]
+
+_SMALLEST_MM = 0.1
+# As fine as any stage or laser spot; files stay short and readable.
+_DECIMALS = 2
+_SCALE_FIGURES = 5
+# A polyline of more vertices is moved as a whole.
+_MOST_VERTICES = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Handle:
+    """A point of a path that can be dragged.
+
+    Parameters
+    ----------
+    name : str
+        ``"centre"``, ``"radius"``, or a vertex's number.
+    at_mm : tuple of float
+        Position.
+    words : str
+        Effect of dragging it.
+    """
+
+    name: str
+    at_mm: PointMm
+    words: str
+
+
+def handles_of(path: PathTable, box: Box | None = None) -> list[Handle]:
+    """Handles of a path; `box` holds the lower left and upper right corner of what is drawn, where that is known."""
+    if isinstance(path, PointTable):
+        return [Handle("at", path.at_mm, "moves the point")]
+    if isinstance(path, LineTable):
+        return [Handle("start", path.start_mm, "moves the start"), Handle("end", path.end_mm, "moves the end")]
+    if isinstance(path, CircleTable):
+        return _circle_handles(path)
+    if isinstance(path, PolylineTable):
+        if len(path.points_mm) > _MOST_VERTICES:
+            return []
+        return [Handle(str(index), at, f"moves vertex {index}") for index, at in enumerate(path.points_mm)]
+    if isinstance(path, TextTable):
+        (x, y), half = path.centre_mm, path.height_mm / 2
+        return [Handle("centre", path.centre_mm, "moves the text"), Handle("height", (x, y + half), "sets the height")]
+    origin = Handle("origin", path.origin_mm, "moves the drawing")
+    corner = _far_corner(path, box)
+    return [origin] if corner is None else [origin, Handle("scale", corner, "sets the scale")]
+
+
+def with_handle_at(path: PathTable, name: str, to_mm: PointMm, box: Box | None = None) -> PathTable:
+    """The path after a handle was moved to a place."""
+    to_mm = rounded(to_mm)
+    if isinstance(path, PolylineTable):
+        index = int(name)
+        return changed(path, points_mm=(*path.points_mm[:index], to_mm, *path.points_mm[index + 1 :]))
+    if isinstance(path, CircleTable) and name != "centre":
+        return _turned(path, name, to_mm)
+    if isinstance(path, TextTable) and name == "height":
+        return changed(path, height_mm=max(_SMALLEST_MM, round(2 * abs(to_mm[1] - path.centre_mm[1]), _DECIMALS)))
+    if isinstance(path, SvgTable) and name == "scale":
+        return _scaled(path, to_mm, box)
+    return changed(path, **{f"{name}_mm": to_mm})
+
+
+def shifted(path: PathTable, by_mm: PointMm) -> PathTable:
+    """The path moved as a whole."""
+    if isinstance(path, PolylineTable):
+        return changed(path, points_mm=tuple(_plus(at, by_mm) for at in path.points_mm))
+    if isinstance(path, LineTable):
+        return changed(path, start_mm=_plus(path.start_mm, by_mm), end_mm=_plus(path.end_mm, by_mm))
+    key = _anchor_key(path)
+    return changed(path, **{key: _plus(getattr(path, key), by_mm)})
+
+
+def _anchor_key(path: PathTable) -> str:
+    """The key of a path that says where it is as a whole."""
+    return next(key for key in ("at_mm", "centre_mm", "origin_mm", "start_mm") if hasattr(path, key))
+
+
+def anchor_of(path: PathTable) -> PointMm:
+    """The point of a path that snaps when all of it is moved."""
+    if isinstance(path, PolylineTable):
+        return path.points_mm[0]
+    at: PointMm = getattr(path, _anchor_key(path))
+    return at
+
+
+def with_vertex(path: PolylineTable, at_mm: PointMm) -> PolylineTable:
+    """The polyline with a vertex more, on the segment nearest to a point."""
+    points = path.points_mm
+    ends = [*points[1:], points[0]] if path.closed else list(points[1:])
+    nearest = min(range(len(ends)), key=lambda index: _distance(at_mm, points[index], ends[index]))
+    return changed(path, points_mm=(*points[: nearest + 1], rounded(at_mm), *points[nearest + 1 :]))
+
+
+def without_vertex(path: PolylineTable, index: int) -> PolylineTable:
+    """The polyline with a vertex less; two stay."""
+    if len(path.points_mm) <= 2:
+        return path
+    return changed(path, points_mm=(*path.points_mm[:index], *path.points_mm[index + 1 :]))
+
+
+def box_of(points: Sequence[Sequence[float]]) -> Box:
+    """The lower left and upper right corner of some points, at least one."""
+    xs, ys = [at[0] for at in points], [at[1] for at in points]
+    return (min(xs), min(ys)), (max(xs), max(ys))
+
+
+def _circle_handles(path: CircleTable) -> list[Handle]:
+    way = math.copysign(90.0, path.turns)
+    handles = [
+        Handle("centre", path.centre_mm, "moves the circle"),
+        Handle("start", _on_rim(path, path.start_deg), "turns the start"),
+        Handle("radius", _on_rim(path, path.start_deg + way), "sets the radius"),
+    ]
+    if path.turns % 1.0:
+        handles.insert(1, Handle("end", _on_rim(path, path.start_deg + 360.0 * path.turns), "sets how far it goes"))
+    return handles
+
+
+def _on_rim(path: CircleTable, direction_deg: float) -> PointMm:
+    angle = math.radians(direction_deg)
+    x, y = path.centre_mm
+    return x + path.radius_mm * math.cos(angle), y + path.radius_mm * math.sin(angle)
+
+
+def _turned(path: CircleTable, name: str, to_mm: PointMm) -> CircleTable:
+    x, y = to_mm[0] - path.centre_mm[0], to_mm[1] - path.centre_mm[1]
+    if name == "radius":
+        return changed(path, radius_mm=max(_SMALLEST_MM, round(math.hypot(x, y), _DECIMALS)))
+    direction_deg = math.degrees(math.atan2(y, x)) if x or y else path.start_deg
+    if name == "start":
+        return changed(path, start_deg=round(direction_deg % 360.0, 1))
+    # The end keeps to its turn: going past the start makes a whole turn more or less, however it is dragged.
+    turned = (direction_deg - path.start_deg) / 360.0
+    turned += round(path.turns - turned)
+    return changed(path, turns=round(turned, 4) or path.turns)
+
+
+def _far_corner(path: SvgTable, box: Box | None) -> PointMm | None:
+    if box is None:
+        return None
+    (left, bottom), (right, top) = box
+    x, y = path.origin_mm
+    corner = max(((a, b) for a in (left, right) for b in (bottom, top)), key=lambda at: math.dist(at, (x, y)))
+    return corner if math.dist(corner, (x, y)) > _SMALLEST_MM else None
+
+
+def _scaled(path: SvgTable, to_mm: PointMm, box: Box | None) -> SvgTable:
+    corner = _far_corner(path, box)
+    if corner is None:
+        return path
+    x, y = path.origin_mm
+    away = corner[0] - x, corner[1] - y
+    along = ((to_mm[0] - x) * away[0] + (to_mm[1] - y) * away[1]) / (away[0] ** 2 + away[1] ** 2)
+    scale = float(f"{path.scale * max(along, 1e-3):.{_SCALE_FIGURES}g}")
+    return changed(path, scale=scale)
+
+
+def _plus(at_mm: PointMm, by_mm: PointMm) -> PointMm:
+    return rounded((at_mm[0] + by_mm[0], at_mm[1] + by_mm[1]))
+
+
+def rounded(at_mm: PointMm) -> PointMm:
+    """Return a point as files have it."""
+    return round(at_mm[0], _DECIMALS) + 0.0, round(at_mm[1], _DECIMALS) + 0.0
+
+
+def _distance(at: PointMm, start: PointMm, end: PointMm) -> float:
+    along = (end[0] - start[0], end[1] - start[1])
+    square = along[0] ** 2 + along[1] ** 2
+    part = ((at[0] - start[0]) * along[0] + (at[1] - start[1]) * along[1]) / square if square else 0.0
+    part = min(max(part, 0.0), 1.0)
+    return math.dist(at, (start[0] + part * along[0], start[1] + part * along[1]))
 
 
 class Tool:

@@ -17,7 +17,7 @@ from config.messages.campaign import (
     StateChanged,
 )
 from config.messages.codec import MessageError, message_of
-from config.messages.verify import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
+from config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
 from gui.campaign.follower import LogTail
 from gui.shell.messages import error_text
 from gui.shell.process import STOPPED_BY_USER, CommandProcess

@@ -15,12 +15,11 @@ from gui.shell.process import Background
 from gui.shell.tab import Question, Tab, TabContext
 from gui.shell.theme import Theme
 from gui.shell.widgets import copy_text, side_by_side, stacked
-from gui.verification.figures_panel import FiguresPanel
+from gui.verification.figures_panel import FiguresPanel, WaveformPanel
 from gui.verification.maps_panel import MapsPanel
 from gui.verification.request import RequestForm
 from gui.verification.results import Dropped, Results, dropped_kind, read_results, record_of
 from gui.verification.run import RunRow, VerificationRun
-from gui.verification.waveform_panel import WaveformPanel
 from rendering.verify.record import REPORT_NAME
 from storage.errors import InputError
 

@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 from drivers.protocols import Instruments
 from mocks.virtual.faults import Fault
-from mocks.virtual.geometry import MirrorGeometry
 from mocks.virtual.mirror import VirtualMirror
 from mocks.virtual.player import VirtualPlayer
 from mocks.virtual.recorder import VirtualRecorder
-from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.settings import MirrorGeometry, VirtualSettings
 from mocks.virtual.surroundings import PatchBay, VirtualClock, VirtualSensor
 from mocks.virtual.synthesis import Synthesis
 

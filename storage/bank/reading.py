@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from storage import hdf5_reading
-from storage.bank.foreign import ForeignRows, read_foreign
-from storage.bank.layout import read_layout
+from storage.bank.layout import quality_shape, read_layout
 from storage.bank.ledger import BANK, QUALITY_NAMES, Figures, figures_of
 from storage.durable import Closing
 from storage.errors import InputError
@@ -22,6 +23,133 @@ from storage.ledger.reader import LedgerReader, damage_of
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
+
+
+class ForeignRows:
+    """Rows of a bank in any layout that HDF5 reads, converted to native floats; there are no checksums."""
+
+    def __init__(self, path: Path, green: h5py.Dataset, status: NDArray[np.uint8] | None, stack: ExitStack) -> None:
+        self._path, self._green, self._status, self._open = path, green, status, stack
+        single = green.dtype.kind == "f" and green.dtype.itemsize <= 4
+        self._packing = hdf5_reading.packing_of(green, path)
+        self._dtype = np.dtype(np.float32 if single and self._packing.is_plain else np.float64)
+
+    def read(self, position: int) -> Float32Array | Float64Array:
+        """Green's functions of a position, unpacked by `scale_factor` and `add_offset` where there are any."""
+        try:
+            row = self._green[position]
+        except (OSError, RuntimeError, ValueError) as error:
+            complaint = hdf5_reading.hdf5_complaint(error)
+            raise InputError(f"{self._path}: /green at position {position} {complaint}") from error
+        if not self._packing.is_plain:
+            return self._packing.unpack(row)
+        with np.errstate(over="ignore"):  # a long double beyond float64 becomes an infinity and is refused as such
+            return np.ascontiguousarray(row.astype(self._dtype, copy=False))
+
+    def status(self) -> NDArray[np.uint8]:
+        """The file's status, or what the rows themselves say; that reads them all, once."""
+        if self._status is None:
+            found = np.zeros(len(self._green), np.uint8)
+            for position in range(len(found)):
+                row = self.read(position)
+                found[position] = bool(row.any() and np.isfinite(row).all())
+            self._status = found
+        return self._status.copy()
+
+    def damaged(self) -> tuple[int, ...]:
+        """No positions."""
+        return ()
+
+    def broken(self) -> NDArray[np.bool_]:
+        """False for each position."""
+        return np.zeros(len(self._green), bool)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._open.close()
+
+
+def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[str, Any], ForeignRows]:
+    """Read all but the rows of a foreign bank, by the names of `Bank`; the rows take over what `stack` closes.
+
+    Raises InputError: when something needed is missing, or something present has the wrong shape, kind or value.
+    """
+    hdf5_reading.require_format(file, path, BANK.name, may_lack=True)
+    green = hdf5_reading.plain_dataset(file, "/green", path, packed=True)
+    if green.ndim != 3 or not green.size:
+        raise InputError(
+            f"{path}: /green has shape {green.shape}; (position, actuator, tap), each 1 or more, is needed"
+        )
+    hdf5_reading.require_rows(green, path)
+    positions, actuators, taps = green.shape
+    rate = hdf5_reading.number(file, "sample_rate_hz", path)
+    if rate <= taps / np.finfo(np.float64).max:
+        raise InputError(f"{path}: attribute sample_rate_hz is {rate:g}; a rate above 0 is needed")
+    position_mm = hdf5_reading.read_floats(file, "/position_mm", path, (positions, 2))
+    if not np.isfinite(position_mm).all():
+        row = int(np.flatnonzero(~np.isfinite(position_mm).all(axis=1))[0])
+        raise InputError(f"{path}: /position_mm is not finite at position {row}; both coordinates are needed")
+    actuator_mm = np.full((actuators, 2), np.nan)
+    if hdf5_reading.has(file, "/actuator_mm"):
+        actuator_mm = hdf5_reading.read_floats(file, "/actuator_mm", path, (actuators, 2))
+    time_s = sample_times(taps, rate)
+    if hdf5_reading.has(file, "/time_s"):
+        hdf5_reading.require_sample_times(file, path, taps, rate, 0.0)
+        time_s = hdf5_reading.read_floats(file, "/time_s", path, (taps,))
+    facts = {
+        "sample_rate_hz": rate,
+        "taps": taps,
+        "position_mm": position_mm,
+        "actuator_mm": actuator_mm,
+        "time_s": time_s,
+        "band_hz": _band(file, path, rate),
+        "quality": {name: _quality(file, path, name, positions, actuators) for name in QUALITY_NAMES},
+        "rms": np.full((positions, actuators), np.nan),
+        "response_unit": hdf5_reading.text(file, "response_unit", path) or "m/s/V",
+        "drive_unit": hdf5_reading.text(file, "drive_unit", path) or "V",
+        "rig_json": hdf5_reading.text(file, "rig", path),
+        "run_json": hdf5_reading.text(file, "run", path),
+        "plan_sha256": hdf5_reading.text(file, "plan_sha256", path),
+        "software": hdf5_reading.text(file, "software", path),
+        "directions_deg": hdf5_reading.pair(file, "directions_deg", path),
+    }
+    status = _status(file, path, positions)
+    return facts, ForeignRows(path, green, status, stack.pop_all())
+
+
+def _band(file: h5py.File, path: Path, rate: float) -> tuple[float, float] | None:
+    if "band_hz" not in file.attrs:
+        return None
+    low, high = hdf5_reading.numbers(file, "band_hz", path, 2)
+    if not 0 <= low < high <= rate / 2:
+        raise InputError(f"{path}: attribute band_hz is {low:g} to {high:g}; 0 <= low < high <= {rate / 2:g} is needed")
+    return low, high
+
+
+def _status(file: h5py.File, path: Path, positions: int) -> NDArray[np.uint8] | None:
+    if not hdf5_reading.has(file, "/status"):
+        return None
+    status = hdf5_reading.read_integers(file, "/status", path, (positions,))
+    if ((status < 0) | (status > 31)).any():
+        raise InputError(
+            f"{path}: /status holds {status.min()} to {status.max()}; sums of 1, 2, 4, 8 and 16 are allowed"
+        )
+    return status.astype(np.uint8)
+
+
+def _quality(file: h5py.File, path: Path, name: str, positions: int, actuators: int) -> Float32Array:
+    full = quality_shape(name, positions, actuators)
+    if not hdf5_reading.has(file, f"/quality/{name}"):
+        return np.full(full, 0 if name == "attempts" else np.nan, np.float32)
+    dataset = hdf5_reading.plain_dataset(file, f"/quality/{name}", path)
+    if dataset.shape not in (full, (positions,)):
+        raise InputError(f"{path}: /quality/{name} has shape {dataset.shape}; {full} or ({positions},) is needed")
+    figures = np.asarray(hdf5_reading.read_whole(dataset, path), np.float32)
+    if figures.shape != full:  # one figure per position stands for all its actuators
+        figures = np.repeat(figures[:, None], actuators, axis=1)
+    return figures
+
+
 GreenArray = NDArray[np.float32] | NDArray[np.float64]
 
 _FOREIGN_CACHE_BYTES = 64 << 20  # a compressed chunk may hold many positions
@@ -31,7 +159,7 @@ _FOREIGN_CACHE_BYTES = 64 << 20  # a compressed chunk may hold many positions
 class Bank(Closing):
     """A bank open for reading; a context manager, made by :func:`open_bank`.
 
-    What it says about itself is as of `storage.bank.header.BankHeader`, None where the file does not say, with
+    What it says about itself is as of `storage.bank.layout.BankHeader`, None where the file does not say, with
     ``"m/s/V"`` and ``"V"`` for units that it does not name.
 
     time_s, (L,): Tap times in seconds.

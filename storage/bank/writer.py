@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.bank.header import BankHeader
-from storage.bank.layout import create_bank, read_layout
+from storage.bank.layout import BankHeader, create_bank, read_layout
 from storage.bank.ledger import BANK, DISABLED, QUALITY_NAMES, VALID, PointRecord, encode_row, figures_of
 from storage.errors import InputError
 from storage.ledger.pages import is_empty

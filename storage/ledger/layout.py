@@ -19,7 +19,7 @@ from storage.durable import PAGE
 from storage.errors import ExistsError, InputError
 from storage.hdf5_writing import attach, created, reserved
 from storage.ledger.pages import LedgerFormat, RowShape
-from storage.staging_dir import clear_leftovers, workplace
+from storage.sidecar_files import clear_leftovers, workplace
 
 LEDGER = "/durability/ledger"
 JOURNAL = "/durability/journal"

@@ -20,7 +20,7 @@ from storage.errors import FileLostError, InputError, WavefocusError
 from storage.ledger import owner
 from storage.ledger.layout import LedgerLayout
 from storage.ledger.pages import LedgerFormat, Replacement, is_empty
-from storage.staging_dir import clear_leftovers
+from storage.sidecar_files import clear_leftovers
 
 
 class LedgerWriter(Closing):

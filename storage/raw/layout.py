@@ -22,8 +22,7 @@ from storage.ledger.layout import (
     require_checksum,
     require_ledger,
 )
-from storage.raw.header import RAW, RawHeader
-from storage.raw.schedule import Schedule
+from storage.raw.header import RAW, RawHeader, Schedule
 
 _WORDS = {"rig": "rig_json", "run": "run_json", **{name: name for name in ("plan_sha256", "software", "sweep_law")}}
 

@@ -1,22 +1,140 @@
-"""Keeping raw recordings, as durably as the bank."""
+"""Raw recordings, read and written as durably as the bank."""
 
 from __future__ import annotations
 
 import struct
 import zlib
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from storage import hdf5_reading
+from storage.durable import Closing
 from storage.errors import InputError
+from storage.ledger.layout import has_ledger
 from storage.ledger.pages import ROW_HEAD, sealed
+from storage.ledger.reader import DamagedError, LedgerReader
 from storage.ledger.writer import LedgerWriter
 from storage.raw.header import RAW, RawHeader
-from storage.raw.layout import create_raw, read_raw_layout
+from storage.raw.layout import create_raw, read_raw_header, read_raw_layout
 
-__all__ = ["RawWriter", "create_raw"]
+__all__ = ["DamagedError", "RawFile", "RawWriter", "Recordings", "create_raw", "open_raw"]
 
 Float32Array = NDArray[np.float32]
+
+_FOREIGN_CACHE_BYTES = 32 << 20  # a compressed chunk may hold many positions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recordings:
+    """All records of one position.
+
+    reference_v, response_v, float32 (records, samples): The two DAQ channels in volts.
+    range_v: Largest input magnitude in volts on (reference, response); where the file holds floats, twice the largest
+        there is.
+    """
+
+    reference_v: Float32Array
+    response_v: Float32Array
+    range_v: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawFile(Closing):
+    """Raw recordings open for reading; a context manager, made by :func:`open_raw`.
+
+    header: What it says about itself.
+    rows: Where the recordings come from.
+    """
+
+    path: Path
+    header: RawHeader
+    rows: RawRows | ForeignRows = field(repr=False)
+
+    def read(self, position: int) -> Recordings | None:
+        """Read all records of a position; None where nothing was recorded.
+
+        Raises InputError: when there is no such position, or it holds NaN or infinities. DamagedError: when its
+        checksum does not hold.
+        """
+        if not 0 <= position < self.header.positions:
+            raise InputError(f"position {position} is not in {self.path}; 0 to {self.header.positions - 1} are")
+        counts = self.rows.read(int(position))
+        if counts is None:
+            return None
+        volts, ranges = [], []
+        for name, channel, step_v in zip(RAW.datasets, counts, self.header.volts_per_count, strict=True):
+            with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 it becomes an infinity and is refused
+                channel_v = np.multiply(channel, np.float32(step_v), dtype=np.float32)
+            peak_v = max(float(channel_v.max()), -float(channel_v.min()))
+            if not np.isfinite(peak_v):
+                raise InputError(
+                    f"{self.path}: {name} at position {position} holds NaN or infinities; finite volts are needed"
+                )
+            whole = channel.dtype.kind in "iu"
+            ranges.append(2.0 ** (8 * channel.dtype.itemsize - 1) * step_v if whole else max(2 * peak_v, 1e-30))
+            volts.append(channel_v)
+        return Recordings(volts[0], volts[1], (ranges[0], ranges[1]))
+
+    def close(self) -> None:
+        """Close the file."""
+        self.rows.close()
+
+
+def open_raw(path: str | Path) -> RawFile:
+    """Open raw recordings for reading, without locks, also while a run is on.
+
+    path: An HDF5 file after contract section 3, made by this program or any other.
+
+    Raises InputError: when the file is missing, damaged, of another format or version, or holds what the contract does
+    not allow.
+    """
+    path = Path(path)
+    with ExitStack() as stack:
+        content = stack.enter_context(hdf5_reading.opened(path, cache_bytes=_FOREIGN_CACHE_BYTES))
+        if not has_ledger(content):
+            header = read_raw_header(content, path)
+            datasets = tuple(hdf5_reading.plain_dataset(content, name, path) for name in RAW.datasets)
+            return RawFile(path, header, ForeignRows(path, datasets, stack.pop_all()))
+        layout = read_raw_layout(content, path)
+    return RawFile(path, layout.header, RawRows(path, layout))
+
+
+class RawRows(LedgerReader):
+    """Recordings that this program kept, checked against the ledger."""
+
+    def read(self, position: int) -> tuple[NDArray[Any], ...] | None:
+        """Reference and response (records, samples) in counts; None where nothing was recorded."""
+        shape, chunks = self._shape, self.chunks(position)
+        if chunks is None:
+            return None
+        return tuple(np.frombuffer(chunk, "<i2").reshape(shape.dimensions) for chunk in chunks)
+
+
+class ForeignRows:
+    """Recordings in any layout that HDF5 reads."""
+
+    def __init__(self, path: Path, datasets: tuple[h5py.Dataset, ...], stack: ExitStack) -> None:
+        self._path, self._datasets, self._open = path, datasets, stack
+
+    def read(self, position: int) -> tuple[NDArray[Any], ...] | None:
+        """As of :class:`RawRows`."""
+        try:
+            channels = tuple(np.asarray(dataset[position]) for dataset in self._datasets)
+        except (OSError, RuntimeError, ValueError) as error:
+            complaint = hdf5_reading.hdf5_complaint(error)
+            raise InputError(f"{self._path}: the recordings of position {position} {complaint}") from error
+        # Of a file whose rows are written one by one, those to come are zeros.
+        return channels if any(channel.any() for channel in channels) else None
+
+    def close(self) -> None:
+        """Close the file."""
+        self._open.close()
 
 
 class RawWriter(LedgerWriter):

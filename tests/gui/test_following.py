@@ -25,8 +25,7 @@ from config.messages.campaign import (
     StateChanged,
     event_line,
 )
-from gui.campaign.events import Line, Weight, line_of, read_record
-from gui.campaign.follower import Follower, Life, LogTail, Records
+from gui.campaign.follower import Follower, Life, Line, LogTail, Records, Weight, line_of, read_record
 from gui.campaign.model import KEPT_LINES, Campaign, CampaignState, Extra, Order, possible_orders
 from gui.campaign.quality import per_position
 from gui.shell.front_door import Pulse

@@ -15,11 +15,9 @@ from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from calibration.rig.mirror_map import MirrorMap
-from config.messages.calibrate import AskJog
-from config.messages.doctor import Act, Finding
+from config.messages.rig_checks import Act, AskJog, Finding
 from gui.rig.examination import button_of
-from gui.rig.rig_file import line_of
-from gui.rig.tab import RigTab
+from gui.rig.tab import RigTab, line_of
 from gui.shell.window import Window
 from tests.gui.conftest import SOON_MS, tab_of, write_lab
 

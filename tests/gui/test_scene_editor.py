@@ -33,10 +33,18 @@ from config.scene import (
     TextTable,
 )
 from gui.scene.canvas import SceneCanvas
-from gui.scene.document import SceneDocument
-from gui.scene.draft import NEW_PATHS, NEW_SCENE, changed, new_source, read_draft, scene_toml, with_source
-from gui.scene.handles import handles_of, shifted, with_handle_at
+from gui.scene.document import (
+    NEW_PATHS,
+    NEW_SCENE,
+    SceneDocument,
+    changed,
+    new_source,
+    read_draft,
+    scene_toml,
+    with_source,
+)
 from gui.scene.tab import SceneTab
+from gui.scene.tools import handles_of, shifted, with_handle_at
 from gui.shell.files import Settings
 from gui.shell.window import Window
 from rendering.scene import paths

@@ -20,7 +20,7 @@ from config.scene import SceneConfig
 from gui.scene.document import EMPTY, SceneDocument
 from gui.scene.results.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
 from gui.scene.results.figures_view import GOOD, HELD
-from gui.scene.results.instants import between
+from gui.scene.results.messages import between
 from gui.scene.results.panel import NO_BANK, ResultsPanel
 from gui.shell.theme import DARK
 from gui.shell.window import Window

@@ -12,12 +12,12 @@ import pytest
 from pytestqt.qtbot import QtBot
 
 from config.scene import SceneConfig, TextTable
-from gui.campaign.plots import GreenPlot, Greens
-from gui.scene.draft import new_source
+from gui.campaign.position_panel import GreenPlot, Greens
+from gui.scene.document import new_source
 from gui.scene.results.exports import SceneCommands
 from gui.scene.tab import SceneTab
 from gui.shell.window import Window
-from gui.surface.plot import MOST_COLUMNS, thinned
+from gui.surface.field_map import MOST_COLUMNS, thinned
 from storage.errors import InputError
 from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
 from wavefocus.commands.gui import front_door

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter, create_bank

@@ -19,7 +19,7 @@ import pytest
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import CalibrationRecord, load_calibration
 from config.outline import default_marks_mm
-from mocks.virtual.chain import output_errors
+from mocks.virtual.synthesis import output_errors
 from storage.bank.reading import open_bank
 from storage.errors import InputError
 from wavefocus.__main__ import run

@@ -15,7 +15,7 @@ from storage.drive_file import Drive, write_drive
 from storage.errors import InputError
 from tests.system.raw_script import RATE_HZ, Script, sweep
 from wavefocus.__main__ import run
-from wavefocus.cluster_tasks import field_parts, identity_of
+from wavefocus.cluster import field_parts, identity_of
 
 SCHEDULER = """
 import sys

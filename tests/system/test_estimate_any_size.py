@@ -12,7 +12,7 @@ import scipy.signal
 from benchmarks import nights
 from calibration.estimator.raw_estimation import affordable_workers
 from storage.errors import InputError
-from storage.raw.reading import open_raw
+from storage.raw.writer import open_raw
 from wavefocus.__main__ import run
 
 ECHOES = 40

@@ -11,7 +11,7 @@ import scipy.signal
 from acquisition.measuring.plays import measuring_of
 from acquisition.measuring.record import point_at, take_record
 from acquisition.measuring.setup import Setup
-from acquisition.schedule.expectation import method_of
+from acquisition.schedule.pace import method_of
 from acquisition.schedule.plan import Plan
 from acquisition.schedule.trial import Band, decibel_of_median, relative, scheduled
 from calibration.estimator.schedule_error import Noise, expected_error

@@ -13,10 +13,8 @@ from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter, create_bank
 from storage.durable import OpenFile
 from storage.errors import InputError
-from storage.raw.header import RawHeader
-from storage.raw.reading import open_raw
-from storage.raw.schedule import sequential
-from storage.raw.writer import RawWriter, create_raw
+from storage.raw.header import RawHeader, sequential
+from storage.raw.writer import RawWriter, create_raw, open_raw
 from tests.system.crash.logged import (
     INODE,
     LoggedFile,

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord, bank_rows, encode_row
 from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter, create_bank

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration.check import Finding, check_bank
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter, create_bank

@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 
 from calibration.check import check_bank
 from rendering.greens.regularisation import rms_map
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter, create_bank

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 
 from benchmarks import BENCHMARKS
-from benchmarks.choose import chosen_lines
-from benchmarks.diagrams import draw_diagrams, pareto
 from benchmarks.harness import Findings, Mark, Point, Timing, measure
 from benchmarks.machine import conditions, load
-from benchmarks.page import html_page
+from benchmarks.page import chosen_lines, draw_diagrams, html_page, pareto
 from storage.errors import InputError
 from wavefocus.commands.bench import bench
 

@@ -7,14 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.calibrate.actuators import ActuatorsTask, listening_places, measure_actuators
-from acquisition.calibrate.channels import OutputFigures, OutputsTask, measure_inputs, measure_outputs
-from acquisition.calibrate.mirror import fitted_marks, read_fiducials
-from acquisition.calibrate.operator import Jog, JogView
+from acquisition.calibrate.channels import (
+    ActuatorsTask,
+    OutputFigures,
+    OutputsTask,
+    listening_places,
+    measure_actuators,
+    measure_inputs,
+    measure_outputs,
+)
+from acquisition.calibrate.mirror import Jog, JogView, fitted_marks, read_fiducials
 from acquisition.calibrate.probe import NotMeasuredError, Probe
 from acquisition.measuring.setup import Setup
 from calibration.rig.mirror_map import MirrorMap
-from config.messages.calibrate import Here
+from config.messages.rig_checks import Here
 from config.outline import Outline, default_marks_mm
 from drivers.errors import InstrumentLostError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings

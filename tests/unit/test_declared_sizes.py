@@ -15,7 +15,7 @@ from storage.bank.reading import open_bank
 from storage.drive_file import read_drive
 from storage.errors import InputError
 from storage.field_file import FieldRowReader, read_field
-from storage.raw.reading import open_raw
+from storage.raw.writer import open_raw
 
 LARGE = 10**12
 

@@ -9,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.doctor.examination import RigUnderTest, examine
-from acquisition.doctor.findings import Findings
+from acquisition.doctor.examination import Findings, RigUnderTest, examine
 from calibration.rig.mirror_map import MirrorMap
-from config.messages.doctor import Finding
+from config.messages.rig_checks import Finding
 from drivers.errors import InstrumentError, TransientInstrumentError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from wavefocus.rig.instruments import Vibrometer

@@ -7,9 +7,8 @@ import pytest
 
 from calibration.neighbours.wave_model import PatchKernel, WaveModel
 from mocks.plates.soft import SOFT_PLATE
-from rendering.greens.interpolation.base import interpolation_method
+from rendering.greens.interpolation.base import Neighbourhoods, interpolation_method
 from rendering.greens.interpolation.needed_grid import expected_error, needed_grid, wave_number_rad_mm
-from rendering.greens.interpolation.neighbourhoods import Neighbourhoods
 from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquisition.quality.agreement import in_band
-from acquisition.quality.judgement import Judgement, judge
+from acquisition.quality.judgement import Judgement, in_band, judge
 from acquisition.quality.limits import QualityLimits
 from calibration.estimator.estimate import Estimate, Records
 from calibration.estimator.sequential import SequentialEstimator

@@ -9,10 +9,9 @@ import pytest
 
 from calibration.neighbours.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
 from mocks.plates.soft import SOFT_PLATE
-from rendering.greens.interpolation.base import OffGridError
+from rendering.greens.interpolation.base import Neighbourhoods, OffGridError
 from rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
 from rendering.greens.interpolation.kernel import KernelInterpolation, PathNodes, node_spacing_mm
-from rendering.greens.interpolation.neighbourhoods import Neighbourhoods
 from rendering.greens.source import GreenArray
 from rendering.scene.paths import Circle, Line, Polyline, Strokes
 from storage.errors import InputError

@@ -11,15 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.reading import open_bank
 from storage.bank.writer import BankWriter, create_bank
 from storage.errors import FileLostError
-from storage.raw.header import RawHeader
-from storage.raw.reading import open_raw
-from storage.raw.schedule import sequential
-from storage.raw.writer import RawWriter, create_raw
+from storage.raw.header import RawHeader, sequential
+from storage.raw.writer import RawWriter, create_raw, open_raw
 
 POSITION_MM = np.stack([np.arange(4) * 4.0, np.zeros(4)], axis=1)
 VOLTS = np.full((1, 64), 0.5, np.float32)

@@ -10,8 +10,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from rendering.greens.source import GreenArray
-from rendering.report.movie import snapshots, surface_of, write_movie
-from rendering.report.movie_frames import Foci, colour_limit, plan_frames, read_frames
+from rendering.report.movie import Foci, colour_limit, plan_frames, read_frames, snapshots, surface_of, write_movie
 from storage.drive_file import Drive
 from storage.errors import InputError
 from storage.field_file import Field, FieldRowReader, write_field

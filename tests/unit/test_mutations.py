@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from calibration.check import check_file
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter, create_bank
 from storage.drive_file import Drive, write_drive
 from storage.errors import InputError
 from storage.field_file import Field, write_field
-from storage.raw.header import RawHeader
-from storage.raw.schedule import Schedule
+from storage.raw.header import RawHeader, Schedule
 from storage.raw.writer import RawWriter, create_raw
 from tests.unit.mutations import mutations, snapshot, stored_bytes
 

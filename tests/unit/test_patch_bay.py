@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.protocols import Recording, RecordRequest, Take
-from mocks.virtual.chain import output_errors
 from mocks.virtual.rig import VirtualRig, VirtualSettings
 from mocks.virtual.surroundings import PatchBay
+from mocks.virtual.synthesis import output_errors
 
 RATE_HZ = 10_000.0
 QUIET = VirtualSettings(

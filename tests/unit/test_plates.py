@@ -16,8 +16,8 @@ from mocks.plates.soft import (
     mean_hankel,
     thin_plate_green,
 )
-from mocks.virtual.chain import chain_response
-from mocks.virtual.geometry import MirrorGeometry
+from mocks.virtual.settings import MirrorGeometry
+from mocks.virtual.synthesis import chain_response
 
 STEP_HZ = 5.0
 FREQUENCY_HZ = STEP_HZ * np.arange(1001)

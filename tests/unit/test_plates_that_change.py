@@ -17,11 +17,10 @@ from mocks.plates import make_plate
 from mocks.plates.finger import DISK_MM, DISK_WEIGHTS
 from mocks.plates.finite_elements import Elements, spacing_mm, triangulate
 from mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
-from mocks.virtual.chain import chain_response
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import SignalStore
-from mocks.virtual.synthesis import Play, Spot, Synthesis
-from mocks.wire.bench import WireBench
+from mocks.virtual.synthesis import Play, Spot, Synthesis, chain_response
+from mocks.wire.emulated_rig import WireBench
 from wavefocus.rig.virtual_bench import virtual_settings
 
 ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0]])

@@ -17,9 +17,9 @@ from mocks.plates.glass import INFINITE_STRENGTH, KAPPA_M2_S, MASS_KG_M2, STRENG
 from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, thin_plate_green
 from mocks.plates.stadium import StadiumPlate
 from mocks.plates.thin import ThinPlate
-from mocks.virtual.chain import chain_response
 from mocks.virtual.rig import VirtualRig
 from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.synthesis import chain_response
 
 HIGHEST_HZ = 500.0
 SPACING_MM = spacing_mm(SOFT_PLATE, HIGHEST_HZ)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import h5py
@@ -22,6 +24,16 @@ signal = { kind = "impulse" }
 @pytest.mark.parametrize("name", wavefocus.__all__)
 def test_every_public_name_is_there(name: str) -> None:
     assert callable(getattr(wavefocus, name))
+
+
+@pytest.mark.parametrize("room", ["acquisition", "calibration", "config", "drivers", "mocks", "rendering", "storage"])
+def test_every_name_that_a_room_s_first_page_gives_is_there(room: str) -> None:
+    rows = re.findall(r"^`([\w.]+)` +(.*)$", str(import_module(room).__doc__), re.MULTILINE)
+    assert rows
+    for module, words in rows:
+        own = import_module(f"{room}.{module}")
+        names = [name for name in re.findall(r"`(\w+)`", words.partition(";")[0]) if name[0].isupper()]
+        assert all(hasattr(own, name) for name in names), (module, names)
 
 
 def test_given_another_name_then_it_is_no_attribute() -> None:

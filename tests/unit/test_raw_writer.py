@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from storage.errors import InputError
-from storage.raw.header import RawHeader
-from storage.raw.reading import DamagedError, open_raw
-from storage.raw.schedule import sequential
-from storage.raw.writer import RawWriter, create_raw
+from storage.raw.header import RawHeader, sequential
+from storage.raw.writer import DamagedError, RawWriter, create_raw, open_raw
 
 SHAPE = (2, 300)
 STEP_V = 1 / 1024

@@ -11,7 +11,7 @@ from config.outline import Outline
 from mocks.plates.finite_elements import Elements, spacing_mm, triangulate
 from mocks.plates.soft import DampedWave
 from mocks.plates.solid import SolidPlate
-from mocks.virtual.chain import chain_response
+from mocks.virtual.synthesis import chain_response
 
 DISK = Outline.of("disk", 90.0, 90.0)
 KEYS = {"shear_speed_m_s": 5.0, "pressure_speed_m_s": 8.0, "damping_per_s": 2500.0}

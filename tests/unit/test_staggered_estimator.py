@@ -10,13 +10,13 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.clock.resampling import Thinning
+from calibration.clock.known_signal import Thinning
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.estimate import Channels, Estimate, Records
 from calibration.estimator.staggered import StaggeredEstimator
 from calibration.excitation.sweeps import Excitation, StaggeredSignal
 from storage.errors import InputError
-from storage.raw.schedule import EMPTY, Schedule, sequential, staggered
+from storage.raw.header import EMPTY, Schedule, sequential, staggered
 
 RATE_HZ = 2000.0
 BAND_HZ = (20.0, 400.0)

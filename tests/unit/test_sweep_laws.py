@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.clock.resampling import Thinning
+from calibration.clock.known_signal import Thinning
 from calibration.excitation.base_signal import highest_cycles
 from calibration.excitation.sweep_laws import fit_sweep_law
 

@@ -9,7 +9,7 @@ import pytest
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from config.explanation import explanation, fields_of, with_explanations
+from config.fields import explanation, fields_of, with_explanations
 from config.rig import RigConfig, default_rig
 from config.run import RunConfig, Virtual, default_run
 from config.scene import SceneConfig

@@ -6,8 +6,8 @@ import io
 
 import pytest
 
-from acquisition.calibrate.operator import Jog, JogView
-from config.messages.calibrate import By, Here, To
+from acquisition.calibrate.mirror import Jog, JogView
+from config.messages.rig_checks import By, Here, To
 from mocks.virtual.surroundings import PatchBay
 from storage.errors import InputError
 from wavefocus.rig.calibration_session import Cables

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from storage.staging_dir import clear_leftovers, workplace
+from storage.sidecar_files import clear_leftovers, workplace
 
 
 def leftover(path: Path, name: str = "dead", **files: bytes) -> Path:

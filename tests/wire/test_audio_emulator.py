@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocks.wire.audio.audio_ring import RingWriter, make_ring
-from mocks.wire.audio.jack_capture import AudioNotCapturedError, PlayedAudio
+from mocks.wire.audio.jack_capture import AudioNotCapturedError, PlayedAudio, RingWriter, make_ring
 from mocks.wire.audio.jack_server import JackServer
 from tests.wire.audio_bench import RATE_HZ, AudioBench, alive, needs_audio_server, run_python, wait_until
 

@@ -15,7 +15,7 @@ import pytest
 
 from calibration.rig.mirror_map import MirrorMap
 from config.calibration import CalibrationRecord
-from mocks.virtual.chain import output_errors
+from mocks.virtual.synthesis import output_errors
 from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
 
 pytestmark = pytest.mark.long

@@ -13,8 +13,7 @@ import numpy
 import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.serial_line.line import LineSettings, SerialLine
-from drivers.serial_line.ports import SerialPort, find_port, open_failure, serial_ports
+from drivers.serial_line.line import LineSettings, SerialLine, SerialPort, find_port, open_failure, serial_ports
 
 REPOSITORY = Path(__file__).parents[2]
 PRESENT = (

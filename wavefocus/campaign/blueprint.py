@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from acquisition.quality.limits import DriftLimits, QualityLimits
 from acquisition.schedule.plan import Plan
 from calibration.excitation.sweeps import Excitation, StaggeredSignal
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
 from wavefocus.configuration import (
@@ -31,7 +31,7 @@ from wavefocus.configuration import (
 if TYPE_CHECKING:
     from calibration.estimator.estimate import PositionEstimator
     from storage.raw.header import RawHeader
-    from storage.raw.reading import RawFile
+    from storage.raw.writer import RawFile
 
 
 @dataclass(frozen=True, slots=True)

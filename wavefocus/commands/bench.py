@@ -21,14 +21,13 @@ def bench(what: str, out: Path, *, quick: bool, error_db: float | None = None, f
     if (what == "choose") != (error_db is not None):
         raise InputError("--error-db and `bench choose` belong together: wavefocus bench choose --error-db -60")
     if error_db is not None:
-        from benchmarks.choose import chosen_lines
         from benchmarks.machine import conditions
+        from benchmarks.page import chosen_lines
 
         print("\n".join(chosen_lines(_of_this_machine(out, conditions("")), error_db)))
         return
-    from benchmarks.diagrams import draw_diagrams
     from benchmarks.machine import conditions, load
-    from benchmarks.page import html_page
+    from benchmarks.page import draw_diagrams, html_page
 
     chosen = [name for name, one in BENCHMARKS.items() if not one.on_request] if what == "all" else [what]
     files = [name for one in chosen for name in (f"{one}.json", f"{one}.csv", *BENCHMARKS[one].pictures)]

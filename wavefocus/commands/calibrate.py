@@ -8,18 +8,17 @@ import sys
 from datetime import date
 from pathlib import Path
 
-from acquisition.calibrate.operator import Operator
+from acquisition.calibrate.mirror import Operator
 from acquisition.manual import ManualMeasurements
 from acquisition.measuring.setup import Setup
 from config.calibration import PARTS, CalibrationRecord, name_calibration, write_calibration
-from config.messages.calibrate import Begin, CalibrationDone
 from config.messages.codec import to_record
+from config.messages.rig_checks import Begin, CalibrationDone
 from drivers.errors import InstrumentError
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import say
-from wavefocus.ending import ending_at_once
-from wavefocus.exits import Exit
+from wavefocus.ending import Exit, ending_at_once
 from wavefocus.json_lines import LinesIn, LinesOut
 from wavefocus.rig.calibration_session import CalibrationSession, Request, marks
 from wavefocus.rig.instruments import open_rig, openers

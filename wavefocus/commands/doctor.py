@@ -13,19 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.doctor.examination import RigUnderTest, examine
-from acquisition.doctor.findings import Findings
+from acquisition.doctor.examination import Findings, RigUnderTest, examine
 from calibration.rig.mirror_map import MirrorMap
 from config.messages.codec import to_line
-from config.messages.doctor import Act, Examination, Finding, FindingMade
+from config.messages.rig_checks import Act, Examination, Finding, FindingMade
 from config.rig import RigConfig
 from drivers.protocols import DeviceIdentity
 from storage.durable import is_network_mount
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import answer, people, print_line, say
-from wavefocus.ending import ending_at_once
-from wavefocus.exits import Exit
+from wavefocus.ending import Exit, ending_at_once
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.instruments import openers
 from wavefocus.rig.limits import safe_amplitude_v

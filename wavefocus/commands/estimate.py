@@ -16,14 +16,14 @@ from acquisition.quality.judgement import judge
 from acquisition.quality.limits import QualityLimits
 from calibration.blas import one_blas_thread
 from calibration.estimator.raw_estimation import PositionResult, affordable_workers, estimate_positions
-from storage.bank.header import BankHeader
+from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter, create_bank
 from storage.durable import is_network_mount
 from storage.errors import InputError
 from storage.point_status import Status, status_counts
 from storage.raw.header import RawHeader
-from storage.raw.reading import open_raw
+from storage.raw.writer import open_raw
 from wavefocus.campaign.blueprint import estimator_for, own_plan
 from wavefocus.cluster import estimate_on_cluster
 from wavefocus.configuration import configuration_from_json, plate_behind

@@ -6,8 +6,7 @@ import os
 from importlib.resources import files
 from pathlib import Path
 
-from config.explanation import with_explanations
-from config.fields import Table
+from config.fields import Table, with_explanations
 from config.loading import printable
 from config.rig import RigConfig
 from config.run import RunConfig

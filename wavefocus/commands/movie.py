@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.report.movie import snapshots, surface_of, write_movie
-from rendering.report.movie_frames import FramePlan, plan_frames
+from rendering.report.movie import FramePlan, plan_frames, snapshots, surface_of, write_movie
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, read_drive
 from storage.errors import InputError
@@ -19,8 +18,8 @@ from storage.field_file import FieldRowReader
 from storage.output_files import require_outputs, write_whole
 from storage.units import quantity
 from wavefocus.campaign.blueprint import bank_configuration
+from wavefocus.configuration import name_unverified
 from wavefocus.console import progress, say
-from wavefocus.input_files import name_unverified
 
 OUTLINE_POINTS = 400
 FRAMES_PER_PERIOD = 2.5

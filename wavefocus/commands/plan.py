@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from acquisition.durations import hours
 from acquisition.measuring.setup import names_of
-from acquisition.schedule.expectation import ASSUMED_SNR_DB, Expectation, expect, schedule_name
+from acquisition.schedule.pace import ASSUMED_SNR_DB, Expectation, expect, schedule_name
 from acquisition.schedule.plan import GEL_SPEED_M_S, GROUP, Plan
 from calibration.blas import one_blas_thread
 from config.rig import RigConfig

@@ -19,7 +19,7 @@ from acquisition.durations import hours
 from acquisition.quality.limits import DriftLimits
 from config.messages.campaign import Event
 from config.messages.codec import Message, to_line
-from config.messages.verify import VerifyEnded, VerifyStarted, VerifyStep
+from config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
 from config.rig import RigConfig
 from rendering.field.metrics import grid_spacing_mm
 from rendering.field.prediction import predict as predict_field
@@ -53,11 +53,9 @@ from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.sidecar_files import EventLines, read_drift
 from wavefocus.commands.render import rendered
-from wavefocus.configuration import Configuration, named_rig
+from wavefocus.configuration import Configuration, input_files, named_rig, parse_positions
 from wavefocus.console import Report, progress, say
-from wavefocus.ending import ended_by_file, ending_at_once
-from wavefocus.exits import Exit, exit_code, sentence
-from wavefocus.input_files import input_files, parse_positions
+from wavefocus.ending import Exit, ended_by_file, ending_at_once, exit_code, sentence
 from wavefocus.rig.limits import check_drive
 from wavefocus.rig.setup import open_setup
 

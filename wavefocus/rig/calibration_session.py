@@ -13,21 +13,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.calibrate.actuators import (
+from acquisition.calibrate.channels import (
     REMEDIES,
     ActuatorsTask,
+    OutputsTask,
     listening_places,
     measure_actuators,
+    measure_inputs,
+    measure_outputs,
 )
-from acquisition.calibrate.channels import OutputsTask, measure_inputs, measure_outputs
-from acquisition.calibrate.mirror import Pair, fitted_marks, measure_mirror, read_fiducials
-from acquisition.calibrate.operator import (
+from acquisition.calibrate.mirror import (
     VIBROMETER,
     Jog,
     JogView,
     Judged,
     Operator,
+    Pair,
+    fitted_marks,
+    measure_mirror,
     output,
+    read_fiducials,
 )
 from acquisition.calibrate.probe import NotMeasuredError, Probe
 from acquisition.measuring.setup import Setup, names_of
@@ -46,8 +51,8 @@ from config.calibration import (
     OutputsMeasured,
 )
 from config.fields import Table
-from config.messages.calibrate import MapView
 from config.messages.operate import Role
+from config.messages.rig_checks import MapView
 from config.outline import default_marks_mm
 from config.rig import RigConfig
 from storage.errors import InputError

@@ -22,7 +22,7 @@ from config.messages.campaign import (
     State,
     StateChanged,
 )
-from config.messages.doctor import Act, Finding
+from config.messages.rig_checks import Act, Finding
 from config.rig import MessagesSection, RigConfig
 from storage.errors import InputError
 from wavefocus.campaign.supervision import resume_line

@@ -6,8 +6,10 @@ import math
 import sys
 from collections.abc import Callable
 
-from acquisition.calibrate.operator import BOTH, SUM, VIBROMETER, Jog, JogView, Judged
-from config.messages.calibrate import (
+from acquisition.calibrate.mirror import BOTH, SUM, VIBROMETER, Jog, JogView, Judged
+from config.messages.codec import Message, MessageError, message_of
+from config.messages.operate import InputLevels, Numbers, Refused
+from config.messages.rig_checks import (
     Again,
     AskAgain,
     AskConnect,
@@ -24,12 +26,10 @@ from config.messages.calibrate import (
     Tell,
     To,
 )
-from config.messages.codec import Message, MessageError, message_of
-from config.messages.operate import InputLevels, Numbers, Refused
 from drivers.errors import InstrumentError
 from storage.errors import InputError
 from wavefocus.console import say
-from wavefocus.exits import one_line
+from wavefocus.ending import one_line
 from wavefocus.json_lines import LinesIn
 from wavefocus.rig.operation import Publish, faulted, level_measured
 
@@ -47,7 +47,7 @@ def cable(source: str) -> str:
 
 
 class TerminalOperator:
-    """Implements `acquisition.calibrate.operator.Operator`."""
+    """Implements `acquisition.calibrate.mirror.Operator`."""
 
     def __init__(self, read_line: Callable[[], str], forget_typed: Callable[[], object] = lambda: None) -> None:
         self._read_line, self._forget_typed = read_line, forget_typed
@@ -112,7 +112,7 @@ LISTENS_EVERY_S = 0.25
 
 
 class LinesOperator:
-    """Implements `acquisition.calibrate.operator.Operator`: asks another program, by the messages of `calibrate`."""
+    """Implements `acquisition.calibrate.mirror.Operator`: asks another program, by the messages of `calibrate`."""
 
     def __init__(
         self,

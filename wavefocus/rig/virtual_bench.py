@@ -7,11 +7,10 @@ import numpy as np
 from config.plate import plate_of
 from config.rig import Emulation, RigConfig, strength
 from config.run import Virtual
-from mocks.virtual.chain import output_errors
 from mocks.virtual.faults import Fault
-from mocks.virtual.geometry import MirrorGeometry
 from mocks.virtual.rig import VirtualRig
-from mocks.virtual.settings import VirtualSettings
+from mocks.virtual.settings import MirrorGeometry, VirtualSettings
+from mocks.virtual.synthesis import output_errors
 
 
 def virtual_rig(rig: RigConfig, virtual: Virtual | None = None) -> VirtualRig:

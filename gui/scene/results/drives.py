@@ -19,7 +19,7 @@ from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import read_row, refusal
-from rendering.report.movie_frames import Foci
+from rendering.report.movie import Foci
 from rendering.scene.model import Scene, Source
 from rendering.scene.scene_rows import scene_rows
 from storage.bank.reading import Bank

@@ -12,7 +12,7 @@ from PyQt5.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSizePoli
 from gui.scene.results.messages import Driven
 from gui.shell.theme import Theme
 from gui.shell.widgets import named, side_by_side, stacked
-from gui.surface.plot import Plot, Real, thinning_curve, whole_ticks
+from gui.surface.field_map import Plot, Real, thinning_curve, whole_ticks
 from storage.units import quantity
 
 _STEP = 0.45  # the loudest trace fills so much of the distance to its neighbours, up and down

@@ -10,8 +10,7 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
 from acquisition.durations import hours
-from gui.scene.document import SceneDocument
-from gui.scene.draft import scene_toml
+from gui.scene.document import SceneDocument, scene_toml
 from gui.shell.messages import error_text
 from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.shell.tab import TabContext

@@ -9,12 +9,10 @@ import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from gui.scene.results.instants import between
-from gui.scene.results.messages import Driven, PredictedField
+from gui.scene.results.messages import Driven, PredictedField, between
 from gui.shell.theme import Theme
 from gui.shell.widgets import named, stacked
-from gui.surface.field_map import ColourBar, FieldMap, scaled_unit
-from gui.surface.plot import Plot, thinning_curve
+from gui.surface.field_map import ColourBar, FieldMap, Plot, scaled_unit, thinning_curve
 from gui.surface.time_slider import TimeSlider
 from storage.units import quantity
 

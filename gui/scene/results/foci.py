@@ -9,10 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gui.scene.results.instants import between
-from gui.scene.results.messages import FocusFigures
-from rendering.field.crosstalk import PathResponses
-from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, evenly, focus_instants
+from gui.scene.results.messages import FocusFigures, between
+from rendering.field.focus_figures import (
+    FOCUS_RADIUS_MM,
+    FocusInstant,
+    PathResponses,
+    emission_windows,
+    evenly,
+    focus_instants,
+)
 from rendering.field.metrics import focus_spot, grid_spacing_mm
 from rendering.field.prediction import Prediction
 from rendering.scene.model import Scene

@@ -1,17 +1,199 @@
-"""What has left the outputs of an emulated audio interface."""
+"""What an emulated audio interface has put out: in memory shared by two processes, and what has left its outputs."""
 
 from __future__ import annotations
 
+import mmap
+import os
+import sys
+import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocks.wire.audio.audio_ring import CYCLES, INTERRUPTIONS, NANOSECONDS, AudioRing
-
 Float32Array = NDArray[np.float32]
+Int64Array = NDArray[np.int64]
+
+HEADER = np.dtype(
+    [
+        ("channels", "<i8"),
+        ("rate_hz", "<i8"),
+        ("period_frames", "<i8"),
+        ("ring_frames", "<i8"),
+        ("written", "<i8"),  # frames so far; moved on when they are in the ring
+        ("silent", "<i8"),  # 1 while the audio server is down or frozen
+        ("interruptions", "<i8"),  # how many there have been
+        ("revision", "<i8"),  # moved on when frames and time were found to be related otherwise than was thought
+        ("server_process", "<i8"),  # process id
+        ("cycle", "<i8"),  # how many cycles; the newest is at cycle % CYCLES - 1
+    ]
+)
+CYCLES = 64
+INTERRUPTIONS = 256
+NANOSECONDS = 1_000_000_000
+
+SLOWEST = 2e-5
+"""How much slower than the monotonic clock the server's may run, so that the recording keeps up with it."""
+MOVED_NS = 2_000_000
+"""A grid of periods that has moved by less is not noticed."""
+
+LOOKS = 4
+"""Callbacks that are all late show that the grid has moved, and not that they were late."""
+
+EARLY_NS = 500_000
+"""A callback so much before its time shows that the first one, which the times are counted from, was late."""
+
+
+class AudioRing:
+    """The last seconds of all outputs, and when they were asked for.
+
+    header, record (1,): As `HEADER`.
+    cycles, int64 (CYCLES, 2): First frame of a cycle, and its nominal start by `time.monotonic_ns`.
+    gaps, int64 (INTERRUPTIONS, 2): Where the last interruptions were, and how many frames nothing sounded; 0 where a
+        cycle was merely late.
+    samples, float32 (channels, ring_frames): Parts of full scale.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        memory = mmap.mmap(descriptor, 0)
+        self.header = np.frombuffer(memory, HEADER, 1)
+        at = HEADER.itemsize
+        self.cycles: Int64Array = np.frombuffer(memory, np.int64, 2 * CYCLES, at).reshape(CYCLES, 2)
+        at += self.cycles.nbytes
+        self.gaps: Int64Array = np.frombuffer(memory, np.int64, 2 * INTERRUPTIONS, at).reshape(INTERRUPTIONS, 2)
+        at += self.gaps.nbytes
+        channels, frames = int(self.header["channels"][0]), int(self.header["ring_frames"][0])
+        samples = np.frombuffer(memory, np.float32, channels * frames, at)
+        self.samples: Float32Array = samples.reshape(channels, frames)
+
+    def close(self) -> None:
+        """Let no more processes inherit it; what was written can be read as long as this object is there."""
+        os.close(self.descriptor)
+
+    def __getitem__(self, name: str) -> int:
+        return int(self.header[name][0])
+
+    def __setitem__(self, name: str, value: int) -> None:
+        self.header[name] = value
+
+    def write(self, first: int, block: list[Float32Array]) -> None:
+        """Put one cycle's frames in their place; channels beyond those given are silent."""
+        for here, there in self._pieces(first, block[0].size):
+            for row, frames in zip(self.samples, block, strict=False):
+                row[there] = frames[here]
+            self.samples[len(block) :, there] = 0
+
+    def silence(self, first: int, frames: int) -> None:
+        """Put silence in the place of frames that never were."""
+        for _, there in self._pieces(first, min(frames, self.samples.shape[1])):
+            self.samples[:, there] = 0
+
+    def read(self, first: int, stop: int) -> Float32Array:
+        """A copy of frames that are in the ring, shape (channels, stop - first)."""
+        out = np.empty((self.samples.shape[0], stop - first), dtype=np.float32)
+        for here, there in self._pieces(first, stop - first):
+            out[:, here] = self.samples[:, there]
+        return out
+
+    def _pieces(self, first: int, frames: int) -> list[tuple[slice, slice]]:
+        """The stretch and its rest after the ring's end, as slices of a block and of the ring."""
+        ring = self.samples.shape[1]
+        at = first % ring
+        head = min(frames, ring - at)
+        pieces = [(slice(0, head), slice(at, at + head))]
+        return pieces if head == frames else [*pieces, (slice(head, frames), slice(0, frames - head))]
+
+
+class RingWriter:
+    """Puts what is played into the ring, in time."""
+
+    def __init__(self, ring: AudioRing) -> None:
+        self._ring = ring
+        self._rate_hz = ring["rate_hz"]
+        self._grid_ns = 0
+        self._lates_ns: deque[int] = deque(maxlen=LOOKS)
+        self._xrun = False
+        self._resumed = False
+
+    def note_xrun(self) -> None:
+        """The server says that a cycle was late."""
+        self._xrun = True
+
+    def note_return(self) -> None:
+        """The server has stood still, or is another; the next cycle is its first."""
+        self._resumed = True
+
+    def take(self, now_ns: int, block: list[Any]) -> bool:
+        """Record one cycle.
+
+        now_ns: When the server asked for it.
+        block, list of float32 (frames,): One for each channel.
+
+        Returns bool: whether anything sounds in it.
+        """
+        ring, frames = self._ring, block[0].size
+        period_ns = frames * NANOSECONDS // self._rate_hz
+        sounds = any(one.any() for one in block)
+        if ring["cycle"] == 0:
+            self._grid_ns = now_ns
+        if now_ns < self._grid_ns - EARLY_NS:
+            ring["revision"] += 1
+        self._grid_ns = min(self._grid_ns, now_ns)
+        self._keep_time(now_ns - self._grid_ns, silent=not sounds)
+        written = ring["written"]
+        ring.write(written, block)
+        ring.cycles[ring["cycle"] % CYCLES] = (written, self._grid_ns)
+        ring["cycle"] += 1
+        ring["written"] = written + frames
+        self._grid_ns += round(period_ns * (1 + SLOWEST))
+        return sounds
+
+    def _keep_time(self, late_ns: int, *, silent: bool) -> None:
+        """Let the clock go on where the server's did not, as an interface's would have done."""
+        ring = self._ring
+        self._lates_ns.append(late_ns)
+        enough = len(self._lates_ns) == LOOKS
+        moved_ns = late_ns if self._resumed else min(self._lates_ns) * enough
+        # When a cycle was late the server's clock stood still, and no sample was lost: made up for in silence.
+        gap = 0
+        if moved_ns > MOVED_NS and (self._resumed or silent):
+            gap = moved_ns * self._rate_hz // NANOSECONDS
+            ring.silence(ring["written"], gap)
+            ring["revision"] += 1
+            self._grid_ns += moved_ns
+            self._lates_ns.clear()
+        if self._xrun or (self._resumed and gap):
+            ring.gaps[ring["interruptions"] % INTERRUPTIONS] = (ring["written"], gap)
+            ring["interruptions"] += 1
+        ring["written"] += gap
+        self._resumed = self._xrun = False
+
+
+def make_ring(channels: int, rate_hz: int, period_frames: int, seconds: float) -> AudioRing:
+    """A ring whose descriptor a child process may inherit.
+
+    In anonymous memory where there is such a thing: /dev/shm is small in containers, and a file on a disk would
+    keep the audio waiting.
+    """
+    frames = -(-round(seconds * rate_hz) // period_frames) * period_frames
+    size = HEADER.itemsize + 16 * (CYCLES + INTERRUPTIONS) + 4 * channels * frames
+    if sys.platform == "linux":
+        descriptor = os.memfd_create("wavefocus-audio")
+    else:
+        with tempfile.TemporaryFile() as file:
+            descriptor = os.dup(file.fileno())
+    os.ftruncate(descriptor, size)
+    header = np.zeros(1, HEADER)
+    header["channels"], header["rate_hz"] = channels, rate_hz
+    header["period_frames"], header["ring_frames"] = period_frames, frames
+    with mmap.mmap(descriptor, 0) as memory:
+        memory[: HEADER.itemsize] = header.tobytes()
+    return AudioRing(descriptor)
 
 
 HELD_NS = 30 * NANOSECONDS

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from mocks.wire.audio.audio_ring import AudioRing, RingWriter
+from mocks.wire.audio.jack_capture import AudioRing, RingWriter
 from mocks.wire.faults import WireFault, WireFaultPlan
 
 SERVER_BYTES = 45_000_000

@@ -15,8 +15,7 @@ import numpy as np
 
 from calibration.neighbours.wave_model import PatchKernel, WaveModel, disk_integral, plane_waves
 from rendering.arrays import Complex128Array, Float64Array
-from rendering.greens.interpolation.base import GridInterpolation, interpolation_method
-from rendering.greens.interpolation.neighbourhoods import NEIGHBOURS
+from rendering.greens.interpolation.base import NEIGHBOURS, GridInterpolation, interpolation_method
 from rendering.greens.interpolation.on_grid import LatticeInterpolation
 from rendering.greens.interpolation.position_grid import PositionGrid
 from storage.errors import InputError

@@ -13,7 +13,7 @@ import numpy as np
 
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
-from storage.raw.reading import open_raw
+from storage.raw.writer import open_raw
 from tests.system.crash.power_cuts import Image
 from tests.system.crash.processes import Ended, HungError, Order, Processes
 

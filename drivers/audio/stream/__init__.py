@@ -1,1 +1,0 @@
-"""The driver ``sounddevice``: a stream over PortAudio in a process of its own."""
