@@ -113,7 +113,7 @@ def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
 
 
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("spacing_mm", [20.0, pytest.param(4.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("spacing_mm", [12.0, pytest.param(4.0, marks=pytest.mark.long)])
 def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rendered_and_verified_with_the_mouse_alone(
     qtbot: QtBot, open_window: Callable[..., Window], memory: Settings, tmp_path: Path, spacing_mm: float
 ) -> None:
