@@ -147,6 +147,10 @@ def main() -> None:
             # Whoever read our output has gone; the interpreter must not fail on its own last flush.
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    if code == Exit.STOPPED:
+        # Python up to 3.12 takes a thread for ended once an interrupt has broken off its join (python/cpython#89437);
+        # if it is within C++ when the interpreter goes, the process aborts. All that is to be closed has been.
+        os._exit(code)
     sys.exit(code)
 
 
