@@ -82,7 +82,7 @@ MISTAKES = [
     ),
     (
         "[mirror]\ndriver = 'asi-tiger'\nport = 'COM3'\nfull_scale_mrad = 100",
-        'mirror.full_scale_mrad = 100.0: belongs to driver "mirrorcle-mti"; the driver here is "asi-tiger"',
+        'mirror.full_scale_mrad = 100.0: belongs to driver "mirrorcle-mti"',
     ),
     (
         "[mirror]\ndriver = 'mirrorcle-mti'\nport = 'COM3'",
