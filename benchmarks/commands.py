@@ -1,6 +1,6 @@
 """Whole commands from the shell, as a person waits for them: time, peak memory, and error against tolerance.
 
-A bank of 1500 positions of the virtual rig (its true Green's functions with noise at -58 dB) lies in a folder beside
+A bank of 1500 positions of the virtual rig (its true Green's functions with noise at -58 dB) lies in a folder next to
 the files of ``wavefocus init``. Commands run in processes of their own; peak memory is that of the largest. Errors are
 those of the written file against that of the exact command.
 """

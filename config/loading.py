@@ -112,7 +112,7 @@ SENTENCES: Mapping[str, str] = {
 
 
 def one_line(source: str, failure: ValidationError, model: type[BaseModel], data: object) -> str:
-    """Tell what is wrong in one line, the first few mistakes joined by semicolons."""
+    """Return the mistakes in one line, the first few joined by semicolons."""
     errors = failure.errors(include_url=False)
     mistakes = [error for error in errors if not _follows(error, errors)]
     shown = [sentence(error, model, data) for error in mistakes[:SHOWN_AT_ONCE]]
@@ -129,7 +129,7 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
 
 
 def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
-    """Tell one mistake: key, value and what is allowed."""
+    """Return one mistake as text: key, value and what is allowed."""
     steps = without_tags(error["loc"], data)
     context: dict[str, Any] = error.get("ctx", {})
     kind = error["type"]

@@ -62,9 +62,9 @@ class Segment:
             return np.asarray(np.hypot(*(point - start - along[:, None] * (end - start)).T))
         radius, begin, turned = self.arc
         away = point - self.centre
-        beside = (np.arctan2(away[:, 1], away[:, 0]) - begin) % (2 * math.pi) <= turned
+        within = (np.arctan2(away[:, 1], away[:, 0]) - begin) % (2 * math.pi) <= turned
         ends = np.minimum(np.hypot(*(point - start).T), np.hypot(*(point - end).T))
-        return np.asarray(np.where(beside, np.abs(np.hypot(*away.T) - radius), ends))
+        return np.asarray(np.where(within, np.abs(np.hypot(*away.T) - radius), ends))
 
 
 @dataclass(frozen=True, slots=True)

@@ -234,7 +234,7 @@ class PlayerSection(DriverTable):
         if self.limit_v > self.full_scale_v:
             raise mistake("limit_v", self.limit_v, f"must be at most full_scale_v = {self.full_scale_v:g}")
         if self.limit_power_w is not None and self.coil_resistance_ohm is None:
-            raise mistake("coil_resistance_ohm", None, "is needed in ohms beside limit_power_w")
+            raise mistake("coil_resistance_ohm", None, "is needed in ohms with limit_power_w")
         each = self.channel_full_scale_v
         if each is not None and self.channels and len(each) != self.outputs:
             wanted = f"must have one entry per output from 0 to the highest used, {self.outputs} in all"

@@ -11,7 +11,7 @@ class InstrumentError(Exception):
     cause: What happened instead.
     remedy: What the person at the bench can do about it.
 
-    role: ``"mirror"``, ``"recorder"`` or ``"player"``, noted by whoever called the instrument; empty until then.
+    role: ``"mirror"``, ``"recorder"`` or ``"player"``, set by the caller of the instrument; empty until then.
     """
 
     def __init__(self, instrument: str, operation: str, cause: str, remedy: str) -> None:

@@ -72,7 +72,7 @@ class MessagePipe:
             self._outgoing.flush()
 
     def try_send(self, message: object) -> None:
-        """Write one message, or nothing where the other end is closed: whoever reads from there notices too."""
+        """Write one message, or nothing where the other end is closed: the reader there notices, too."""
         with suppress(OSError):
             self.send(message)
 
@@ -215,7 +215,7 @@ class DriverProcess:
                 self.kill(f"{self._name} did not answer for {ANSWER_S:g} s and was killed")
 
     def kill(self, cause: str) -> None:
-        """End the process at once, with whatever it plays; `cause` is for whoever asks later."""
+        """End the process at once, with whatever it plays; `cause` is for later calls."""
         with self._news:
             self._gone = self._gone or cause
             self._news.notify_all()

@@ -1,6 +1,6 @@
 """Output files: what they may replace, and how they are written.
 
-An output is written under another name in a hidden folder beside it, synced and renamed. Until then the older file of
+An output is written under another name in a hidden folder next to it, synced and renamed. Until then the older file of
 its name stays, whatever happens.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from storage import durable
 from storage.errors import InputError
-from storage.sidecar_files import clear_leftovers, workplace
+from storage.sidecar_files import clear_leftovers, staging_dir
 
 _STAGED = "results"
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -41,7 +41,7 @@ def replacement(path: Path, *, new: bool = False) -> Iterator[Path]:
     """
     with _named_failures(path):
         clear_leftovers(path.parent)
-        with workplace(path) as place:
+        with staging_dir(path) as place:
             yield place.temporary
             durable.sync_path(place.temporary)
             if new:
@@ -64,7 +64,7 @@ def staged_folder(folder: Path, last: str) -> Iterator[Path]:
     with _named_failures(folder):
         folder.mkdir(parents=True, exist_ok=True)
         clear_leftovers(folder)
-        with workplace(folder / _STAGED) as place:
+        with staging_dir(folder / _STAGED) as place:
             place.temporary.mkdir()
             try:
                 yield place.temporary

@@ -105,8 +105,8 @@ _COMPLETE = b"complete"
 _TRIES = 10
 
 
-class Workplace:
-    """A hidden folder beside `path`, its maker's alone until :func:`workplace` ends."""
+class StagingDir:
+    """A hidden folder next to `path`, its maker's alone until :func:`staging_dir` ends."""
 
     def __init__(self, path: Path, folder: Path, owner: PositionedFile) -> None:
         self.temporary = folder / path.name
@@ -134,11 +134,11 @@ class Workplace:
 
 
 @contextlib.contextmanager
-def workplace(path: Path) -> Iterator[Workplace]:
-    """Have a hidden folder beside `path` to make it in; it is gone afterwards. OSError where it cannot be made."""
+def staging_dir(path: Path) -> Iterator[StagingDir]:
+    """Make a hidden folder next to `path` to make it in; it is gone afterwards. OSError where it cannot be made."""
     folder, owner = _new_folder(path)
     try:
-        yield Workplace(path, folder, owner)
+        yield StagingDir(path, folder, owner)
     finally:
         _clear(folder, path.name, owner)
 
@@ -174,7 +174,7 @@ def _new_folder(path: Path) -> tuple[Path, PositionedFile]:
             raise
         if owner is not None:
             return folder, owner
-    raise OSError(f"another process removes what is made beside {path}")
+    raise OSError(f"another process removes what is made next to {path}")
 
 
 def _claim(name: Path) -> PositionedFile | None:

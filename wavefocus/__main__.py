@@ -144,7 +144,7 @@ def main() -> None:
         try:
             stream.flush()
         except (OSError, ValueError):
-            # Whoever read our output has gone; the interpreter must not fail on its own last flush.
+            # The reader of our output has gone; the interpreter must not fail on its own last flush.
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     if code == Exit.STOPPED:

@@ -229,7 +229,7 @@ COMMANDS = (
         (
             RIG,
             argument("--only", default="", help="Which: inputs, outputs, mirror, actuators; commas between several."),
-            _out("FILE", "By default calibration-DATE.toml beside RIG.toml.", required=False),
+            _out("FILE", "By default calibration-DATE.toml next to RIG.toml.", required=False),
             file("--fiducials", metavar="FILE.csv", help="Marks: x_mm,y_mm to jog to, with x_mrad,y_mrad not."),
             number("--limit-mm", 1e-6, 1e6, default=1.0, help="Largest residual of the mirror map."),
             switch("--summing-box", help="All outputs for actuators are in one box, none is plugged singly."),
@@ -413,7 +413,7 @@ COMMANDS = (
         ),
     ),
     Command(
-        "bench", "bench:bench", "Measure error against run time, ours beside peers.",
+        "bench", "bench:bench", "Measure error against run time, ours and peers.",
         (
             argument("what", nargs="?", choices=(*BENCHMARKS, "all", "choose"), default="all",
                      help="Which benchmark; or print the cheapest settings that keep to an error."),

@@ -86,7 +86,7 @@ def finish_clock(remaining_s: float) -> str:
 
 
 class Report(Protocol):
-    """Tells how far some work is."""
+    """Progress of some work."""
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """`done` of `total` items are done; `note` stands at the end of the line."""

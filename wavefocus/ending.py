@@ -135,7 +135,7 @@ def stop_on_signals(stop: StopRequest) -> Iterator[None]:
     """Ctrl-C asks `stop` to finish the position, a second one raises KeyboardInterrupt at once.
 
     A terminal that goes away (SIGHUP) finishes the position too. SIGTERM, and a console window that is closed on
-    Windows, raise KeyboardInterrupt at once: whoever sends them will not wait for a record. Signals after that are
+    Windows, raise KeyboardInterrupt at once: their sender does not wait for a record. Signals after that are
     ignored while the engine puts the instruments to rest. Must be entered in the main thread.
     """
     signals, at_once = EndingSignals.here(), False

@@ -52,7 +52,7 @@ Judged = Keep | Redo | Drop
 class Operator(Protocol):
     """A person with two hands; every method returns when it is done."""
 
-    def tell(self, line: str) -> None:
+    def report(self, line: str) -> None:
         """Read a line."""
         ...
 
@@ -195,7 +195,7 @@ def measure_mirror(
             figures = fitted_marks(marks_mm, found)
         except InputError as wrong:
             refusal = wrong
-        if len(moved) < LEAST_MARKS:  # the map at hand put the beam at the others, and would only be found again
+        if len(moved) < LEAST_MARKS:  # the present map put the beam at the others, and would only be found again
             figures = None
             refusal = NotMeasuredError(
                 f"the beam was moved at {len(moved)} of {len(marks_mm)} marks, which decides no map; at least "

@@ -62,7 +62,7 @@ class Probe:
         self._comparer = ChannelComparer(self._signal_v, sample_rate_hz)
 
     def compare(self, output: int | None) -> Figures:
-        """Play the loopback, and one output beside it, and compare the two inputs.
+        """Play the loopback, and one output with it, and compare the two inputs.
 
         output: The output; None for the loopback alone.
 

@@ -35,11 +35,11 @@ class Findings:
     def add(
         self, instrument: str, check: str, verdict: Verdict, what: str, remedy: str = "", act: Act | None = None
     ) -> None:
-        """Tell a finding."""
+        """Report a finding."""
         self.publish(Finding(instrument, check, verdict, what, remedy, act))
 
     def skip(self, instrument: str, check: str, why: str) -> None:
-        """Tell that a check was not made."""
+        """Report that a check was not made."""
         self.add(instrument, check, "skipped", why)
 
     def ask(self, instrument: str, check: str, question: Callable[[], Answer], deadline_s: float) -> Answer | None:
@@ -179,7 +179,7 @@ class _Examination:
             self._put_to_rest()
 
     def _open(self) -> None:
-        """Open and identify; whoever fails is left out."""
+        """Open and identify; an instrument that fails is left out."""
         rig, findings = self._rig, self._findings
         facts = findings.ask("vibrometer", "opening", rig.vibrometer, OPEN_S)
         if facts is not None:

@@ -34,7 +34,7 @@ class StoppedWhileWaitingError(Exception):
 
 
 class StopRequest:
-    """Shared between the engine and whoever may stop or pause it; safe from any thread."""
+    """Shared between the engine and those who may stop or pause it; safe from any thread."""
 
     def __init__(self) -> None:
         self._stop, self._pause = threading.Event(), threading.Event()

@@ -108,8 +108,8 @@ def record_play(
 class Attempt:
     """A try at a position: `number` counts all tries ever, `of_session` those of this session.
 
-    `moved_mm` says how far beside the position the mirror points, `response_range_v` which input range the response
-    has; None for the configured one.
+    `moved_mm` is the distance from the position to where the mirror points, `response_range_v` the input range of the
+    response; None for the configured one.
     """
 
     position: int
@@ -297,7 +297,7 @@ def next_attempt(
     attempt: The try that was not good enough.
     judgement: Why.
     earlier: Bits of the tries at this position before it, in this session.
-    setup: Knows the recorder's ranges.
+    setup: Has the recorder's ranges.
     limits: How far a step aside is.
     place_mm, float64 (2,): The position.
     joint: Whether several actuators sound in a record: then one loss shows in all of them, and is tried again in place.
@@ -343,7 +343,7 @@ def attempts_again(
 
     order, int64 (positions,): Bank rows that the session covers, in the order of measurement.
     status, attempts, arrays, shape (positions,): As the bank has them.
-    setup: Knows the recorder's ranges.
+    setup: Has the recorder's ranges.
     limits: How many tries a round has, and how many passes there are.
     """
     usable = (status[order] != 0) & (status[order] & (Status.VALID | Status.DISABLED) == 0)

@@ -1,4 +1,4 @@
-"""Recordings kept beside the bank: what a plan's raw file says of itself, and what of an attempt goes into it.
+"""Recordings kept next to the bank: header of a plan's raw file, and the parts of an attempt that go into it.
 
 The order is the design: an attempt's recordings are committed to the raw file before its Green's functions are
 committed to the bank, so that no crash leaves a bank row without its recordings. The other way round, recordings

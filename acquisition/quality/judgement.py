@@ -36,7 +36,7 @@ class Row:
 
     spectrum, complex128 (actuators, bins): Green's functions in the band of the sweep, as of `in_band`.
     snr_db, float32 (actuators,): Signal-to-noise ratios, NaN where unknown.
-    moved_mm: How far beside the position; NaN where unknown.
+    moved_mm: Distance from the position; NaN where unknown.
     """
 
     spectrum: NDArray[np.complex128]

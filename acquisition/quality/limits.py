@@ -18,7 +18,7 @@ class QualityLimits:
         response.
     excess_noise_db: A suspect record makes the position poor when its residual in volts is also this much above the
         residual of the position's quietest record. Both must hold: a far actuator's record is mostly noise and still
-        honest, a near one's residual is large in volts and still small beside its response.
+        honest, a near one's residual is large in volts and still small next to its response.
     poor_snr_db: The position is poor when even its best record has less signal-to-noise ratio.
     max_attempts: Attempts at a position before it is committed as it is.
     poor_harmonic_db: A record is clipped or distorted when the third harmonic at its loudest moment is above this, in

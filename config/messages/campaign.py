@@ -106,7 +106,7 @@ class PositionCommitted(Event):
     """A position is durably in the bank, with the contract's status bits and its quality.
 
     Where it is not valid, `reason` says why and `defects` names it. `response_range_v` is the input range where it
-    is not the configured one, `moved_mm` how far beside the position the laser was.
+    is not the configured one, `moved_mm` how far from the position the laser was.
     """
 
     position: int

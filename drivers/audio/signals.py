@@ -200,7 +200,7 @@ class SignalShelf:
         return given_up
 
     def clear(self) -> None:
-        """Forget everything: whoever held the signals is gone."""
+        """Forget everything: the owner of the signals is gone."""
         self._held.clear()
         self._given_up.clear()
         self._frames = 0

@@ -285,7 +285,7 @@ class NiRecorder:
         return self._session
 
     def _check_goes_on(self, request: RecordRequest, doing: str) -> None:
-        """Tell a read that its record was dropped meanwhile."""
+        """Let a read fail: its record was dropped meanwhile."""
         if self._under_way is not request:
             raise TransientInstrumentError(self._instrument, doing, "it was aborted", "start it again")
 

@@ -26,7 +26,7 @@ def install_libusb(platform: str = sys.platform) -> str:
 
 
 def udev_rule(vendor_id: int, product_id: int) -> str:
-    """The line that lets whoever sits at the machine open a device, for a file such as `RULES_FILE`."""
+    """The line that lets the logged-in user open a device, for a file such as `RULES_FILE`."""
     return (
         f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor_id:04x}", ATTR{{idProduct}}=="{product_id:04x}", '
         'MODE="0660", TAG+="uaccess"'

@@ -28,7 +28,7 @@ def reset_device(
 ) -> UsbDevice:
     """Reset the device of one role and wait until it is back.
 
-    Whoever uses the device must have released it. Try a fresh connection first, and the
+    Programs that use the device must have released it. Try a fresh connection first, and the
     maker's own reset where there is one; this comes last. Raises InstrumentLostError or InstrumentError.
 
     role: Whose device.

@@ -103,7 +103,7 @@ class EventList(QWidget):
         self._count_due_s = 0.0
         self.lines = EventLines(campaign)
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
-        tip = "Events shown here (all are in the log beside the bank)"
+        tip = "Events shown here (all are in the log next to the bank)"
         self.weight = make_choice("Least weight", tip, choices, Weight.NOTE)
         self.text = named(QLineEdit(), "Show only events that contain this text (Ctrl+F)", "Filter text")
         self.text.setPlaceholderText("filter…")

@@ -78,8 +78,8 @@ class GreenPlot(Plot):
                 chosen = number == actuator
                 colour = self.theme.fault if chosen else self.theme.traces[0]
                 self.line(time_ms, number + 0.9 * trace / scale, colour, 1.6 if chosen else 1.0)
-            told = f"; each to its own peak, the least {float(peaks.min()):.3g}" if own_scale else " = 0.9 of a step"
-            plot.setTitle(f"{title}{told}", color=self.theme.text)
+            words = f"; each to its own peak, the least {float(peaks.min()):.3g}" if own_scale else " = 0.9 of a step"
+            plot.setTitle(f"{title}{words}", color=self.theme.text)
         plot.getAxis("left").setTicks([whole_ticks(len(green)), []])
         plot.setXRange(0.0, float(time_ms[-1]), padding=0.01)
         plot.setYRange(-1.0, len(green), padding=0.0)
@@ -107,13 +107,13 @@ class SpectrumPlot(Plot):
         for level in spectrum:
             self.line(frequency_hz, 20 * np.log10(level), self.theme.grid)
         if actuator >= 0:
-            level, told = spectrum[actuator], f"actuator {actuator}"
+            level, words = spectrum[actuator], f"actuator {actuator}"
         else:
-            level, told = np.sqrt(np.mean(spectrum**2, axis=0)), "rms of all actuators; each in grey"
+            level, words = np.sqrt(np.mean(spectrum**2, axis=0)), "rms of all actuators; each in grey"
         level_db = 20 * np.log10(level)
         self.line(frequency_hz, level_db, self.theme.traces[0], 2.0)
         self.mark_band(low_hz, high_hz)
-        plot.setTitle(f"position {greens.position}: {told}", color=self.theme.text)
+        plot.setTitle(f"position {greens.position}: {words}", color=self.theme.text)
         in_band = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
         top_db = float(level_db[in_band].max()) if in_band.any() else float(level_db.max())
         plot.setXRange(0.0, float(frequency_hz[-1]), padding=0.01)
@@ -190,8 +190,8 @@ class DriftPlot(QWidget):
                 if math.isfinite(y)
             ]
             item.addItem(pyqtgraph.ScatterPlotItem(spots=marks, pen=None, size=8))
-        told = "" if points else "the sentinel position has not been measured again yet"
-        self.plots[0].getPlotItem().setTitle(told or "circle: steady, triangle: warn, cross: stop", color=theme.text)
+        words = "" if points else "the sentinel position has not been measured again yet"
+        self.plots[0].getPlotItem().setTitle(words or "circle: steady, triangle: warn, cross: stop", color=theme.text)
         if points:
             room_s = max(60.0, 0.05 * float(at_s[-1] - at_s[0]))
             self.plots[0].setXRange(float(at_s[0]) - room_s, float(at_s[-1]) + room_s, padding=0)

@@ -111,7 +111,7 @@ class ManualSession(RigProcess):
 
     @property
     def place_mm(self) -> Numbers | None:
-        """Place of the beam on the surface; None where it is parked or beside the surface."""
+        """Place of the beam on the surface; None where it is parked or off the surface."""
         x_mm, y_mm = self.beam.x_mm, self.beam.y_mm
         return None if self.beam.parked or x_mm is None or y_mm is None else (x_mm, y_mm)
 

@@ -36,9 +36,9 @@ class Settings:
     def keep(self, key: str, value: str | int | QByteArray) -> None:
         self._settings.setValue(key, str(value) if isinstance(value, int) else value)
 
-    def folder(self, kind: str, beside: Path | None = None) -> Path:
+    def folder(self, kind: str, near: Path | None = None) -> Path:
         """The folder where a file of a kind was last chosen; at first that of the file it is made from, if any."""
-        found = Path(self.text(f"folder/{kind}") or (beside.parent if beside is not None else "."))
+        found = Path(self.text(f"folder/{kind}") or (near.parent if near is not None else "."))
         return found if found.is_dir() else Path.cwd()
 
     def recent(self) -> list[Path]:
@@ -105,7 +105,7 @@ class PathField(QWidget):
     ending, kind : str
         Ending of the files, ``".h5"``, and their name; an empty ending for folders.
     settings : Settings
-        Knows the folder of the last choice.
+        Has the folder of the last choice.
     saves : bool
         Whether the file may not exist yet.
     words : collection of str

@@ -140,9 +140,8 @@ def _require_answer(display: str) -> None:
 
 
 def _missing(missing: ImportError) -> str:
-    told = " ".join(str(missing).split())
+    reason = " ".join(str(missing).split())
     if isinstance(missing, ModuleNotFoundError):
-        return f"the window needs PyQt5 and pyqtgraph ({told}): python -m pip install PyQt5 pyqtgraph"
-    return (
-        f"Qt cannot be loaded ({told}): install what it needs, on Debian and Ubuntu: sudo apt-get install {_LIBRARIES}"
-    )
+        return f"the window needs PyQt5 and pyqtgraph ({reason}): python -m pip install PyQt5 pyqtgraph"
+    install = f"sudo apt-get install {_LIBRARIES}"
+    return f"Qt cannot be loaded ({reason}): install what it needs, on Debian and Ubuntu: {install}"

@@ -83,7 +83,7 @@ def rig_of_run(run: Path) -> Path | None:
 
 
 def runs_on_virtual_rig(run: Path) -> bool:
-    """Whether a run file's campaign needs no instruments; one that nobody can read is told about by the capture."""
+    """Whether a run file's campaign needs no instruments; the capture reports one that cannot be read."""
     try:
         rig = rig_of_run(run)
     except InputError:

@@ -88,12 +88,12 @@ class RequestForm(QWidget):
         self._show_choice()
 
     def take_bank(self, bank: Path) -> None:
-        """Verify a bank; empty fields are filled with the files beside it."""
+        """Verify a bank; empty fields are filled with the files next to it."""
         self.bank.show_path(bank)
         self._context.settings.opened(bank)
         for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml")):
-            if field.path is None and (beside := bank.with_name(name)).is_file():
-                field.show_path(beside)
+            if field.path is None and (neighbour := bank.with_name(name)).is_file():
+                field.show_path(neighbour)
         if self.out.path is None:
             self.out.show_path(bank.with_name(_FOLDER))
 

@@ -19,7 +19,7 @@ EVERY_RECORD = 0xFFFF_FFFF  # in place of a record: one stream for the whole att
 
 
 # A normal distribution as 65,536 equally likely values (the middle quantiles, unit variance). Drawing
-# from it is six times faster than a ziggurat, and after a 16-bit converter no test can tell them apart.
+# from it is six times faster than a ziggurat, and after a 16-bit converter no test can distinguish them.
 @cache
 def normal_values() -> Float32Array:
     """The values, in their order."""

@@ -206,10 +206,10 @@ class Synthesis:
                         spectrum = spectrum * self._output_factor(actuator, spectrum.size, rate_hz / length)
                     total[: spectrum.size] += spectrum * transfer[actuator, : spectrum.size]
                 response[:bins] += total * delay
-        heard_v = {place: self._wave(spectrum[:highest], length) for place, spectrum in responses.items()}
+        response_of = {place: self._wave(spectrum[:highest], length) for place, spectrum in responses.items()}
         for spot in spots:
             if spot.place_mm is not None and patched is None:
-                response_v[spot.first : spot.stop] = heard_v[spot.place_mm][spot.first : spot.stop]
+                response_v[spot.first : spot.stop] = response_of[spot.place_mm][spot.first : spot.stop]
         return reference_v, response_v
 
     @property

@@ -19,7 +19,7 @@ from storage.durable import PAGE
 from storage.errors import ExistsError, InputError
 from storage.hdf5_writing import attach, created, reserved
 from storage.ledger.pages import LedgerFormat, RowShape
-from storage.sidecar_files import clear_leftovers, workplace
+from storage.sidecar_files import clear_leftovers, staging_dir
 
 LEDGER = "/durability/ledger"
 JOURNAL = "/durability/journal"
@@ -206,7 +206,7 @@ def create_file(
         raise InputError(f"{path}: the folder {path.parent} does not exist")
     _require_space(path, about_bytes)
     try:
-        with workplace(path) as place:
+        with staging_dir(path) as place:
             with created(place.temporary, laid_out_once=True) as file:
                 layout = lay_out(file)
                 hdf5_digest.seal_contents(file, later_datasets(layout))

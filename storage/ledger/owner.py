@@ -35,7 +35,7 @@ class Owner:
 
 
 def owner_path(path: Path) -> Path:
-    """Return the file beside a bank that names its owner."""
+    """Return the file next to a bank that names its owner."""
     return path.with_name(path.name + ".owner")
 
 
@@ -82,7 +82,7 @@ def take_ownership(path: Path, file: PositionedFile, kind: str) -> None:
 
 
 def write_owner(path: Path) -> None:
-    """Name this process beside the file it has locked."""
+    """Name this process in the file next to the one it has locked."""
     owner = Owner(socket.gethostname(), os.getpid(), datetime.now(UTC).astimezone().isoformat(timespec="seconds"))
     # The file's own space is reserved: a disk that is full but for that must not keep anyone from measuring.
     with contextlib.suppress(OSError):

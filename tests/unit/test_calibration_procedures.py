@@ -38,7 +38,7 @@ class Hands:
         self.plugged: list[str] = []
         self.problems: list[str] = []
 
-    def tell(self, line: str) -> None:
+    def report(self, line: str) -> None:
         pass
 
     def connect(self, source: str) -> None:

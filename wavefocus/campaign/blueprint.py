@@ -210,12 +210,12 @@ def own_plan(header: RawHeader, raw: Path) -> Plan | None:
 
 
 def estimator_for(
-    recordings: RawFile, plan: Plan | None, tell: Callable[[str], None] = lambda line: None
+    recordings: RawFile, plan: Plan | None, report: Callable[[str], None] = lambda line: None
 ) -> PositionEstimator:
     """The campaign's own estimator, which gives its bank again; else one that is found from the reference channels."""
     from acquisition.measuring.plays import position_estimator  # of kept recordings alone
     from calibration.estimator.raw_estimation import estimator_of, records_of
 
     if plan is None:
-        return estimator_of(recordings, tell)
+        return estimator_of(recordings, report)
     return position_estimator(plan, records_of(recordings.header).channels)

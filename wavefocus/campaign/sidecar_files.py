@@ -1,4 +1,4 @@
-"""Files beside a bank: event log, drift history and small JSON files that are replaced whole."""
+"""Files next to a bank: event log, drift history and small JSON files that are replaced whole."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class EventLines:
 
 
 class EventLog:
-    """Appends events of some kinds to a file beside a bank; a subscriber.
+    """Appends events of some kinds to a file next to a bank; a subscriber.
 
     The drift history has a file of its own, for it holds clock times: a resumed bank is to be that of an undisturbed
     campaign.

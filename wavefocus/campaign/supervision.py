@@ -262,7 +262,7 @@ class Attendance:
             self._tell(f"the heartbeat of {self._bank} cannot be written ({failure.strerror}); the campaign goes on")
 
     def _tell(self, sentence: str) -> None:
-        """Tell a failure that lasts, once."""
+        """Report a failure that lasts, once."""
         self._failures += 1
         if self._failures == FAILURES_TOLD_AFTER:
             say(sentence)

@@ -112,7 +112,7 @@ def parts_named(words: str) -> tuple[str, ...]:
 
 
 def _file(out: Path | None, folder: Path) -> Path:
-    """Where to write: the file asked for, or one of today's beside the rig file; none is overwritten."""
+    """Where to write: the file asked for, or one of today's next to the rig file; none is overwritten."""
     if out is not None:
         if os.path.lexists(out):
             raise InputError(f"--out {out}: is there already and is not overwritten; name another file")

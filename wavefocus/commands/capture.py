@@ -228,7 +228,7 @@ def _session(
             # From in here, so that an instrument that cannot be put to rest is reported and does not hide the stop.
             raise KeyboardInterrupt
         if writer.renamed:
-            say(f"warning: {bank} was renamed while it was measured; it has its name again, beside the other")
+            say(f"warning: {bank} was renamed while it was measured; it has its name again, next to the other")
         bad = not_valid(writer.status)
     if bad:
         rows_text = row_ranges(bad)

@@ -15,7 +15,7 @@ MOST_LINES = 10
 
 
 def check(file: Path, *, as_json: bool) -> Exit:
-    """Tell everything that is wrong with a file; errors make the exit code 1, warnings do not."""
+    """Report everything that is wrong with a file; errors make the exit code 1, warnings do not."""
     findings = check_file(file)
     errors = sum(one.severity == "error" for one in findings)
     if as_json:

@@ -141,7 +141,7 @@ def _resume(bank: Path) -> None:
 
 
 def _compare(bank: Path) -> Exit:
-    """Tell how far the bank is from the truth, at which nothing else in the suite may look."""
+    """Report how far the bank is from the truth, which nothing else in the suite reads."""
     with open_bank(bank) as view:
         error_db = compare_with_truth(view, _rig(bank.with_name("run.toml")))
     median_db = float(np.nanmedian(error_db))

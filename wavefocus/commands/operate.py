@@ -1,4 +1,4 @@
-"""``wavefocus operate``: instruments operated by hand, by whoever writes orders to standard input."""
+"""``wavefocus operate``: instruments operated by hand, by orders on standard input."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ LATE_S = 10.0
 def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool, watched: bool = False) -> Exit:
     """Play a drive file as one finite signal, several times without a gap where asked for.
 
-    Where it is `watched`, it ends when standard input closes, muted: whoever started it is gone, or wants it to end.
+    Where it is `watched`, it ends when standard input closes, muted: its starter is gone, or wants it to end.
 
     Raises InputError: the drive does not fit the rig, or would give an actuator more than it may get. Raises
     InstrumentError: the interface failed; it was muted.
@@ -86,7 +86,7 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
             }
             with progress("play", math.ceil(seconds), timed=False) as report:
                 player.play(signals_v, drive.sample_rate_hz)
-                with _told(report, clock, seconds):
+                with _progress_shown(report, clock, seconds):
                     player.wait(1.1 * seconds + LATE_S)
                 report(math.ceil(seconds), math.ceil(seconds), "seconds")
     except KeyboardInterrupt:
@@ -111,21 +111,21 @@ def _repeated(volts: NDArray[np.float64], loop: int) -> NDArray[np.float64]:
 
 
 @contextmanager
-def _told(report: Report, clock: Clock, seconds: float) -> Iterator[None]:
+def _progress_shown(report: Report, clock: Clock, seconds: float) -> Iterator[None]:
     started_s, over = clock.now_s(), threading.Event()
 
-    def tell() -> None:
+    def follow() -> None:
         while not over.wait(TELL_EVERY_S):
             played_s = min(clock.now_s() - started_s, seconds)
             report(int(played_s), math.ceil(seconds), "seconds")
 
-    teller = threading.Thread(target=tell, name="play progress", daemon=True)
-    teller.start()
+    follower = threading.Thread(target=follow, name="play progress", daemon=True)
+    follower.start()
     try:
         yield
     finally:
         over.set()
-        teller.join()
+        follower.join()
 
 
 AHEAD_S = 2.0
@@ -136,7 +136,7 @@ MOST_PIECE_SAMPLES = 4096
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """Time before a sample of a source is heard at which it must be known.
+    """Time before a sample of a source sounds at which it must be given.
 
     `lookahead_s` is the length of the Green's functions, which time reversal needs, with the renderer's blocks and the
     conversion to the interface's rate; `ahead_s` is rendered and waits; `interface_s` is the interface's own.

@@ -58,7 +58,7 @@ MOST_LINES = 5
 
 
 def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool = False) -> None:
-    """Tell counts per status, who writes, how it stands and when it will have finished; reads only.
+    """Print counts per status, who writes, how it stands and when it will have finished; reads only.
 
     Raises InputError: the bank cannot be read, or there is no drift to draw.
     """
@@ -125,7 +125,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     if snr_db is not None:
         answer(f"median signal-to-noise ratio {snr_db:.1f} dB over all pairs")
     if moved:
-        answer(f"measured up to {np.nanmax(moved_mm):.2g} mm beside their position, where there was light: {moved}")
+        answer(f"measured up to {np.nanmax(moved_mm):.2g} mm off their position, where there was light: {moved}")
     for position, reason in list(kept.items())[:MOST_LINES]:
         answer(f"position {position} stayed as the bank had it: {reason}")
     if len(kept) > MOST_LINES:

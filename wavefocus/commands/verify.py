@@ -177,7 +177,7 @@ class _Work:
 
     @contextmanager
     def _step(self, name: str, total: int) -> Iterator[Report]:
-        """Tell how far a step is, to people and in the log."""
+        """Report how far a step is, to people and in the log."""
         logged = self.log.step(name, total)
         with progress(name, total) as people:
 

@@ -138,7 +138,7 @@ def marks(rig: RigConfig, request: Request) -> tuple[tuple[Pair, ...], tuple[Pai
 def listening(rig: RigConfig, request: Request) -> tuple[float, NDArray[np.float64]]:
     """How far from each actuator it is listened to, and where.
 
-    Raises InputError: A place beside the surface.
+    Raises InputError: A place off the surface.
     """
     distance_mm = request.distance_mm or DISTANCE_SHARE * rig.surface.width_mm
     places = listening_places(rig.actuator_mm, distance_mm)
@@ -204,7 +204,7 @@ class CalibrationSession:
                     self.problems.append(str(failure))
         finally:
             if cables.source != VIBROMETER:
-                operator.tell("the response input is not on the vibrometer: plug it back before anything is measured")
+                operator.report("the response input is not on the vibrometer: plug it back before anything is measured")
 
     def record(self) -> CalibrationRecord:
         """All that is known: what was measured now, and what the rig's calibration held of the rest."""
@@ -224,7 +224,7 @@ class CalibrationSession:
     def _inputs(self, setup: Setup, operator: Operator) -> Setup:
         found = measure_inputs(self._probe(setup), operator)
         delay_s = _rounded(found.late_s)
-        operator.tell(
+        operator.report(
             f"inputs: the response is sampled {1e6 * delay_s:.3f} us after the reference, spread "
             f"{1e9 * found.spread_s:.0f} ns; clocks {found.clock_ppm:+.1f} ppm apart"
         )
@@ -265,7 +265,7 @@ class CalibrationSession:
         if not found:
             raise NotMeasuredError("no signal from any output: is the response input plugged into the player?")
         loudest = max((abs(one.latency_s) for one in found), default=0.0)
-        operator.tell(f"outputs: {len(found)} measured, latencies within {1e6 * loudest:.2f} us of the loopback's")
+        operator.report(f"outputs: {len(found)} measured, latencies within {1e6 * loudest:.2f} us of the loopback's")
         self._take_up(
             "outputs",
             OutputsMeasured(
@@ -290,7 +290,7 @@ class CalibrationSession:
             found = measure_mirror(setup, self._marks, *limits)
         else:
             found = fitted_marks(self._marks, self._angles)
-        operator.tell(f"mirror: residual {found.fit.rms_mm:.3f} mm rms, worst {found.worst_mm:.3f} mm")
+        operator.report(f"mirror: residual {found.fit.rms_mm:.3f} mm rms, worst {found.worst_mm:.3f} mm")
         if found.worst_mm > self._request.limit_mm:
             raise NotMeasuredError(
                 f"the map misses a mark by {found.worst_mm:.2f} mm, more than --limit-mm {self._request.limit_mm:g}: "
@@ -324,7 +324,7 @@ class CalibrationSession:
                     f"({found.level_db[actuator]:+.1f} dB): {REMEDIES[verdict]}"
                 )
         good = sum(verdict == "good" for verdict in found.verdict)
-        operator.tell(f"actuators: {good} of {len(channels)} good, measured at {self._distance_mm:g} mm from each")
+        operator.report(f"actuators: {good} of {len(channels)} good, measured at {self._distance_mm:g} mm from each")
         self._take_up(
             "actuators",
             ActuatorsMeasured(
@@ -376,8 +376,8 @@ class Cables:
         self._operator, self._patch_bay = operator, patch_bay
         self.source = VIBROMETER
 
-    def tell(self, line: str) -> None:
-        self._operator.tell(line)
+    def report(self, line: str) -> None:
+        self._operator.report(line)
 
     def connect(self, source: str) -> None:
         self.source = ""  # neither the one nor the other until it is done

@@ -133,7 +133,7 @@ def open_rig(ways: Openers) -> OpenedRig:
         recorder = ways.recorder()
         opened.callback(recorder.close)
         player = ways.player()
-        opened.pop_all()  # from here on they are put to rest by whoever opened the rig
+        opened.pop_all()  # from here on the caller who opened the rig puts them to rest
     instruments = Instruments(mirror, recorder, player, ways.clock)
     return OpenedRig(
         instruments, vibrometer.sensitivity_m_s_per_v, vibrometer.latency_s, ways.patch_bay, ways.virtual_sensors

@@ -52,7 +52,7 @@ class TerminalOperator:
     def __init__(self, read_line: Callable[[], str], forget_typed: Callable[[], object] = lambda: None) -> None:
         self._read_line, self._forget_typed = read_line, forget_typed
 
-    def tell(self, line: str) -> None:
+    def report(self, line: str) -> None:
         """Read a line."""
         say(line)
 
@@ -124,7 +124,7 @@ class LinesOperator:
         self._answers, self._publish, self._measure, self._place_mm = answers, publish, measure, place_mm
         self._listens = True
 
-    def tell(self, line: str) -> None:
+    def report(self, line: str) -> None:
         """Read a line."""
         self._publish(Tell(line))
 

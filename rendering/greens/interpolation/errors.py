@@ -103,7 +103,7 @@ def _errors(
         if found is None and isinstance(kind, GridInterpolation):
             by, found = "correlation", expected_errors(bank, kind, points_mm, spectrum.bands_hz(_band_hz(bank), BANDS))
     except OffGridError:
-        return None  # whoever renders there says which path point it is
+        return None  # rendering there names the path point
     if found is None:
         return None
     emitted = spectrum.shares(found.frequency_hz, _band_hz(bank)) * found.power

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from storage.sidecar_files import clear_leftovers, workplace
+from storage.sidecar_files import clear_leftovers, staging_dir
 
 
 def leftover(path: Path, name: str = "dead", **files: bytes) -> Path:
@@ -24,7 +24,7 @@ def names(folder: Path) -> list[str]:
 
 
 def test_given_a_workplace_then_it_is_gone_afterwards(tmp_path: Path) -> None:
-    with workplace(tmp_path / "bank.h5") as place:
+    with staging_dir(tmp_path / "bank.h5") as place:
         place.temporary.write_bytes(b"half")
         assert place.temporary.parent.parent == tmp_path
     assert names(tmp_path) == []
@@ -32,7 +32,7 @@ def test_given_a_workplace_then_it_is_gone_afterwards(tmp_path: Path) -> None:
 
 def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path: Path) -> None:
     def fail() -> None:
-        with workplace(tmp_path / "bank.h5") as place:
+        with staging_dir(tmp_path / "bank.h5") as place:
             place.temporary.write_bytes(b"half")
             raise RuntimeError("stopped")
 
@@ -50,7 +50,7 @@ def test_given_what_a_killed_maker_left_then_it_is_removed(tmp_path: Path, files
 
 def test_given_a_maker_that_lives_then_its_folder_stays(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
-    with workplace(path) as place:
+    with staging_dir(path) as place:
         place.temporary.write_bytes(b"half")
         clear_leftovers(tmp_path, path.name)
         assert place.temporary.read_bytes() == b"half"
