@@ -22,7 +22,7 @@ def table(result: dict[str, Any]) -> str:
         f"{result['date']}, `{result['command']}`, {result['minutes']:g} minutes; {result['machine']}.",
         "",
         "| fault | trials | unreadable files | lost positions | wrong positions called valid | not byte-identical | "
-        "badly told |",
+        "badly reported |",
         "|---|---|---|---|---|---|---|",
     ]
     for kind, word in _TOTALS.items():
