@@ -23,7 +23,7 @@ from mocks.virtual.rig import VirtualRig
 from storage.bank.layout import BankHeader
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter, create_bank
-from storage.field_file import read_field
+from storage.drive_file import read_drive
 
 Key = TypeVar("Key")
 TOLERANCES_DB = (None, -80, -60, -40)
@@ -38,9 +38,9 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     with tempfile.TemporaryDirectory(dir=out) as name:
         folder = Path(name)
         run_command("init", folder / "lab")
-        bank, drive, field = _write_bank(folder / "plate.h5", quick=quick), folder / "drive.h5", folder / "field.h5"
+        bank, drive = _write_bank(folder / "plate.h5", quick=quick), folder / "drive.h5"
         render = ("render", folder / "lab/scene.toml", "--bank", bank, "--out", drive, "--force")
-        predict = ("predict", drive, "--bank", bank, "--out", field, "--force")
+        predict = ("predict", drive, "--bank", bank, "--out", folder / "field.h5", "--force")
         run_command(*render)
         commands: dict[str, tuple[object, ...]] = {
             "--help": ("--help",),
@@ -59,23 +59,23 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
             )
             for what, timing in _measured(commands, repeats).items()
         ]
-        points += _tolerances(predict, field, repeats)
+        points += _tolerances(render, drive, repeats)
     return Findings(points, "what the exact command writes")
 
 
 def _tolerances(command: tuple[object, ...], file: Path, repeats: int) -> list[Point]:
-    """Predict to several tolerances."""
+    """Render to several tolerances."""
     arguments = {db: command if db is None else (*command, "--tolerance-db", db) for db in TOLERANCES_DB}
     written = {}
     for db in TOLERANCES_DB:
         run_command(*arguments[db])
-        written[db] = np.asarray(read_field(file).field, dtype=np.float64)
+        written[db] = read_drive(file).drive_v
     return [
         Point(
-            work="wavefocus predict, the whole command", method="exact" if db is None else "to a tolerance",
+            work="wavefocus render, the whole command", method="exact" if db is None else "to a tolerance",
             parameters={} if db is None else {"tolerance_db": float(db)}, timing=timing,
             error=None if db is None else relative_error(written[db], written[None]),
-            paste="" if db is None else f"# no key of a file: wavefocus predict --tolerance-db {db}",
+            paste=f"# no key of a file: wavefocus render{'' if db is None else f' --tolerance-db {db}'}",
         )
         for db, timing in _measured(arguments, repeats).items()
     ]  # fmt: skip

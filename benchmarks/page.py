@@ -66,7 +66,10 @@ def _draw(path: Path, title: str, points: list[Point], cost: str) -> None:
         mine = [index for index, one in enumerate(points) if one.method == method]
         x, y = zip(*(place[index] for index in mine), strict=True)
         style: dict[str, Any] = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
-        axes.plot(x, y, label=method, linewidth=1.2, markersize=6, **style)
+        settings = {name: {points[index].parameters.get(name) for index in mine} for name in points[mine[0]].parameters}
+        # A line joins settings of one parameter; those of several are no sequence.
+        width = 1.2 if sum(len(one) > 1 for one in settings.values()) < 2 else 0.0
+        axes.plot(x, y, label=method, linewidth=width, markersize=6, **style)
         spreads = [
             one.timing.spread_s or 0.0 if one.timing and cost == "wall_s" else 0.0
             for one in map(points.__getitem__, mine)
@@ -76,20 +79,37 @@ def _draw(path: Path, title: str, points: list[Point], cost: str) -> None:
     front = pareto(place)
     axes.plot(*zip(*(place[index] for index in front), strict=True), color="#888888", linewidth=5, alpha=0.25,
               solid_capstyle="round", label="Pareto front", zorder=0)  # fmt: skip
-    for index in front:
-        words = ", ".join(_setting(key, value) for key, value in points[index].parameters.items())
-        axes.annotate(words, place[index], (6, 6), textcoords="offset points", fontsize=7, color="#444444")
     axes.set(xscale="log", yscale="log", xlabel=COSTS[cost], ylabel="relative error", title=title)
     for axis, span in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("{x:g}" if span[1] < 30 * span[0] else NullFormatter())
+        axis.set_minor_formatter("{x:g}" if span[1] < 60 * span[0] else NullFormatter())
         axis.set_tick_params(which="minor", labelsize=7)
     axes.grid(visible=True, which="major", alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     axes.margins(x=0.12)
     figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    figure.draw_without_rendering()
+    taken: list[Any] = []
+    for index in [*front, *(one for one in range(len(points)) if one not in front)]:
+        words = ", ".join(_setting(key, value) for key, value in points[index].parameters.items())
+        _label(axes, place[index], words, taken)
     with replacement(path) as temporary:
         figure.savefig(temporary, dpi=120)
+
+
+def _label(axes: Any, place: tuple[float, float], words: str, taken: list[Any]) -> None:
+    """Write words right or left of a place, where they hide no words before them; else nowhere."""
+    for right in (True, False):
+        label = axes.annotate(
+            words, place, (7 if right else -7, 5), textcoords="offset points", fontsize=7, color="#444444",
+            ha="left" if right else "right", annotation_clip=False,
+        )  # fmt: skip
+        label.set_in_layout(False)
+        box = label.get_window_extent()
+        if axes.bbox.contains(box.x0, box.y0) and axes.bbox.contains(box.x1, box.y1) and not box.count_overlaps(taken):
+            taken.append(box)
+            return
+        label.remove()
 
 
 def _setting(name: str, value: Plain) -> str:

@@ -131,11 +131,6 @@ def field_points(bank: GreenArray, *, quick: bool) -> list[Point]:
         (together, {}, lambda: np.stack([oaconvolve(drive.drive_v, bank.values[row], axes=1).sum(0) for row in rows])),
         ("ours, float64", {}, lambda: predict(drive, bank, rows).field),
         ("ours, float32", {}, lambda: predict(drive, bank, rows, dtype=np.float32).field),
-        *(
-            ("ours, float32, left out by a proved bound", {"tolerance_db": db},
-             lambda db=db: predict(drive, bank, rows, dtype=np.float32, tolerance_db=db).field)
-            for db in TOLERANCES_DB
-        ),
     ]  # fmt: skip
     found = measure({str(number): way for number, (_, _, way) in enumerate(ways)}, repeats, once=("0",), memory=True)
     work = f"field of {seconds:g} s at {FEW_ROWS} positions"
@@ -143,12 +138,6 @@ def field_points(bank: GreenArray, *, quick: bool) -> list[Point]:
         Point(
             work=work, method=method, parameters=parameters, timing=timing,
             error=None if method == truth_by else relative_error(timing.result, found["0"].result),
-            paste=_field_paste(parameters) if method.startswith("ours, float32") else "",
         )
         for (method, parameters, _), timing in zip(ways, found.values(), strict=True)
     ]  # fmt: skip
-
-
-def _field_paste(parameters: dict[str, float]) -> str:
-    options = "".join(f" --tolerance-db {value:g}" for value in parameters.values())
-    return f"# no key of a file: wavefocus predict{options}"

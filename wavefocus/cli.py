@@ -348,7 +348,6 @@ COMMANDS = (
             POSITIONS,
             number("--rate", 1e-3, 1e9, dest="rate_hz", metavar="HZ",
                    help="Of the field: the bank's over a whole number."),
-            TOLERANCE,
             switch("--spectra", help="Energy spectra alone, into an .npz file: far faster than the field."),
             CLUSTER, DEVICE, FORCE, JSON,
         ),

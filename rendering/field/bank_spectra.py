@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rendering.arrays import Complex128Array, Float64Array, Int64Array
+from rendering.arrays import Complex128Array, Int64Array
 from rendering.band import Band
 from rendering.device import Device, fast_length, host_device, in_order
 from rendering.greens.source import GreenSource, RowReader
@@ -29,28 +29,19 @@ class RowsSpectra:
 
     kept, complex (kept bins, rows, actuators): of the device.
     exponents, int64 (rows,): The rows are these times two to such a power.
-    magnitude, float64 (rows, bins), or None: Norms over the actuators of every bin, where errors are bounded.
     """
 
     kept: Any
     exponents: Int64Array
-    magnitude: Float64Array | None
 
 
-def transform_rows(
-    reader: RowReader, positions: Sequence[int], band: Band, device: Device, *, bounded_bins: int = 0
-) -> RowsSpectra:
-    """Read some rows and transform them; magnitudes of so many bins, at least those kept, where errors are bounded."""
+def transform_rows(reader: RowReader, positions: Sequence[int], band: Band, device: Device) -> RowsSpectra:
+    """Read some rows and transform them."""
     rows = [reader.read(position, single=band.single) for position in positions]
     green = device.xp.asarray(np.stack([row.values for row in rows]))
     # Bin by bin, as matrix products need them: the transform gathers at no cost.
     whole = device.fft(single=band.single).rfft(device.xp.moveaxis(green, 2, 0), n=band.fft_samples, axis=0)
-    magnitude = None
-    if bounded_bins:
-        host = device.to_host(whole[:bounded_bins, :, :])
-        power = np.einsum("bra,bra->rb", host.real, host.real, dtype=np.float64)
-        magnitude = np.sqrt(power + np.einsum("bra,bra->rb", host.imag, host.imag, dtype=np.float64))
-    return RowsSpectra(whole[: band.kept, :, :], np.array([row.exponent for row in rows]), magnitude)
+    return RowsSpectra(whole[: band.kept, :, :], np.array([row.exponent for row in rows]))
 
 
 class BankSpectra:
@@ -95,7 +86,7 @@ class BankSpectra:
 
         for _ in in_order(fill, range(0, len(rows), ROWS_AT_ONCE)):
             pass
-        self._made = RowsSpectra(kept, exponents, None)
+        self._made = RowsSpectra(kept, exponents)
 
     @property
     def size_bytes(self) -> int:
@@ -112,7 +103,7 @@ class BankSpectra:
             )
         # Those of a slice are the same memory.
         where = slice(int(place[0]), int(place[-1]) + 1) if (np.diff(place) == 1).all() else place
-        return RowsSpectra(self._made.kept[:, where, :], self._made.exponents[where], None)
+        return RowsSpectra(self._made.kept[:, where, :], self._made.exponents[where])
 
 
 class Decimation:

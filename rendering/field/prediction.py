@@ -11,7 +11,6 @@ from numpy.typing import DTypeLike
 
 from calibration.blas import one_blas_thread
 from rendering.arrays import Float32Array, Float64Array, Int64Array
-from rendering.band import relative_bound, tolerance_of
 from rendering.device import WORKERS, Device, fast_length, host_device, in_order
 from rendering.field.bank_spectra import BankSpectra, Decimation
 from rendering.field.convolution import Convolution
@@ -49,8 +48,6 @@ class Prediction:
     positions, int64 array: Bank rows, measured.
     dtype: float64: to 1e-12 of direct evaluation. float32: spectra in complex64, about twice as fast, 1e-6 of each
         position's largest response.
-    tolerance_db: Allows leaving out frequency bins as long as the proved bound on the relative L2 error stays below it
-        for every part of the field, < 0.
     rate_hz: Rate of the field, an integer fraction of the bank's; the field is low-passed to it.
 
     Raises InputError: a parameter is not as stated here.
@@ -72,7 +69,6 @@ class Prediction:
         positions: Int64Array | Sequence[int],
         *,
         dtype: DTypeLike = np.float32,
-        tolerance_db: float | None = None,
         rate_hz: float | None = None,
         device: Device | None = None,
     ) -> None:
@@ -83,8 +79,8 @@ class Prediction:
         self._device = host_device() if device is None else device
         rate = float(drive.sample_rate_hz)
         if isinstance(bank, BankSpectra):
-            if rate_hz is not None or tolerance_db is not None:
-                raise InputError("rate_hz and tolerance_db do not go with the bank's spectra, which set the rate")
+            if rate_hz is not None:
+                raise InputError("rate_hz does not go with the bank's spectra, which set the rate")
             kept, self._bank, decimation = bank, bank.bank, bank.decimation
         else:
             kept, self._bank, decimation = None, bank, Decimation(rate, rate if rate_hz is None else rate_hz)
@@ -92,21 +88,9 @@ class Prediction:
         self.sample_rate_hz, self.passed_hz = rate / decimation.factor, decimation.passed_hz
         self.low_pass = LowPass(decimation.passed_hz, decimation.factor) if decimation.factor > 1 else None
         self._convolution = Convolution(
-            drive.drive_v, RowReader(self._bank), self._dtype, self.position_index, decimation, self._device,
-            tolerance_of(tolerance_db), kept,
-        )  # fmt: skip
+            drive.drive_v, RowReader(self._bank), self._dtype, decimation, self._device, kept
+        )
         self.samples = self._convolution.samples
-        self._errors = self._energy = 0.0
-
-    @property
-    def kept_share(self) -> float:
-        """Share of the frequency bins that is computed."""
-        return self._convolution.kept_share
-
-    @property
-    def omitted_bound(self) -> float:
-        """Proved bound on the relative L2 error of the rows given so far from what was left out of them."""
-        return relative_bound(float(np.sqrt(self._errors)), float(np.sqrt(self._energy)))
 
     def rows(self, on_progress: OnProgress | None = None) -> Iterator[FieldRows]:
         """Compute all rows; `on_progress` is called with positions done and positions in all."""
@@ -115,9 +99,7 @@ class Prediction:
         with one_blas_thread():
             computed = in_order(lambda part: self._convolution.respond(index[part.start : part.stop]), parts, workers)
             for part, response in zip(parts, computed, strict=True):
-                self._errors += response.error**2
-                self._energy += response.energy
-                yield FieldRows(part.start, index[part.start : part.stop], response.field)
+                yield FieldRows(part.start, index[part.start : part.stop], response)
                 if on_progress is not None:
                     on_progress(part.stop, len(index))
 
@@ -142,7 +124,7 @@ class Prediction:
     def respond(self, positions: Int64Array) -> RealArray:
         """Compute some bank rows as one part, in the calling thread, (rows, samples)."""
         with one_blas_thread():
-            return self._convolution.respond(positions).field
+            return self._convolution.respond(positions)
 
     def lost_share(self) -> float:
         """Share of the response's energy above `passed_hz`: the largest of a few positions, by some of the drive."""
@@ -174,20 +156,19 @@ def predict(
     positions: Sequence[int] | None = None,
     *,
     dtype: DTypeLike = np.float64,
-    tolerance_db: float | None = None,
     rate_hz: float | None = None,
     on_progress: OnProgress | None = None,
 ) -> Field:
     """Predict the response y(x)[n] = sum_i (g_i(x) * f_i)[n], drive samples + L - 1 long.
 
     positions: Bank rows in any order; by default all that `measured_positions` gives.
-    dtype, tolerance_db, rate_hz: See `Prediction`.
+    dtype, rate_hz: See `Prediction`.
     on_progress: Called with positions done and positions in all.
 
     Raises InputError: drive and bank do not fit, a position was not measured, or another parameter is not as stated.
     """
     index = chosen_positions(drive, bank, positions)
-    prediction = Prediction(drive, bank, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz)
+    prediction = Prediction(drive, bank, index, dtype=dtype, rate_hz=rate_hz)
     return prediction.field(on_progress)
 
 

@@ -116,12 +116,6 @@ def test_given_no_dask_then_a_sentence_says_what_to_install(lab: Path) -> None:
     assert done.stderr.strip().endswith("pip install 'dask[distributed]'")
 
 
-def test_given_a_tolerance_then_a_cluster_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
-    assert run([*predict, "--cluster", "local", "--tolerance-db", "-60"]) == 2
-    assert "--tolerance-db" in capsys.readouterr().err
-
-
 def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab: Path) -> None:
     drive, bank = identity_of(lab / "drive.h5"), identity_of(lab / "bank.h5")
     assert [one.shape for one in field_parts(drive, bank, None, [[3, 1], [2]])] == [(2, 3199), (1, 3199)]

@@ -28,7 +28,7 @@ PLAY = ["play", "scene.toml", "--bank", "bank.h5", "--rig", "virtual"]
 OPTIONS = [
     *((RENDER, option) for option in ("--tolerance-db", "--interpolation-tolerance")),
     ([*RENDER, "--focusing", "inverse"], "--regularisation-db"),
-    *((PREDICT, option) for option in ("--rate", "--tolerance-db")),
+    (PREDICT, "--rate"),
     *((MOVIE, option) for option in ("--from-s", "--slow", "--limit", "--frame-rate-hz", "--width-px")),
     *((PLAN, option) for option in ("--interpolation-error", "--wave-speed", "--attenuation")),
     *((PLAY, option) for option in ("--gain-db", "--tolerance-db", "--ahead-s")),

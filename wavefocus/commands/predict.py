@@ -29,7 +29,6 @@ def predict(
     positions: str,
     *,
     rate_hz: float | None = None,
-    tolerance_db: float | None = None,
     cluster: str = "",
     device: str = "cpu",
     force: bool = False,
@@ -37,23 +36,20 @@ def predict(
 ) -> None:
     """Predict the field at the positions asked for and write it row by row, here or on a cluster.
 
-    Computed in float64 and rounded once, to the float32 of the file; in complex64 where a lower rate or a
-    tolerance asks for no more.
+    Computed in float64 and rounded once, to the float32 of the file; in complex64 at a lower rate.
     """
-    if cluster and tolerance_db is not None:
-        raise InputError("--cluster computes all; leave out --tolerance-db")
-    if device != "cpu" and (cluster or tolerance_db is not None or rate_hz is not None):
-        raise InputError(f"--device {device} goes neither with --cluster nor with --tolerance-db or --rate")
+    if device != "cpu" and (cluster or rate_hz is not None):
+        raise InputError(f"--device {device} goes neither with --cluster nor with --rate")
     require_outputs((out,), (drive_file, bank), force=force)
     drive = read_drive(drive_file)
     name_unverified(drive_file, verified=drive.verified)
-    dtype = np.float64 if rate_hz is None and tolerance_db is None else np.float32
+    dtype = np.float64 if rate_hz is None else np.float32
     with open_bank(bank) as view:
         wanted = parse_positions(positions, view.positions) if positions else None
         view.require_sound(wanted)
         index = chosen_positions(drive, view, wanted)
         prediction = Prediction(
-            drive, view, index, dtype=dtype, tolerance_db=tolerance_db, rate_hz=rate_hz,
+            drive, view, index, dtype=dtype, rate_hz=rate_hz,
             device=None if device == "cpu" else cuda_device(),
         )  # fmt: skip
         unit, peak = field_unit(view), 0.0
@@ -83,11 +79,6 @@ def predict(
             f"at {prediction.sample_rate_hz:g} Hz, low-passed above {prediction.passed_hz:g} Hz;"
             f" {lost:.2g} of the response's energy is above that"
         )
-    if tolerance_db is not None:
-        say(
-            f"left out no more than {prediction.omitted_bound:.3g} of the field (relative L2, proved),"
-            f" {prediction.kept_share:.0%} of the frequency bins computed"
-        )
     if as_json:
         figures = {
             "field": str(out),
@@ -97,7 +88,6 @@ def predict(
             "sample_rate_hz": prediction.sample_rate_hz,
             "passed_hz": prediction.passed_hz,
             "lost_share": lost,
-            "omitted_bound": prediction.omitted_bound,
         }
         print(json.dumps(figures))
 
@@ -128,20 +118,19 @@ def predict_energy(
     positions: str,
     *,
     rate_hz: float | None,
-    tolerance_db: float | None,
     force: bool = False,
     as_json: bool,
 ) -> None:
     """Write the energy spectra of the responses as an .npz file.
 
-    Raises InputError: the file is not called so, or a rate or a tolerance is asked for too.
+    Raises InputError: the file is not called so, or a rate is asked for too.
     """
     from rendering.field.response_spectra import predict_spectra
 
     if out.suffix != ".npz":
         raise InputError(f"--out is {out}; --spectra writes an .npz file")
-    if rate_hz is not None or tolerance_db is not None:
-        raise InputError("--spectra goes neither with --rate nor with --tolerance-db; leave them out")
+    if rate_hz is not None:
+        raise InputError("--spectra does not go with --rate; leave it out")
     require_outputs((out,), (drive_file, bank), force=force)
     drive = read_drive(drive_file)
     name_unverified(drive_file, verified=drive.verified)
