@@ -22,7 +22,7 @@ class Benchmark:
 
 
 BENCHMARKS = {
-    "plates": Benchmark("simulated plates"),
+    "plate": Benchmark("simulated plates"),
     "bank": Benchmark("commit latency against durability"),
     "estimate": Benchmark("estimators side by side"),
     "render": Benchmark("renderers and predictors side by side"),

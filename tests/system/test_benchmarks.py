@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import bank, cluster, commands, focusing, interpolation, paper, plates
+from benchmarks import bank, cluster, commands, focusing, interpolation, paper, plate
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.long]
 
@@ -44,7 +44,7 @@ def test_the_bank_s_benchmark_commits_every_position_and_reads_it_back(tmp_path)
 
 
 def test_the_plates_benchmark_converges():
-    points = plates.run(quick=True).points
+    points = plate.run(quick=True).points
     for method in ("elements of fourth order", "leapfrog at its limit"):
         error = [one.error for one in points if one.method == method]
         assert len(error) >= 2
