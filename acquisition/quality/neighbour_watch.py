@@ -13,7 +13,8 @@ from acquisition.measuring.raw_keeping import MEASURED
 from acquisition.quality.defects import Cure, Defect
 from acquisition.quality.judgement import Judgement, Row, difference, differing, in_band
 from acquisition.schedule.plan import Plan
-from calibration.neighbours.judge import Difference, NeighbourJudge, RowSpectra
+from calibration.neighbours.difference import Difference
+from calibration.neighbours.judge import NeighbourJudge, RowSpectra
 from storage.bank.writer import BankWriter
 from storage.point_status import Status
 
