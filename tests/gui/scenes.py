@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
 
 
-def line_scene(end_mm: float = 4.5, amplitude: float = 1.0, step_mm: float = 1.5, **output: float) -> SceneConfig:
+def line_scene(end_mm: float = 4.5, amplitude: float = 1.0, step_mm: float = 1.5, **output: Any) -> SceneConfig:
     """A sine of 150 Hz that moves along the first row of the measured bank."""
     source = SourceTable(
         path=LineTable(start_mm=(0.0, 0.0), end_mm=(end_mm, 0.0)),

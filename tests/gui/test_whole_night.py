@@ -31,7 +31,7 @@ RUN = """
 rig = "rig.toml"
 
 [grid]
-spacing_mm = {spacing_mm}
+spacing_mm = 4.0
 
 [sweep]
 duration_s = 0.3
@@ -113,15 +113,15 @@ def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
 
 
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("spacing_mm", [12.0, pytest.param(4.0, marks=pytest.mark.long)])
+@pytest.mark.long
 def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rendered_and_verified_with_the_mouse_alone(
-    qtbot: QtBot, open_window: Callable[..., Window], memory: Settings, tmp_path: Path, spacing_mm: float
+    qtbot: QtBot, open_window: Callable[..., Window], memory: Settings, tmp_path: Path
 ) -> None:
     assert run(["init", str(tmp_path / "lab")]) == 0
     lab = tmp_path / "lab"
     (lab / "scene.toml").unlink()
     (lab / "rig.toml").write_text(RIG, encoding="utf-8")
-    (lab / "run.toml").write_text(RUN.format(spacing_mm=spacing_mm, dark=DARK), encoding="utf-8")
+    (lab / "run.toml").write_text(RUN.format(dark=DARK), encoding="utf-8")
     for ending in (".toml", ".h5"):
         memory.keep(f"folder/{ending}", str(lab))  # where files were chosen last time
     window = open_window()
