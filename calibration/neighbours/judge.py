@@ -122,6 +122,7 @@ class NeighbourJudge:
         self._suspect: BoolArray = np.zeros(shape[:2], dtype=bool)
         self._tried: BoolArray = np.zeros(shape[:2], dtype=bool)
         self._gain: dict[int, float] = {}
+        self._left_out: dict[int, BoolArray] = {}
         if not len(self._all):
             return
         self._near_field = self._near_field_of(actuator_mm)
@@ -336,9 +337,11 @@ class NeighbourJudge:
             rows = self._patches[position].rows
             out = self._out[rows]
             out[0] = False
-            for pattern in {column.tobytes() for column in out.T}:
+            changed_for = (out != self._left_out.get(position, np.zeros_like(out))).any(axis=0)
+            self._left_out[position] = out
+            for pattern in {column.tobytes() for column in out.T[changed_for]}:
                 left_out = np.frombuffer(pattern, dtype=bool)
-                actuators = np.flatnonzero((out == left_out[:, None]).all(axis=0))
+                actuators = np.flatnonzero(changed_for & (out == left_out[:, None]).all(axis=0))
                 errors, variance = self._rows.error_without(position, rows[left_out], actuators)
                 self._errors[position, actuators], self._variance[position, actuators] = errors, variance
         learned = set(predicted)
