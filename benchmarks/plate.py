@@ -8,6 +8,7 @@
   modes up to 4 kHz.
 - Glass, a bank in which modes are left out; truth: the bank with all modes.
 - A bank of the default grid on every plate, and the stadium's modes computed and read from the cache: times alone.
+- Exponents of the cost over positions, actuators and frequencies asked for: times alone.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ NEWMARK_STEPS_S = (1e-4, 2e-5)
 BANK_POSITIONS, BANK_BINS, BANK_STEP_HZ = 100, 1000, 1.0
 HIGH_QUALITY, STEP_S, DRIVEN_STEPS = 1e4, 1e-4, 5000
 MODES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
+BINS = 192
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 GLASS_OUTLINE = Outline.rectangle(225.0, 148.0)
 """Whose default grid has 1500 positions."""
@@ -73,6 +75,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         *_driven_glass(repeats),
         *_fewer_modes(repeats, 20 if quick else BANK_POSITIONS),
         *_banks(1 if quick else 3, 60 if quick else None),
+        *_exponents(repeats, 60 if quick else 600),
     ]
     return Findings(points, "the truth that the module states for each plate")
 
@@ -243,6 +246,34 @@ def _banks(repeats: int, positions: int | None) -> list[Point]:
         work = f"a bank, {positions or 'all'} positions of the default grid x 20 actuators x {TAPS} taps"
         points.append(Point(work=work, method=name, timing=timing, marks=marks))
     return points
+
+
+def _exponents(repeats: int, most: int) -> list[Point]:
+    """Fit CPU time ~ size**exponent: each plate costs in proportion to what is asked for."""
+    points = []
+    for name in ("soft", "stadium", "thin", "solid"):
+        rigs = {count: VirtualRig(replace(RIGS[name], actuator_mm=RIGS[name].actuator_mm[:count])) for count in (5, 20)}
+        place_mm = default_grid(rigs[20])
+        asked: dict[str, dict[int, Callable[[], Any]]] = {
+            "positions": {count: partial(_spectra, rigs[20], place_mm[:count], BINS) for count in (most // 4, most)},
+            "actuators": {count: partial(_spectra, rig, place_mm[:most], BINS) for count, rig in rigs.items()},
+            "frequencies": {count: partial(_spectra, rigs[20], place_mm[:most], count) for count in (BINS // 4, BINS)},
+        }
+        for what, sizes in asked.items():
+            found = measure({str(size): action for size, action in sizes.items()}, repeats, warm=True)
+            (few, small), (many, large) = ((size, found[str(size)].cpu_s) for size in sizes)
+            exponent = float(np.log(large / small) / np.log(many / few))
+            points.append(
+                Point(
+                    work="exponents of the cost", method=f"{name}, {what}",
+                    figures={"from": few, "to": many, "exponent": exponent},
+                )
+            )  # fmt: skip
+    return points
+
+
+def _spectra(rig: VirtualRig, place_mm: Float64Array, bins: int) -> None:
+    rig.truth_spectra(place_mm, TAPS, 2 * TAPS, slice(8, 8 + bins))
 
 
 def _stadium_modes() -> None:

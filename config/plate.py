@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from config.fields import Finite, NonNegative, PointMm, Positive, Table, mistake
 
 PLATES_OF_KEY = {
+    "loss": ("soft",),
     "rim_admittance": ("stadium",),
     "quality": ("thin",),
     "edge": ("thin",),
@@ -41,6 +42,10 @@ class PlateKeys(Table):
         default="soft",
         description="A gel without a rim, a gel whose rim reflects waves (pip install 'wavefocus[plates]'), glass, "
         "or a gel without a rim that moves in its plane",
+    )
+    loss: Literal["damped", "springpot"] | None = Field(
+        default=None,
+        description='Of the plate "soft": the same at all frequencies, nearly, or a springpot\'s, growing with them',
     )
     rim_admittance: NonNegative | None = Field(
         default=None, description='Of the plate "stadium": 0 is a free edge, 1 absorbs waves at a right angle'

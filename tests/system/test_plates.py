@@ -73,7 +73,11 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
     rig, campaign = RIG.replace("{kind}", kind), RUN.replace("{plate}", name)
     for key, value in zip(("{length}", "{width}", "{spacing}"), size, strict=True):
         rig, campaign = rig.replace(key, str(value)), campaign.replace(key, str(value))
-    campaign += {"thin": "quality = 8.0\n", "solid": "force_deg = 30.0\noscillation_deg = 60.0\n"}.get(name, "")
+    campaign += {
+        "soft": 'loss = "springpot"\n',
+        "thin": "quality = 8.0\n",
+        "solid": "force_deg = 30.0\noscillation_deg = 60.0\n",
+    }.get(name, "")
     campaign += f'edge = "{edge}"\n' if edge else ""
     for name, text in (("rig.toml", rig), ("run.toml", campaign), ("scene.toml", SCENE)):
         (tmp_path / name).write_text(text, encoding="utf-8")

@@ -10,7 +10,9 @@ from scipy.special import hankel2
 from mocks.plates.infinite import PlateTable
 from mocks.plates.soft import (
     SOFT_PLATE,
+    SPRINGPOT_PLATE,
     DampedWave,
+    SpringpotWave,
     fit_damped_wave,
     impulse_travel,
     mean_hankel,
@@ -34,6 +36,39 @@ def test_given_the_soft_plate_then_an_impulse_travels_as_the_paper_measured():
     travel = impulse_travel(SOFT_PLATE, (50.0, 450.0))
     assert travel.group_velocity_m_s == pytest.approx(4.8, rel=1e-6)
     assert travel.attenuation_db_per_cm == pytest.approx(3.8, rel=1e-6)
+
+
+def test_given_the_springpot_then_an_impulse_travels_as_the_paper_measured_and_losses_grow_with_frequency():
+    travel = impulse_travel(SPRINGPOT_PLATE, (50.0, 450.0))
+    assert travel.group_velocity_m_s == pytest.approx(4.8, rel=1e-6)
+    assert travel.attenuation_db_per_cm == pytest.approx(3.8, rel=1e-6)
+    loss = -SPRINGPOT_PLATE.wavenumber([50.0, 250.0, 450.0]).imag * 20 / np.log(10) / 100
+    assert loss == pytest.approx([2.0, 7.7, 12.5], abs=0.1)
+
+
+def test_given_a_springpot_without_loss_then_it_is_the_wave_without_damping():
+    elastic, plain = SpringpotWave(4.8, 0.0), DampedWave(4.8, 0.0)
+    frequency_hz = np.array([0.0, 30.0, 250.0, 900.0])
+    for radius_mm in (1.0, 10.0, 90.0):
+        expected = plain.velocity(frequency_hz, radius_mm)
+        assert elastic.kernels(frequency_hz, radius_mm, 2.5)[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_given_the_springpot_then_its_response_is_causal_and_the_table_is_within_1e_minus_7():
+    # Its tail falls as a power of time, so it needs 20 s not to wrap.
+    frequency_hz = np.fft.rfftfreq(200_000, 1e-4)
+    kernel = SPRINGPOT_PLATE.kernels(frequency_hz, 40.0, 2.5)[0] * np.exp(-((frequency_hz / 800.0) ** 2))
+    response = np.fft.irfft(kernel)
+    assert np.square(response[-1000:]).sum() < 1e-8 * np.square(response).sum()
+    table = PlateTable(SPRINGPOT_PLATE, STEP_HZ, 1001, np.ones(1001, dtype=np.complex128))
+    expected = SPRINGPOT_PLATE.kernels(FREQUENCY_HZ, 33.0, 2.5)[0]
+    assert np.abs(table.evaluate(np.array([33.0]))[0] - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("wave", [lambda: SpringpotWave(0.0, 0.1), lambda: SpringpotWave(4.8, -0.1)])
+def test_given_a_springpot_that_cannot_be_then_it_is_refused(wave):
+    with pytest.raises(ValueError, match="must be"):
+        wave()
 
 
 def test_given_a_simulated_impulse_then_its_energy_travels_at_the_group_velocity():
