@@ -35,6 +35,10 @@ TOLERANCES_DB = (-20.0, -40.0, -60.0, -80.0)
 SAMPLED_TOLERANCE_DB = -60.0
 FEW_ROWS = 100
 WAVE_SPEED_MM_S = 5000.0
+FIELD_SETTINGS = {
+    "ours, float64": "# no key of a file: wavefocus predict",
+    "ours, float32": "# no key of a file: wavefocus.predict(drive, bank, dtype=numpy.float32)",
+}
 DIRECT = "direct summation of eq. (9), the reference"
 EXACT = "exact, all bins"
 LOOSE = "exact, left out by a proved bound"
@@ -138,6 +142,7 @@ def field_points(bank: GreenArray, *, quick: bool) -> list[Point]:
         Point(
             work=work, method=method, parameters=parameters, timing=timing,
             error=None if method == truth_by else relative_error(timing.result, found["0"].result),
+            paste=FIELD_SETTINGS.get(method, ""),
         )
         for (method, parameters, _), timing in zip(ways, found.values(), strict=True)
     ]  # fmt: skip

@@ -12,6 +12,7 @@ from rendering.arrays import Float64Array
 from rendering.device import fast_length
 from rendering.drive.accumulate import Accumulated
 from rendering.drive.coil_limits import Limiting, dynamic_range_db
+from rendering.field.metrics import band_weights
 from rendering.field.wave_figures import impulse_travel
 from rendering.greens.interpolation.errors import InterpolationErrors
 from rendering.greens.regularisation import BankRows
@@ -54,6 +55,9 @@ class ResponseTail:
 def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None:
     """Look at the ends of at most six of the rows, evenly chosen.
 
+    A long response has a loud end with and without a low-pass at the upper end of the bank's band; noise beyond the
+    band has it without alone, the low-pass's own ringing with it alone. So the quieter of both counts.
+
     Returns ResponseTail or None: None where there is no row, none that is not silent, or Green's functions have fewer
     than ten taps.
     """
@@ -62,17 +66,27 @@ def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None
     found: ResponseTail | None = None
     chosen = [rows[index] for index in np.unique(np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(np.int64))]
     green = read_rows(bank, chosen)
-    for row, energy in zip(chosen, np.einsum("rit,rit->rt", green, green).astype(np.float64), strict=True):
-        total = float(energy.sum())
-        if total == 0.0:
-            continue
-        share = float(energy[-(bank.taps // 10) :].sum()) / total
-        last = 10.0 * math.log10(share) if share > 0 else -math.inf
-        if found is None or last > found.last_tenth_db:
-            first, second = float(energy[: bank.taps // 2].sum()), float(energy[bank.taps // 2 :].sum())
-            ratio = min(second / first, 1.0) if first > 0 else 1.0
+    kinds = [green]
+    if bank.band_hz is not None:
+        length = fast_length(2 * bank.taps)
+        weights = band_weights(length, float(bank.sample_rate_hz), (1e-9, bank.band_hz[1]))
+        kinds.append(np.fft.irfft(np.fft.rfft(green, length) * weights, length)[..., : bank.taps].astype(np.float32))
+    for place, row in enumerate(chosen):
+        ends = [_end_of(np.square(kind[place], dtype=np.float64).sum(axis=0)) for kind in kinds]
+        last, ratio = min(ends)
+        if not math.isnan(last) and (found is None or last > found.last_tenth_db):
             found = ResponseTail(row, last, ratio**2)
     return found
+
+
+def _end_of(energy: Float64Array) -> tuple[float, float]:
+    """Level of the last tenth in dB, NaN of silence, and energy of the second half over that of the first, up to 1."""
+    total, taps = float(energy.sum()), len(energy)
+    if total == 0.0:
+        return math.nan, 1.0
+    share = float(energy[-(taps // 10) :].sum()) / total
+    first, second = float(energy[: taps // 2].sum()), float(energy[taps // 2 :].sum())
+    return 10.0 * math.log10(share) if share > 0 else -math.inf, min(second / first, 1.0) if first > 0 else 1.0
 
 
 SPREAD_SHARE = 0.1

@@ -9,11 +9,15 @@ import pytest
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from benchmarks.rig_bank import true_bank
 from config.fields import explanation, fields_of, with_explanations
 from config.rig import RigConfig, default_rig
 from config.run import RunConfig, Virtual, default_run
 from config.scene import SceneConfig
 from mocks.virtual.faults import ANYWHERE, CORRUPTING
+from mocks.virtual.rig import VirtualRig
+from rendering.drive.rendering import render_with_report
+from rendering.greens.source import GreenArray
 from rendering.scene.model import load_scene
 from storage.errors import InputError
 from wavefocus.commands.init import write_templates
@@ -67,6 +71,23 @@ def test_template_scene_moves_along_positions_for_about_two_seconds(tmp_path: Pa
     position_mm = load_run(tmp_path / "run.toml").position_mm
     for point_mm in source.path.point_at(np.arange(0.0, source.path.length_mm + 1.0, source.step_mm)):
         assert np.hypot(*(position_mm - point_mm).T).min() < 1e-9
+
+
+def test_template_scene_renders_without_a_warning_or_scaling_on_a_bank_with_noise_beyond_its_band(
+    tmp_path: Path,
+) -> None:
+    write_templates(tmp_path, "virtual")
+    position_mm = load_run(tmp_path / "run.toml").position_mm
+    near = position_mm[(np.abs(position_mm) < (80.0, 16.0)).all(axis=1)]
+    bank = true_bank(VirtualRig(), near, None)
+    rng = np.random.default_rng(1)
+    size = np.sqrt(np.square(bank.values).mean(axis=(1, 2), keepdims=True))
+    noisy = bank.values + 0.05 * size * rng.standard_normal(bank.values.shape)
+    drive, report = render_with_report(
+        load_scene(tmp_path / "scene.toml"), GreenArray(noisy, near, bank.sample_rate_hz, band_hz=bank.band_hz)
+    )
+    assert report.warnings == ()
+    assert drive.scale == 1.0
 
 
 @pytest.mark.parametrize("kind", ["virtual", "template", "emulated"])

@@ -153,11 +153,19 @@ def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:
 
 
 def scene_points(scene: Scene, most: int = POINTS_PER_SOURCE) -> Float64Array:
-    """Points evenly chosen along the paths of a scene's sources, at most so many each, float64 (n, 2)."""
+    """Points evenly chosen along the paths of a scene's sources, at most so many each, float64 (n, 2).
+
+    Of a source that emits anew at every path point, path points.
+    """
     parts = []
     for source in scene.sources:
-        length_mm = source.path.length_mm
-        parts.append(source.path.point_at(np.linspace(0.0, length_mm, most) if length_mm > 0 else np.zeros(1)))
+        length_mm, step_mm = source.path.length_mm, source.step_mm
+        if length_mm > 0 and step_mm > 0 and source.emission == "per_point":
+            last = int(min(length_mm / step_mm + 1e-9, 2**53))
+            along_mm = step_mm * np.unique(np.linspace(0, last, min(most, last + 1)).astype(np.int64))
+        else:
+            along_mm = np.linspace(0.0, length_mm, most) if length_mm > 0 else np.zeros(1)
+        parts.append(source.path.point_at(along_mm))
     return np.concatenate(parts)
 
 
