@@ -23,7 +23,7 @@ class SoundDevice:
 
     def open(self, outputs: Outputs) -> Player:
         """Open the device."""
-        from drivers.audio.player import StreamPlayer
+        from drivers.audio.stream.player import StreamPlayer
 
         return StreamPlayer(
             self.host_api,

@@ -60,11 +60,11 @@ class NiDaqmx:
             "trigger": self.trigger or None,
         }
         if self.address is None:
-            from drivers.daq.recorder_process import ProcessRecorder
+            from drivers.daq.ni.recorder_process import ProcessRecorder
 
             return ProcessRecorder(self.device, **wiring)
-        from drivers.daq.ni_recorder import NiRecorder
-        from drivers.daq.ni_session import TlsFiles
+        from drivers.daq.ni.ni_recorder import NiRecorder
+        from drivers.daq.ni.ni_session import TlsFiles
 
         tls = None
         if self.tls_root is not None:

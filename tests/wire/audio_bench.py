@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.audio.player import StreamPlayer
+from drivers.audio.stream.player import StreamPlayer
 from drivers.errors import TransientInstrumentError
 from mocks.wire.audio.jack_server import JackServer
 

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
-from drivers.daq.ni_recorder import NiRecorder
+from drivers.daq.ni.ni_recorder import NiRecorder
 from drivers.protocols import RecordRequest, Take
 from mocks.wire.ni.ni_server import NiServer
 

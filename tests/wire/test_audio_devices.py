@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.audio.portaudio import DeviceChoiceError, OutputDevice, choose
+from drivers.audio.stream.portaudio import DeviceChoiceError, OutputDevice, choose
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import DeviceIdentity
 from mocks.wire.audio.jack_server import AlsaFile
@@ -24,7 +24,7 @@ DEVICES = (
     OutputDevice(9, "Windows WASAPI", "Speakers (Fireface UCX)", 8, 48_000.0),
 )
 OPENING = """
-from drivers.audio.player import StreamPlayer
+from drivers.audio.stream.player import StreamPlayer
 from drivers.errors import InstrumentError
 from drivers.protocols import DeviceIdentity
 try:
@@ -151,7 +151,7 @@ def test_given_no_sounddevice_then_it_says_how_to_install_it(tmp_path):
 
 
 def test_given_the_import_of_the_player_then_nothing_of_the_audio_library_is_loaded():
-    code = "import sys, drivers.audio.player; print('sounddevice' in sys.modules)"
+    code = "import sys, drivers.audio.stream.player; print('sounddevice' in sys.modules)"
     assert run_python(code, {})[1].strip() == "False"
 
 

@@ -31,7 +31,7 @@ pytestmark = [pytest.mark.long, *needs_audio_server]
 PLAYING = """
 import sys, time
 import numpy as np
-from drivers.audio.player import StreamPlayer
+from drivers.audio.stream.player import StreamPlayer
 player = StreamPlayer("JACK Audio Connection Kit", "wavefocus interface", channels=21,
                       channel_full_scale_v=[1.0] * 21, interface_rate_hz=48_000)
 player.play({0: np.full(60 * 48_000, 0.5)}, 48_000)

@@ -17,7 +17,7 @@ STANDS_IN = pytest.mark.may_skip("a stand-in for the driver's library can be put
 SESSION = """
 import ctypes, json, sys, warnings
 warnings.simplefilter("error")
-from drivers.daq.ni_recorder import NiRecorder
+from drivers.daq.ni.ni_recorder import NiRecorder
 from drivers.errors import InstrumentError
 from drivers.protocols import RecordRequest, Take
 
@@ -175,7 +175,7 @@ device = "none"
 IN_A_PROCESS = """
 import os
 from pathlib import Path
-from drivers.daq.recorder_process import ProcessRecorder
+from drivers.daq.ni.recorder_process import ProcessRecorder
 
 def in_a_process(device="Dev1", **changes):
     wiring = dict(reference_input="ai0", response_input="ai1", terminal="differential", trigger=None)

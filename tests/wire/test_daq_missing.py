@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.daq.ni_recorder import NiRecorder
+from drivers.daq.ni.ni_recorder import NiRecorder
 from drivers.errors import InstrumentError
 
 ROOT = Path(__file__).parents[2]
@@ -18,7 +18,7 @@ OPENING = """
 import sys
 for name in {missing!r}:
     sys.modules[name] = None
-from drivers.daq.ni_recorder import NiRecorder
+from drivers.daq.ni.ni_recorder import NiRecorder
 from drivers.errors import InstrumentError
 assert not any(name in sys.modules for name in {unneeded!r}), "imported before it is needed"
 try:

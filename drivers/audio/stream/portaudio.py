@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.audio.playback import Playback
+from drivers.audio.stream.playback import Playback
 from drivers.protocols import DeviceIdentity
 
 

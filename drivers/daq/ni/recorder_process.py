@@ -18,7 +18,7 @@ from itertools import count
 from queue import SimpleQueue
 from typing import Any
 
-from drivers.daq.ni_recorder import NiRecorder
+from drivers.daq.ni.ni_recorder import NiRecorder
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.process import OPENING_S, Alive, Ask, Close, DriverProcess, MessagePipe, ProcessGoneError, pipe_to_parent
 from drivers.protocols import DeviceIdentity, Recording, RecordRequest
@@ -65,7 +65,7 @@ class ProcessRecorder:
     Raises InstrumentLostError or InstrumentError.
 
     device: Name in NI MAX: ``"Dev1"``.
-    reference_input, response_input, terminal, trigger: As of `drivers.daq.ni_recorder.NiRecorder`.
+    reference_input, response_input, terminal, trigger: As of `drivers.daq.ni.ni_recorder.NiRecorder`.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class ProcessRecorder:
         return recording
 
     def read_input_v(self, name: str) -> float:
-        """Volts at another input, see `drivers.daq.ni_recorder.NiRecorder.read_input_v`."""
+        """Volts at another input, see `drivers.daq.ni.ni_recorder.NiRecorder.read_input_v`."""
         return float(self._call(f"reading {name}", "read_input_v", name))
 
     def abort(self) -> None:
@@ -147,7 +147,7 @@ class ProcessRecorder:
 
     def _open(self, doing: str) -> None:
         name = "the process that runs NI-DAQmx"
-        self._process = DriverProcess("drivers.daq.recorder_process", name, self._note)
+        self._process = DriverProcess("drivers.daq.ni.recorder_process", name, self._note)
         try:
             opening = Opening(self._wiring, self._identity, self._owned)
             self._identity, self._ranges_v = self._call(doing, "open", opening, limit_s=OPENING_S)

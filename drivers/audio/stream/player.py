@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.audio.playback import UNDERFLOW, Ended, Taken
-from drivers.audio.player_process import Begin, EndPieces, Mute, Opened, Piece, Refused, Start
-from drivers.audio.portaudio import StreamRequest
-from drivers.audio.signals import PlayOrders
+from drivers.audio.stream.playback import UNDERFLOW, Ended, Taken
+from drivers.audio.stream.player_process import Begin, EndPieces, Mute, Opened, Piece, Refused, Start
+from drivers.audio.stream.portaudio import StreamRequest
+from drivers.audio.stream.signals import PlayOrders
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from drivers.process import ANSWER_S, OPENING_S, Alive, Ask, DriverProcess, ProcessGoneError
 from drivers.protocols import DeviceIdentity
@@ -348,7 +348,7 @@ class _Stream:
         self.play: _Play | None = None
         self.alive_s = -math.inf
         self.process = DriverProcess(
-            "drivers.audio.player_process",
+            "drivers.audio.stream.player_process",
             "the process that owns its stream",
             self._note,
             environment,

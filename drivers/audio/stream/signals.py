@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.audio.player_process import Forget, Store
+from drivers.audio.stream.player_process import Forget, Store
 from drivers.errors import InstrumentError
 
 Float64Array = NDArray[np.float64]

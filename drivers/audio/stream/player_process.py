@@ -9,8 +9,8 @@ import threading
 import traceback
 from dataclasses import dataclass
 
-from drivers.audio.playback import FADE_S, Float32Array, PieceByPiece, Play, Voice
-from drivers.audio.portaudio import (
+from drivers.audio.stream.playback import FADE_S, Float32Array, PieceByPiece, Play, Voice
+from drivers.audio.stream.portaudio import (
     DeviceChoiceError,
     OutputDevice,
     StreamRequest,

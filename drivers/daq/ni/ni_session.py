@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from drivers.daq.ni_errors import NOT_SUPPORTED, ServerSilentError, explain
+from drivers.daq.ni.ni_errors import NOT_SUPPORTED, ServerSilentError, explain
 from drivers.errors import InstrumentError
 from drivers.protocols import DeviceIdentity
 

@@ -1,0 +1,1 @@
+"""The driver ``nidaqmx``: National Instruments' devices, here or behind a gRPC Device Server."""
