@@ -160,7 +160,7 @@ MISTAKES = [
         f"recorder.tls_key = {json.dumps(__file__)}: needs tls_root and tls_certificate",
     ),
     ("[player]\ndriver = 'sounddevice'", "player.device: is missing; driver"),
-    ("[player]\nblock_frames = 64", 'player.block_frames = 64: belongs to driver "sounddevice"; the driver here is'),
+    ("[player]\nblock_frames = 64", 'player.block_frames = 64: belongs to driver "sounddevice"'),
     (
         "[player]\nchannel_full_scale_v = [5.0, 5.0]",
         "player.channel_full_scale_v = [5.0, 5.0]: must have one entry per output from 0 to the highest used, 21 in",
