@@ -22,7 +22,8 @@ from benchmarks.paper_measures import (
 from benchmarks.rig_bank import BAND_HZ, rig_setup
 from config.scene import Regularisation
 from rendering.field import metrics
-from rendering.field.focus_figures import FOCUS_RADIUS_MM, crosstalk_table
+from rendering.field.crosstalk import crosstalk_table
+from rendering.field.focus_figures import FOCUS_RADIUS_MM
 from rendering.field.prediction import predict
 from rendering.field.wave_figures import correlation_over_distance
 from rendering.greens.regularisation import focus_gain_map

@@ -28,8 +28,9 @@ from calibration.clock.timing import ClockFitter
 from calibration.excitation.sweeps import Excitation
 from calibration.rig.mirror_map import MirrorMap
 from config.messages.campaign import Event, Fault, PositionStarted
+from drivers.audio.resampling import converted, lead_samples, rate_ratio
 from drivers.audio.stream.player import StreamPlayer
-from drivers.audio.stream.signals import HALF_STEP, converted, lead_samples, rate_ratio
+from drivers.audio.stream.signals import HALF_STEP
 from drivers.daq.ni.ni_recorder import NiRecorder
 from drivers.errors import TransientInstrumentError
 from drivers.mirror.asi_tiger import AsiTiger

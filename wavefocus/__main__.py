@@ -81,7 +81,7 @@ def show_warning(
 ) -> None:
     """Show a warning of a library, NumPy's about arithmetic above all, as one plain line."""
     from wavefocus.console import say
-    from wavefocus.ending import one_line
+    from wavefocus.exits import one_line
 
     of_arithmetic = "; figures that follow from it may be wrong" if issubclass(category, RuntimeWarning) else ""
     say(f"warning: {one_line(str(message))}{of_arithmetic}")
@@ -93,7 +93,7 @@ TRACEBACK, TRACEBACK_VARIABLE = "--traceback", "WAVEFOCUS_TRACEBACK"
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit code."""
-    from wavefocus.ending import Exit, exit_code, one_line
+    from wavefocus.exits import Exit, exit_code, one_line
 
     rest = [one for one in arguments if one != TRACEBACK]
     as_traceback = len(rest) < len(arguments) or bool(os.environ.get(TRACEBACK_VARIABLE))
@@ -131,7 +131,7 @@ def main() -> None:
     import warnings
 
     import wavefocus.cli  # noqa: F401  (all that is slow to load before a command is chosen)
-    from wavefocus.ending import Exit
+    from wavefocus.exits import Exit
 
     warnings.showwarning = show_warning
     try:
@@ -158,7 +158,7 @@ def _account(failure: BaseException, code: int, arguments: Sequence[str]) -> str
     """The one line about an error; where its own text names no file, with the files of the command line."""
     from pathlib import Path
 
-    from wavefocus.ending import Exit, is_foreseen, one_line, sentence
+    from wavefocus.exits import Exit, is_foreseen, one_line, sentence
 
     if code is Exit.STOPPED:
         return sentence(KeyboardInterrupt())

@@ -12,7 +12,7 @@ from functools import cache
 from typing import IO, TYPE_CHECKING, Protocol, cast
 
 from acquisition.durations import hours
-from wavefocus.ending import escaped
+from wavefocus.exits import escaped
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -10,8 +10,8 @@ from acquisition.engine.session import Session
 from acquisition.measuring.attempt import Attempt, AttemptResult, PositionRecords, Recorded
 from acquisition.quality.defects import REFERENCE_LEVEL
 from acquisition.quality.limits import DriftFigures, compare_sentinel
-from acquisition.schedule.grid import row_ranges
 from acquisition.schedule.plan import Plan, sentinel_of
+from acquisition.schedule.row_ranges import row_ranges
 from config.messages.campaign import Drift
 from drivers.errors import TransientInstrumentError
 from storage.bank.writer import BankWriter

@@ -1,9 +1,8 @@
-"""Positions that the laser measures: a grid on the surface, or a file; and rows of a bank in few words."""
+"""Positions that the laser measures: a grid on the surface, or a file."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -117,14 +116,3 @@ def _point(path: Path, number: int, line: str) -> tuple[float, float]:
     if not (math.isfinite(x_mm) and math.isfinite(y_mm)):
         raise InputError(f"{path}: line {number}: {shown!r}: {allowed}")
     return x_mm + 0.0, y_mm + 0.0  # + 0.0 turns -0 into 0, so that equal positions hash equally
-
-
-def row_ranges(rows: Sequence[int]) -> str:
-    """Bank rows as ``--positions`` takes them: ``"3,5-9"``."""
-    ranges: list[list[int]] = []
-    for row in sorted(set(rows)):
-        if ranges and row == ranges[-1][1] + 1:
-            ranges[-1][1] = row
-        else:
-            ranges.append([row, row])
-    return ",".join(f"{first}-{last}" if last > first else f"{first}" for first, last in ranges)

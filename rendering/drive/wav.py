@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.audio.stream.signals import HALF_LENGTH, converted, lead_samples, rate_ratio
+from drivers.audio.resampling import HALF_LENGTH, converted, lead_samples, rate_ratio
 from rendering.arrays import Float64Array
 from rendering.drive.coil_limits import Reached
 from storage.errors import InputError

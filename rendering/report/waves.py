@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rendering.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from rendering.field.focus_figures import CrosstalkTable, crosstalk_table
+from rendering.field.crosstalk import CrosstalkTable, crosstalk_table
 from rendering.field.wave_figures import (
     IMPULSE_BAND_HZ,
     SPAN_MM,

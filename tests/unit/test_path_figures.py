@@ -10,7 +10,7 @@ from config.scene import Regularisation
 from mocks.plates.soft import SOFT_PLATE, DampedWave
 from mocks.plates.soft import impulse_travel as travel_of_a_wave
 from rendering.field import metrics
-from rendering.field.focus_figures import PathResponses, crosstalk_table
+from rendering.field.crosstalk import PathResponses, crosstalk_table
 from rendering.field.metrics import band_limited
 from rendering.field.wave_figures import correlation_over_distance, impulse_travel, path_spectrum
 from rendering.greens.source import GreenArray

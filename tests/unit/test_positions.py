@@ -3,7 +3,7 @@
 import pytest
 
 from storage.errors import InputError
-from wavefocus.configuration import parse_positions
+from wavefocus.input_files import parse_positions
 
 
 @pytest.mark.parametrize(

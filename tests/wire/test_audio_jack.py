@@ -9,7 +9,7 @@ from contextlib import ExitStack, suppress
 import numpy as np
 import pytest
 
-from drivers.audio.stream.signals import converted, lead_samples, rate_ratio
+from drivers.audio.resampling import converted, lead_samples, rate_ratio
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import DeviceIdentity, Player
 from tests.wire.audio_bench import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from acquisition.durations import a_while, hours
-from acquisition.schedule.grid import row_ranges
+from acquisition.schedule.row_ranges import row_ranges
 from config.messages.campaign import (
     ConditionsSeen,
     Drift,

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 
 from acquisition.quality.limits import DriftPoint
-from acquisition.schedule.grid import row_ranges
+from acquisition.schedule.row_ranges import row_ranges
 from config.messages.campaign import (
     Event,
     Fault,

@@ -18,7 +18,8 @@ from drivers.errors import InstrumentError
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import say
-from wavefocus.ending import Exit, ending_at_once
+from wavefocus.ending import ending_at_once
+from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut
 from wavefocus.rig.calibration_session import CalibrationSession, Request, marks
 from wavefocus.rig.instruments import open_rig, openers

@@ -13,7 +13,7 @@ from acquisition.engine.campaign import Campaign
 from acquisition.engine.session import EventPublisher, StopRequest
 from acquisition.measuring.raw_keeping import raw_header, require_same, without_recordings
 from acquisition.measuring.setup import Setup
-from acquisition.schedule.grid import row_ranges
+from acquisition.schedule.row_ranges import row_ranges
 from config.messages.campaign import (
     Drift,
     Event,
@@ -45,9 +45,10 @@ from wavefocus.campaign.sidecar_files import (
     read_drift,
 )
 from wavefocus.campaign.supervision import Attendance, resume_line
-from wavefocus.configuration import parse_positions
 from wavefocus.console import print_line, progress, say
-from wavefocus.ending import Exit, stop_on_signals
+from wavefocus.ending import stop_on_signals
+from wavefocus.exits import Exit
+from wavefocus.input_files import parse_positions
 from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration
 from wavefocus.rig.messages import messenger_for
 from wavefocus.rig.setup import open_setup

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calibration.check import check_file
 from wavefocus.console import answer, say
-from wavefocus.ending import Exit
+from wavefocus.exits import Exit
 
 # So many lines of a kind are read; the rest is for programs.
 MOST_LINES = 10

@@ -29,7 +29,7 @@ from wavefocus.commands import verify as verification
 from wavefocus.commands.render import RenderOptions
 from wavefocus.configuration import load_run
 from wavefocus.console import people, say
-from wavefocus.ending import Exit
+from wavefocus.exits import Exit
 from wavefocus.rig.virtual_bench import virtual_rig
 
 # The bank is this good at the default noise, or the demo has failed.

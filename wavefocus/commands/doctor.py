@@ -23,7 +23,8 @@ from storage.durable import is_network_mount
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import answer, people, print_line, say
-from wavefocus.ending import Exit, ending_at_once
+from wavefocus.ending import ending_at_once
+from wavefocus.exits import Exit
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.instruments import openers
 from wavefocus.rig.limits import safe_amplitude_v

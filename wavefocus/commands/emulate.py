@@ -16,7 +16,8 @@ from mocks.wire.faults import WireFault
 from storage.errors import InputError
 from wavefocus.configuration import load_rig
 from wavefocus.console import say
-from wavefocus.ending import Exit, stop_on_signals
+from wavefocus.ending import stop_on_signals
+from wavefocus.exits import Exit
 from wavefocus.rig.virtual_bench import virtual_settings
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from storage.errors import InputError
 from storage.exchange import EXPORTS
 from storage.exchange.bank_rows import choose_rows
 from storage.output_files import require_output_folder, require_outputs
-from wavefocus.configuration import parse_positions
 from wavefocus.console import progress, say
+from wavefocus.input_files import parse_positions
 
 
 def export(

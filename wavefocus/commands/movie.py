@@ -18,8 +18,8 @@ from storage.field_file import FieldRowReader
 from storage.output_files import require_outputs, write_whole
 from storage.units import quantity
 from wavefocus.campaign.blueprint import bank_configuration
-from wavefocus.configuration import name_unverified
 from wavefocus.console import progress, say
+from wavefocus.input_files import name_unverified
 
 OUTLINE_POINTS = 400
 FRAMES_PER_PERIOD = 2.5

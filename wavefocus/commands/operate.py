@@ -15,7 +15,8 @@ from drivers.timeouts import RECONNECTING, BoundedPlayer, CallThread, HungError
 from storage.errors import InputError
 from wavefocus.configuration import named_rig
 from wavefocus.console import say
-from wavefocus.ending import Exit, ending_at_once
+from wavefocus.ending import ending_at_once
+from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers
 from wavefocus.rig.operation import Operation, faulted, order_of

@@ -27,9 +27,11 @@ from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, read_drive
 from storage.errors import InputError
 from wavefocus.commands.render import RenderOptions, naming
-from wavefocus.configuration import name_unverified, named_rig
+from wavefocus.configuration import named_rig
 from wavefocus.console import Report, print_line, progress, say
-from wavefocus.ending import Exit, ended_by_input, ending_at_once
+from wavefocus.ending import ended_by_input, ending_at_once
+from wavefocus.exits import Exit
+from wavefocus.input_files import name_unverified
 from wavefocus.rig.instruments import open_player
 from wavefocus.rig.limits import PLAYED_UNITS, check_drive, interface_of, limited_words, rig_of, within
 

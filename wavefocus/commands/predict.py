@@ -18,8 +18,8 @@ from storage.errors import InputError
 from storage.field_file import field_in_rows
 from storage.output_files import replacement, require_outputs
 from storage.units import quantity
-from wavefocus.configuration import name_unverified, parse_positions
 from wavefocus.console import Report, progress, say
+from wavefocus.input_files import name_unverified, parse_positions
 
 
 def predict(

@@ -27,8 +27,8 @@ from storage.drive_file import Drive, DriveAbout, drive_in_blocks, write_drive
 from storage.errors import InputError
 from storage.output_files import require_outputs, write_whole
 from storage.units import quantity
-from wavefocus.configuration import input_files
 from wavefocus.console import progress, say
+from wavefocus.input_files import input_files
 from wavefocus.rig.limits import (
     DEFAULT_FULL_SCALE_V,
     DEFAULT_INTERFACE_RATE_HZ,

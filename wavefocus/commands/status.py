@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from acquisition.durations import a_while, hours
-from acquisition.schedule.grid import row_ranges
+from acquisition.schedule.row_ranges import row_ranges
 from config.messages.campaign import (
     PositionKept,
     PositionStarted,
@@ -48,7 +48,7 @@ from wavefocus.campaign.supervision import (
     withdraw,
 )
 from wavefocus.console import answer, say
-from wavefocus.ending import Exit
+from wavefocus.exits import Exit
 
 if TYPE_CHECKING:
     from acquisition.quality.limits import DriftPoint

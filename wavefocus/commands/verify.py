@@ -53,9 +53,11 @@ from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.sidecar_files import EventLines, read_drift
 from wavefocus.commands.render import rendered
-from wavefocus.configuration import Configuration, input_files, named_rig, parse_positions
+from wavefocus.configuration import Configuration, named_rig
 from wavefocus.console import Report, progress, say
-from wavefocus.ending import Exit, ended_by_file, ending_at_once, exit_code, sentence
+from wavefocus.ending import ended_by_file, ending_at_once
+from wavefocus.exits import Exit, exit_code, sentence
+from wavefocus.input_files import input_files, parse_positions
 from wavefocus.rig.limits import check_drive
 from wavefocus.rig.setup import open_setup
 

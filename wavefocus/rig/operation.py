@@ -40,7 +40,7 @@ from config.rig import RigConfig
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.timeouts import BoundedPlayer, ShutError
 from storage.errors import InputError
-from wavefocus.ending import one_line
+from wavefocus.exits import one_line
 from wavefocus.rig.limits import largest_sine_v, safe_amplitude_v
 
 SAMPLE_RATE_HZ = 10_000.0

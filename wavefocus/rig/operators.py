@@ -29,7 +29,7 @@ from config.messages.rig_checks import (
 from drivers.errors import InstrumentError
 from storage.errors import InputError
 from wavefocus.console import say
-from wavefocus.ending import one_line
+from wavefocus.exits import one_line
 from wavefocus.json_lines import LinesIn
 from wavefocus.rig.operation import Publish, faulted, level_measured
 

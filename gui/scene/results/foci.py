@@ -10,14 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gui.scene.results.messages import FocusFigures, between
-from rendering.field.focus_figures import (
-    FOCUS_RADIUS_MM,
-    FocusInstant,
-    PathResponses,
-    emission_windows,
-    evenly,
-    focus_instants,
-)
+from rendering.field.crosstalk import PathResponses
+from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, evenly, focus_instants
 from rendering.field.metrics import focus_spot, grid_spacing_mm
 from rendering.field.prediction import Prediction
 from rendering.scene.model import Scene

@@ -1,0 +1,94 @@
+"""Signals at another rate: band-limited, by an exact ratio of whole numbers, sample 0 staying sample 0."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64Array = NDArray[np.float64]
+
+# Kaiser's window for 105 dB: flat up to 0.9 of half the lower rate and nothing left above it, both to -105 dB.
+CUT = 0.95
+BETA = 10.6
+HALF_LENGTH = 72
+"""Reach of the low-pass to either side, in periods of the lower rate."""
+
+PRODUCTS_AT_ONCE = 200_000
+"""Few enough that OpenBLAS multiplies on this thread: its others would take the cores from the audio, spinning."""
+
+LARGEST_TERM = 1000
+"""Largest whole number in a ratio of rates; 44,100 to 48,000 is 160 / 147."""
+
+
+def rate_ratio(from_hz: float, to_hz: float) -> Fraction:
+    """The ratio of two rates. Raises ValueError.
+
+    from_hz, to_hz: Rates in Hz.
+
+    Returns Fraction: ``to_hz / from_hz``, exactly.
+    """
+    ratio = Fraction(0)
+    if from_hz > 0 and to_hz > 0 and math.isfinite(from_hz * to_hz):
+        ratio = (Fraction(to_hz) / Fraction(from_hz)).limit_denominator(LARGEST_TERM)
+    if not 0 < ratio.numerator <= LARGEST_TERM or abs(float(ratio) * from_hz / to_hz - 1) > 1e-12:
+        raise ValueError(
+            f"the rates {from_hz:g} Hz and {to_hz:g} Hz have no ratio of whole numbers up to {LARGEST_TERM}"
+        )
+    return ratio
+
+
+def lead_samples(ratio: Fraction) -> int:
+    """How many samples at the new rate the conversion reaches beyond either end of a signal."""
+    return 0 if ratio == 1 else math.ceil(HALF_LENGTH * max(1.0, float(ratio)))
+
+
+def converted(signals: Float64Array, ratio: Fraction) -> Float64Array:
+    """Signals at `ratio` times their rate, along the last axis.
+
+    A signal is silence beyond its ends; what the low-pass makes of the ends comes along.
+
+    signals, float64 (..., samples): Signals at any rate, at least one sample.
+    ratio: New rate over old rate, > 0.
+
+    Returns float64 (..., lead + ceil(samples * ratio) + lead): sample 0 of the signals is at index ``lead =
+    lead_samples(ratio)``.
+    """
+    if ratio == 1:
+        return signals
+    up, down = ratio.numerator, ratio.denominator
+    before, weights = _weights(ratio)
+    lead = lead_samples(ratio)
+    samples = signals.shape[-1]
+    wanted = lead + -(-samples * up // down) + lead
+    # Every `down` old samples give `up` new ones, by the same weights: one product of matrices.
+    early = -(-lead // up)
+    blocks = early + -(-(wanted - lead) // up)
+    start = early * down + before
+    room = max(0, blocks * down + len(weights) - start - samples)
+    padded = np.pad(signals, [(0, 0)] * (signals.ndim - 1) + [(start, room)])
+    windows = np.lib.stride_tricks.sliding_window_view(padded, len(weights), axis=-1)[..., ::down, :]
+    made = np.empty((*signals.shape[:-1], blocks, up))
+    at_once = max(1, PRODUCTS_AT_ONCE // weights.size)
+    for block in range(0, blocks, at_once):
+        here = slice(block, min(block + at_once, blocks))
+        made[..., here, :] = np.ascontiguousarray(windows[..., here, :]) @ weights
+    first = early * up - lead
+    return made.reshape(*signals.shape[:-1], blocks * up)[..., first : first + wanted]
+
+
+@lru_cache(maxsize=8)
+def _weights(ratio: Fraction) -> tuple[int, Float64Array]:
+    """How many old samples before its first a block needs, and the weights (old samples, new samples) of a block."""
+    reach = HALF_LENGTH * max(1.0, 1 / float(ratio))
+    around = math.ceil(reach)
+    place = np.arange(ratio.numerator) * ratio.denominator / ratio.numerator
+    distance = np.arange(-around, ratio.denominator + around)[:, np.newaxis] - place
+    inside = np.clip(1 - (distance / reach) ** 2, 0, None)
+    window = np.i0(BETA * np.sqrt(inside)) / np.i0(BETA) * (inside > 0)
+    cut = CUT * min(1.0, float(ratio))
+    weights: Float64Array = cut * np.sinc(cut * distance) * window
+    return around, weights
