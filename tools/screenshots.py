@@ -127,8 +127,8 @@ class Pictures:
     def __init__(self, out: Path, file: Path) -> None:
         from PyQt5.QtCore import QSettings
 
-        from gui.shell.files import Settings
-        from gui.shell.window import Window, make_application
+        from gui.files import Settings
+        from gui.window import Window, make_application
         from wavefocus.commands.gui import front_door
 
         self.out, self.file = out, file

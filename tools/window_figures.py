@@ -28,7 +28,7 @@ from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter, create_bank
 
 if TYPE_CHECKING:
-    from gui.shell.window import Window
+    from gui.window import Window
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
@@ -84,8 +84,8 @@ class OpenWindow:
     def __init__(self, bank: Path) -> None:
         from PyQt5.QtCore import QSettings
 
-        from gui.shell.files import Settings
-        from gui.shell.window import Window, make_application
+        from gui.files import Settings
+        from gui.window import Window, make_application
         from wavefocus.commands.gui import front_door
 
         self.application = make_application()

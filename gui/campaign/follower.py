@@ -42,8 +42,8 @@ from config.messages.campaign import (
     event_of,
 )
 from gui.campaign.quality import DAMAGED, Float32Array, per_position, status_text
-from gui.shell.front_door import FrontDoor, Pulse
-from gui.surface.surface import Surface, surface_of
+from gui.front_door import FrontDoor, Pulse
+from gui.surface import Surface, surface_of
 from storage.bank.ledger import VALID
 from storage.errors import WavefocusError
 

@@ -16,8 +16,8 @@ from PyQt5.QtWidgets import (
 
 from gui.campaign.follower import Line, Weight, clock
 from gui.campaign.model import Campaign
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import column, fill_row, make_choice, make_label, make_table, named, row
+from gui.theme import LIGHT, Theme
+from gui.widgets import column, fill_row, make_choice, make_label, make_table, named, row
 
 _TITLES = ("time", "weight", "event")
 _NOWHERE = QModelIndex()

@@ -19,11 +19,11 @@ from PyQt5.QtWidgets import (
 
 from gui.campaign.model import Campaign
 from gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, Figure, Float32Array, look_index, status_text
-from gui.shell.theme import Theme
-from gui.shell.widgets import column, make_choice, make_label, named, row
-from gui.surface.field_map import ColourBar
-from gui.surface.surface import Surface
-from gui.surface.view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
+from gui.field_map import ColourBar
+from gui.surface import Surface
+from gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
+from gui.theme import Theme
+from gui.widgets import column, make_choice, make_label, named, row
 from storage.bank.ledger import VALID
 
 # On a large map a few outliers must not press all others into one colour.

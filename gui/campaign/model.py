@@ -28,8 +28,8 @@ from config.messages.campaign import (
 )
 from gui.campaign.follower import DriftSeen, Ledger, Life, Line, Opened, Records, Seen, Trouble, line_of
 from gui.campaign.quality import DAMAGED, Float32Array
-from gui.shell.front_door import Pulse
-from gui.surface.surface import Surface
+from gui.front_door import Pulse
+from gui.surface import Surface
 
 if TYPE_CHECKING:
     from acquisition.quality.limits import DriftPoint

@@ -21,11 +21,11 @@ from PyQt5.QtWidgets import (
 from gui.campaign.follower import clock
 from gui.campaign.model import Campaign
 from gui.campaign.quality import status_text
-from gui.shell.tab import TabContext
-from gui.shell.theme import Theme
-from gui.shell.widgets import column, fill_row, make_choice, make_label, make_table, named, row, stacked
-from gui.surface.field_map import MOST_COLUMNS, Plot, Real, whole_ticks
-from gui.surface.surface import Surface
+from gui.field_map import MOST_COLUMNS, Plot, Real, whole_ticks
+from gui.surface import Surface
+from gui.tab import TabContext
+from gui.theme import Theme
+from gui.widgets import column, fill_row, make_choice, make_label, make_table, named, row, stacked
 from storage.units import quantity
 
 if TYPE_CHECKING:

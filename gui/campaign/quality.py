@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gui.shell.theme import LIGHT, Theme
+from gui.theme import LIGHT, Theme
 from storage.bank.ledger import DISABLED, FAILED, OVER_RANGE, POOR_SIGNAL, VALID
 
 Float32Array = NDArray[np.float32]

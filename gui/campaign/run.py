@@ -12,9 +12,9 @@ from PyQt5.QtWidgets import QAction, QWidget
 
 from acquisition.durations import hours
 from gui.campaign.follower import same_file
-from gui.shell.process import STOPPED_BY_USER, CommandProcess
-from gui.shell.tab import Question, TabContext
-from gui.shell.widgets import show_text
+from gui.process import STOPPED_BY_USER, CommandProcess
+from gui.tab import Question, TabContext
+from gui.widgets import show_text
 
 _REREAD_EVERY_S = 0.5
 

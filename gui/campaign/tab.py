@@ -19,11 +19,11 @@ from gui.campaign.model import GOING, Campaign, CampaignState, Extra, Order, Pac
 from gui.campaign.position_panel import PositionPanel
 from gui.campaign.quality import NOT_GOOD
 from gui.campaign.run import CampaignRun
-from gui.shell.files import PathField
-from gui.shell.tab import Question, Tab, TabContext
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.toml_files import TomlKind, runs_on_virtual_rig, toml_kind
-from gui.shell.widgets import (
+from gui.files import PathField
+from gui.tab import Question, Tab, TabContext
+from gui.theme import LIGHT, Theme
+from gui.toml_files import TomlKind, runs_on_virtual_rig, toml_kind
+from gui.widgets import (
     PAGE_MARGINS,
     Badge,
     column,

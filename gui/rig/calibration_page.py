@@ -13,12 +13,12 @@ from config.messages.operate import Numbers
 from config.messages.rig_checks import AskAgain, AskConnect, AskJog, MapView
 from config.outline import default_marks_mm
 from config.rig import Surface
+from gui.files import PathField, Settings
 from gui.rig.jog import Arrows, SurfacePicture
 from gui.rig.manual_page import LevelMeter
 from gui.rig.session import Calibration
-from gui.shell.files import PathField, Settings
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import (
+from gui.theme import LIGHT, Theme
+from gui.widgets import (
     PAGE_MARGINS,
     column,
     fill_row,

@@ -10,10 +10,10 @@ from PyQt5.QtWidgets import QToolButton, QWidget
 
 from config.messages.codec import from_record
 from config.messages.rig_checks import Action, Finding, FindingMade
-from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
-from gui.shell.tab import TabContext
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import (
+from gui.process import STOPPED_BY_USER, CommandProcess, Message
+from gui.tab import TabContext
+from gui.theme import LIGHT, Theme
+from gui.widgets import (
     PAGE_MARGINS,
     column,
     fill_row,

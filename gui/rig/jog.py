@@ -14,10 +14,10 @@ from PyQt5.QtWidgets import QFormLayout, QGridLayout, QToolButton, QWidget
 from config.messages.operate import Numbers
 from config.outline import Outline
 from gui.rig.session import ManualSession
-from gui.shell.theme import Theme
-from gui.shell.widgets import column, make_choice, make_label, named, number_box, push_button, row
-from gui.surface.surface import surface_from
-from gui.surface.view import STEPS, Keys, PointMm, Spots, SurfaceView
+from gui.surface import surface_from
+from gui.surface_view import STEPS, Keys, PointMm, Spots, SurfaceView
+from gui.theme import Theme
+from gui.widgets import column, make_choice, make_label, named, number_box, push_button, row
 
 _RIM_POINTS = 180
 # Residuals are enlarged until the longest has about this share of the surface's length.

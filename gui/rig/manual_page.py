@@ -11,10 +11,11 @@ from PyQt5.QtGui import QColor, QMouseEvent, QPalette
 from PyQt5.QtWidgets import QLabel, QProgressBar, QWidget
 
 from config.messages.operate import ChannelLevel, LevelMeasured, SweepTaken
+from gui.field_map import Plot
 from gui.rig.jog import JogPanel
 from gui.rig.session import ManualSession
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import (
+from gui.theme import LIGHT, Theme
+from gui.widgets import (
     PAGE_MARGINS,
     column,
     make_check,
@@ -26,7 +27,6 @@ from gui.shell.widgets import (
     side_by_side,
     stacked,
 )
-from gui.surface.field_map import Plot
 
 _FLOOR_DB = -100
 _NEAR_RANGE_DB = -3.0

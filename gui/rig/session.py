@@ -31,8 +31,8 @@ from config.messages.rig_checks import (
     Question,
     Tell,
 )
-from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
-from gui.shell.tab import TabContext
+from gui.process import STOPPED_BY_USER, CommandProcess, Message
+from gui.tab import TabContext
 
 _LASER_ADVICE = "the laser may stand where it was: park it, or switch it off"
 

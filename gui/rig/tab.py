@@ -13,16 +13,16 @@ from PyQt5.QtWidgets import QAction, QTabWidget
 
 from config.messages.operate import Numbers
 from config.rig import Surface
+from gui.files import PathField
 from gui.rig.calibration_page import CalibrationPage
 from gui.rig.examination import ExaminationPage
 from gui.rig.manual_page import ManualPage
 from gui.rig.session import Calibration, ManualSession
-from gui.shell.files import PathField
-from gui.shell.tab import Tab, TabContext
-from gui.shell.theme import Theme
-from gui.shell.toml_files import TomlKind, is_virtual, rig_of_run, tables_of, toml_kind
-from gui.shell.widgets import PAGE_MARGINS, column, copy_text, make_action, push_button, row
-from gui.surface.surface import surface_from
+from gui.surface import surface_from
+from gui.tab import Tab, TabContext
+from gui.theme import Theme
+from gui.toml_files import TomlKind, is_virtual, rig_of_run, tables_of, toml_kind
+from gui.widgets import PAGE_MARGINS, column, copy_text, make_action, push_button, row
 from storage.errors import InputError
 from storage.text_file import read_text
 

@@ -25,8 +25,8 @@ from gui.scene.tools import (
     with_vertex,
     without_vertex,
 )
-from gui.shell.theme import Theme
-from gui.surface.view import STEPS, Keys, SurfaceView
+from gui.surface_view import STEPS, Keys, SurfaceView
+from gui.theme import Theme
 
 _HANDLE_PX, _LINE_PX = 9.0, 7.0
 _NUDGE_MM, _LONG_NUDGE_MM = 1.0, 10.0

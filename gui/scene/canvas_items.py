@@ -12,8 +12,8 @@ from PyQt5.QtCore import Qt
 from config.scene import CircleTable, LineTable, PathTable, PolylineTable
 from gui.scene.preview import Ground, Trace
 from gui.scene.tools import Handle
-from gui.shell.theme import LIGHT, Theme
-from gui.surface.view import MARK, Spots, SurfaceView, looked_up, rgba
+from gui.surface_view import MARK, Spots, SurfaceView, looked_up, rgba
+from gui.theme import LIGHT, Theme
 
 Float64Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QWidget
 
+from gui.files import choose_place
 from gui.scene.document import SceneDocument
-from gui.shell.files import choose_place
-from gui.shell.tab import Question, TabContext
+from gui.tab import Question, TabContext
 from storage.errors import WavefocusError
 from storage.output_files import replacement
 

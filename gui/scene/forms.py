@@ -34,12 +34,12 @@ from config.scene import (
     SourceTable,
     SvgTable,
 )
+from gui.files import Settings, choose_file
 from gui.scene.document import NEW_PATHS, NEW_SIGNALS, PointMm, SceneDocument, changed, new_source
 from gui.scene.form import ChoiceField, Form, NumberField, align
 from gui.scene.preview import Preview, trace_text
 from gui.scene.tools import anchor_of, shifted
-from gui.shell.files import Settings, choose_file
-from gui.shell.tab import TabContext
+from gui.tab import TabContext
 
 _MOST_ROWS = 200
 _TABLE_LINES = 4

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from PyQt5.QtCore import QObject, pyqtSignal
 
 from config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, TextTable
+from gui.process import Background
 from gui.scene.document import SceneDocument, source_toml
-from gui.shell.process import Background
-from gui.shell.tab import TabContext
-from gui.surface.surface import Surface, path_line, surface_from, surface_of
+from gui.surface import Surface, path_line, surface_from, surface_of
+from gui.tab import TabContext
 from storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:

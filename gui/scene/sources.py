@@ -20,14 +20,14 @@ from PyQt5.QtWidgets import (
 )
 
 from config.scene import FileTable, PathTable, SourceTable, SvgTable
+from gui.files import choose_file
 from gui.scene.canvas_items import source_colour
 from gui.scene.document import SceneDocument, changed, new_source, read_draft, source_toml
 from gui.scene.preview import LivePreview, Trace, title_of
 from gui.scene.tools import box_of, shifted
-from gui.shell.files import choose_file
-from gui.shell.tab import TabContext
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import copy_text, make_button
+from gui.tab import TabContext
+from gui.theme import LIGHT, Theme
+from gui.widgets import copy_text, make_button
 from storage.errors import WavefocusError
 
 # A drawing that is larger than the surface, or too small to be felt, is scaled to this share of its width.

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
+from gui.field_map import ColourBar, Plot
 from gui.scene.canvas import SceneCanvas
 from gui.scene.canvas_items import span_s
 from gui.scene.document import EMPTY, SceneDocument
 from gui.scene.preview import LivePreview, problem_of
 from gui.scene.sources import SourceActions
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import make_action, named
-from gui.surface.field_map import ColourBar, Plot
+from gui.theme import LIGHT, Theme
+from gui.widgets import make_action, named
 
 _TOOLS = (
     ("", "Select", "V", "Choose, move and shape paths"),

@@ -18,18 +18,18 @@ from PyQt5.QtWidgets import (
 )
 
 from config.scene import SourceTable, TextTable
+from gui.files import PathField
 from gui.scene.document import SceneDocument
 from gui.scene.files import SceneFiles
 from gui.scene.forms import SceneForm, SourceForm
 from gui.scene.preview import LivePreview
-from gui.scene.results.panel import ResultsPanel
+from gui.scene.results_panel import ResultsPanel
 from gui.scene.sources import SourceActions, SourceList
 from gui.scene.surface_panel import SurfacePanel
-from gui.shell.files import PathField
-from gui.shell.tab import Question, Tab, TabContext
-from gui.shell.theme import Theme
-from gui.shell.toml_files import TomlKind, toml_kind
-from gui.shell.widgets import make_action, make_button, side_by_side, stacked
+from gui.tab import Question, Tab, TabContext
+from gui.theme import Theme
+from gui.toml_files import TomlKind, toml_kind
+from gui.widgets import make_action, make_button, side_by_side, stacked
 
 
 class SceneTab(Tab):

@@ -22,10 +22,10 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import Badge, make_table, named
-from gui.surface.field_map import Plot, scaled_unit, thinned
+from gui.field_map import Plot, scaled_unit, thinned
+from gui.theme import LIGHT, Theme
 from gui.verification.results import Results
+from gui.widgets import Badge, make_table, named
 
 if TYPE_CHECKING:
     from rendering.verify.record import Figure, VerificationRecord

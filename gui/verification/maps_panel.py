@@ -6,9 +6,9 @@ import numpy as np
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from gui.shell.theme import Theme
-from gui.surface.field_map import ColourBar, FieldMap, scaled_unit, symmetric_levels
-from gui.surface.time_slider import TimeSlider
+from gui.field_map import ColourBar, FieldMap, scaled_unit, symmetric_levels
+from gui.theme import Theme
+from gui.time_slider import TimeSlider
 from gui.verification.results import Results
 
 # A few positions at nodes have huge relative errors; they must not make all others look alike.

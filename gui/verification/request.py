@@ -9,10 +9,10 @@ from pathlib import Path
 
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QSpinBox, QWidget
 
-from gui.shell.files import PathField
-from gui.shell.tab import TabContext
-from gui.shell.toml_files import names_virtual_rig
-from gui.shell.widgets import named
+from gui.files import PathField
+from gui.tab import TabContext
+from gui.toml_files import names_virtual_rig
+from gui.widgets import named
 from rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 from storage.errors import InputError
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gui.shell.toml_files import TomlKind, toml_kind
-from gui.surface.surface import Surface, raster_of
+from gui.surface import Surface, raster_of
+from gui.toml_files import TomlKind, toml_kind
 from rendering.verify.record import FIELD_NAMES, PREDICTION_NAME, RECORD_NAME, REPORT_NAME, SCAN_NAME
 from storage.errors import InputError
 

@@ -19,12 +19,12 @@ from config.messages.campaign import (
 from config.messages.codec import MessageError, message_of
 from config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
 from gui.campaign.follower import LogTail
-from gui.shell.messages import error_text
-from gui.shell.process import STOPPED_BY_USER, CommandProcess
-from gui.shell.tab import Question, TabContext
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import Badge, finish_text, make_action, make_button, put
+from gui.messages import error_text
+from gui.process import STOPPED_BY_USER, CommandProcess
+from gui.tab import Question, TabContext
+from gui.theme import LIGHT, Theme
 from gui.verification.request import Request
+from gui.widgets import Badge, finish_text, make_action, make_button, put
 from rendering.verify.record import LOG_NAME, RECORD_NAME, STOP_NAME
 
 _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)

@@ -9,17 +9,17 @@ from PyQt5.QtCore import Qt, QUrl
 from PyQt5.QtGui import QDesktopServices, QDragEnterEvent, QDropEvent
 from PyQt5.QtWidgets import QAction, QLabel, QStackedWidget, QVBoxLayout
 
-from gui.shell.files import choose_file, dropped_files
-from gui.shell.messages import error_text
-from gui.shell.process import Background
-from gui.shell.tab import Question, Tab, TabContext
-from gui.shell.theme import Theme
-from gui.shell.widgets import copy_text, side_by_side, stacked
+from gui.files import choose_file, dropped_files
+from gui.messages import error_text
+from gui.process import Background
+from gui.tab import Question, Tab, TabContext
+from gui.theme import Theme
 from gui.verification.figures_panel import FiguresPanel, WaveformPanel
 from gui.verification.maps_panel import MapsPanel
 from gui.verification.request import RequestForm
 from gui.verification.results import Dropped, Results, dropped_kind, read_results, record_of
 from gui.verification.run import RunRow, VerificationRun
+from gui.widgets import copy_text, side_by_side, stacked
 from rendering.verify.record import REPORT_NAME
 from storage.errors import InputError
 

@@ -20,10 +20,10 @@ from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
 from gui.campaign.tab import CampaignTab
-from gui.shell.files import Settings
-from gui.shell.front_door import FrontDoor
-from gui.shell.tab import Tab
-from gui.shell.window import Window, require_fonts
+from gui.files import Settings
+from gui.front_door import FrontDoor
+from gui.tab import Tab
+from gui.window import Window, require_fonts
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
 

@@ -17,7 +17,7 @@ from pytestqt.qtbot import QtBot
 from gui.campaign.map_panel import SurfaceMap
 from gui.campaign.quality import DAMAGED, LOOKS
 from gui.campaign.tab import CampaignTab
-from gui.shell.window import Window
+from gui.window import Window
 from storage.bank.reading import open_bank
 from storage.point_status import STATUS_WORDS
 from tests.gui.conftest import campaign_of, wait

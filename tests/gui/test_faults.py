@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from pytestqt.qtbot import QtBot
 
-from gui.shell.window import Window
+from gui.window import Window
 from tests.gui.conftest import campaign_of, wait
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="about X servers and fontconfig")

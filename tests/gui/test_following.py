@@ -28,8 +28,8 @@ from config.messages.campaign import (
 from gui.campaign.follower import Follower, Life, Line, LogTail, Records, Weight, line_of, read_record
 from gui.campaign.model import KEPT_LINES, Campaign, CampaignState, Extra, Order, possible_orders
 from gui.campaign.quality import per_position
-from gui.shell.front_door import Pulse
-from gui.surface.surface import raster_of
+from gui.front_door import Pulse
+from gui.surface import raster_of
 from storage.ledger.owner import Owner
 from wavefocus.commands.gui import front_door
 

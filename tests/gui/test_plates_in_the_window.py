@@ -10,7 +10,7 @@ from pytestqt.qtbot import QtBot
 
 from config.scene import LineTable
 from gui.scene.tab import SceneTab
-from gui.shell.window import Window
+from gui.window import Window
 from tests.gui.conftest import campaign_of, tab_of, wait
 from tests.gui.scenes import line_scene
 from tests.gui.test_whole_night import turn_to

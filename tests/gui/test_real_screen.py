@@ -20,9 +20,9 @@ import sys
 from pathlib import Path
 from PyQt5.QtCore import QSettings, QTimer
 from PyQt5.QtWidgets import QApplication
-from gui.shell.window import make_application
-from gui.shell.files import Settings
-from gui.shell.window import Window
+from gui.window import make_application
+from gui.files import Settings
+from gui.window import Window
 from wavefocus.commands.gui import front_door
 application = make_application()
 assert QApplication.platformName() == "xcb", QApplication.platformName()

@@ -18,7 +18,7 @@ from calibration.rig.mirror_map import MirrorMap
 from config.messages.rig_checks import Act, AskJog, Finding
 from gui.rig.examination import button_of
 from gui.rig.tab import RigTab, line_of
-from gui.shell.window import Window
+from gui.window import Window
 from tests.gui.conftest import SOON_MS, tab_of, write_lab
 
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))

@@ -13,7 +13,7 @@ from PyQt5.QtWidgets import QPlainTextEdit
 from pytestqt.qtbot import QtBot
 
 from gui.campaign.tab import CampaignTab
-from gui.shell.window import Window
+from gui.window import Window
 from storage.ledger.owner import bank_owner
 from tests.gui.conftest import campaign_of, wait, write_lab
 from wavefocus.__main__ import run

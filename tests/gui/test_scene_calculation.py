@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
-from gui.scene.results.drives import emission_s, render_while_edited
-from gui.scene.results.messages import Answer, Driven, Finished, FocusFigures, PredictedField, Request, between
-from gui.scene.results.worker import Calculator, SupersededError
+from gui.scene.drives import emission_s, render_while_edited
+from gui.scene.messages import Answer, Driven, Finished, FocusFigures, PredictedField, Request, between
+from gui.scene.worker import Calculator, SupersededError
 from rendering.drive.coil_limits import DriveLimits
 from rendering.drive.rendering import render_with_report
 from rendering.field.prediction import predict

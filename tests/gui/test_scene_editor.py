@@ -32,6 +32,7 @@ from config.scene import (
     SvgTable,
     TextTable,
 )
+from gui.files import Settings
 from gui.scene.canvas import SceneCanvas
 from gui.scene.document import (
     NEW_PATHS,
@@ -45,8 +46,7 @@ from gui.scene.document import (
 )
 from gui.scene.tab import SceneTab
 from gui.scene.tools import handles_of, shifted, with_handle_at
-from gui.shell.files import Settings
-from gui.shell.window import Window
+from gui.window import Window
 from rendering.scene import paths
 from rendering.scene.model import build_scene, load_scene
 from storage.errors import InputError

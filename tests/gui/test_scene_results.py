@@ -18,12 +18,12 @@ from pytestqt.qtbot import QtBot
 
 from config.scene import SceneConfig
 from gui.scene.document import EMPTY, SceneDocument
-from gui.scene.results.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
-from gui.scene.results.figures_view import GOOD, HELD
-from gui.scene.results.messages import between
-from gui.scene.results.panel import NO_BANK, ResultsPanel
-from gui.shell.theme import DARK
-from gui.shell.window import Window
+from gui.scene.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
+from gui.scene.figures_view import GOOD, HELD
+from gui.scene.messages import between
+from gui.scene.results_panel import NO_BANK, ResultsPanel
+from gui.theme import DARK
+from gui.window import Window
 from storage.drive_file import Drive, read_drive, write_drive
 from tests.gui.conftest import wait
 from tests.gui.scenes import line_scene

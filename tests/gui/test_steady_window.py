@@ -13,11 +13,11 @@ from pytestqt.qtbot import QtBot
 
 from config.scene import SceneConfig, TextTable
 from gui.campaign.position_panel import GreenPlot, Greens
+from gui.field_map import MOST_COLUMNS, thinned
 from gui.scene.document import new_source
-from gui.scene.results.exports import SceneCommands
+from gui.scene.exports import SceneCommands
 from gui.scene.tab import SceneTab
-from gui.shell.window import Window
-from gui.surface.field_map import MOST_COLUMNS, thinned
+from gui.window import Window
 from storage.errors import InputError
 from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
 from wavefocus.commands.gui import front_door

@@ -12,10 +12,10 @@ import pytest
 from pytestqt.qtbot import QtBot
 
 from gui.rig.tab import RigTab
-from gui.scene.results.exports import IDLE
+from gui.scene.exports import IDLE
 from gui.scene.tab import SceneTab
-from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
+from gui.window import Window
 from storage.bank.layout import BankHeader
 from storage.bank.writer import create_bank
 from tests.gui.conftest import campaign_of, tab_of, wait, write_lab

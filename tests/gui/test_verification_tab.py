@@ -16,9 +16,9 @@ from PyQt5.QtCore import QPointF, Qt
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from gui.shell.window import Window
-from gui.surface.time_slider import TimeSlider
+from gui.time_slider import TimeSlider
 from gui.verification.tab import VerificationTab
+from gui.window import Window
 from tests.gui.conftest import campaign_of, wait
 from wavefocus.__main__ import run
 

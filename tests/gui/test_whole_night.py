@@ -12,10 +12,10 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QListView, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
+from gui.files import PathField, Settings
 from gui.scene.tab import SceneTab
-from gui.shell.files import PathField, Settings
-from gui.shell.window import Window
 from gui.verification.tab import VerificationTab
+from gui.window import Window
 from rendering.verify.record import RECORD_NAME
 from storage.bank.reading import open_bank
 from storage.ledger.owner import bank_owner

@@ -24,10 +24,10 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
+from gui.files import Settings
 from gui.scene.tab import SceneTab
-from gui.shell.files import Settings
-from gui.shell.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
-from gui.shell.window import Window
+from gui.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
+from gui.window import Window
 from storage.errors import InputError
 from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
 from tests.system.test_startup import loaded_by
@@ -39,9 +39,9 @@ import os
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 from pathlib import Path
 from PyQt5.QtCore import QSettings
-from gui.shell.window import make_application
-from gui.shell.files import Settings
-from gui.shell.window import Window
+from gui.window import make_application
+from gui.files import Settings
+from gui.window import Window
 from wavefocus.commands.gui import front_door
 application = make_application()
 window = Window(front_door(), Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
@@ -236,5 +236,5 @@ def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Pa
         "rendering.field.prediction",
         "rendering.drive.rendering",
         "rendering.scene.model",
-        "gui.scene.results.worker",
+        "gui.scene.worker",
     }

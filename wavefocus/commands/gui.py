@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gui.shell.front_door import FrontDoor, Pulse, RigLimits, open_window
+from gui.front_door import FrontDoor, Pulse, RigLimits, open_window
 from wavefocus.campaign.sidecar_files import log_path, raw_path, session_failure
 from wavefocus.campaign.supervision import SILENT_AFTER_S, read_heartbeat
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
 from acquisition.durations import hours
+from gui.messages import error_text
+from gui.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.scene.document import SceneDocument, scene_toml
-from gui.shell.messages import error_text
-from gui.shell.process import STOPPED_BY_USER, CommandProcess, Message
-from gui.shell.tab import TabContext
-from gui.shell.toml_files import names_virtual_rig
+from gui.tab import TabContext
+from gui.toml_files import names_virtual_rig
 
 DRIVE, WAV, MOVIE = "drive", "WAV", "movie"
 ENDINGS = {DRIVE: ".h5", WAV: ".wav", MOVIE: ".gif"}

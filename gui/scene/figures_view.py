@@ -12,9 +12,9 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QBrush, QColor
 from PyQt5.QtWidgets import QLabel, QTableWidgetItem, QVBoxLayout, QWidget
 
-from gui.scene.results.messages import Driven, FocusFigures, PredictedField
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import make_table
+from gui.scene.messages import Driven, FocusFigures, PredictedField
+from gui.theme import LIGHT, Theme
+from gui.widgets import make_table
 from storage.units import quantity
 
 Float64Array = NDArray[np.float64]

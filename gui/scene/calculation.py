@@ -11,8 +11,8 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from gui.scene.results.messages import Answer, Finished, Order, Request, Stop
-from gui.shell.front_door import FrontDoor
+from gui.front_door import FrontDoor
+from gui.scene.messages import Answer, Finished, Order, Request, Stop
 
 LOST = "the calculation's process ended, perhaps for lack of memory; it starts again with the next edit"
 _KILL_WAIT_S = 0.2
@@ -116,6 +116,6 @@ class Calculation:
 
 
 def _serve(connection: Connection, read_rig_limits: object) -> None:
-    from gui.scene.results.worker import serve  # rendering is loaded by the process alone
+    from gui.scene.worker import serve  # rendering is loaded by the process alone
 
     serve(connection, read_rig_limits)  # type: ignore[arg-type]

@@ -9,8 +9,8 @@ from PyQt5.QtCore import QRectF, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPainterPath, QResizeEvent
 from PyQt5.QtWidgets import QGraphicsItem, QGraphicsPathItem
 
-from gui.shell.theme import LIGHT, Theme, theme_axes
-from gui.surface.surface import Float64Array, Raster, Surface
+from gui.surface import Float64Array, Raster, Surface
+from gui.theme import LIGHT, Theme, theme_axes
 
 PointMm = tuple[float, float]
 Keys = Qt.KeyboardModifiers | Qt.KeyboardModifier

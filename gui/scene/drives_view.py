@@ -9,10 +9,10 @@ import pyqtgraph
 from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from gui.scene.results.messages import Driven
-from gui.shell.theme import Theme
-from gui.shell.widgets import named, side_by_side, stacked
-from gui.surface.field_map import Plot, Real, thinning_curve, whole_ticks
+from gui.field_map import Plot, Real, thinning_curve, whole_ticks
+from gui.scene.messages import Driven
+from gui.theme import Theme
+from gui.widgets import named, side_by_side, stacked
 from storage.units import quantity
 
 _STEP = 0.45  # the loudest trace fills so much of the distance to its neighbours, up and down

@@ -23,13 +23,13 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.shell.files import Settings, dropped_files, make_dialog
-from gui.shell.front_door import FrontDoor
-from gui.shell.messages import ErrorHook, MessageBar
-from gui.shell.process import Background
-from gui.shell.tab import Act, Question, Tab, TabContext, make_tabs
-from gui.shell.theme import CHOICES, BoxStyle, resized_text, set_theme, theme_named
-from gui.shell.widgets import copy_text, make_action
+from gui.files import Settings, dropped_files, make_dialog
+from gui.front_door import FrontDoor
+from gui.messages import ErrorHook, MessageBar
+from gui.process import Background
+from gui.tab import Act, Question, Tab, TabContext, make_tabs
+from gui.theme import CHOICES, BoxStyle, resized_text, set_theme, theme_named
+from gui.widgets import copy_text, make_action
 from storage.errors import InputError
 
 _REFRESH_EVERY_MS = 50

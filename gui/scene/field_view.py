@@ -9,11 +9,11 @@ import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from gui.scene.results.messages import Driven, PredictedField, between
-from gui.shell.theme import Theme
-from gui.shell.widgets import named, stacked
-from gui.surface.field_map import ColourBar, FieldMap, Plot, scaled_unit, thinning_curve
-from gui.surface.time_slider import TimeSlider
+from gui.field_map import ColourBar, FieldMap, Plot, scaled_unit, thinning_curve
+from gui.scene.messages import Driven, PredictedField, between
+from gui.theme import Theme
+from gui.time_slider import TimeSlider
+from gui.widgets import named, stacked
 from storage.units import quantity
 
 _SIGNED, _MAGNITUDE = "response", "magnitude"

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from acquisition.durations import hours
 from config.scene import Output
-from gui.scene.results.messages import Driven
-from gui.shell.front_door import RigLimits
-from gui.surface.surface import path_line
+from gui.front_door import RigLimits
+from gui.scene.messages import Driven
+from gui.surface import path_line
 from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
 from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gui.scene.results.messages import FocusFigures, between
+from gui.scene.messages import FocusFigures, between
 from rendering.field.crosstalk import PathResponses
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, evenly, focus_instants
 from rendering.field.metrics import focus_spot, grid_spacing_mm

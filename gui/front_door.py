@@ -89,7 +89,7 @@ def open_window(front: FrontDoor, files: Sequence[Path]) -> int:
     """
     require_display()
     try:
-        from gui.shell.window import show
+        from gui.window import show
     except ImportError as missing:
         raise InputError(_missing(missing)) from missing
     return show(front, files)

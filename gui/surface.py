@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gui.shell.toml_files import is_virtual
+from gui.toml_files import is_virtual
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

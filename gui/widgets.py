@@ -35,7 +35,7 @@ from PyQt5.QtWidgets import (
 )
 
 from acquisition.durations import hours
-from gui.shell.theme import LIGHT, Theme
+from gui.theme import LIGHT, Theme
 
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)
 AnyBox = TypeVar("AnyBox", QHBoxLayout, QVBoxLayout)

@@ -21,8 +21,8 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from gui.shell.theme import LIGHT, Theme
-from gui.shell.widgets import named
+from gui.theme import LIGHT, Theme
+from gui.widgets import named
 
 FRAME_EVERY_MS = 50
 # Waves of some hundred hertz can be followed by eye at about 1/1000 of real time.

@@ -12,7 +12,7 @@ from PyQt5.QtCore import QEvent, QObject, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QColor, QPalette, QResizeEvent
 from PyQt5.QtWidgets import QApplication, QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QStyle, QToolButton
 
-from gui.shell.theme import LIGHT, Theme
+from gui.theme import LIGHT, Theme
 from storage.errors import WavefocusError
 
 

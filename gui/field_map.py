@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtWidgets import QFrame, QSizePolicy
 
-from gui.shell.theme import LIGHT, Theme, theme_axes
-from gui.surface.surface import Float64Array, Surface
-from gui.surface.view import SurfaceView, looked_up
+from gui.surface import Float64Array, Surface
+from gui.surface_view import SurfaceView, looked_up
+from gui.theme import LIGHT, Theme, theme_axes
 
 Real = NDArray[np.float32] | NDArray[np.float64]
 

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.scene import Regularisation
-from gui.scene.results.drives import missing_rows, missing_text, render_while_edited, stricter, summarise
-from gui.scene.results.foci import Snapshots, focus_figures, look_at_foci
-from gui.scene.results.messages import Answer, Finished, Order, PredictedField, Progress, Request
-from gui.shell.front_door import RigLimits
-from gui.surface.surface import Surface, surface_of
+from gui.front_door import RigLimits
+from gui.scene.drives import missing_rows, missing_text, render_while_edited, stricter, summarise
+from gui.scene.foci import Snapshots, focus_figures, look_at_foci
+from gui.scene.messages import Answer, Finished, Order, PredictedField, Progress, Request
+from gui.surface import Surface, surface_of
 from rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
 from rendering.field.prediction import Prediction, field_unit, measured_positions
 from rendering.greens.regularisation import saturation_threshold
@@ -182,7 +182,7 @@ class Calculator:
     check : callable
         Called often with the seconds to wait for a newer order; raises SupersededError to end the calculation.
     read_rig_limits : callable
-        As `gui.shell.front_door.FrontDoor` has it.
+        As `gui.front_door.FrontDoor` has it.
     most_field_bytes : int
         Of a longer field only the beginning is predicted.
     """

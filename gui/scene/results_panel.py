@@ -19,18 +19,18 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
+from gui.files import PathField, choose_place
+from gui.scene.calculation import Calculation
 from gui.scene.document import EMPTY, SceneDocument
-from gui.scene.results.calculation import Calculation
-from gui.scene.results.drives_view import DrivesView
-from gui.scene.results.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, Playing, Saving
-from gui.scene.results.field_view import FieldView
-from gui.scene.results.figures_view import FiguresView, drive_figures, field_figures
-from gui.scene.results.messages import Answer, Driven, Finished, FocusFigures, PredictedField, Progress
-from gui.shell.files import PathField, choose_place
-from gui.shell.tab import TabContext
-from gui.shell.theme import Theme
-from gui.shell.toml_files import VIRTUAL, names_virtual_rig
-from gui.shell.widgets import make_action, make_button, named, number_box
+from gui.scene.drives_view import DrivesView
+from gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, Playing, Saving
+from gui.scene.field_view import FieldView
+from gui.scene.figures_view import FiguresView, drive_figures, field_figures
+from gui.scene.messages import Answer, Driven, Finished, FocusFigures, PredictedField, Progress
+from gui.tab import TabContext
+from gui.theme import Theme
+from gui.toml_files import VIRTUAL, names_virtual_rig
+from gui.widgets import make_action, make_button, named, number_box
 
 # Button, kind, key, tooltip.
 _SAVES = (

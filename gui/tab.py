@@ -10,11 +10,11 @@ from pathlib import Path
 from PyQt5.QtCore import QObject
 from PyQt5.QtWidgets import QAction, QSplitter, QWidget
 
-from gui.shell.files import Settings
-from gui.shell.front_door import FrontDoor
-from gui.shell.messages import MessageBar, error_text
-from gui.shell.process import Background, CommandProcess, Message
-from gui.shell.theme import Theme
+from gui.files import Settings
+from gui.front_door import FrontDoor
+from gui.messages import MessageBar, error_text
+from gui.process import Background, CommandProcess, Message
+from gui.theme import Theme
 from storage.errors import WavefocusError
 
 # Module and class of each tab, from left to right.

@@ -17,8 +17,8 @@ from typing import IO, Any
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
-from gui.shell.front_door import FrontDoor
-from gui.shell.messages import error_text
+from gui.front_door import FrontDoor
+from gui.messages import error_text
 from storage.sidecar_files import create
 
 Message = dict[str, object]

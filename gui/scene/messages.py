@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from gui.surface.surface import Surface
+    from gui.surface import Surface
     from rendering.drive.coil_limits import DriveLimits, Limiting
 
 

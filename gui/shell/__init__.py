@@ -1,1 +1,0 @@
-"""The window itself: tabs, actions, theme, messages, files."""
