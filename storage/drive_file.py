@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
@@ -15,6 +16,9 @@ from storage import hdf5_digest, hdf5_reading
 from storage.errors import InputError
 from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale
 from storage.output_files import replacement
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -72,6 +76,15 @@ class Drive:
         shapes = {self.focus_sample.shape, self.focus_position.shape, self.focus_source.shape}
         if len(shapes) != 1 or self.focus_sample.ndim != 1:
             raise InputError(f"/focus datasets have shapes {sorted(shapes)}; one common length is needed")
+
+    def to_xarray(self) -> Dataset:
+        """The drive as an `xarray.Dataset`: ``drive`` (actuator, time_s), and each focus.
+
+        Raises InputError: xarray is not installed.
+        """
+        from storage.labelled import drive_dataset
+
+        return drive_dataset(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

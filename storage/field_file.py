@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import InitVar, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -17,6 +17,9 @@ from storage.durable import Closing
 from storage.errors import InputError
 from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale
 from storage.output_files import replacement
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 FieldArray = NDArray[np.float32] | NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -77,6 +80,15 @@ class Field:
         if not known_finite:
             _require_finite(values, self.position_index)
         _require_times(self.sample_rate_hz, self.start_s)
+
+    def to_xarray(self) -> Dataset:
+        """The field as an `xarray.Dataset`: ``field`` (position, time_s), each position by its row of the bank.
+
+        Raises InputError: xarray is not installed.
+        """
+        from storage.labelled import field_dataset
+
+        return field_dataset(self)
 
 
 def _require_finite(values: NDArray[Any], position_index: Int64Array) -> None:

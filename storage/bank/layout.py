@@ -99,7 +99,7 @@ class BankHeader:
         return crc
 
 
-_QUALITY_UNITS = {
+QUALITY_UNITS = {
     "snr_db": "dB",
     "residual_db": "dB",
     "coherence": "1",
@@ -181,7 +181,7 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
     for name in QUALITY_NAMES:
         shape = quality_shape(name, count, actuators)
         empty = np.full(shape, 0 if name == "attempts" else np.nan, "<f4")
-        attach(filled(file, f"/quality/{name}", empty, _QUALITY_UNITS[name]), *(position, actuator)[: len(shape)])
+        attach(filled(file, f"/quality/{name}", empty, QUALITY_UNITS[name]), *(position, actuator)[: len(shape)])
     row_byte = _bare_dimension(file, "ledger_byte", header.rows.row_bytes)
     lay_out_ledger(
         file, header.rows, count, position, row_byte, _bare_dimension(file, "journal_byte", header.rows.journal_bytes)

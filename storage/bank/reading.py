@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -21,6 +21,9 @@ from storage.hdf5_writing import sample_times
 from storage.ledger.layout import LedgerLayout, has_ledger
 from storage.ledger.reader import LedgerReader, damage_of
 
+if TYPE_CHECKING:
+    from xarray import Dataset
+
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 
@@ -32,7 +35,7 @@ class ForeignRows:
         self._path, self._green, self._status, self._open = path, green, status, stack
         single = green.dtype.kind == "f" and green.dtype.itemsize <= 4
         self._packing = hdf5_reading.packing_of(green, path)
-        self._dtype = np.dtype(np.float32 if single and self._packing.is_plain else np.float64)
+        self.dtype = np.dtype(np.float32 if single and self._packing.is_plain else np.float64)
 
     def read(self, position: int) -> Float32Array | Float64Array:
         """Green's functions of a position, unpacked by `scale_factor` and `add_offset` where there are any."""
@@ -44,7 +47,7 @@ class ForeignRows:
         if not self._packing.is_plain:
             return self._packing.unpack(row)
         with np.errstate(over="ignore"):  # a long double beyond float64 becomes an infinity and is refused as such
-            return np.ascontiguousarray(row.astype(self._dtype, copy=False))
+            return np.ascontiguousarray(row.astype(self.dtype, copy=False))
 
     def status(self) -> NDArray[np.uint8]:
         """The file's status, or what the rows themselves say; that reads them all, once."""
@@ -245,6 +248,17 @@ class Bank(Closing):
             more = f" ({len(broken)} positions are)" if len(broken) > 1 else ""
             raise InputError(damage_of(self.path, BANK, int(broken[0]), more))
 
+    def to_xarray(self) -> Dataset:
+        """The bank as an `xarray.Dataset`, named as in the file; rows of ``green`` are read when they are used.
+
+        Dimensions ``position``, ``actuator``, ``time_s`` and ``axis``; the figures of quality are variables of their
+        own. The bank must stay open while rows are read. Raises InputError: xarray is not installed, or, when a row is
+        read, its checksum does not hold.
+        """
+        from storage.labelled import bank_dataset
+
+        return bank_dataset(self)
+
     def verify(self) -> tuple[int, ...]:
         """Check every checksum; return the damaged positions (a foreign bank has none)."""
         return self.rows.damaged()
@@ -294,6 +308,8 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
 
 class BankRows(LedgerReader):
     """Rows of a bank of this program, checked against its ledger."""
+
+    dtype = np.dtype(np.float32)
 
     def __init__(self, path: Path, layout: LedgerLayout) -> None:
         super().__init__(path, layout)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tomllib
 from importlib import import_module
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 
 import wavefocus
 
+PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 SCENE = """
 [[source]]
 path = { kind = "point", at_mm = [4, 4] }
@@ -34,6 +36,11 @@ def test_every_name_that_a_room_s_first_page_gives_is_there(room: str) -> None:
         own = import_module(f"{room}.{module}")
         names = [name for name in re.findall(r"`(\w+)`", words.partition(";")[0]) if name[0].isupper()]
         assert all(hasattr(own, name) for name in names), (module, names)
+
+
+@pytest.mark.parametrize("package", tomllib.loads(PROJECT.read_text(encoding="utf-8"))["tool"]["mypy"]["files"])
+def test_every_package_says_that_it_is_typed(package: str) -> None:
+    assert (PROJECT.parent / package / "py.typed").is_file()
 
 
 def test_given_another_name_then_it_is_no_attribute() -> None:
