@@ -169,7 +169,7 @@ def calibrated(record: CalibrationRecord) -> str:
     if record.outputs is not None:
         known = sum(one.full_scale_v is not None for one in record.outputs.channel)
         parts.append(f"full scale of {known} outputs" if known else "latency of the outputs")
-    return ", ".join(parts) or "nothing that the rig takes up"
+    return ", ".join(parts) or "nothing that the rig uses"
 
 
 def _with_full_scales(player: dict[str, Any], record: CalibrationRecord) -> dict[str, Any]:

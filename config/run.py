@@ -288,7 +288,7 @@ class RunConfig(Table):
             self.settled is None and capture.excitation == "staggered" and capture.when_staggered_does_not_pay != "keep"
         )
 
-    def settled_as(self, capture: Capture, reason: str) -> RunConfig:
+    def with_schedule(self, capture: Capture, reason: str) -> RunConfig:
         """Make it the run with the capture that a trial has settled, and why."""
         return self.model_copy(update={"capture": capture, "settled": Settled(asked=self.capture, reason=reason)})
 

@@ -110,7 +110,7 @@ def named_rig(file: Path) -> RigConfig:
 def configuration_from_json(
     rig_json: str, run_json: str, position_mm: NDArray[np.float64], source: str
 ) -> Configuration:
-    """Take up the configuration that a bank carries.
+    """Read the configuration that a bank carries.
 
     Raises InputError: the texts are no configuration of this version.
     """
@@ -219,15 +219,15 @@ def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]
 
     Returns 64 hexadecimal digits: SHA-256 of canonical JSON.
     """
-    essence = _essence(rig, run, position_mm)
-    text = json.dumps(essence, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    hashed = _hashed_keys(rig, run, position_mm)
+    text = json.dumps(hashed, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
 def rig_differences(rig: RigConfig, other: RigConfig, run: RunConfig) -> tuple[str, ...]:
     """Keys of a rig that a resume must not change and in which two rigs differ, as ``recorder.response_range_v``."""
     nowhere = np.empty((0, 2))
-    own, new = (dict(_leaves("", _essence(one, run, nowhere))) for one in (rig, other))
+    own, new = (dict(_leaves("", _hashed_keys(one, run, nowhere))) for one in (rig, other))
     return tuple(key for key in sorted({**own, **new}) if own.get(key) != new.get(key))
 
 
@@ -239,7 +239,7 @@ def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
         yield name, value
 
 
-def _essence(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> dict[str, object]:
+def _hashed_keys(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> dict[str, object]:
     capture = {"averages", "decay_s", "excitation", "taps", "sample_rate_hz"}
     if run.capture.excitation == "staggered":
         capture |= {"stagger_s", "groups", "periods"}
@@ -249,21 +249,21 @@ def _essence(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -
         "position_mm": (position_mm + 0.0).tolist(),
         "actuator_mm": rig.actuators.position_mm,
         "surface": rig.surface.model_dump(exclude_none=True),
-        **_rig_essence(rig),
+        **_rig_keys(rig),
         "sweep": run.sweep.model_dump(),
         "capture": run.capture.model_dump(include=capture),
-        "quality": _quality_essence(run),
-        "virtual": _virtual_essence(rig, run),
+        "quality": _quality_keys(run),
+        "virtual": _virtual_keys(rig, run),
     }
 
 
-def _quality_essence(run: RunConfig) -> dict[str, object]:
+def _quality_keys(run: RunConfig) -> dict[str, object]:
     """When a row counts as valid and how it was tried; keys that came later, only where they differ from what was."""
     first = {"poor_residual_db", "excess_noise_db", "poor_snr_db", "max_attempts"}
     return run.quality.model_dump(include=first) | run.quality.model_dump(exclude=first, exclude_defaults=True)
 
 
-def _rig_essence(rig: RigConfig) -> dict[str, object]:
+def _rig_keys(rig: RigConfig) -> dict[str, object]:
     """What of the instruments makes the rows of one bank differ in kind.
 
     Keys that a rig does not use are left out, so that banks keep their hash when new keys come.
@@ -283,13 +283,13 @@ def _rig_essence(rig: RigConfig) -> dict[str, object]:
     }
 
 
-def _virtual_essence(rig: RigConfig, run: RunConfig) -> dict[str, object] | None:
+def _virtual_keys(rig: RigConfig, run: RunConfig) -> dict[str, object] | None:
     """What makes a virtual rig's rows what they are; nothing for real instruments, emulated or not."""
     if not rig.is_virtual:
         return None
-    essence: dict[str, object] = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
+    hashed: dict[str, object] = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
     if run.virtual and (run.virtual.plate_keys or run.virtual.plate != Virtual().plate):
-        essence |= {"plate": run.virtual.plate, **run.virtual.plate_keys}
+        hashed |= {"plate": run.virtual.plate, **run.virtual.plate_keys}
     if not rig.emulation.is_flawless:
-        essence["emulation"] = rig.emulation.truth()
-    return essence
+        hashed["emulation"] = rig.emulation.truth()
+    return hashed

@@ -67,7 +67,7 @@ def blueprint_from_files(run_file: Path) -> Blueprint:
 
 
 def blueprint_from_bank(path: Path) -> Blueprint:
-    """Take up the configuration that a bank carries, checked against the bank's own hash.
+    """Read the configuration that a bank carries, checked against the bank's own hash.
 
     Raises InputError: the file is no bank, or one that this suite did not measure.
     """

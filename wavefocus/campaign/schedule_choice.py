@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 GENEROUS = 1.3
 
 
-def settle(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[ScheduleSettled, ...]]:
-    """Try a staggered run's schedules at one position and settle on one; other runs stay as they are.
+def choose_schedule(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[ScheduleSettled, ...]]:
+    """Try a staggered run's schedules at one position and choose one; other runs stay as they are.
 
     Returns the blueprint that the bank is to be made of, and events to report. Raises InputError: the responses
     are longer than the taps, or staggered capture does not pay and the run says to refuse then. Raises InstrumentError:
@@ -45,7 +45,7 @@ def settle(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[Schedule
         raise InputError(f'{source}: capture.excitation = "staggered": {reason}; nothing was measured')
     changes: dict[str, object] = {"level_db": run.capture.level_db + chosen.level_db}
     changes |= {"groups": chosen.groups} if chosen.groups else {"excitation": "sequential"}
-    settled = _with_run(blueprint, run.settled_as(run.capture.model_copy(update=changes), reason))
+    settled = _with_run(blueprint, run.with_schedule(run.capture.model_copy(update=changes), reason))
     event = ScheduleSettled(
         trial.took_s,
         trial.position,
@@ -60,20 +60,20 @@ def settle(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple[Schedule
     return settled, (event,)
 
 
-def as_settled(blueprint: Blueprint, bank: Path) -> Blueprint:
-    """Take up what a trial has settled for a bank, where the run file still asks for the same."""
+def with_chosen_schedule(blueprint: Blueprint, bank: Path) -> Blueprint:
+    """Use the schedule that a trial chose for a bank, where the run file still asks for the same."""
     run = blueprint.configuration.run
     if not run.awaits_trial:
         return blueprint
     with open_bank(bank) as content:
         held = bank_configuration(content).run
-    if held.settled is None or _essence(held.settled.asked) != _essence(run.capture):
+    if held.settled is None or _trial_request(held.settled.asked) != _trial_request(run.capture):
         return blueprint
     capture = held.capture.model_copy(update={"keep_raw": run.capture.keep_raw})
-    return _with_run(blueprint, run.settled_as(capture, held.settled.reason))
+    return _with_run(blueprint, run.with_schedule(capture, held.settled.reason))
 
 
-def _essence(capture: Capture) -> dict[str, object]:
+def _trial_request(capture: Capture) -> dict[str, object]:
     """What a trial was asked: all but whether recordings are kept."""
     return capture.model_dump(exclude={"keep_raw"})
 

@@ -235,7 +235,7 @@ class Attendance:
         while not self._over:
             order = self._take()
             if order is not None:
-                self._obey(order)
+                self._carry_out(order)
             woken = self._wake.wait(LISTENS_EVERY_S)
             self._wake.clear()
             if order is not None or woken or time.monotonic() >= beats_s:
@@ -244,7 +244,7 @@ class Attendance:
         self._take()
         self._beat()
 
-    def _obey(self, order: Order) -> None:
+    def _carry_out(self, order: Order) -> None:
         {"pause": self._stop.pause, "go-on": self._stop.go_on, "stop": self._stop.finish_position}[order.order]()
         self._pulse.took(order)
 
@@ -252,16 +252,20 @@ class Attendance:
         try:
             return take_order(self._bank)
         except OSError as failure:
-            self._tell(f"{orders_path(self._bank)} cannot be taken ({failure.strerror}); orders are not received")
+            self._report_failure(
+                f"{orders_path(self._bank)} cannot be taken ({failure.strerror}); orders are not received"
+            )
             return None
 
     def _beat(self) -> None:
         try:
             write_heartbeat(self._bank, self._pulse.beat())
         except OSError as failure:
-            self._tell(f"the heartbeat of {self._bank} cannot be written ({failure.strerror}); the campaign goes on")
+            self._report_failure(
+                f"the heartbeat of {self._bank} cannot be written ({failure.strerror}); the campaign goes on"
+            )
 
-    def _tell(self, sentence: str) -> None:
+    def _report_failure(self, sentence: str) -> None:
         """Report a failure that lasts, once."""
         self._failures += 1
         if self._failures == FAILURES_TOLD_AFTER:

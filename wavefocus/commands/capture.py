@@ -35,7 +35,7 @@ from wavefocus.campaign.blueprint import (
     ringing_of,
 )
 from wavefocus.campaign.campaign_view import CampaignView
-from wavefocus.campaign.schedule_choice import as_settled, settle
+from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import (
     EventLines,
     EventLog,
@@ -103,7 +103,7 @@ def _with_bank(
 ) -> tuple[Blueprint, tuple[Event, ...]]:
     """Make the bank unless it is there; return the campaign as the bank has it, and what happened on the way."""
     if not bank.exists():
-        settled, earlier = settle(blueprint, str(run_file))
+        settled, earlier = choose_schedule(blueprint, str(run_file))
         if is_network_mount(bank.absolute().parent):
             say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
         if (rings := ringing_of(settled)) is not None and rings.advice:
@@ -111,7 +111,7 @@ def _with_bank(
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
             create_bank(bank, settled.bank_header())
             return settled, earlier
-    return with_one_calibration(as_settled(blueprint, bank), bank, run_file, accept=accept_calibration), ()
+    return with_one_calibration(with_chosen_schedule(blueprint, bank), bank, run_file, accept=accept_calibration), ()
 
 
 def resume(
@@ -189,10 +189,10 @@ def _session(
     stop, rig_file = StopRequest(), options.rig_file
     plan = blueprint.plan
     with (
-        _told_how_to_go_on(bank, rig_file),
+        _naming_resume_command(bank, rig_file),
         messenger_for(bank, blueprint.configuration.rig.messages, resume_line(bank, rig_file)) as messenger,
         BankWriter.open(bank, plan_sha256=plan.sha256) as writer,
-        # Outside of the instruments, so that no impatient Ctrl-C keeps them from being put to rest.
+        # Outside of the instruments, so that no second Ctrl-C keeps them from being put to rest.
         stop_on_signals(stop),
         Attendance(bank, stop) as attendance,
         open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
@@ -241,8 +241,8 @@ def _session(
 
 
 @contextmanager
-def _told_how_to_go_on(bank: Path, rig_file: Path | None) -> Iterator[None]:
-    """Let an instrument's last word end with the command that goes on with the campaign."""
+def _naming_resume_command(bank: Path, rig_file: Path | None) -> Iterator[None]:
+    """Add the command that resumes the campaign to the message of an instrument that failed."""
     try:
         yield
     except InstrumentError as failure:

@@ -89,7 +89,7 @@ def demo(out: Path, *, plate: str = PLATE, force: bool = False) -> Exit:
         "Play it on the rig, scan it, compare",
         lambda: outcome.append(verification.verify(scene, bank, Path("virtual"), out / "verify", "", as_json=False)),
     )
-    _tell(watch, report)
+    _print_result(watch, report)
     return max(outcome)
 
 
@@ -152,7 +152,7 @@ def _compare(bank: Path) -> Exit:
     return Exit.DONE if median_db <= BANK_LIMIT_DB else Exit.NOT_GOOD_ENOUGH
 
 
-def _tell(watch: _Stopwatch, report: Path) -> None:
+def _print_result(watch: _Stopwatch, report: Path) -> None:
     """Times, memory and where the report is; opens it where somebody can look."""
     people().rule("Done", align="left")
     from rich.table import Table

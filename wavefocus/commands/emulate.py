@@ -57,7 +57,7 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
             raise InputError(f"{rig_file}: {refused}") from None
         with emulated:
             _announce(emulated, as_json=as_json)
-            _obey(emulated, stop)
+            _carry_out(emulated, stop)
     say("the far sides are gone")
     return Exit.DONE
 
@@ -116,7 +116,7 @@ def _announce(emulated: EmulatedRig, *, as_json: bool) -> None:
     say(f"and here: {COMMANDS}")
 
 
-def _obey(emulated: EmulatedRig, stop: StopRequest) -> None:
+def _carry_out(emulated: EmulatedRig, stop: StopRequest) -> None:
     """Do what is typed, until quit or a signal; a closed keyboard is no reason to end."""
     typed: queue.SimpleQueue[str] = queue.SimpleQueue()
 

@@ -85,7 +85,7 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
             say(line)
         if len(faults) > MOST_LINES:
             say(f"and {len(faults) - MOST_LINES} positions more that are not valid")
-    _tell(bank, raw, header, status, done - first, took_s, as_json=as_json)
+    _print_result(bank, raw, header, status, done - first, took_s, as_json=as_json)
 
 
 def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits, *, calibrated: bool) -> str:
@@ -148,7 +148,7 @@ def _require_alike(held: BankHeader, header: RawHeader, bank: Path, raw: Path) -
         )
 
 
-def _tell(
+def _print_result(
     bank: Path, raw: Path, header: RawHeader, status: NDArray[np.uint8], estimated: int, took_s: float, *, as_json: bool
 ) -> None:
     counts = status_counts(status)

@@ -75,7 +75,7 @@ def movie(
                 slow=options.slow,
                 frame_rate_hz=options.frame_rate_hz,
             )
-            _tell_strobing(plan, view, field)
+            _warn_of_strobing(plan, view, field)
             with progress("movie", len(plan.sample)) as report:
                 limit = write_movie(
                     out, field, surface, drive, plan, width_px=options.width_px, limit=options.limit, on_progress=report
@@ -111,7 +111,7 @@ def _outline(bank: Bank) -> NDArray[np.float64] | None:
     return bank_configuration(bank).rig.surface.outline.line(OUTLINE_POINTS)
 
 
-def _tell_strobing(plan: FramePlan, bank: Bank, field: FieldRowReader) -> None:
+def _warn_of_strobing(plan: FramePlan, bank: Bank, field: FieldRowReader) -> None:
     highest_hz = inf if bank.band_hz is None else bank.band_hz[1]
     if field.low_pass is not None and field.low_pass.passed_hz < highest_hz:
         highest_hz = field.low_pass.passed_hz

@@ -63,10 +63,10 @@ def _operate(rig: RigConfig, publish: LinesOut) -> None:
         assert isinstance(player, BoundedPlayer)  # as every player of a set-up
         operation = Operation(rig, setup, player, _light(rig, opened), publish)
         operation.introduce()
-        _obey(operation, player, rig, publish)
+        _carry_out(operation, player, rig, publish)
 
 
-def _obey(operation: Operation, player: BoundedPlayer, rig: RigConfig, publish: LinesOut) -> None:
+def _carry_out(operation: Operation, player: BoundedPlayer, rig: RigConfig, publish: LinesOut) -> None:
     muting = CallThread("muting")
     orders = LinesIn()
 

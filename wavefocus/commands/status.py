@@ -137,14 +137,14 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         )
     if owner is None:
         if beat is not None and beat.state not in ("finished", "idle"):
-            # A process that was killed has not said good-bye.
+            # The heartbeat of a process that was killed keeps its last state.
             answer(f"last sign of life {hours(beat.age_s())} ago: {beat.state}: {beat.reason}")
         left = f"; go on with: {resume_line(bank, None)}" if done < total else ""
         if left and _names_rig_file(run_json):
             left += " (with --rig RIG.toml where the rig file was corrected)"
         answer(f"no process owns the bank: no process is measuring{left}")
         return
-    _tell_running(owner, stands, beat, pace, total - done)
+    _print_running(owner, stands, beat, pace, total - done)
 
 
 def _kept(bank: Path) -> dict[int, str]:
@@ -197,7 +197,7 @@ def _pace(bank: Path) -> _Pace:
     return _Pace(progress, at, None, record)
 
 
-def _tell_pace(pace: _Pace, state: State, to_go: int) -> None:
+def _print_pace(pace: _Pace, state: State, to_go: int) -> None:
     """Report the time left; a finish only where the session goes on."""
     progress = pace.progress
     if progress is None or pace.at is None:
@@ -213,7 +213,7 @@ def _tell_pace(pace: _Pace, state: State, to_go: int) -> None:
         answer(f"{to_go} positions to go, about {wall} once it goes on (last position {at:%H:%M:%S})")
 
 
-def _tell_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, pace: _Pace, to_go: int) -> None:
+def _print_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, pace: _Pace, to_go: int) -> None:
     who = f"process {owner.pid} on {owner.host}"
     if _is_silent(beat) and beat is not None:
         answer(
@@ -239,7 +239,7 @@ def _tell_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, p
         answer(f"last sign of life {hours(beat.age_s())} ago{at}")
         if beat.fault:
             answer(f"last fault: {beat.fault}")
-    _tell_pace(pace, stands.state, to_go)
+    _print_pace(pace, stands.state, to_go)
 
 
 def _is_silent(beat: Heartbeat | None) -> bool:

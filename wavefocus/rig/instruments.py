@@ -98,14 +98,14 @@ def in_time(ways: Openers, limit_s: float) -> Openers:
 
     def bounded(role: str, opens: Callable[[], Opened]) -> Callable[[], Opened]:
         def call() -> Opened:
-            lane = CallThread(f"opening {role}")
+            calls = CallThread(f"opening {role}")
             try:
-                return lane.call(opens, limit_s)
+                return calls.call(opens, limit_s)
             except HungError:
                 cause = f"the call did not come back within {limit_s:.3g} s"
                 raise InstrumentLostError(role, "opening", cause, REMEDY) from None
             finally:
-                lane.abandon()
+                calls.abandon()
 
         return call
 

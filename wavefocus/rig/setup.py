@@ -133,12 +133,12 @@ class BoundedSensor:
         self._name = name
         self._sensor = sensor
         self._limit_s = limit_s
-        self._lane = CallThread(f"sensor {name}")
+        self._calls = CallThread(f"sensor {name}")
 
     def read(self) -> float:
         """The value now."""
         try:
-            return self._lane.call(self._sensor.read, self._limit_s)
+            return self._calls.call(self._sensor.read, self._limit_s)
         except HungError:
             cause = f"the call did not come back within {self._limit_s:.3g} s"
             raise InstrumentError(f"sensor {self._name}", "reading", cause, "look after its cable and power") from None
