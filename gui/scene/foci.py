@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from gui.scene.messages import FocusFigures, between
 from rendering.field.crosstalk import PathResponses
-from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, evenly, focus_instants
+from rendering.field.foci import LoudestInstants
+from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, evenly
 from rendering.field.metrics import focus_spot, grid_spacing_mm
-from rendering.field.prediction import Prediction
 from rendering.scene.model import Scene
 from storage.bank.reading import Bank
 from storage.drive_file import Drive
@@ -24,43 +24,8 @@ Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 MOST_FIGURES = 8
-MOST_RESPONSES_BYTES = 128 * 2**20
 MOST_CROSSTALK_POINTS = 24
 MOST_CROSSTALK_SOURCES = 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LookedAt:
-    """Foci, the instant at which each is loudest, and the largest response there.
-
-    Parameters
-    ----------
-    instants : tuple of FocusInstant, length K
-    peak : float64 array, shape (K,)
-    """
-
-    instants: tuple[FocusInstant, ...]
-    peak: Float64Array
-
-    def time_s(self, sample_rate_hz: float) -> Float64Array:
-        """The instants on the scene's clock."""
-        return np.array([one.sample for one in self.instants]) / sample_rate_hz
-
-
-def look_at_foci(drive: Drive, bank: Bank) -> LookedAt:
-    """Choose foci, and find the instant at which each is loudest, at the full rate."""
-    samples = drive.drive_v.shape[1] + bank.taps - 1
-    windows = emission_windows(drive)
-    most = max(1, MOST_RESPONSES_BYTES // (4 * samples))
-    if len(windows) > most:
-        windows = tuple(windows[index] for index in np.linspace(0, len(windows) - 1, most).astype(int))
-    rows, place = np.unique([one.row for one in windows], return_inverse=True)
-    field = Prediction(drive, bank, rows.astype(np.int64)).field().field.astype(np.float32, copy=False)
-    first = round(drive.start_s * drive.sample_rate_hz)
-    instants = focus_instants(windows, field[place], first)
-    where = dict(zip(rows.tolist(), range(len(rows)), strict=True))
-    peak = np.array([abs(float(field[where[one.row], one.sample - first])) for one in instants])
-    return LookedAt(instants, peak)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +44,7 @@ class Snapshots:
     values: Float32Array
 
     @classmethod
-    def of(cls, looked: LookedAt, drive: Drive, field: Float32Array, field_rate_hz: float) -> Snapshots:
+    def of(cls, looked: LoudestInstants, drive: Drive, field: Float32Array, field_rate_hz: float) -> Snapshots:
         """Take snapshots of a field, shape (samples, positions)."""
         instants = [looked.instants[index] for index in evenly(len(looked.instants), MOST_FIGURES)]
         time_s = np.array([one.sample for one in instants]) / drive.sample_rate_hz

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from config.scene import Regularisation
 from gui.front_door import RigLimits
 from gui.scene.drives import missing_rows, missing_text, render_while_edited, stricter, summarise
-from gui.scene.foci import Snapshots, focus_figures, look_at_foci
+from gui.scene.foci import Snapshots, focus_figures
 from gui.scene.messages import Answer, Finished, Order, PredictedField, Progress, Request
 from gui.surface import Surface, surface_of
 from rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
+from rendering.field.foci import loudest_instants
 from rendering.field.prediction import Prediction, field_unit, measured_positions
 from rendering.greens.regularisation import saturation_threshold
 from rendering.scene.model import Scene, read_scene
@@ -248,7 +249,7 @@ class Calculator:
         self._check(0.0)
         cache, rows = self.cache, self.cache.rows
         factor, rate_hz = cache.factor, cache.rate_hz
-        looked = look_at_foci(drive, bank)
+        looked = loudest_instants(drive, bank)
         whole = -(-(drive.drive_v.shape[1] + bank.taps - 1) // factor)
         samples = min(whole, max(1, self._most_field_bytes // (4 * len(rows))))
         beginning = drive.drive_v[:, : (samples + _LOW_PASS_REACH) * factor]
