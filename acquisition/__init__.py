@@ -1,15 +1,16 @@
-"""The campaign: plan, schedule, engine, events, point quality; and a rig examined, calibrated and operated by hand.
+"""The campaign: plan, engine, point quality; and a rig examined, calibrated and operated by hand.
 
-=========================  ==================================================================
-`schedule.plan`            `Plan`: everything a campaign does, as data
-`schedule.grid`            `surface_grid`, `read_positions_file`
-`schedule.trial`           `run_trial`: which schedule suits the plate
-`measuring.setup`          `Setup`: open instruments and what is known of their wires
-`engine.campaign`          `Campaign`: carries a plan out into a bank
-`engine.session`           `Session`, `StopRequest`: state, requests and events of a run
-`quality.limits`           `QualityLimits`, `DriftLimits`
-`doctor.examination`       `examine`
-`calibrate.mirror`         `measure_mirror`; `calibrate.channels` has `measure_inputs`, `measure_outputs`
-`manual`                   `ManualMeasurements`: levels and single sweeps
-=========================  ==================================================================
+=====================  ==================================================================
+`plan`                 `Plan`: everything a campaign does, as data; `grid` has its positions
+`trial`                `run_trial`: which schedule suits the plate
+`setup`                `Setup`: open instruments, how they are wired and calibrated; one record
+`plays`, `attempt`     records of a position, their estimate, attempts, commits
+`engine.campaign`      `Campaign`: carries a plan out into a bank
+`engine.session`       `Session`, `StopRequest`: state, requests and events of a run
+`judgement`, `limits`  point quality; `defects` names what is wrong
+`drift_watch`          the sentinel; `neighbour_watch`: positions against their neighbours
+`doctor`               `examine`
+`calibrate_mirror`     `measure_mirror`; `calibrate_channels`: `measure_inputs`, `measure_outputs`
+`manual`               `ManualMeasurements`: levels and single sweeps
+=====================  ==================================================================
 """

@@ -7,15 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.measuring.plays import channels_of
-from acquisition.measuring.record import record_samples, record_silence, take_record
-from acquisition.measuring.setup import Setup
-from acquisition.quality.judgement import judge
-from acquisition.quality.limits import QualityLimits
+from acquisition.judgement import judge
+from acquisition.limits import QualityLimits
+from acquisition.plays import channels_of
+from acquisition.setup import Setup, record_samples, record_silence, take_record
 from calibration.blas import one_blas_thread
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.sequential import SequentialEstimator
-from calibration.excitation.sweeps import Excitation
+from calibration.sweeps import Excitation
 from config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep
 from drivers.protocols import Float32Array, Float64Array, Recording, Take
 from storage.errors import InputError

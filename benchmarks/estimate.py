@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from benchmarks import nights
 from benchmarks.harness import Findings, Mark, Point, band_error_db, measure
 from calibration.estimator.sequential import SequentialEstimator
-from calibration.excitation.sweeps import Excitation
+from calibration.sweeps import Excitation
 
 TAPS = 2000
 OFFSET = 200

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.schedule.grid import surface_grid
+from acquisition.grid import surface_grid
 from benchmarks.harness import Findings, Mark, Point, measure
 from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from config.interpolations import INTERPOLATIONS

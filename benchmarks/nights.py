@@ -27,11 +27,10 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from acquisition.measuring.plays import measuring_of
-from acquisition.measuring.raw_keeping import keep_recordings, raw_header
-from acquisition.measuring.record import point_at, take_record
-from acquisition.schedule.plan import Plan
-from acquisition.schedule.trial import check_position, run_trial
+from acquisition.plan import Plan
+from acquisition.plays import keep_recordings, measuring_of, raw_header
+from acquisition.setup import point_at, take_record
+from acquisition.trial import check_position, run_trial
 from benchmarks.harness import Mark, Point, Timing, band_error_db
 from benchmarks.machine import run_command
 from benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure, rig_setup, sweep_plan

@@ -11,12 +11,12 @@ from scipy import fft as scipy_fft
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.session import StopRequest
-from acquisition.measuring.setup import Setup
-from acquisition.quality.limits import QualityLimits
-from acquisition.schedule.grid import surface_grid
-from acquisition.schedule.plan import Plan
-from calibration.excitation.sweeps import Excitation, StaggeredSignal
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.grid import surface_grid
+from acquisition.limits import QualityLimits
+from acquisition.plan import Plan
+from acquisition.setup import Setup
+from calibration.mirror_map import MirrorMap
+from calibration.sweeps import Excitation, StaggeredSignal
 from config.messages.campaign import Subscriber
 from mocks.virtual.rig import VirtualRig
 from rendering.field.metrics import band_weights

@@ -19,14 +19,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.measuring.record import record_samples, take_record
-from acquisition.measuring.setup import Setup
-from acquisition.schedule.plan import Plan
+from acquisition.plan import Plan
+from acquisition.setup import Setup, record_samples, take_record
 from benchmarks.harness import Findings, Mark, Point
 from benchmarks.rig_bank import RATE_HZ, TAPS, measure
 from calibration.clock.timing import ClockFitter
-from calibration.excitation.sweeps import Excitation
-from calibration.rig.mirror_map import MirrorMap
+from calibration.mirror_map import MirrorMap
+from calibration.sweeps import Excitation
 from config.messages.campaign import Event, Fault, PositionStarted
 from drivers.audio.resampling import converted, lead_samples, rate_ratio
 from drivers.audio.stream.player import StreamPlayer

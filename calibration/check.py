@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.blas import one_blas_thread
-from calibration.neighbours.judge import NeighbourJudge, RowSpectra
+from calibration.neighbour_judge import NeighbourJudge, RowSpectra
 from storage.bank.ledger import VALID
 from storage.bank.reading import Bank, BankRows, open_bank
 from storage.drive_file import FORMAT as DRIVE

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from storage.errors import InputError
 
 if TYPE_CHECKING:
-    from acquisition.quality.limits import DriftPoint
+    from acquisition.limits import DriftPoint
     from rendering.drive.coil_limits import DriveLimits
 
 

@@ -34,7 +34,7 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 from gui.theme import LIGHT, Theme
 
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)

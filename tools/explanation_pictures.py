@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.estimator.sequential import SequentialEstimator
-from calibration.excitation.sweeps import Excitation
+from calibration.sweeps import Excitation
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
 from rendering.field.prediction import predict

@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.judgement import in_band
+from acquisition.judgement import in_band
 from wavefocus.__main__ import run
 
 # Error of gain, and of the whole Green's function beyond its noise, that counts as wrong.

@@ -258,7 +258,7 @@ class Pictures:
         """Bring the beam onto every mark, as a person does who sees nearly where it is."""
         import numpy as np
 
-        from calibration.rig.mirror_map import MirrorMap
+        from calibration.mirror_map import MirrorMap
         from config.messages.rig_checks import AskJog
 
         true, rng, calibration = MirrorMap(MIRROR_MAP), np.random.default_rng(1), tab.calibration

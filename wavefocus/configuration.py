@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.schedule.grid import read_positions_file, surface_grid
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.grid import read_positions_file, surface_grid
+from calibration.mirror_map import MirrorMap
 from config.calibration import load_calibration
 from config.fields import Table
 from config.loading import named_file, printable, read_toml, shown, validated

@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 from functools import cache
 from typing import IO, TYPE_CHECKING, Protocol, cast
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 from wavefocus.exits import escaped
 
 if TYPE_CHECKING:

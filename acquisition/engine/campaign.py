@@ -13,10 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from acquisition.engine.recovery import Recovery, Suspension
-from acquisition.engine.report import CampaignReport
-from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
-from acquisition.measuring.attempt import (
+from acquisition.attempt import (
     Attempt,
     AttemptResult,
     PositionRecords,
@@ -29,12 +26,15 @@ from acquisition.measuring.attempt import (
     is_futile,
     next_attempt,
 )
-from acquisition.measuring.plays import measuring_of
-from acquisition.measuring.setup import Setup, names_of
-from acquisition.quality.conditions import Conditions
-from acquisition.quality.drift_watch import DriftError, DriftWatch
-from acquisition.quality.neighbour_watch import NeighbourWatch
-from acquisition.schedule.plan import Plan
+from acquisition.conditions import Conditions
+from acquisition.drift_watch import DriftError, DriftWatch
+from acquisition.engine.recovery import Recovery, Suspension
+from acquisition.engine.report import CampaignReport
+from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
+from acquisition.neighbour_watch import NeighbourWatch
+from acquisition.plan import Plan
+from acquisition.plays import measuring_of
+from acquisition.setup import Setup, names_of
 from calibration.blas import one_blas_thread
 from config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
 from drivers.errors import InstrumentError, TransientInstrumentError

@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
-from acquisition.durations import hours
+from acquisition.attempt import Attempt, PositionRecords
+from acquisition.conditions import Conditions
 from acquisition.engine.session import LOOKED_FOR_S, Session
-from acquisition.measuring.attempt import Attempt, PositionRecords
-from acquisition.measuring.setup import Setup, as_lost, asking, instrument_of, silence
-from acquisition.quality.conditions import Conditions
+from acquisition.setup import Setup, as_lost, asking, instrument_of, silence
+from acquisition.wording import hours
 from config.messages.campaign import ConditionsSeen, ReconnectTried, State
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from drivers.protocols import Recording

@@ -7,12 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.attempt import Attempt, AttemptResult
 from acquisition.engine.session import Session
-from acquisition.measuring.attempt import Attempt, AttemptResult
-from acquisition.measuring.setup import Setup
-from acquisition.quality.judgement import Judgement
-from acquisition.schedule.pace import Pace
-from acquisition.schedule.plan import Plan, sentinel_of
+from acquisition.judgement import Judgement
+from acquisition.plan import Pace, Plan, sentinel_of
+from acquisition.setup import Setup
 from config.messages.campaign import (
     PassStarted,
     PositionCommitted,

@@ -13,7 +13,7 @@ from drivers.errors import InstrumentError
 from drivers.protocols import Clock
 
 if TYPE_CHECKING:
-    from acquisition.measuring.attempt import Attempt  # with it comes the estimator, and every command imports this
+    from acquisition.attempt import Attempt  # with it comes the estimator, and every command imports this
 
 Content = ParamSpec("Content")
 Published = TypeVar("Published", bound=Event)

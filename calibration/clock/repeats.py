@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.clock.czt import BandSpectrum
 from calibration.clock.timing import CORNERS, ReferenceMissingError, check_inside
-from calibration.excitation.sweeps import Sweeps
+from calibration.sweeps import Sweeps
 from storage.errors import InputError
 
 # Bins whose nominal energy is below this share of the median in band carry noise only.

@@ -12,14 +12,13 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from calibration.clock.played import RecordShape, find_sweeps, learn_base, learn_sweeps, whole_record
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
 from calibration.estimator.multichannel_fir_fit import MOST_JOINT_BYTES, joint_bytes
 from calibration.estimator.sequential import SequentialEstimator
 from calibration.estimator.staggered import StaggeredEstimator
 from calibration.estimator.whole_record import WholeRecordEstimator
-from calibration.excitation.base_signal import learn_base
-from calibration.excitation.sequential_signal import RecordShape, find_sweeps, learn_sweeps, whole_record
 from storage.errors import InputError
 from storage.raw.header import RawHeader
 from storage.raw.writer import DamagedError, RawFile, Recordings

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.clock.repeats import RepeatFinder
-from calibration.defects.clipping import measure_levels
-from calibration.defects.defect_finder import DefectFinder, Residuals
 from calibration.estimator.causal_fit import CausalFit, ToeplitzFit
+from calibration.estimator.clipping import measure_levels
+from calibration.estimator.defect_finder import DefectFinder, Residuals
 from calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
-from calibration.excitation.sweeps import Sweeps
+from calibration.sweeps import Sweeps
 from storage.errors import InputError
 from storage.raw.header import Schedule
 

@@ -10,8 +10,8 @@ from calibration.clock.czt import require_coverage, ring_signal, ring_spectrum
 from calibration.clock.known_signal import Thinned, Thinning
 from calibration.clock.periodic_clock import RingClock, RingFit
 from calibration.clock.timing import ReferenceMissingError
-from calibration.defects.clipping import measure_levels
-from calibration.defects.defect_finder import LEAKS, not_looked_at
+from calibration.estimator.clipping import measure_levels
+from calibration.estimator.defect_finder import LEAKS, not_looked_at
 from calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
 from calibration.estimator.multichannel_fir_fit import JointFit
 from storage.errors import InputError

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from calibration.clock.known_signal import resampled
 from calibration.clock.timing import ReferenceMissingError
-from calibration.defects.clipping import measure_levels
 from calibration.estimator.causal_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
+from calibration.estimator.clipping import measure_levels
 from calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
 from storage.errors import InputError
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 from config.messages.campaign import (
     ConditionsSeen,
     Drift,
@@ -48,7 +48,7 @@ from storage.bank.ledger import VALID
 from storage.errors import WavefocusError
 
 if TYPE_CHECKING:
-    from acquisition.quality.limits import DriftPoint
+    from acquisition.limits import DriftPoint
     from storage.bank.reading import Bank
     from storage.ledger.owner import Owner
 

@@ -32,7 +32,7 @@ from gui.front_door import Pulse
 from gui.surface import Surface
 
 if TYPE_CHECKING:
-    from acquisition.quality.limits import DriftPoint
+    from acquisition.limits import DriftPoint
     from storage.ledger.owner import Owner
 
 # A week of a night's events; older ones are in the log. Lines are dropped in blocks.

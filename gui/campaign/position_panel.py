@@ -29,7 +29,7 @@ from gui.widgets import column, fill_row, make_choice, make_label, make_table, n
 from storage.units import quantity
 
 if TYPE_CHECKING:
-    from acquisition.quality.limits import DriftPoint
+    from acquisition.limits import DriftPoint
     from storage.raw.writer import Recordings
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from PyQt5.QtWidgets import QAction, QWidget
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 from gui.campaign.follower import same_file
 from gui.process import STOPPED_BY_USER, CommandProcess
 from gui.tab import Question, TabContext

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 from config.scene import Output
 from gui.front_door import RigLimits
 from gui.scene.messages import Driven

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 from gui.messages import error_text
 from gui.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.scene.document import SceneDocument, scene_toml

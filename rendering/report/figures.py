@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.limits import DriftLimits, DriftPoint
+from acquisition.limits import DriftLimits, DriftPoint
 from rendering.arrays import Float64Array, Int64Array
 from rendering.field.focus_figures import FOCUS_RADIUS_MM
 from rendering.field.metrics import normalised_error

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.attempt import Attempt
 from acquisition.engine.recovery import Recovery
 from acquisition.engine.session import Session, StopRequest
-from acquisition.measuring.attempt import Attempt
-from acquisition.measuring.record import point_at, take_record
-from acquisition.measuring.setup import Setup
+from acquisition.setup import Setup, point_at, take_record
 from calibration.blas import one_blas_thread
 from calibration.clock.timing import ReferenceMissingError
 from config.messages.campaign import State, Subscriber

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from acquisition.measuring.setup import Setup
+from acquisition.setup import Setup
 from calibration.clock.timing import ClockFitter, to_playback_clock
 from drivers.protocols import Recording
 from rendering.arrays import Float32Array, Float64Array

@@ -14,7 +14,7 @@ from PyQt5.QtCore import QPoint, QPointF, Qt
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from calibration.rig.mirror_map import MirrorMap
+from calibration.mirror_map import MirrorMap
 from config.messages.rig_checks import Act, AskJog, Finding
 from gui.rig.examination import button_of
 from gui.rig.tab import RigTab, line_of

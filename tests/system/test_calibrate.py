@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.rig.mirror_map import MirrorMap
+from calibration.mirror_map import MirrorMap
 from config.calibration import CalibrationRecord, load_calibration
 from config.outline import default_marks_mm
 from mocks.virtual.synthesis import output_errors

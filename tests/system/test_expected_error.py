@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from acquisition.measuring.plays import measuring_of
-from acquisition.measuring.record import point_at, take_record
-from acquisition.measuring.setup import Setup
-from acquisition.schedule.pace import method_of
-from acquisition.schedule.plan import Plan
-from acquisition.schedule.trial import Band, decibel_of_median, relative, scheduled
+from acquisition.plan import Plan, method_of
+from acquisition.plays import measuring_of
+from acquisition.setup import Setup, point_at, take_record
+from acquisition.trial import Band, decibel_of_median, relative, scheduled
 from calibration.estimator.schedule_error import Noise, expected_error
 from config.rig import Emulation
 from drivers.protocols import Take

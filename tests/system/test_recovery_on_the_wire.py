@@ -10,8 +10,8 @@ import pytest
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.session import StopRequest
-from acquisition.measuring.setup import Setup
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.setup import Setup
+from calibration.mirror_map import MirrorMap
 from config.messages.campaign import (
     Event,
     PositionStarted,

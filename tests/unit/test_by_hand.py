@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from acquisition.manual import ManualMeasurements
-from acquisition.measuring.record import point_at
-from acquisition.measuring.setup import Setup
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.setup import Setup, point_at
+from calibration.mirror_map import MirrorMap
 from config.messages.operate import TakeSweep
 from drivers.protocols import DeviceIdentity, Float64Array, Instruments
 from drivers.timeouts import BoundedPlayer, ShutError

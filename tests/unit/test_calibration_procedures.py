@@ -7,19 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.calibrate.channels import (
+from acquisition.calibrate_channels import (
     ActuatorsTask,
+    NotMeasuredError,
     OutputFigures,
     OutputsTask,
+    Probe,
     listening_places,
     measure_actuators,
     measure_inputs,
     measure_outputs,
 )
-from acquisition.calibrate.mirror import Jog, JogView, fitted_marks, read_fiducials
-from acquisition.calibrate.probe import NotMeasuredError, Probe
-from acquisition.measuring.setup import Setup
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.calibrate_mirror import Jog, JogView, fitted_marks, read_fiducials
+from acquisition.setup import Setup
+from calibration.mirror_map import MirrorMap
 from config.messages.rig_checks import Here
 from config.outline import Outline, default_marks_mm
 from drivers.errors import InstrumentLostError

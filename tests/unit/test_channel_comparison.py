@@ -9,8 +9,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from calibration.clock.timing import ReferenceMissingError
-from calibration.excitation.sweeps import Excitation
-from calibration.rig.comparison import ChannelComparer, ResponseMissingError
+from calibration.comparison import ChannelComparer, ResponseMissingError
+from calibration.sweeps import Excitation
 from mocks.virtual.signals import PlayedSignal
 
 RATE_HZ = 10_000.0

@@ -7,12 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from acquisition.measuring.plays import Play
-from acquisition.measuring.setup import Setup
-from acquisition.quality.conditions import Conditions
-from acquisition.quality.watch import Band, Watch
-from calibration.excitation.sweeps import Excitation
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.conditions import Band, Conditions, Watch
+from acquisition.plays import Play
+from acquisition.setup import Setup
+from calibration.mirror_map import MirrorMap
+from calibration.sweeps import Excitation
 from drivers.errors import InstrumentError
 from drivers.protocols import Recording
 from mocks.virtual.rig import VirtualRig

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.rig.mirror_map import MirrorMap
+from calibration.mirror_map import MirrorMap
 from config.rig import RigConfig, default_rig
 from storage.errors import InputError
 from wavefocus.configuration import load_rig

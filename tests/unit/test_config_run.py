@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.quality.limits import QualityLimits
+from acquisition.limits import QualityLimits
 from config.rig import RigConfig, default_rig
 from config.run import Quality, RunConfig, default_run
 from storage.errors import InputError

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.doctor.examination import Findings, RigUnderTest, examine
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.doctor import Findings, RigUnderTest, examine
+from calibration.mirror_map import MirrorMap
 from config.messages.rig_checks import Finding
 from drivers.errors import InstrumentError, TransientInstrumentError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings

@@ -2,7 +2,7 @@
 
 import pytest
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 
 
 @pytest.mark.parametrize(

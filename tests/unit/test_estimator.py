@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.estimate import Channels, Estimate
 from calibration.estimator.sequential import SequentialEstimator
-from calibration.excitation.sweeps import Excitation
+from calibration.sweeps import Excitation
 from storage.errors import InputError
 
 # A quarter of the default in every length, for quick tests; one below runs the default itself.

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.schedule.grid import read_positions_file, surface_grid
+from acquisition.grid import read_positions_file, surface_grid
 from config.outline import Outline, Segment
 from storage.errors import InputError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquisition.schedule.grid import surface_grid
+from acquisition.grid import surface_grid
 from config.outline import Outline
 from config.scene import Output
 from rendering.scene.model import Scene, Source

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.neighbours.wave_model import PatchKernel, WaveModel
+from calibration.wave_model import PatchKernel, WaveModel
 from mocks.plates.soft import SOFT_PLATE
 from rendering.greens.interpolation.base import Neighbourhoods, interpolation_method
 from rendering.greens.interpolation.needed_grid import expected_error, needed_grid, wave_number_rad_mm

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquisition.quality.judgement import Judgement, in_band, judge
-from acquisition.quality.limits import QualityLimits
+from acquisition.judgement import Judgement, in_band, judge
+from acquisition.limits import QualityLimits
 from calibration.estimator.estimate import Estimate, Records
 from calibration.estimator.sequential import SequentialEstimator
 from calibration.estimator.staggered import StaggeredEstimator
-from calibration.excitation.sweeps import Excitation, StaggeredSignal
+from calibration.sweeps import Excitation, StaggeredSignal
 from storage.point_status import Status
 
 RATE_HZ, BAND_HZ, TAPS, ACTUATORS = 10_000.0, (50.0, 500.0), 1000, 3

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from acquisition.drift_watch import DriftError
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.session import Session, StopRequest
-from acquisition.quality.drift_watch import DriftError
 from config.messages.campaign import (
     Event,
     Fault,

@@ -7,7 +7,7 @@ import functools
 import numpy as np
 import pytest
 
-from calibration.neighbours.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
+from calibration.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
 from mocks.plates.soft import SOFT_PLATE
 from rendering.greens.interpolation.base import Neighbourhoods, OffGridError
 from rendering.greens.interpolation.error_estimates import RowValues, left_out_errors

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.rig.mirror_map import MirrorMap, fit_mirror_map
+from calibration.mirror_map import MirrorMap, fit_mirror_map
 from storage.errors import InputError
 
 MARKS = np.array([[0, 0], [80, 45], [-80, 45], [-80, -45], [80, -45], [100, 0], [-100, 0], [0, 60.0]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.neighbours.judge import NeighbourJudge, RowSpectra, Verdict
+from calibration.neighbour_judge import NeighbourJudge, RowSpectra, Verdict
 from mocks.plates.thin import ThinPlate
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank
 

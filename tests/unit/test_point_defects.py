@@ -8,15 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from acquisition.measuring.record import point_at, take_record
-from acquisition.measuring.setup import Setup
-from acquisition.quality.defects import Cure
-from acquisition.quality.judgement import Judgement, judge
-from acquisition.quality.limits import QualityLimits
+from acquisition.defects import Cure
+from acquisition.judgement import Judgement, judge
+from acquisition.limits import QualityLimits
+from acquisition.setup import Setup, point_at, take_record
 from calibration.estimator.estimate import Channels
 from calibration.estimator.sequential import SequentialEstimator
-from calibration.excitation.sweeps import Excitation
-from calibration.rig.mirror_map import MirrorMap
+from calibration.mirror_map import MirrorMap
+from calibration.sweeps import Excitation
 from drivers.protocols import Take
 from mocks.virtual.rig import VirtualRig, VirtualSettings
 from storage.point_status import Status

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from acquisition.quality.judgement import judge
-from acquisition.quality.limits import QualityLimits
+from acquisition.judgement import judge
+from acquisition.limits import QualityLimits
 from calibration.estimator.estimate import Estimate
 from storage.point_status import Status, status_counts
 

@@ -11,9 +11,8 @@ import pytest
 
 from acquisition.engine.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
 from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
-from acquisition.measuring.record import point_at
-from acquisition.measuring.setup import Setup, names_of
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.setup import Setup, names_of, point_at
+from calibration.mirror_map import MirrorMap
 from config.messages.campaign import (
     Event,
     ReconnectTried,

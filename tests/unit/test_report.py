@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from acquisition.quality.limits import DriftPoint
+from acquisition.limits import DriftPoint
 from rendering.greens.source import GreenArray
 from rendering.report.page import build_report
 from rendering.report.waves import LINE_POINTS, line_of, wave_figures, waves_of, waves_picture

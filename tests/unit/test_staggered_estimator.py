@@ -14,7 +14,7 @@ from calibration.clock.known_signal import Thinning
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.estimate import Channels, Estimate, Records
 from calibration.estimator.staggered import StaggeredEstimator
-from calibration.excitation.sweeps import Excitation, StaggeredSignal
+from calibration.sweeps import Excitation, StaggeredSignal
 from storage.errors import InputError
 from storage.raw.header import EMPTY, Schedule, sequential, staggered
 

@@ -9,7 +9,7 @@ import pytest
 import scipy.fft
 
 from calibration.estimator.sequential import SequentialEstimator
-from calibration.excitation.sweeps import Excitation
+from calibration.sweeps import Excitation
 from config.scene import Output, Regularisation
 from mocks.plates.thin import ThinPlate
 from rendering.drive.inverse_filter import inverse_filter

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calibration.clock.known_signal import Thinning
-from calibration.excitation.base_signal import highest_cycles
-from calibration.excitation.sweep_laws import fit_sweep_law
+from calibration.clock.played import highest_cycles
+from calibration.clock.sweep_laws import fit_sweep_law
 
 
 def cycles(law, low, high, duration_s, time_s):

@@ -6,7 +6,7 @@ import io
 
 import pytest
 
-from acquisition.calibrate.mirror import Jog, JogView
+from acquisition.calibrate_mirror import Jog, JogView
 from config.messages.rig_checks import By, Here, To
 from mocks.virtual.surroundings import PatchBay
 from storage.errors import InputError

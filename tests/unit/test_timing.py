@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from calibration.clock.timing import ClockFit, ClockFitter, ReferenceMissingError, fit_clock, to_playback_clock
-from calibration.excitation.sweeps import Excitation
+from calibration.sweeps import Excitation
 from storage.errors import InputError, WavefocusError
 
 SAMPLES = 37_200

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from acquisition.schedule.trial import Candidate, choose, repeated_error, sequential_errors
+from acquisition.trial import Candidate, choose, repeated_error, sequential_errors
 from calibration.estimator.schedule_error import measure_decay
 from storage.errors import InputError
 

@@ -9,9 +9,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from acquisition.measuring.setup import Setup
+from acquisition.setup import Setup
 from calibration.clock.timing import ReferenceMissingError
-from calibration.rig.mirror_map import MirrorMap
+from calibration.mirror_map import MirrorMap
 from drivers.errors import InstrumentLostError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from rendering.field.prediction import predict

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.rig.mirror_map import MirrorMap
+from calibration.mirror_map import MirrorMap
 from config.calibration import CalibrationRecord
 from mocks.virtual.synthesis import output_errors
 from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.limits import DriftLimits, QualityLimits
-from acquisition.schedule.plan import Plan
-from calibration.excitation.sweeps import Excitation, StaggeredSignal
+from acquisition.limits import DriftLimits, QualityLimits
+from acquisition.plan import Plan
+from calibration.sweeps import Excitation, StaggeredSignal
 from storage.bank.layout import BankHeader
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
@@ -213,7 +213,7 @@ def estimator_for(
     recordings: RawFile, plan: Plan | None, report: Callable[[str], None] = lambda line: None
 ) -> PositionEstimator:
     """The campaign's own estimator, which gives its bank again; else one that is found from the reference channels."""
-    from acquisition.measuring.plays import position_estimator  # of kept recordings alone
+    from acquisition.plays import position_estimator  # of kept recordings alone
     from calibration.estimator.raw_estimation import estimator_of, records_of
 
     if plan is None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from acquisition.durations import a_while, hours
-from acquisition.schedule.row_ranges import row_ranges
+from acquisition.wording import a_while, hours, row_ranges
 from config.messages.campaign import (
     ConditionsSeen,
     Drift,

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 from config.messages.campaign import ScheduleSettled
 from config.run import Capture, RunConfig
 from storage.bank.reading import open_bank
@@ -16,7 +16,7 @@ from wavefocus.console import say
 from wavefocus.rig.setup import open_setup
 
 if TYPE_CHECKING:
-    from acquisition.schedule.trial import Trial
+    from acquisition.trial import Trial
 
 # Taps that are so many times what the responses need are worth a word.
 GENEROUS = 1.3
@@ -32,7 +32,7 @@ def choose_schedule(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple
     run = blueprint.configuration.run
     if not run.awaits_trial:
         return blueprint, ()
-    from acquisition.schedule.trial import run_trial  # most runs need no trial, and it is slow to load
+    from acquisition.trial import run_trial  # most runs need no trial, and it is slow to load
 
     say("one position is measured by every schedule first, to see whether staggered capture pays")
     try:

@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
-from acquisition.quality.limits import DriftPoint
-from acquisition.schedule.row_ranges import row_ranges
+from acquisition.limits import DriftPoint
+from acquisition.wording import row_ranges
 from config.messages.campaign import (
     Event,
     Fault,

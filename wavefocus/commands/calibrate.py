@@ -8,9 +8,9 @@ import sys
 from datetime import date
 from pathlib import Path
 
-from acquisition.calibrate.mirror import Operator
+from acquisition.calibrate_mirror import Operator
 from acquisition.manual import ManualMeasurements
-from acquisition.measuring.setup import Setup
+from acquisition.setup import Setup
 from config.calibration import PARTS, CalibrationRecord, name_calibration, write_calibration
 from config.messages.codec import to_record
 from config.messages.rig_checks import Begin, CalibrationDone

@@ -11,9 +11,9 @@ import numpy as np
 
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.session import EventPublisher, StopRequest
-from acquisition.measuring.raw_keeping import raw_header, require_same, without_recordings
-from acquisition.measuring.setup import Setup
-from acquisition.schedule.row_ranges import row_ranges
+from acquisition.plays import raw_header, require_same, without_recordings
+from acquisition.setup import Setup
+from acquisition.wording import row_ranges
 from config.messages.campaign import (
     Drift,
     Event,

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.doctor.examination import Findings, RigUnderTest, examine
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.doctor import Findings, RigUnderTest, examine
+from calibration.mirror_map import MirrorMap
 from config.messages.codec import to_line
 from config.messages.rig_checks import Act, Examination, Finding, FindingMade
 from config.rig import RigConfig

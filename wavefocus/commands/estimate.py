@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durations import hours
-from acquisition.quality.judgement import judge
-from acquisition.quality.limits import QualityLimits
+from acquisition.judgement import judge
+from acquisition.limits import QualityLimits
+from acquisition.wording import hours
 from calibration.blas import one_blas_thread
 from calibration.estimator.raw_estimation import PositionResult, affordable_workers, estimate_positions
 from storage.bank.layout import BankHeader

@@ -12,7 +12,7 @@ from wavefocus.campaign.sidecar_files import log_path, raw_path, session_failure
 from wavefocus.campaign.supervision import SILENT_AFTER_S, read_heartbeat
 
 if TYPE_CHECKING:
-    from acquisition.quality.limits import DriftPoint
+    from acquisition.limits import DriftPoint
 
 
 def gui(files: Sequence[Path]) -> int:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from acquisition.quality.watch import Sensor
+from acquisition.conditions import Sensor
 from config.messages.operate import Done, End, Ended, Mute, Opening, Refused
 from config.rig import RigConfig
 from drivers.errors import InstrumentError

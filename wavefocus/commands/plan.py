@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durations import hours
-from acquisition.measuring.setup import names_of
-from acquisition.schedule.pace import ASSUMED_SNR_DB, Expectation, expect, schedule_name
-from acquisition.schedule.plan import GEL_SPEED_M_S, GROUP, Plan
+from acquisition.plan import ASSUMED_SNR_DB, GEL_SPEED_M_S, GROUP, Expectation, Plan, expect, schedule_name
+from acquisition.setup import names_of
+from acquisition.wording import hours
 from calibration.blas import one_blas_thread
 from config.rig import RigConfig
 from config.run import RunConfig

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 from config.messages.codec import to_line
 from config.messages.operate import Playing
 from config.rig import RigConfig

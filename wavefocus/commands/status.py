@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from acquisition.durations import a_while, hours
-from acquisition.schedule.row_ranges import row_ranges
+from acquisition.wording import a_while, hours, row_ranges
 from config.messages.campaign import (
     PositionKept,
     PositionStarted,
@@ -51,7 +50,7 @@ from wavefocus.console import answer, say
 from wavefocus.exits import Exit
 
 if TYPE_CHECKING:
-    from acquisition.quality.limits import DriftPoint
+    from acquisition.limits import DriftPoint
 
 # So many positions that stayed as they were are listed one by one.
 MOST_LINES = 5
@@ -264,7 +263,7 @@ def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
 def _draw(bank: Path, drift: list[DriftPoint], plot: Path) -> None:
     if not drift:
         raise InputError(f"{drift_path(bank)}: holds no drift to draw: the sentinel has not been measured again yet")
-    from acquisition.quality.limits import DriftLimits
+    from acquisition.limits import DriftLimits
     from rendering.report.figures import drift_over_time  # the configuration is read for a picture alone
     from wavefocus.campaign.blueprint import bank_configuration
 

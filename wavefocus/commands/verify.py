@@ -15,8 +15,8 @@ from types import TracebackType
 
 import numpy as np
 
-from acquisition.durations import hours
-from acquisition.quality.limits import DriftLimits
+from acquisition.limits import DriftLimits
+from acquisition.wording import hours
 from config.messages.campaign import Event
 from config.messages.codec import Message, to_line
 from config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep

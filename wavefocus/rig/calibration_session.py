@@ -13,20 +13,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.calibrate.channels import (
+from acquisition.calibrate_channels import (
     REMEDIES,
     ActuatorsTask,
     OutputsTask,
+    Probe,
     listening_places,
     measure_actuators,
     measure_inputs,
     measure_outputs,
 )
-from acquisition.calibrate.mirror import (
+from acquisition.calibrate_mirror import (
     VIBROMETER,
     Jog,
     JogView,
     Judged,
+    NotMeasuredError,
     Operator,
     Pair,
     fitted_marks,
@@ -34,9 +36,8 @@ from acquisition.calibrate.mirror import (
     output,
     read_fiducials,
 )
-from acquisition.calibrate.probe import NotMeasuredError, Probe
-from acquisition.measuring.setup import Setup, names_of
-from calibration.rig.mirror_map import LEAST_MARKS, MirrorMap
+from acquisition.setup import Setup, names_of
+from calibration.mirror_map import LEAST_MARKS, MirrorMap
 from config.calibration import (
     FORMAT,
     FORMAT_VERSION,

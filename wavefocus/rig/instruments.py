@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from acquisition.quality.watch import Sensor
+from acquisition.conditions import Sensor
 from config.rig import RigConfig
 from config.rig_instruments import VibrometerSection
 from config.run import Virtual

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 
-from acquisition.durations import hours
+from acquisition.wording import hours
 from config.messages.campaign import (
     Drift,
     Event,

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from acquisition.conditions import Sensor
 from acquisition.manual import ManualMeasurements, excitation_of
-from acquisition.measuring.setup import Setup, asking, instrument_of, names_of, silence
-from acquisition.quality.watch import Sensor
+from acquisition.setup import Setup, asking, instrument_of, names_of, silence
 from config.messages.codec import Message, MessageError, from_record
 from config.messages.operate import (
     ORDERS,

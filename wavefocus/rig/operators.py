@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Callable
 
-from acquisition.calibrate.mirror import BOTH, SUM, VIBROMETER, Jog, JogView, Judged
+from acquisition.calibrate_mirror import BOTH, SUM, VIBROMETER, Jog, JogView, Judged
 from config.messages.codec import Message, MessageError, message_of
 from config.messages.operate import InputLevels, Numbers, Refused
 from config.messages.rig_checks import (
@@ -47,7 +47,7 @@ def cable(source: str) -> str:
 
 
 class TerminalOperator:
-    """Implements `acquisition.calibrate.mirror.Operator`."""
+    """Implements `acquisition.calibrate_mirror.Operator`."""
 
     def __init__(self, read_line: Callable[[], str], forget_typed: Callable[[], object] = lambda: None) -> None:
         self._read_line, self._forget_typed = read_line, forget_typed
@@ -112,7 +112,7 @@ LISTENS_EVERY_S = 0.25
 
 
 class LinesOperator:
-    """Implements `acquisition.calibrate.mirror.Operator`: asks another program, by the messages of `calibrate`."""
+    """Implements `acquisition.calibrate_mirror.Operator`: asks another program, by the messages of `calibrate`."""
 
     def __init__(
         self,

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from acquisition.measuring.setup import Setup
-from acquisition.quality.watch import Band, Sensor, Watch
-from calibration.rig.mirror_map import MirrorMap
+from acquisition.conditions import Band, Sensor, Watch
+from acquisition.setup import Setup
+from calibration.mirror_map import MirrorMap
 from config.calibration import calibrated
 from config.rig import BandSection, RigConfig, RoomSection
 from config.rig_instruments import VibrometerSection

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.neighbours.wave_model import PatchKernel
+from calibration.wave_model import PatchKernel
 from rendering.arrays import Complex128Array, Float64Array, Int64Array
 from rendering.greens.interpolation.base import GridInterpolation, Nodes
 from rendering.greens.interpolation.position_grid import PositionGrid

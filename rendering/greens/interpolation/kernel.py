@@ -14,7 +14,7 @@ from scipy import fft as scipy_fft
 from scipy.spatial import cKDTree
 
 from calibration.blas import one_blas_thread
-from calibration.neighbours.wave_model import PatchKernel, WaveModel, fit_waves
+from calibration.wave_model import PatchKernel, WaveModel, fit_waves
 from rendering.arrays import Complex128Array, Float64Array, Int64Array
 from rendering.greens.interpolation.base import (
     NEIGHBOURS,
@@ -325,7 +325,7 @@ PATH_ERROR = 1e-3
 
 
 class KernelInterpolation(Interpolation):
-    """Kernel ridge regression from a position and its 36 neighbours (`calibration.neighbours.wave_model`).
+    """Kernel ridge regression from a position and its 36 neighbours (`calibration.wave_model`).
 
     The Green's functions of a moving source are interpolated twice: by the kernel to nodes along its path,
     from there by cubics in arc length, at an error of 1e-3 at the highest frequency. Rows that were not

@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from calibration.blas import one_blas_thread
-from calibration.neighbours.wave_model import PatchKernel, WaveModel, fit_waves
+from calibration.wave_model import PatchKernel, WaveModel, fit_waves
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
@@ -145,7 +145,7 @@ class Patch:
 class RowsPredicted:
     """Leave-one-out predictions of all rows of a bank.
 
-    A row is predicted by kernel regression over the bank's own waves (`calibration.neighbours.wave_model`) from the
+    A row is predicted by kernel regression over the bank's own waves (`calibration.wave_model`) from the
     rows of its neighbours, actuator by actuator and frequency by frequency.
 
     position_mm, float64 (positions, 2): Grid in millimetres.

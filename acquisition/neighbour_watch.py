@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.measuring.attempt import AttemptResult, row_of
-from acquisition.measuring.raw_keeping import MEASURED
-from acquisition.quality.defects import Cure, Defect
-from acquisition.quality.judgement import Judgement, Row, difference, differing, in_band
-from acquisition.schedule.plan import Plan
-from calibration.neighbours.difference import Difference
-from calibration.neighbours.judge import NeighbourJudge, RowSpectra
+from acquisition.attempt import AttemptResult, row_of
+from acquisition.defects import Cure, Defect
+from acquisition.judgement import Judgement, Row, difference, differing, in_band
+from acquisition.plan import Plan
+from acquisition.plays import MEASURED
+from calibration.neighbour_difference import Difference
+from calibration.neighbour_judge import NeighbourJudge, RowSpectra
 from storage.bank.writer import BankWriter
 from storage.point_status import Status
 

@@ -9,7 +9,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
-from calibration.defects.clipping import Levels, ThirdHarmonic
+from calibration.estimator.clipping import Levels, ThirdHarmonic
 
 DEFECTS = np.dtype(
     [

@@ -11,12 +11,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.calibrate.probe import NotMeasuredError
-from acquisition.measuring.setup import Setup, asking
-from calibration.rig.mirror_map import LEAST_MARKS, MirrorFit, MirrorMap, fit_mirror_map
+from acquisition.setup import Setup, asking
+from calibration.mirror_map import LEAST_MARKS, MirrorFit, MirrorMap, fit_mirror_map
 from config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
-from storage.errors import InputError
+from storage.errors import InputError, WavefocusError
 from storage.text_file import read_text
+
+
+class NotMeasuredError(WavefocusError):
+    """What was to be calibrated cannot be measured as things are; the message says what to do."""
+
 
 VIBROMETER, SUM, BOTH = "vibrometer", "sum", "both"
 

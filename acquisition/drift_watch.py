@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from acquisition.attempt import Attempt, AttemptResult, PositionRecords, Recorded
+from acquisition.defects import REFERENCE_LEVEL
 from acquisition.engine.recovery import Recovery
 from acquisition.engine.report import CampaignReport
 from acquisition.engine.session import Session
-from acquisition.measuring.attempt import Attempt, AttemptResult, PositionRecords, Recorded
-from acquisition.quality.defects import REFERENCE_LEVEL
-from acquisition.quality.limits import DriftFigures, compare_sentinel
-from acquisition.schedule.plan import Plan, sentinel_of
-from acquisition.schedule.row_ranges import row_ranges
+from acquisition.limits import DriftFigures, compare_sentinel
+from acquisition.plan import Plan, sentinel_of
+from acquisition.wording import row_ranges
 from config.messages.campaign import Drift
 from drivers.errors import TransientInstrumentError
 from storage.bank.writer import BankWriter

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.quality.defects import (
+from acquisition.defects import (
     NOISE_ALONE_DB,
     REFERENCE_LEVEL,
     Cure,
@@ -18,7 +18,7 @@ from acquisition.quality.defects import (
     named_defects,
     records_named,
 )
-from acquisition.quality.limits import QualityLimits
+from acquisition.limits import QualityLimits
 from calibration.estimator.estimate import Estimate
 from storage.point_status import Status
 

@@ -156,7 +156,7 @@ class DriftPoint:
     """The sentinel position measured again, against its first measurement.
 
     at: When, with a time zone.
-    level_db, delay_samples, correlation: As of `acquisition.quality.limits.DriftFigures`.
+    level_db, delay_samples, correlation: As of `acquisition.limits.DriftFigures`.
     verdict: ``"steady"``, ``"warn"`` or ``"stop"``.
     suspect: Positions measured since it was last steady, where the verdict is to stop.
     """

@@ -1,8 +1,9 @@
-"""Durations for people."""
+"""Durations and bank rows in few words."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 
 def a_while(seconds: float) -> str:
@@ -20,3 +21,14 @@ def hours(seconds: float) -> str:
     if whole >= 60:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole} s"
+
+
+def row_ranges(rows: Sequence[int]) -> str:
+    """Bank rows as ``--positions`` takes them: ``"3,5-9"``."""
+    ranges: list[list[int]] = []
+    for row in sorted(set(rows)):
+        if ranges and row == ranges[-1][1] + 1:
+            ranges[-1][1] = row
+        else:
+            ranges.append([row, row])
+    return ",".join(f"{first}-{last}" if last > first else f"{first}" for first, last in ranges)

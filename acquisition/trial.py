@@ -10,16 +10,15 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from acquisition.durations import hours
-from acquisition.measuring.attempt import record_play
-from acquisition.measuring.plays import Measuring, measuring_of
-from acquisition.measuring.record import point_at
-from acquisition.measuring.setup import Setup
-from acquisition.schedule.plan import GROUP, Plan
+from acquisition.attempt import record_play
+from acquisition.plan import GROUP, Plan
+from acquisition.plays import Measuring, measuring_of
+from acquisition.setup import Setup, point_at
+from acquisition.wording import hours
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.estimate import Estimate
 from calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
-from calibration.excitation.sweeps import StaggeredSignal
+from calibration.sweeps import StaggeredSignal
 from drivers.protocols import Take
 from storage.errors import InputError
 
@@ -211,7 +210,7 @@ def run_trial(plan: Plan, setup: Setup, allowed_loss_db: float) -> Trial:
     """Measure one position by every schedule that comes into question, and choose.
 
     plan: The staggered plan that was asked for.
-    allowed_loss_db: As of `acquisition.schedule.trial.choose`.
+    allowed_loss_db: As of `acquisition.trial.choose`.
 
     Raises InputError: the responses ring longer than the plan's taps. InstrumentError: an instrument failed.
     """

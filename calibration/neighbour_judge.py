@@ -1,6 +1,6 @@
 """Rows of a bank judged against their neighbours: which differ, and in what.
 
-Every row is predicted from its neighbours (`calibration.neighbours.prediction`). By how much predictions miss is
+Every row is predicted from its neighbours (`calibration.neighbour_prediction`). By how much predictions miss is
 learned from the neighbourhood itself, frequency by frequency: noise, a coarse grid, the rim and the
 field of a near actuator then raise the limit, and where a prediction explains too little nothing is judged.
 """
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.blas import one_blas_thread
-from calibration.neighbours.difference import EXPLAINED, Difference, cause_of, relative_norm, swapped, together
-from calibration.neighbours.prediction import Gains, RowsPredicted, common_gains
+from calibration.neighbour_difference import EXPLAINED, Difference, cause_of, relative_norm, swapped, together
+from calibration.neighbour_prediction import Gains, RowsPredicted, common_gains
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]

@@ -10,14 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.measuring.plays import Play
-from acquisition.measuring.raw_keeping import keep_recordings
-from acquisition.measuring.record import point_at, start_move, take_record
-from acquisition.measuring.setup import Setup
-from acquisition.quality.defects import Cure
-from acquisition.quality.judgement import Judgement, Row, in_band, judge
-from acquisition.quality.limits import QualityLimits
-from acquisition.schedule.plan import Plan
+from acquisition.defects import Cure
+from acquisition.judgement import Judgement, Row, in_band, judge
+from acquisition.limits import QualityLimits
+from acquisition.plan import Plan
+from acquisition.plays import Play, keep_recordings
+from acquisition.setup import Setup, point_at, start_move, take_record
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.estimate import Estimate, PositionEstimator
 from drivers.errors import InstrumentError, TransientInstrumentError
@@ -201,7 +199,7 @@ def evaluate(
     range_v: Configured input ranges in volts of (reference, response); an attempt may have had a larger one.
     limits: When the position is good enough.
     distance_mm, float64 (actuators,): From the actuators to the position.
-    before_db: Level of the reference at the positions before, as of `acquisition.quality.judgement.judge`.
+    before_db: Level of the reference at the positions before, as of `acquisition.judgement.judge`.
     """
     if recorded.attempt.response_range_v is not None:
         range_v = (range_v[0], recorded.attempt.response_range_v)

@@ -1,1 +1,0 @@
-"""Calibration procedures: they use roles and an operator, no device and no window."""

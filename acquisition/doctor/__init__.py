@@ -1,1 +1,0 @@
-"""The doctor: every instrument opened, identified and exercised; `examine` a `RigUnderTest`."""

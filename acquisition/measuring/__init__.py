@@ -1,1 +1,0 @@
-"""Measuring one position: setup, records, estimate, attempts, recordings that are kept."""

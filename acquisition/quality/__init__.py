@@ -1,1 +1,0 @@
-"""Point quality: defects by name, judgement, neighbours, drift, watched conditions."""

@@ -1,1 +1,0 @@
-"""Which positions are measured, and with which schedule."""

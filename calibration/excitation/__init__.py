@@ -1,1 +1,0 @@
-"""What is played: sweeps, sequential and staggered base signals."""

@@ -1,1 +1,0 @@
-"""Rows predicted from their neighbours, and judged by it."""

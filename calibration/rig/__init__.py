@@ -1,1 +1,0 @@
-"""Mirror map, delays, levels and polarities of a rig."""
