@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, mistake
+from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
 from config.plate import PlateKeys
 
 STAGGER_OVER_RESPONSE = 1.2
@@ -265,6 +265,56 @@ class Tolerance(Table):
     focus_error_mm: Positive = Field(default=4.0, description="Distance of the measured from the intended focus")
 
 
+Line = Annotated[Text, like(r"[^\x00-\x1f\x7f-\x9f]+", "must be one line of text"), Field(max_length=1000)]
+
+
+class Person(Table):
+    """Somebody who made the measurements."""
+
+    name: Line = Field(description="Name as on a paper")
+    orcid: Annotated[Text, like(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]", 'must be like "0000-0002-1825-0097"')] | None = Field(
+        default=None, description="ORCID identifier"
+    )
+    affiliation: Line | None = Field(default=None, description="University, institute or company")
+
+
+class Publication(Table):
+    """What is said of the measurements where they are published; no part of the plan."""
+
+    title: Line | None = Field(default=None, description="Title of the data set")
+    description: Text | None = Field(default=None, description="What was measured, and what for; one paragraph or more")
+    licence: Line | None = Field(
+        default=None, description='Licence as an SPDX identifier ("CC-BY-4.0", "CC0-1.0"), an address or a sentence'
+    )
+    people: tuple[Person, ...] = Field(
+        default=(), description="Who made the measurements: a list of { name, orcid, affiliation }"
+    )
+    organisation: Line | None = Field(default=None, description="Who publishes them")
+    database: Line | None = Field(default=None, description="Name of the collection that they belong to")
+    room: Line | None = Field(default=None, description="The room or set-up that the plate stood in")
+    keywords: tuple[Line, ...] = Field(default=(), description="Words to find them by")
+    references: tuple[Line, ...] = Field(default=(), description="Papers about them, as DOIs or addresses")
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """Each key that is given, as one text."""
+        lists = {
+            "people": [
+                person.name + (f" (https://orcid.org/{person.orcid})" if person.orcid else "") for person in self.people
+            ],
+            "keywords": list(self.keywords),
+            "references": list(self.references),
+        }
+        plain = {key: value for key, value in self if isinstance(value, str)}
+        return plain | {key: "; ".join(texts) for key, texts in lists.items() if texts}
+
+
+class PublicationFile(Table):
+    """The table ``[publication]`` of a run file, or of a file of its own."""
+
+    publication: Publication
+
+
 class RunConfig(Table):
     """A validated run file."""
 
@@ -278,6 +328,7 @@ class RunConfig(Table):
     quality: Quality = Quality()
     drift: Drift = Drift()
     tolerance: Tolerance = Tolerance()
+    publication: Publication = Publication()
     settled: Settled | None = None
 
     @property

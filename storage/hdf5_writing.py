@@ -22,6 +22,7 @@ from storage.durable import PAGE, PositionedFile
 METADATA_BLOCK = 1 << 20
 """In files that are laid out once all metadata sits in blocks of this size, away from pages that are written later."""
 _METADATA_BYTES = 1 << 16
+_NETCDF_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
 
 
 @contextmanager
@@ -55,6 +56,8 @@ def created(path: Path, data_bytes: int = 0, *, laid_out_once: bool = False) -> 
 def _new_file(target: _Target, *, laid_out_once: bool) -> h5py.h5f.FileID:
     creation = h5py.h5p.create(h5py.h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
+    if not laid_out_once:  # readers of netCDF-4 and SOFA expect it; banks stay as they were
+        creation.set_link_creation_order(h5py.h5p.CRT_ORDER_TRACKED | h5py.h5p.CRT_ORDER_INDEXED)
     access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
     access.set_libver_bounds(h5py.h5f.LIBVER_V18, h5py.h5f.LIBVER_V18)
     access.set_fclose_degree(h5py.h5f.CLOSE_STRONG)
@@ -128,10 +131,10 @@ def reserved(
     name: str,
     shape: tuple[int, ...],
     dtype: str,
-    unit: str = "1",
+    unit: str | None = "1",
     chunk: tuple[int, ...] | None = None,
 ) -> h5py.Dataset:
-    """Create a dataset whose space is allocated and, being new file space, reads as zeros."""
+    """Create a dataset whose space is allocated and, being new file space, reads as zeros; None: it has no units."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
@@ -142,11 +145,12 @@ def reserved(
     kind, space = h5py.h5t.py_create(np.dtype(dtype)), h5py.h5s.create_simple(shape)
     h5py.h5d.create(file.require_group(group or "/").id, own_name.encode(), kind, space, properties)
     dataset = file[name]
-    dataset.attrs["units"] = unit
+    if unit is not None:
+        dataset.attrs["units"] = unit
     return dataset
 
 
-def filled(file: h5py.File, name: str, values: NDArray[Any], unit: str = "1") -> h5py.Dataset:
+def filled(file: h5py.File, name: str, values: NDArray[Any], unit: str | None = "1") -> h5py.Dataset:
     """Create a dataset of little-endian numbers and write it."""
     dataset = reserved(file, name, values.shape, values.dtype.newbyteorder("<").str, unit)
     dataset[...] = values
@@ -157,6 +161,13 @@ def scale(file: h5py.File, name: str, values: NDArray[Any], unit: str = "1") -> 
     """Create a dimension scale, so that other programs show labelled dimensions and units."""
     dataset = filled(file, f"/{name}", values, unit)
     dataset.make_scale(name)
+    return dataset
+
+
+def bare_dimension(file: h5py.File, name: str, size: int) -> h5py.Dataset:
+    """Create a dimension without values, as netCDF-4 marks it: never written and allocated late, it takes no space."""
+    dataset = file.create_dataset(name, (size,), "u1", track_times=False)
+    dataset.make_scale(f"{_NETCDF_DIMENSION}{size:10d}")
     return dataset
 
 

@@ -17,6 +17,8 @@ from storage import durable
 from storage.errors import InputError
 from storage.sidecar_files import clear_leftovers, staging_dir
 
+EXPORT_MARK = "wavefocus_export"
+"""Root attribute of exports that are read as banks, too; being copies, they may be replaced."""
 _STAGED = "results"
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # The metadata of a bank lie in front of its data.
@@ -182,7 +184,7 @@ def _precious(path: Path) -> str:
     try:
         with hdf5_reading.opened(path) as file:
             if "green" in file:
-                return "is a bank"
+                return "" if EXPORT_MARK in file.attrs else "is a bank"
             if "response" in file and "reference" in file:
                 return "holds raw recordings"
     except InputError:

@@ -39,6 +39,11 @@ def usable(status: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray(((status & USABLE) != 0) & ((status & REFUSED) == 0))
 
 
+def status_words(status: int) -> str:
+    """The words of a status, as ``"poor"`` or ``"valid+over-range"``."""
+    return "+".join(word for word, bit in STATUS_WORDS.items() if status & bit) or "not-measured"
+
+
 def status_counts(status: NDArray[np.uint8]) -> dict[str, int]:
     """Positions per status word; a position with several bits counts under each."""
     counts = {word: int(np.count_nonzero(status & bit)) for word, bit in STATUS_WORDS.items() if bit}

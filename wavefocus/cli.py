@@ -118,6 +118,11 @@ LARGE = switch("--allow-large", help="Allow scenes of over an hour, 8 GiB of dri
 NO_CHECKS = switch(
     "--no-checks", "checks", off=True, help="With --scene: leave out the positions that only `verify` looks at."
 )
+PUBLICATION = file(
+    "--publication",
+    metavar="FILE.toml",
+    help="A run file, or another with a table [publication], in place of the bank's.",
+)
 METHOD = argument(
     "--method", choices=("sampled", "exact"), help="By default exact, or sampled where emission is per point."
 )
@@ -397,7 +402,9 @@ COMMANDS = (
         ),
     ),
     Command(
-        "export", "export:export", "Write a bank in the format of another field.",
+        "export", "export:export",
+        "Write a bank in the format of another field.\n\n"
+        "Title, people and licence come from [publication] of the bank's run file, or from --publication.",
         (
             BANK,
             file("out", metavar="OUT", help="The file to write; for wav a folder."),
@@ -408,6 +415,9 @@ COMMANDS = (
                      help="Positions that are not measured, failed or disabled."),
             argument("--per", choices=("position", "actuator"), default="position",
                      help="For wav: what one file holds."),
+            switch("--binary", help="For uff: functions in binary (58b), a fifth of the size of text."),
+            PUBLICATION,
+            switch("--list", "only_list", help="List what would be written, with sizes, and write nothing."),
             FORCE, JSON,
         ),
     ),

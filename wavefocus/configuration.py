@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,11 @@ from config.fields import Table
 from config.loading import named_file, printable, read_toml, shown, validated
 from config.plate import FINGER_MM, PlateKeys, plate_of
 from config.rig import RigConfig, default_rig
-from config.run import FaultFile, RunConfig, Virtual
+from config.run import FaultFile, Publication, PublicationFile, RunConfig, Virtual
 from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from storage.bank.reading import Bank
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +101,24 @@ def load_rig(path: Path) -> RigConfig:
 
         _check_faults(WireFault, rig.emulation.fault_plan, f"{path}: emulation.fault_plan")
     return rig
+
+
+def publication_of(bank: Bank, file: Path | None = None) -> Publication:
+    """Read ``[publication]`` of a TOML file or, by default, of the run that a bank carries; empty where it has none.
+
+    Raises InputError: the file has no table ``[publication]``, or anything in it is wrong.
+    """
+    if file is not None:
+        data = read_toml(file)
+        if "publication" not in data:
+            raise InputError(printable(f"{file}: publication: is missing; a table [publication] is needed"))
+        return validated(PublicationFile, {"publication": data["publication"]}, str(file)).publication
+    if not (bank.run_json and bank.plan_sha256):  # of another program, which may mean something else by it
+        return Publication()
+    source = f"{bank.path}: attribute run"
+    run = _from_json(bank.run_json, source)
+    table = run.get("publication", {}) if isinstance(run, dict) else {}
+    return validated(PublicationFile, {"publication": table}, source).publication
 
 
 def named_rig(file: Path) -> RigConfig:

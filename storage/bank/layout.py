@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from storage import durable, hdf5_digest, hdf5_reading
 from storage.bank.ledger import BANK, FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES, QUALITY_NAMES, bank_rows
 from storage.errors import InputError
-from storage.hdf5_writing import METADATA_BLOCK, attach, filled, reserved, sample_times, scale
+from storage.hdf5_writing import METADATA_BLOCK, attach, bare_dimension, filled, reserved, sample_times, scale
 from storage.ledger.layout import (
     LedgerLayout,
     create_file,
@@ -109,7 +109,6 @@ QUALITY_UNITS = {
     "reference_db": "dB",
 }
 _FIRST_FIGURES = ("/status", *(f"/quality/{name}" for name in FIRST_QUALITY_NAMES))
-_NETCDF_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
 
 
 def create_bank(path: str | Path, header: BankHeader, *, open_file: durable.OpenFile = durable.open_file) -> None:
@@ -175,17 +174,15 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
     attach(filled(file, "/position_mm", header.position_mm, "mm"), position, axis)
     attach(filled(file, "/actuator_mm", header.actuator_mm, "mm"), actuator, axis)
     status = reserved(file, "/status", (count,), "u1")
-    status.attrs["flag_masks"] = np.array([1, 2, 4, 8, 16], "u1")  # CF conventions 1.11, section 3.5
-    status.attrs["flag_meanings"] = "valid over_range poor_signal failed disabled"
+    describe_status(status)
     attach(status, position)
     for name in QUALITY_NAMES:
         shape = quality_shape(name, count, actuators)
         empty = np.full(shape, 0 if name == "attempts" else np.nan, "<f4")
         attach(filled(file, f"/quality/{name}", empty, QUALITY_UNITS[name]), *(position, actuator)[: len(shape)])
-    row_byte = _bare_dimension(file, "ledger_byte", header.rows.row_bytes)
-    lay_out_ledger(
-        file, header.rows, count, position, row_byte, _bare_dimension(file, "journal_byte", header.rows.journal_bytes)
-    )
+    row_byte = bare_dimension(file, "durability/ledger_byte", header.rows.row_bytes)
+    journal_byte = bare_dimension(file, "durability/journal_byte", header.rows.journal_bytes)
+    lay_out_ledger(file, header.rows, count, position, row_byte, journal_byte)
     layout = _find_layout(file, header, Path(file.filename))
     file.attrs["header_crc32"] = np.uint32(header.checksum())
     file.attrs["layout_crc32"] = np.uint32(layout.checksum(_FIRST_FIGURES))
@@ -193,11 +190,10 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
     return layout
 
 
-def _bare_dimension(file: h5py.File, name: str, size: int) -> h5py.Dataset:
-    """A dimension without values, as netCDF-4 marks it: never written and late to be allocated, it takes no space."""
-    dataset = file.create_dataset(f"durability/{name}", (size,), "u1", track_times=False)
-    dataset.make_scale(f"{_NETCDF_DIMENSION}{size:10d}")
-    return dataset
+def describe_status(status: h5py.Dataset) -> None:
+    """Name the bits of a dataset of status, after CF conventions 1.11, section 3.5."""
+    status.attrs["flag_masks"] = np.array([1, 2, 4, 8, 16], "u1")
+    status.attrs["flag_meanings"] = "valid over_range poor_signal failed disabled"
 
 
 def _find_layout(file: h5py.File, header: BankHeader, path: Path) -> LedgerLayout:

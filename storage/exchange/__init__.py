@@ -16,20 +16,22 @@ class Export:
     title: The format's name in the command's help.
     folder: It writes a folder of files instead of one file.
     holds_nan: It can hold rows without a measurement.
-    text_bytes: Bytes per tap of a format in ASCII; 0 for a binary one.
+    value_bytes: Bytes per tap, position and actuator.
     """
 
     module: str
     title: str
     folder: bool = False
     holds_nan: bool = True
-    text_bytes: int = 0
+    value_bytes: int = 4
 
 
 EXPORTS = {
-    "sofa": Export("storage.exchange.sofa", "SOFA"),
-    "uff": Export("storage.exchange.uff", "universal files", holds_nan=False, text_bytes=20),
+    "sofa": Export("storage.exchange.sofa", "SOFA", value_bytes=8),
+    "uff": Export("storage.exchange.uff", "universal files", holds_nan=False, value_bytes=20),
     "wav": Export("storage.exchange.wav", "WAV", folder=True, holds_nan=False),
     "mat": Export("storage.exchange.mat", "MATLAB"),
     "npz": Export("storage.exchange.npz", "NumPy"),
+    "netcdf": Export("storage.exchange.netcdf", "netCDF"),
+    "csv": Export("storage.exchange.places", "a table of positions", value_bytes=0),
 }

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from types import ModuleType
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -32,6 +30,9 @@ class BankRows:
     known, bool (rows,): Rows that hold a measurement; the others are exported as NaN.
     left_out: Number of rows that were asked for and are not exported.
     per, {"position", "actuator"}: Content of one file, in formats that write a folder of files.
+    publication: Texts by the keys of ``[publication]`` in the run file: ``title``, ``licence``, ``people``, ...; those
+        that are given.
+    binary: Whether universal files hold their functions in binary.
     """
 
     bank: Bank
@@ -39,6 +40,8 @@ class BankRows:
     known: NDArray[np.bool_]
     left_out: int
     per: Per = "position"
+    publication: Mapping[str, str] = field(default_factory=dict)
+    binary: bool = False
 
     @property
     def position_mm(self) -> Float64Array:
@@ -73,27 +76,16 @@ class BankRows:
         return green
 
 
-def choose_rows(
-    bank: Bank, positions: Sequence[int] | None, *, missing_as_nan: bool, per: Per = "position"
-) -> BankRows:
+def choose_rows(bank: Bank, positions: Sequence[int] | None, *, missing_as_nan: bool, **options: Any) -> BankRows:
     """Choose the rows of an export: those asked for, by default all.
 
-    Rows that are not measured, failed or disabled are exported as NaN or left out. Raises InputError where no
-    measured row is left.
+    Rows that are not measured, failed or disabled are exported as NaN or left out. `options` are fields of `BankRows`.
+    Raises InputError where no measured row is left.
     """
     wanted = np.arange(bank.positions) if positions is None else np.asarray(positions, dtype=np.int64)
     known = usable(np.asarray(bank.status))[wanted]
     if not known.any():
         raise InputError(f"{bank.path}: none of these positions holds a measurement; there is nothing to export")
-    if missing_as_nan:
-        return BankRows(bank, wanted.astype(np.int64), known, 0, per)
-    kept = wanted[known].astype(np.int64)
-    return BankRows(bank, kept, np.ones(len(kept), bool), int(np.count_nonzero(~known)), per)
-
-
-def required_package(package: str, format_name: str) -> ModuleType:
-    """Import a package of the extra ``export``; raises InputError where it is not installed."""
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise InputError(f"--to {format_name} needs the package {package} ({error}): pip install {package}") from None
+    kept = np.ones(len(wanted), bool) if missing_as_nan else known
+    left_out = int(np.count_nonzero(~kept))
+    return BankRows(bank, wanted[kept].astype(np.int64), known[kept], left_out, **options)

@@ -1,9 +1,11 @@
-"""A bank as a MATLAB file of level 5, with the arrays of `storage.exchange.npz`."""
+"""A bank as a MATLAB file of level 5: the arrays of `storage.exchange.npz`, and a struct that explains them."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+from storage.bank.layout import QUALITY_UNITS
 from storage.errors import InputError
 from storage.exchange.bank_rows import BankRows, OnProgress
 from storage.exchange.npz import named_arrays
@@ -24,4 +26,23 @@ def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> 
             " export some --positions at a time, or as npz"
         )
     with replacement(path) as temporary, temporary.open("wb") as file:
-        savemat(file, named_arrays(rows, on_progress), oned_as="column")  # type: ignore[arg-type]
+        arrays = named_arrays(rows, on_progress) | {"about": _about(rows)}
+        savemat(file, arrays, oned_as="column")  # type: ignore[arg-type]
+
+
+README = """Green's functions of a plate: green(p, a, k) is the response at position p to a drive at actuator a, tap k.
+A response is y(n) = sum over a and k of green(p, a, k) * drive(a, n - k + 1), without a factor dt; tap 1 is the instant
+of the drive sample. Places are millimetres on the surface: origin at its centre, x right, y up, seen from the laser.
+position holds rows of the bank, counted from 0. status: 1 valid, 2 over range, 4 poor signal, 8 failed, 16 disabled.
+NaN is unknown. about.units has the unit of each variable.
+
+Example: y = filter(squeeze(green(1, 1, :)), 1, drive);   % response at the first position to the first actuator"""
+
+
+def _about(rows: BankRows) -> dict[str, Any]:
+    bank = rows.bank
+    units = {"green": bank.response_unit, "position_mm": "mm", "actuator_mm": "mm", "time_s": "s"}
+    units |= {"sample_rate_hz": "Hz", "band_hz": "Hz"} | {
+        f"quality_{name}": QUALITY_UNITS[name] for name in bank.quality
+    }
+    return {"readme": README, "units": units, "publication": dict(rows.publication), "source": bank.path.name}

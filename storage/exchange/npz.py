@@ -14,7 +14,8 @@ from storage.output_files import replacement
 def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
     """Write an archive that is read without pickle."""
     with replacement(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **named_arrays(rows, on_progress))
+        texts = {f"publication_{key}": text for key, text in rows.publication.items()}
+        np.savez(file, **(named_arrays(rows, on_progress) | texts))
 
 
 def named_arrays(rows: BankRows, on_progress: OnProgress | None) -> dict[str, Any]:

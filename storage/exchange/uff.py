@@ -1,20 +1,26 @@
-"""A bank as universal files: what modal analysis reads."""
+"""A bank as universal files: what modal analysis reads.
+
+Sets 164 (units), 2411 (nodes, double precision) and 58 (functions), as the Structural Dynamics Research Laboratory of
+the University of Cincinnati documents them.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 
 from storage.errors import InputError
-from storage.exchange.bank_rows import BankRows, OnProgress, required_package
+from storage.exchange.bank_rows import BankRows, Float64Array, OnProgress
 from storage.output_files import replacement
 
 TIME_RESPONSE, NORMAL, TIME, VELOCITY = 1, 3, 17, 11
-UNITS_SI = 1
+_EVEN = 1
+_SINGLE, _DOUBLE = 2, 4
+_LITTLE_ENDIAN, _IEEE, _HEADER_LINES = 1, 2, 11
+_END = f"{-1:6d}\n"
 
 
 def actuator_node(rows: BankRows, actuator: int) -> int:
@@ -23,70 +29,76 @@ def actuator_node(rows: BankRows, actuator: int) -> int:
 
 
 def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
-    """Write a universal file in ASCII: units (164), nodes (15), and a function (58) per position and actuator.
+    """Write a universal file: units (164), nodes (2411), and a function (58) per position and actuator.
 
     A position's node number is its row in the bank plus 1. Responses are normal to the surface (+Z), of the type time
-    response; the five identification lines say what the numbers of the format cannot.
+    response; the identification lines say what the numbers of the format cannot. Functions are text, or single
+    precision in binary (58b) where `rows.binary` says so; both give the bank's float32 back exactly.
     Rows must be measured: the format holds no NaN.
     """
-    pyuff, bank = required_package("pyuff", "uff"), rows.bank
     if not rows.known.all():
         raise InputError(f"{path}: universal files hold no NaN; leave missing positions out")
-    time_s = np.arange(bank.taps) / bank.sample_rate_hz
-    with replacement(path) as temporary, temporary.open("wb") as whole, TemporaryDirectory() as folder:
-        # Whenever the package adds to a file it reads all of it again, so it gets a new one for every position.
-        piece = Path(folder) / "piece.uff"
-        whole.write(_written(pyuff, piece, [_units(), _nodes(rows)]))
-        for row, green in rows.each(on_progress):
-            functions = [_function(rows, row, actuator, values, time_s) for actuator, values in enumerate(green)]
-            whole.write(_written(pyuff, piece, functions))
+    with replacement(path) as temporary, temporary.open("wb") as file:
+        file.write("".join(_units_and_nodes(rows)).encode())
+        for status, (row, green) in zip(rows.status.tolist(), rows.each(on_progress), strict=True):
+            for actuator, values in enumerate(green):
+                file.write(_header(rows, row, actuator, status).encode())
+                file.write(values.astype("<f4").tobytes() if rows.binary else _text(values))
+                file.write(_END.encode())
 
 
-def _written(pyuff: ModuleType, piece: Path, sets: list[dict[str, Any]]) -> bytes:
-    piece.unlink(missing_ok=True)
-    pyuff.UFF(str(piece)).write_sets(sets, mode="overwrite")
-    return piece.read_bytes()
-
-
-def _units() -> dict[str, Any]:
-    return {
-        "type": 164, "units_code": UNITS_SI, "units_description": "SI", "temp_mode": 1,
-        "length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 273.15,
-    }  # fmt: skip
-
-
-def _nodes(rows: BankRows) -> dict[str, Any]:
-    """All positions, and those actuators whose place is known, in metres."""
-    bank = rows.bank
-    numbers = [*(row + 1 for row in rows.row.tolist())]
-    places_mm = [rows.position_mm]
-    for actuator, place_mm in enumerate(bank.actuator_mm):
+def _units_and_nodes(rows: BankRows) -> Iterator[str]:
+    """SI units; all positions, and those actuators whose place is known, in metres."""
+    yield f"{_END}{164:6d}\n{1:10d}{'SI: metre, newton':>20}{1:10d}\n{_doubles(1, 1, 1)}\n{_doubles(273.15)}\n{_END}"
+    yield f"{_END}{2411:6d}\n"
+    for number, place_mm in zip((rows.row + 1).tolist(), rows.position_mm, strict=True):
+        yield _node(number, place_mm)
+    for actuator, place_mm in enumerate(rows.bank.actuator_mm):
         if np.isfinite(place_mm).all():
-            numbers.append(actuator_node(rows, actuator))
-            places_mm.append(place_mm[None])
-    x_m, y_m = (np.concatenate(places_mm) / 1e3).T
-    zero = [0] * len(numbers)
-    return {
-        "type": 15, "node_nums": numbers, "def_cs": zero, "disp_cs": zero, "color": zero,
-        "x": x_m.tolist(), "y": y_m.tolist(), "z": [0.0] * len(numbers),
-    }  # fmt: skip
+            yield _node(actuator_node(rows, actuator), place_mm)
+    yield _END
 
 
-def _function(rows: BankRows, row: int, actuator: int, values: Any, time_s: Any) -> dict[str, Any]:
+def _node(number: int, place_mm: Float64Array) -> str:
+    return f"{number:10d}{0:10d}{0:10d}{0:10d}\n{_doubles(*(place_mm / 1e3).tolist(), 0)}\n"
+
+
+def _doubles(*values: float) -> str:
+    return "".join(f"{value:25.16E}" for value in values).replace("E", "D")
+
+
+def _header(rows: BankRows, row: int, actuator: int, status: int) -> str:
     bank = rows.bank
     x_mm, y_mm = bank.position_mm[row]
-    velocity = bank.response_unit == "m/s/V"
-    return {
-        "type": 58, "binary": 0, "func_type": TIME_RESPONSE, "ver_num": 1, "load_case_id": 0,
-        "id1": f"Green's function, FIR from drive to response in {bank.response_unit}"[:80],
-        "id2": f"{bank.path.name}, row {row}, actuator {actuator}, status {int(bank.status[row])}"[:80],
-        "id3": f"x = {x_mm:.6g} mm, y = {y_mm:.6g} mm, {bank.sample_rate_hz:.12g} samples a second",
-        "rsp_ent_name": "POSITION", "rsp_node": row + 1, "rsp_dir": NORMAL,
-        "ref_ent_name": "ACTUATOR", "ref_node": actuator_node(rows, actuator), "ref_dir": NORMAL,
-        "abscissa_spacing": 1, "abscissa_spec_data_type": TIME,
-        "abscissa_axis_lab": "Time", "abscissa_axis_units_lab": "s",
-        "ordinate_spec_data_type": VELOCITY if velocity else 0,
-        "orddenom_spec_data_type": 0, "orddenom_axis_lab": "Drive", "orddenom_axis_units_lab": bank.drive_unit[:20],
-        "ordinate_axis_lab": "Green's function", "ordinate_axis_units_lab": bank.response_unit[:20],
-        "x": time_s, "data": np.asarray(values, dtype=np.float64),
-    }  # fmt: skip
+    binary = ""
+    if rows.binary:
+        binary = f"b{_LITTLE_ENDIAN:6d}{_IEEE:6d}{_HEADER_LINES:12d}{4 * bank.taps:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
+    nothing = f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}"
+    ordinate = VELOCITY if bank.response_unit == "m/s/V" else 0
+    lines = (
+        f"{_END}{58:6d}{binary}",
+        f"Green's function, FIR from drive to response in {bank.response_unit}"[:80],
+        f"{bank.path.name}, row {row}, actuator {actuator}, status {status}"[:80],
+        f"x = {x_mm:.6g} mm, y = {y_mm:.6g} mm, {bank.sample_rate_hz:.12g} samples a second",
+        rows.publication.get("title", "NONE")[:80],
+        rows.publication.get("licence", "NONE")[:80],
+        f"{TIME_RESPONSE:5d}{0:10d}{1:5d}{0:10d} {'POSITION':<10}{row + 1:10d}{NORMAL:4d}"
+        f" {'ACTUATOR':<10}{actuator_node(rows, actuator):10d}{NORMAL:4d}",
+        f"{_SINGLE if rows.binary else _DOUBLE:10d}{bank.taps:10d}{_EVEN:10d}"
+        f"{0:13.5E}{1 / bank.sample_rate_hz:13.5E}{0:13.5E}",
+        f"{TIME:10d}{0:5d}{0:5d}{0:5d} {'Time':<20} {'s':<20}",
+        f"{ordinate:10d}{0:5d}{0:5d}{0:5d} {'Greens function':<20} {bank.response_unit[:20]:<20}",
+        f"{0:10d}{0:5d}{0:5d}{0:5d} {'Drive':<20} {bank.drive_unit[:20]:<20}",
+        nothing,
+    )
+    return "".join(f"{line}\n" for line in lines)
+
+
+@cache
+def _text_format(taps: int) -> str:
+    whole, rest = divmod(taps, 4)
+    return whole * (4 * "%20.11E" + "\n") + (rest * "%20.11E" + "\n" if rest else "")
+
+
+def _text(values: Float64Array) -> bytes:
+    return (_text_format(len(values)) % tuple(values.tolist())).encode()

@@ -14,16 +14,17 @@ import soundfile
 
 from storage.errors import InputError
 from storage.exchange.bank_rows import BankRows, OnProgress
+from storage.exchange.places import table
 from storage.output_files import require_room, staged_folder
 
 MOST_CHANNELS = 1024
 """More than that is not a sound file for the library that writes them."""
 
-TABLE_NAME = "bank.json"
+TABLE_NAME, PLACES_NAME = "bank.json", "places.csv"
 
 
 def write(folder: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
-    """Write WAV files (float32) into a folder, with a ``bank.json`` that describes them.
+    """Write WAV files (float32) into a folder, with ``bank.json`` and ``places.csv`` that describe them.
 
     A file holds one position with a channel per actuator, or the other way round, as `rows.per` says; per actuator the
     whole bank is in memory. All are divided by one power of two, so that nothing exceeds 1 and the numbers of the bank
@@ -46,6 +47,9 @@ def write(folder: Path, rows: BankRows, on_progress: OnProgress | None = None) -
         "format": "wavefocus-wav-export",
         "scale": scale,
         "unit": bank.response_unit,
+        "drive_unit": bank.drive_unit,
+        "band_hz": bank.band_hz,
+        "publication": dict(rows.publication),
         "sample_rate_hz": rate_hz,
         "channels": "actuators" if per == "position" else "positions",
         "position": rows.row.tolist(),
@@ -56,7 +60,7 @@ def write(folder: Path, rows: BankRows, on_progress: OnProgress | None = None) -
     with staged_folder(folder, TABLE_NAME) as staged:
         require_room(staged / TABLE_NAME, 4 * len(rows.row) * bank.actuators * bank.taps)
         files: list[dict[str, Any]] = []
-        names = file_names(rows)[:-1]
+        names = file_names(rows)[:-2]
         if per == "position":
             for name, (row, green) in zip(names, rows.each(on_progress), strict=True):
                 _write(staged / name, green.T / scale, rate_hz)
@@ -66,16 +70,18 @@ def write(folder: Path, rows: BankRows, on_progress: OnProgress | None = None) -
             for actuator, name in enumerate(names):
                 _write(staged / name, green[:, actuator].T / scale, rate_hz)
                 files.append({"file": name, "actuator": actuator, "actuator_mm": _known(bank.actuator_mm[actuator])})
+        first = ("file", names) if per == "position" else ("channel", range(len(rows.row)))
+        (staged / PLACES_NAME).write_text(table(rows, *first), encoding="utf-8")
         (staged / TABLE_NAME).write_text(json.dumps({**facts, "files": files}, indent=1), encoding="utf-8")
 
 
 def file_names(rows: BankRows) -> list[str]:
-    """Names of the files: sound files in their order, then the table."""
+    """Names of the files: sound files in their order, then the tables."""
     if rows.per == "position":
         width = len(str(rows.bank.positions - 1))
-        return [*(f"position-{row:0{width}d}.wav" for row in rows.row.tolist()), TABLE_NAME]
+        return [*(f"position-{row:0{width}d}.wav" for row in rows.row.tolist()), PLACES_NAME, TABLE_NAME]
     width = len(str(rows.bank.actuators - 1))
-    return [*(f"actuator-{actuator:0{width}d}.wav" for actuator in range(rows.bank.actuators)), TABLE_NAME]
+    return [*(f"actuator-{actuator:0{width}d}.wav" for actuator in range(rows.bank.actuators)), PLACES_NAME, TABLE_NAME]
 
 
 def _scale(rows: BankRows) -> float:

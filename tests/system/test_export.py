@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,9 @@ import pyuff
 import scipy.io
 import sofar
 import soundfile
+import xarray
 
+from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
 
 RATE_HZ, TAPS, ACTUATORS, POSITIONS = 2000.0, 60, 3, 6
@@ -48,36 +49,142 @@ def export(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, 
     return dict(json.loads(capsys.readouterr().out))
 
 
+PUBLICATION = """
+[publication]
+title = "Plate \u00e4"
+licence = "CC-BY-4.0"
+organisation = "A University"
+database = "plates"
+room = "laboratory"
+people = [{ name = "Jane D\u00f6e", orcid = "0000-0002-1825-0097" }, { name = "John Roe" }]
+"""
+
+
+@pytest.fixture
+def publication(tmp_path: Path) -> Path:
+    path = tmp_path / "publication.toml"
+    path.write_text(PUBLICATION, encoding="utf-8")
+    return path
+
+
 def test_given_a_bank_then_sofar_reads_what_acoustics_needs(
     bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = export(capsys, bank, tmp_path / "bank.sofa", "--to", "sofa")
     assert (told["positions"], told["left_out"]) == (4, 2)
-    sofa = sofar.read_sofa(str(tmp_path / "bank.sofa"), verbose=False)
+    sofa = sofar.read_sofa(str(tmp_path / "bank.sofa"), verify=True, verbose=False)
     sofa.verify(issue_handling="raise")
     assert sofa.GLOBAL_SOFAConventions == "GeneralFIR-E"
     assert np.array_equal(sofa.Data_IR[:, 0], green_of(bank)[KEPT].transpose(0, 2, 1).astype(float))
     assert sofa.Data_SamplingRate == RATE_HZ
-    assert np.allclose(sofa.ListenerPosition[:, :2] * 1e3, PLACES_MM[KEPT])
-    assert np.allclose(sofa.EmitterPosition[:, :2] * 1e3, ACTUATORS_MM, equal_nan=True)
+    assert np.allclose(sofa.ListenerPosition[:, :2], PLACES_MM[KEPT] / 1e3, rtol=0, atol=1e-9)
+    assert np.allclose(sofa.EmitterPosition[:, :2], ACTUATORS_MM / 1e3, rtol=0, atol=1e-9, equal_nan=True)
     assert sofa.BankPosition.tolist() == KEPT
     assert "m/s/V" in sofa.GLOBAL_Comment
+    assert (sofa.GLOBAL_License, sofa.GLOBAL_RoomType) == ("not stated", "free field")
 
 
-def test_given_a_bank_then_pyuff_reads_nodes_and_functions(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_given_a_publication_then_the_sofa_file_states_it(
+    bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    export(capsys, bank, tmp_path / "bank.uff", "--to", "uff")
+    export(capsys, bank, tmp_path / "bank.sofa", "--to", "sofa", "--publication", publication)
+    sofa = sofar.read_sofa(str(tmp_path / "bank.sofa"), verify=True, verbose=False)
+    sofa.verify(issue_handling="raise")
+    assert (sofa.GLOBAL_Title, sofa.GLOBAL_License) == ("Plate \u00e4", "CC-BY-4.0")
+    assert (sofa.GLOBAL_Organization, sofa.GLOBAL_DatabaseName) == ("A University", "plates")
+    assert (sofa.GLOBAL_RoomType, sofa.GLOBAL_RoomDescription) == ("reverberant", "laboratory")
+    assert sofa.GLOBAL_AuthorContact == "Jane D\u00f6e (https://orcid.org/0000-0002-1825-0097); John Roe"
+
+
+def test_given_a_sofa_file_then_it_keeps_to_the_hdf5_that_libmysofa_reads(
+    bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    export(capsys, bank, tmp_path / "bank.sofa", "--to", "sofa", "--publication", publication)
+    with h5py.File(tmp_path / "bank.sofa") as file:
+        names: list[bytes] = []
+        root = file["/"]
+        root.id.links.iterate(names.append, idx_type=h5py.h5.INDEX_CRT_ORDER)
+        assert (names[0], names[-1]) == (b"I", b"Data.IR")  # the order of creation is kept
+        for name in file.attrs:
+            kind = h5py.h5a.open(file.id, name.encode()).get_type()
+            assert (kind.get_strpad(), kind.get_cset()) == (h5py.h5t.STR_NULLTERM, h5py.h5t.CSET_ASCII), name
+        assert all(one.dtype == np.float64 and one.chunks is None for name, one in file.items() if len(name) > 1)
+
+
+@pytest.mark.parametrize("options", [(), ("--binary",)])
+def test_given_a_bank_then_pyuff_reads_nodes_and_functions(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
+) -> None:
+    export(capsys, bank, tmp_path / "bank.uff", "--to", "uff", *options)
     sets = pyuff.UFF(str(tmp_path / "bank.uff")).read_sets()
-    assert [int(one["type"]) for one in sets] == [164, 15] + [58] * (len(KEPT) * ACTUATORS)
+    assert [int(one["type"]) for one in sets] == [164, 2411] + [58] * (len(KEPT) * ACTUATORS)
     nodes = dict(zip(map(int, sets[1]["node_nums"]), zip(sets[1]["x"], sets[1]["y"], strict=True), strict=True))
     assert sorted(nodes) == [1, 2, 5, 6, POSITIONS + 1, POSITIONS + 3]
     green = green_of(bank)
     for function in sets[2:]:
         row, actuator = int(function["rsp_node"]) - 1, int(function["ref_node"]) - POSITIONS - 1
-        assert np.allclose(function["data"], green[row, actuator], rtol=1e-7, atol=0)
-        assert np.allclose(np.array(nodes[row + 1]) * 1e3, PLACES_MM[row])
+        assert np.array_equal(function["data"].astype(np.float32), green[row, actuator])
+        assert np.allclose(nodes[row + 1], PLACES_MM[row] / 1e3, rtol=0, atol=1e-9)
         assert np.allclose(np.diff(function["x"]), 1 / RATE_HZ)
+
+
+@pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
+def test_given_a_bank_then_xarray_reads_its_rows_one_by_one_with_labels(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], engine: Any
+) -> None:
+    export(capsys, bank, tmp_path / "bank.nc", "--to", "netcdf")
+    with xarray.open_dataset(tmp_path / "bank.nc", engine=engine, chunks={}) as data:
+        assert data.green.dims == ("position", "actuator", "time_s")
+        assert data.green.chunks[0] == (1,) * len(KEPT)
+        assert np.array_equal(data.green.values, green_of(bank)[KEPT])
+        assert data.position.values.tolist() == KEPT
+        assert np.array_equal(data.position_mm.values, PLACES_MM[KEPT])
+        assert np.array_equal(data.actuator_mm.values, ACTUATORS_MM, equal_nan=True)
+        assert set(data.green.coords) == {"position", "actuator", "time_s", "x_mm", "y_mm", "status"}
+        assert {name: data[name].attrs["units"] for name in ("green", "time_s", "snr_db")} == {
+            "green": "m/s/V", "time_s": "s", "snr_db": "dB",
+        }  # fmt: skip
+        assert all("long_name" in one.attrs for one in data.variables.values())
+        assert data.attrs["Conventions"].startswith("CF-")
+
+
+def test_given_a_netcdf_file_then_it_is_read_as_a_bank_and_may_be_replaced(
+    bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bank.nc"
+    export(capsys, bank, out, "--to", "netcdf")
+    export(capsys, bank, out, "--to", "netcdf", "--publication", publication, "--force")
+    with open_bank(out) as copy:
+        assert np.array_equal(copy.green(2), green_of(bank)[KEPT[2]])
+        assert (copy.status.tolist(), copy.sample_rate_hz) == ([STATUS[row] for row in KEPT], RATE_HZ)
+        assert copy.quality["snr_db"].shape == (len(KEPT), ACTUATORS)
+    with h5py.File(out) as file:
+        assert (file.attrs["license"], file.attrs["title"]) == ("CC-BY-4.0", "Plate \u00e4")
+
+
+def test_given_a_bank_then_a_table_lists_its_positions(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    export(capsys, bank, tmp_path / "places.csv", "--to", "csv", "--missing", "nan")
+    with (tmp_path / "places.csv").open(encoding="utf-8", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [int(line["index"]) for line in lines] == list(range(POSITIONS))
+    assert [[float(line["x_mm"]), float(line["y_mm"])] for line in lines] == PLACES_MM.tolist()
+    assert [line["status"] for line in lines] == ["valid", "valid", "not-measured", "failed", "poor", "valid"]
+    assert {line["snr_db"] for line in lines} == {""}
+
+
+@pytest.mark.parametrize("kind", ["sofa", "wav"])
+def test_given_list_then_files_and_sizes_are_listed_and_nothing_is_written(
+    bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    before = sorted(tmp_path.iterdir())
+    told = export(capsys, bank, tmp_path / f"bank.{kind}", "--to", kind, "--list", "--publication", publication)
+    assert sorted(tmp_path.iterdir()) == before
+    assert len(told["files"]) == (1 if kind == "sofa" else len(KEPT) + 2)
+    values = len(KEPT) * ACTUATORS * TAPS * (8 if kind == "sofa" else 4)
+    assert values <= told["bytes"] < 2 * values
+    assert told["publication"]["licence"] == "CC-BY-4.0"
 
 
 @pytest.mark.parametrize("per", ["position", "actuator"])
@@ -90,6 +197,11 @@ def test_given_a_bank_then_its_sound_files_hold_its_numbers_exactly(
     assert facts["position"] == KEPT
     assert facts["actuator_mm"] == [[50.0, 0.0], None, [-50.0, 10.0]]
     assert len(facts["files"]) == (len(KEPT) if per == "position" else ACTUATORS)
+    places = list(csv.DictReader((tmp_path / "sounds" / "places.csv").read_text(encoding="utf-8").splitlines()))
+    assert [int(one["index"]) for one in places] == KEPT
+    assert [one.get("file") for one in places] == [
+        one["file"] if per == "position" else None for one in facts["files"]
+    ][: len(KEPT)] + [None] * (len(KEPT) - len(facts["files"]))
     for place, one in enumerate(facts["files"]):
         samples, rate_hz = soundfile.read(tmp_path / "sounds" / one["file"], dtype="float32", always_2d=True)
         expected = green[place] if per == "position" else green[:, place]
@@ -117,6 +229,36 @@ def test_given_nan_for_what_is_missing_then_arrays_hold_every_row(
     assert arrays["quality_snr_db"].shape == (POSITIONS, ACTUATORS)
 
 
+def test_given_a_mat_file_then_a_struct_in_it_explains_the_variables(
+    bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    export(capsys, bank, tmp_path / "bank.mat", "--to", "mat", "--publication", publication)
+    content = scipy.io.loadmat(tmp_path / "bank.mat", simplify_cells=True)
+    about = content["about"]
+    assert "green(p, a, k)" in about["readme"]
+    assert set(about["units"]) <= set(content)
+    assert (about["units"]["green"], about["publication"]["licence"]) == ("m/s/V", "CC-BY-4.0")
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ("[grid]\nspacing_mm = 4.0", "publication: is missing"),
+        ("[publication]\nlicence = 4", "publication.licence = 4: must be text in quotes"),
+        ("[publication]\nlicense = 'MIT'", "publication.license"),
+        ("[publication]\ntitle = 'a\\nb'".replace("'", '"'), "must be one line of text"),
+        ("[publication]\npeople = [{ name = 'A', orcid = '1' }]", "publication.people[0].orcid"),
+    ],
+)
+def test_given_a_wrong_publication_then_its_key_is_named(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], table: str, told: str
+) -> None:
+    (tmp_path / "wrong.toml").write_text(table, encoding="utf-8")
+    arguments = ["export", bank, tmp_path / "bank.npz", "--to", "npz", "--publication", tmp_path / "wrong.toml"]
+    assert run([str(one) for one in arguments]) == 2
+    assert told in capsys.readouterr().err
+
+
 def test_given_rows_then_those_alone_are_exported_in_their_order(
     bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -135,6 +277,8 @@ def test_given_rows_then_those_alone_are_exported_in_their_order(
         (["foreign.h5", "--to", "npz"], "is an input"),
         (["foreign.h5", "--to", "wav"], "is a file"),
         (["bank.doc", "--to", "doc"], "invalid choice: 'doc'"),
+        (["bank.npz", "--to", "npz", "--binary"], "--binary"),
+        (["bank.npz", "--to", "npz", "--publication", "nowhere.toml"], "nowhere.toml: no such file"),
     ],
 )
 def test_given_what_cannot_be_exported_then_one_sentence_says_why(
@@ -147,15 +291,3 @@ def test_given_what_cannot_be_exported_then_one_sentence_says_why(
     assert told in lines[0]
     assert bank.read_bytes() == before
     assert [one.name for one in tmp_path.iterdir()] == ["foreign.h5"]
-
-
-@pytest.mark.parametrize(("kind", "package"), [("sofa", "sofar"), ("uff", "pyuff")])
-def test_given_no_package_then_a_sentence_says_what_to_install(
-    bank: Path, tmp_path: Path, kind: str, package: str
-) -> None:
-    without = f"import sys; sys.modules[{package!r}] = None; from wavefocus.__main__ import main; main()"
-    command = [sys.executable, "-c", without, "export", str(bank), str(tmp_path / "out"), "--to", kind]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.strip().endswith(f"pip install {package}")
-    assert "Traceback" not in done.stderr

@@ -120,7 +120,8 @@ def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path: Path) -> None:
 
 
 TABLES = {
-    (RunConfig, "run"): ("grid", "sweep", "capture", "quality", "drift", "tolerance", "virtual"),
+    (RunConfig, "run"): ("grid", "sweep", "capture", "quality", "drift", "tolerance", "publication",
+                         "virtual"),
     (RigConfig, "rig"): ("rig", "surface", "actuators", "mirror", "recorder", "player", "vibrometer", "recovery",
                          "watch", "watch.room", "messages", "calibration", "usb", "emulation"),
     (SceneConfig, "scene"): ("scene", "source", "regularisation", "output"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Literal
@@ -12,9 +13,10 @@ import numpy as np
 from storage.bank.reading import open_bank
 from storage.errors import InputError
 from storage.exchange import EXPORTS
-from storage.exchange.bank_rows import choose_rows
+from storage.exchange.bank_rows import BankRows, choose_rows
 from storage.output_files import require_output_folder, require_outputs
-from wavefocus.console import progress, say
+from wavefocus.configuration import publication_of
+from wavefocus.console import answer, progress, say
 from wavefocus.input_files import parse_positions
 
 
@@ -26,47 +28,78 @@ def export(
     positions: str,
     missing: Literal["leave-out", "nan"],
     per: Literal["position", "actuator"],
+    binary: bool = False,
+    publication: Path | None = None,
+    only_list: bool = False,
     force: bool = False,
     as_json: bool,
 ) -> None:
-    """Write a bank, or some rows of it, in another format.
+    """Write a bank, or some rows of it, in another format; or only list what would be written.
 
-    Raises InputError: the bank cannot be read or does not fit the format, or a package is missing.
+    Raises InputError: the bank cannot be read or does not fit the format, or a file to be written must stay.
     """
     form, missing_as_nan = EXPORTS[to], missing == "nan"
     if missing_as_nan and not form.holds_nan:
         raise InputError(f"--missing nan: {to} files hold no NaN; missing positions are left out there")
+    if binary and to != "uff":
+        raise InputError(f"--binary: is for --to uff; {to} files are always the same")
     if out.exists() and out.is_dir() != form.folder:
         raise InputError(f"{out} is a {'folder' if out.is_dir() else 'file'}; --to {to} writes a "
                          f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
+    inputs = [bank, *([publication] if publication else [])]
     if not form.folder:
-        require_outputs((out,), (bank,), force=force)
+        require_outputs((out,), inputs, force=force or only_list)
     with open_bank(bank) as view:
         wanted = parse_positions(positions, view.positions) if positions else None
         view.require_sound(wanted)
-        rows = choose_rows(view, wanted, missing_as_nan=missing_as_nan, per=per)
+        texts = publication_of(view, publication).texts
+        rows = choose_rows(
+            view, wanted, missing_as_nan=missing_as_nan, per=per, binary=binary, publication=texts
+        )  # fmt: skip
         writer = import_module(form.module)
+        names = writer.file_names(rows) if form.folder else [out.name]
         if form.folder:
-            require_output_folder(out, writer.file_names(rows), (bank,), force=force)
-        if form.text_bytes:
-            size = len(rows.row) * view.actuators * view.taps * form.text_bytes
-            say(f"{len(rows.row) * view.actuators} functions in ASCII, about {size / 1e6:.3g} MB")
-        with progress("export", len(rows.row)) as report:
-            writer.write(out, rows, report)
-        nan_rows = int(np.count_nonzero(~rows.known))
-        if rows.left_out:
-            say(f"{rows.left_out} positions are not measured, failed or disabled and are left out")
-        if nan_rows:
-            say(f"{nan_rows} positions are not measured, failed or disabled and are NaN")
-        say(f"{out}: {len(rows.row)} positions, {view.actuators} actuators, {view.taps} taps, {view.response_unit}")
-        if as_json:
-            figures = {
-                "out": str(out),
-                "format": to,
-                "positions": len(rows.row),
-                "left_out": rows.left_out,
-                "nan": nan_rows,
-                "actuators": view.actuators,
-                "taps": view.taps,
-            }
-            print(json.dumps(figures))
+            require_output_folder(out, names, inputs, force=force or only_list)
+        size = expected_bytes(rows, to)
+        if not only_list:
+            with progress("export", len(rows.row)) as report:
+                writer.write(out, rows, report)
+    _report(rows, out, to, names, size, only_list=only_list, as_json=as_json)
+
+
+def expected_bytes(rows: BankRows, to: str) -> int:
+    """About how many bytes an export takes."""
+    per_value = 4 if rows.binary else EXPORTS[to].value_bytes
+    return len(rows.row) * (rows.bank.actuators * rows.bank.taps * per_value + 100)
+
+
+def _report(
+    rows: BankRows, out: Path, to: str, names: Sequence[str], size: int, *, only_list: bool, as_json: bool
+) -> None:
+    view = rows.bank
+    nan_rows = int(np.count_nonzero(~rows.known))
+    for count, fate in ((rows.left_out, "left out"), (nan_rows, "NaN")):
+        if count:
+            say(f"{count} positions are not measured, failed or disabled and are {fate}")
+    if "licence" not in rows.publication:
+        say("no licence is stated: give one in [publication] of a TOML file, and name it with --publication")
+    if as_json:
+        figures = {
+            "out": str(out),
+            "format": to,
+            "positions": len(rows.row),
+            "left_out": rows.left_out,
+            "nan": nan_rows,
+            "actuators": view.actuators,
+            "taps": view.taps,
+        }
+        listed = {"files": list(names), "bytes": size, "publication": dict(rows.publication)} if only_list else {}
+        print(json.dumps(figures | listed))
+        return
+    content = f"{len(rows.row)} positions, {view.actuators} actuators, {view.taps} taps, {view.response_unit}"
+    if not only_list:
+        say(f"{out}: {content}")
+        return
+    answer(f"{out}: {content}, {view.sample_rate_hz:g} Hz; about {size / 1e6:.3g} MB in {len(names)} file(s)")
+    for key, text in rows.publication.items():
+        answer(f"{key}: {' '.join(text.split())}")

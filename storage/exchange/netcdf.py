@@ -1,0 +1,95 @@
+"""A bank as netCDF-4 with CF metadata: what xarray and other tools of the earth sciences read, row by row."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from storage.bank.layout import QUALITY_UNITS, describe_status
+from storage.exchange.bank_rows import BankRows, OnProgress
+from storage.hdf5_writing import attach, created, filled, reserved, scale
+from storage.output_files import EXPORT_MARK, replacement
+
+LONG_NAMES = {
+    "green": "Green's functions: FIR filters from drive to response, tap 0 at the drive sample",
+    "position": "row of the bank",
+    "actuator": "index of the actuator",
+    "time_s": "time after the drive sample",
+    "axis": "axis on the surface: origin at its centre, x right, y up, seen from the laser",
+    "position_mm": "place of the position",
+    "x_mm": "place of the position, to the right of the centre",
+    "y_mm": "place of the position, above the centre",
+    "actuator_mm": "place of the actuator, NaN where unknown",
+    "status": "status bits of the position",
+    "snr_db": "signal-to-noise ratio",
+    "residual_db": "energy that the filters leave unexplained",
+    "coherence": "coherence of repeats",
+    "peak_v": "largest response at the recorder's input",
+    "attempts": "number of measurements of the position",
+    "moved_mm": "distance of the laser from the position",
+    "reference_db": "level of the reference relative to its calibration",
+}
+
+
+def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
+    """Write a netCDF-4 file with the names and shapes of a bank (contract section 2), so that it is read as one, too.
+
+    ``/quality`` holds the figures of the root a second time, as links, for readers of banks. One row is in memory.
+    """
+    bank, count = rows.bank, len(rows.row)
+    data_bytes = 4 * (count + 1) * bank.actuators * (bank.taps + 8) + 96 * count
+    with replacement(path) as temporary, created(temporary, data_bytes) as file:
+        file.attrs.update(_attributes(rows))
+        position = scale(file, "position", rows.row.astype(np.int32))
+        actuator = scale(file, "actuator", np.arange(bank.actuators, dtype=np.int32))
+        time_s = scale(file, "time_s", bank.time_s, "s")
+        axis = file.create_dataset("axis", data=["x", "y"], dtype=h5py.string_dtype(), track_times=False)
+        axis.make_scale("axis")
+        attach(filled(file, "position_mm", rows.position_mm, "mm"), position, axis)
+        for name, places_mm in zip(("x_mm", "y_mm"), rows.position_mm.T, strict=True):
+            attach(filled(file, name, places_mm, "mm"), position)
+        attach(filled(file, "actuator_mm", bank.actuator_mm, "mm"), actuator, axis)
+        status = filled(file, "status", rows.status)
+        describe_status(status)
+        attach(status, position)
+        for name, values in bank.quality.items():
+            figures = filled(file, name, values[rows.row].astype("<f4"), QUALITY_UNITS[name])
+            attach(figures, *(position, actuator)[: figures.ndim])
+            file[f"quality/{name}"] = figures
+        shape = (count, bank.actuators, bank.taps)
+        green = reserved(file, "green", shape, "<f4", bank.response_unit, chunk=(1, *shape[1:]))
+        green.attrs["coordinates"] = "x_mm y_mm status"
+        attach(green, position, actuator, time_s)
+        for name, text in LONG_NAMES.items():
+            if name in file:
+                file[name].attrs["long_name"] = text
+        for place, (_, values) in enumerate(rows.each(on_progress)):
+            green[place] = values
+
+
+def _attributes(rows: BankRows) -> dict[str, object]:
+    bank, about = rows.bank, rows.publication
+    made = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} wavefocus {version('wavefocus')}: export of {bank.path.name}"
+    attributes: dict[str, object] = {
+        "Conventions": "CF-1.11",
+        "title": about.get("title", f"Green's functions of {bank.path.name}"),
+        "source": bank.software or "measured with another program",
+        "history": made,
+        "sample_rate_hz": np.float64(bank.sample_rate_hz),
+        "response_unit": bank.response_unit,
+        "drive_unit": bank.drive_unit,
+        EXPORT_MARK: "netcdf",
+    }
+    if bank.band_hz is not None:
+        attributes["band_hz"] = np.array(bank.band_hz)
+    if bank.directions_deg is not None:
+        attributes["directions_deg"] = np.array(bank.directions_deg)
+    names = {
+        "comment": "description", "creator_name": "people", "institution": "organisation", "license": "licence",
+        "keywords": "keywords", "references": "references",
+    }  # fmt: skip
+    return attributes | {name: about[key] for name, key in names.items() if key in about}
