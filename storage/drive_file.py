@@ -103,7 +103,25 @@ class DriveAbout:
 
 
 def write_drive(path: str | Path, drive: Drive) -> None:
-    """Write a drive file, replacing an older one only when the new one is whole; InputError where it cannot."""
+    """Write a drive file, replacing an older one only when the new one is whole.
+
+    Parameters
+    ----------
+    path
+        Name of the file.
+    drive
+        Volts, float64 (actuators, samples), and what is said of them.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> wf.write_drive("copy.h5", wf.read_drive("drive.h5"))
+    """
     with drive_in_blocks(path, drive, drive.drive_v.shape) as append:
         append(drive.drive_v)
 
@@ -152,8 +170,28 @@ def drive_in_blocks(
 def read_drive(path: str | Path) -> Drive:
     """Read a drive file; what only describes it (method, scale, omitted_bound, foci) may be missing.
 
-    Raises InputError: when the file is missing, damaged, no drive file, of a future version, or holds values out of
-    range.
+    Parameters
+    ----------
+    path
+        A drive file, contract section 5.
+
+    Returns
+    -------
+    Drive
+        ``drive_v``, float64 (actuators, samples) in volts, from ``start_s`` on; ``verified`` is false where the file
+        carries no checksums.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, no drive file, of a future version, or holds values out of range.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> drive = wf.read_drive("drive.h5")
+    >>> drive.drive_v.shape, drive.start_s, drive.method
+    ((4, 3499), -0.0999, 'sampled')
     """
     path = Path(path)
     with hdf5_reading.opened_as(path, FORMAT) as file:

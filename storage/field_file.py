@@ -179,7 +179,27 @@ def field_in_rows(
 
 
 def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32) -> None:
-    """Write a field file, as float32 by default; InputError where it cannot be written."""
+    """Write a field file, replacing an older one only when the new one is whole.
+
+    Parameters
+    ----------
+    path
+        Name of the file.
+    field
+        Responses, (positions, samples), and what is said of them.
+    dtype
+        float32 as the contract has it; float64 keeps more digits.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> wf.write_field("field.h5", wf.predict("drive.h5", "plate.h5", [0, 7]))
+    """
     with field_in_rows(
         path,
         field.position_index,
@@ -272,10 +292,29 @@ class FieldRowReader(Closing):
 
 
 def read_field(path: str | Path) -> Field:
-    """Read a field file.
+    """Read a field file, predicted or scanned.
 
-    Raises InputError: when the file is missing, damaged, no field file, of a future version, or holds values out of
-    range.
+    Parameters
+    ----------
+    path
+        A field file, contract section 5.
+
+    Returns
+    -------
+    Field
+        ``field``, (positions, samples), from ``start_s`` on; ``position_index``, the rows of the bank.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, no field file, of a future version, or holds values out of range.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> field = wf.read_field("field.h5")
+    >>> field.field.dtype, field.position_index
+    (dtype('float32'), array([0, 7]))
     """
     with FieldRowReader(path) as rows:
         return rows.whole()

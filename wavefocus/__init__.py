@@ -1,11 +1,11 @@
 """Surface haptics by wave focusing: banks of Green's functions, scenes, drives, fields.
 
->>> import wavefocus
->>> bank = wavefocus.open_bank("plate.h5")
->>> drive = wavefocus.render(wavefocus.load_scene("scene.toml"), bank)
->>> field = wavefocus.predict(drive, bank, [700, 701])
+>>> import wavefocus as wf
+>>> bank = wf.open_bank("plate.h5")
+>>> drive = wf.render("scene.toml", bank)
+>>> field = wf.predict(drive, bank, [3, 4])
 
-Every name is imported when it is used first.
+Every name is imported when it is used first; docs/reference/python.md lists all.
 """
 
 from __future__ import annotations
@@ -14,36 +14,79 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calibration.estimator.raw_estimation import estimate_positions as estimate
+    from calibration.estimator.raw_estimation import estimate_positions
     from calibration.estimator.raw_estimation import estimator_of as estimator
-    from rendering.drive.rendering import render
-    from rendering.field.prediction import predict
-    from rendering.scene.model import load_scene
-    from storage.bank.reading import open_bank
-    from storage.drive_file import read_drive, write_drive
+    from rendering.field.foci import FocusFigures
+    from rendering.greens.source import GreenArray
+    from rendering.scene.model import Scene, Source, load_scene
+    from rendering.scene.paths import Circle, Line, Point, Polyline
+    from rendering.scene.signals import Impulse, Noise, Sine, SoundFile
+    from storage.bank.reading import Bank, open_bank
+    from storage.drive_file import Drive, read_drive, write_drive
     from storage.errors import InputError
-    from storage.field_file import read_field, write_field
-    from storage.raw.writer import open_raw
+    from storage.field_file import Field, read_field, write_field
+    from storage.raw.writer import RawFile, open_raw
+    from wavefocus.api import estimate, focus_figures, predict, render
+    from wavefocus.virtual import VirtualBench, virtual_rig
 
 _MODULES = {
+    "Bank": "storage.bank.reading",
+    "Circle": "rendering.scene.paths",
+    "Drive": "storage.drive_file",
+    "Field": "storage.field_file",
+    "FocusFigures": "rendering.field.foci",
+    "GreenArray": "rendering.greens.source",
+    "Impulse": "rendering.scene.signals",
     "InputError": "storage.errors",
-    "estimate": "calibration.estimator.raw_estimation:estimate_positions",
+    "Line": "rendering.scene.paths",
+    "Noise": "rendering.scene.signals",
+    "Point": "rendering.scene.paths",
+    "Polyline": "rendering.scene.paths",
+    "RawFile": "storage.raw.writer",
+    "Scene": "rendering.scene.model",
+    "Sine": "rendering.scene.signals",
+    "SoundFile": "rendering.scene.signals",
+    "Source": "rendering.scene.model",
+    "VirtualBench": "wavefocus.virtual",
+    "estimate": "wavefocus.api",
+    "estimate_positions": "calibration.estimator.raw_estimation",
     "estimator": "calibration.estimator.raw_estimation:estimator_of",
+    "focus_figures": "wavefocus.api",
     "load_scene": "rendering.scene.model",
     "open_bank": "storage.bank.reading",
     "open_raw": "storage.raw.writer",
-    "predict": "rendering.field.prediction",
+    "predict": "wavefocus.api",
     "read_drive": "storage.drive_file",
     "read_field": "storage.field_file",
-    "render": "rendering.drive.rendering",
+    "render": "wavefocus.api",
+    "virtual_rig": "wavefocus.virtual",
     "write_drive": "storage.drive_file",
     "write_field": "storage.field_file",
 }
 
 __all__ = [
+    "Bank",
+    "Circle",
+    "Drive",
+    "Field",
+    "FocusFigures",
+    "GreenArray",
+    "Impulse",
     "InputError",
+    "Line",
+    "Noise",
+    "Point",
+    "Polyline",
+    "RawFile",
+    "Scene",
+    "Sine",
+    "SoundFile",
+    "Source",
+    "VirtualBench",
     "estimate",
+    "estimate_positions",
     "estimator",
+    "focus_figures",
     "load_scene",
     "open_bank",
     "open_raw",
@@ -51,6 +94,7 @@ __all__ = [
     "read_drive",
     "read_field",
     "render",
+    "virtual_rig",
     "write_drive",
     "write_field",
 ]
@@ -59,5 +103,9 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, function = _MODULES[name].partition(":")
-    return getattr(import_module(module), function or name)
+    module, _, own_name = _MODULES[name].partition(":")
+    return getattr(import_module(module), own_name or name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -62,17 +62,28 @@ def load_run(path: Path) -> Configuration:
         from mocks.virtual.faults import Fault
 
         _check_faults(Fault, run.virtual.fault_plan, f"{path}: virtual.fault_plan")
-    check_together(run, rig, str(path))
+    position_mm = None
     if run.grid.positions_file is not None:
         positions_file = named_file(path, "grid.positions_file", run.grid.positions_file)
         position_mm = read_positions_file(positions_file, rig.surface.outline)
-    else:
+    return configuration_of(run, rig, position_mm, str(path))
+
+
+def configuration_of(
+    run: RunConfig, rig: RigConfig, position_mm: NDArray[np.float64] | None, source: str
+) -> Configuration:
+    """A run on a rig, checked together, at some positions or on the run's own grid.
+
+    Raises InputError: the run cannot be carried out with the rig.
+    """
+    check_together(run, rig, source)
+    if position_mm is None:
         try:
             grid = run.grid
             position_mm = surface_grid(rig.surface.outline, grid.margin_mm, grid.spacing_mm, grid.lattice)
         except InputError as error:
-            raise InputError(printable(f"{path}: grid.{error}")) from None
-    _check_mirror_reach(rig, position_mm, str(path))
+            raise InputError(printable(f"{source}: grid.{error}")) from None
+    _check_mirror_reach(rig, position_mm, source)
     return Configuration(run, rig, position_mm)
 
 

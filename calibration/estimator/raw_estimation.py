@@ -48,10 +48,31 @@ class PositionResult:
 def estimator_of(raw: RawFile, report: Callable[[str], None] = lambda line: None) -> PositionEstimator:
     """Find out what was played, and make the estimator for it; the same file gives the same estimator.
 
-    raw: The recordings.
-    report: Receives a line about what was found.
+    Parameters
+    ----------
+    raw
+        The recordings.
+    report
+        Receives a line about what was found.
 
-    Raises InputError: no position whose reference shows what was played, or a schedule that cannot be estimated.
+    Returns
+    -------
+    PositionEstimator
+        Its ``estimate(reference_v, response_v, range_v=...)`` makes an `Estimate` of the records of a position.
+
+    Raises
+    ------
+    InputError
+        No position's reference shows what was played, or the schedule cannot be estimated.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> with wf.open_raw("plate.raw.h5") as raw:
+    ...     records = raw.read(0)
+    ...     found = wf.estimator(raw).estimate(records.reference_v, records.response_v, range_v=records.range_v)
+    >>> found.green.shape, found.snr_db.shape
+    ((4, 1000), (4,))
     """
     header = raw.header
     records = records_of(header)
@@ -75,12 +96,35 @@ def estimate_positions(
     time in transforms and linear algebra, which run in parallel; hold BLAS to one thread
     (`calibration.blas`).
 
-    raw: The recordings.
-    estimator: What `estimator_of` made of it.
-    positions: Rows of the file; those where nothing was recorded are left out.
-    workers: Threads, >= 1.
+    Parameters
+    ----------
+    raw
+        The recordings.
+    estimator
+        What `estimator` made of them, or any other.
+    positions
+        Rows of the file; those where nothing was recorded are left out.
+    workers
+        Threads, >= 1.
 
-    Returns PositionResult. Raises InputError: recordings that hold values that are not finite, or that cannot be read.
+    Yields
+    ------
+    PositionResult
+        ``position``; its ``estimate``, None where nothing could be estimated; and ``fault``, why.
+
+    Raises
+    ------
+    InputError
+        Recordings hold values that are not finite, or cannot be read.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> with wf.open_raw("plate.raw.h5") as raw:
+    ...     for result in wf.estimate_positions(raw, wf.estimator(raw), [0, 7], workers=1):
+    ...         print(result.position, result.estimate.green.shape)
+    0 (4, 1000)
+    7 (4, 1000)
     """
     pending: deque[Future[PositionResult]] = deque()
     with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="estimate") as pool:

@@ -157,18 +157,19 @@ def predict(
     *,
     dtype: DTypeLike = np.float64,
     rate_hz: float | None = None,
+    device: Device | None = None,
     on_progress: OnProgress | None = None,
 ) -> Field:
     """Predict the response y(x)[n] = sum_i (g_i(x) * f_i)[n], drive samples + L - 1 long.
 
     positions: Bank rows in any order; by default all that `measured_positions` gives.
-    dtype, rate_hz: See `Prediction`.
+    dtype, rate_hz, device: See `Prediction`.
     on_progress: Called with positions done and positions in all.
 
     Raises InputError: drive and bank do not fit, a position was not measured, or another parameter is not as stated.
     """
     index = chosen_positions(drive, bank, positions)
-    prediction = Prediction(drive, bank, index, dtype=dtype, rate_hz=rate_hz)
+    prediction = Prediction(drive, bank, index, dtype=dtype, rate_hz=rate_hz, device=device)
     return prediction.field(on_progress)
 
 

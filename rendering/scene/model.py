@@ -79,7 +79,35 @@ def _check(allowed: bool, name: str, value: float | None, words: str) -> None:
 
 
 def load_scene(path: str | Path, *, allow_large: bool = False) -> Scene:
-    """Read a scene file with all that it names. Raises InputError: anything in the files is wrong."""
+    """Read a scene file with all that it names.
+
+    Parameters
+    ----------
+    path
+        A scene file, contract section 4.
+    allow_large
+        Whether the scene may be larger than the limits against slips of the decimal point.
+
+    Returns
+    -------
+    Scene
+        Its sources, regularisation and output; `Scene` and `Source` make one without a file.
+
+    Raises
+    ------
+    InputError
+        Anything in the file or the files that it names is wrong; the message names file, key, value and what is
+        allowed.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> scene = wf.load_scene("scene.toml")
+    >>> scene.name, scene.sources[0].speed_mm_s
+    ('stroke', 100.0)
+    >>> wf.Scene("tap", (wf.Source(wf.Point((0.0, 0.0)), wf.Sine(200.0, 0.05)),)).sources[0].amplitude
+    1.0
+    """
     file = Path(path)
     return build_scene(validated(SceneConfig, read_toml(file), str(file)), file, allow_large=allow_large)
 

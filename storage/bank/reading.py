@@ -162,15 +162,25 @@ _FOREIGN_CACHE_BYTES = 64 << 20  # a compressed chunk may hold many positions
 class Bank(Closing):
     """A bank open for reading; a context manager, made by :func:`open_bank`.
 
-    What it says about itself is as of `storage.bank.layout.BankHeader`, None where the file does not say, with
-    ``"m/s/V"`` and ``"V"`` for units that it does not name.
+    P positions, N actuators, L taps. What the file does not say is None, or NaN in arrays.
 
+    sample_rate_hz: Rate of the Green's functions in Hz, > 0.
+    taps: Length L of each Green's function in samples.
+    position_mm, (P, 2): Positions in millimetres.
+    actuator_mm, (N, 2): Places of the actuators in millimetres.
     time_s, (L,): Tap times in seconds.
+    band_hz: Lowest and highest measured frequency in Hz.
     quality: ``snr_db``, ``residual_db``, ``coherence``, ``peak_v`` (P, N) and ``attempts``, ``moved_mm``,
         ``reference_db`` (P,); NaN (attempts 0) where the file does not say.
     rms, (P, N): Root mean square over the taps of each Green's function, float64, as computed when the position was
         committed and covered by its checksum; NaN in rows that are not measured or silent, of an older version, or
         foreign.
+    response_unit, drive_unit: Unit of the Green's functions, and of the drive; ``"m/s/V"`` and ``"V"`` where the file
+        names none.
+    rig_json, run_json: The validated configuration as JSON text.
+    plan_sha256: Hash of all that a resume must not change.
+    software: Program and version that made the bank.
+    directions_deg: Directions of force and oscillation in the plane, from x towards y.
     rows: Where the rows come from.
     """
 
@@ -271,11 +281,30 @@ class Bank(Closing):
 def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
     """Open a bank for reading, without locks, also while a run is on.
 
-    path: An HDF5 file with at least ``/green``, ``/position_mm`` and the attribute ``sample_rate_hz``.
-    contents: Whether to verify `contents_sha256`, which covers all that is not rows, as well as header and ledger.
+    Parameters
+    ----------
+    path
+        An HDF5 file with at least ``/green``, ``/position_mm`` and the attribute ``sample_rate_hz``.
+    contents
+        Whether to verify `contents_sha256`, which covers all that is not rows, as well as header and ledger.
 
-    Raises InputError: when the file is missing, damaged, of another format or version, or holds what contract section 2
-    does not allow.
+    Returns
+    -------
+    Bank
+        A context manager. Green's functions are read by ``green(position)``, and their checksum is verified then.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, of another format or version, or holds what contract section 2 does not allow.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> with wf.open_bank("plate.h5") as bank:
+    ...     green = bank.green(7)
+    ...     print(green.shape, bank.response_unit, bank.sample_rate_hz)
+    (4, 1000) m/s/V 10000.0
     """
     path = Path(path)
     with ExitStack() as stack:

@@ -89,10 +89,27 @@ class RawFile(Closing):
 def open_raw(path: str | Path) -> RawFile:
     """Open raw recordings for reading, without locks, also while a run is on.
 
-    path: An HDF5 file after contract section 3, made by this program or any other.
+    Parameters
+    ----------
+    path
+        An HDF5 file after contract section 3, made by this program or any other.
 
-    Raises InputError: when the file is missing, damaged, of another format or version, or holds what the contract does
-    not allow.
+    Returns
+    -------
+    RawFile
+        A context manager. ``read(position)`` gives all records of a position in volts, reference and response.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, of another format or version, or holds what the contract does not allow.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> with wf.open_raw("plate.raw.h5") as raw:
+    ...     print(raw.read(0).response_v.shape, raw.header.response_unit)
+    (4, 9200) m/s
     """
     path = Path(path)
     with ExitStack() as stack:

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 import wavefocus
+from tools import python_reference
 
-PROJECT = Path(__file__).parents[2] / "pyproject.toml"
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 SCENE = """
 [[source]]
 path = { kind = "point", at_mm = [4, 4] }
@@ -38,9 +40,16 @@ def test_every_name_that_a_room_s_first_page_gives_is_there(room: str) -> None:
         assert all(hasattr(own, name) for name in names), (module, names)
 
 
-@pytest.mark.parametrize("package", tomllib.loads(PROJECT.read_text(encoding="utf-8"))["tool"]["mypy"]["files"])
+@pytest.mark.parametrize("package", PROJECT["tool"]["importlinter"]["root_packages"])
 def test_every_package_says_that_it_is_typed(package: str) -> None:
-    assert (PROJECT.parent / package / "py.typed").is_file()
+    assert (ROOT / package / "py.typed").is_file()
+
+
+def test_the_page_of_the_python_interface_is_that_of_the_docstrings() -> None:
+    page = (ROOT / "docs" / "reference" / "python.md").read_text(encoding="utf-8")
+    assert page == python_reference.page(), "write it anew: python -m tools.python_reference"
+    missing = [name for name in wavefocus.__all__ if f"### `{name}`" not in page]
+    assert not missing
 
 
 def test_given_another_name_then_it_is_no_attribute() -> None:

@@ -81,7 +81,7 @@ def capture(
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
         needed = needed_by(scene_files, blueprint.plan.position_mm, checks=checks, allow_large=allow_large)
-    blueprint, earlier = _with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
+    blueprint, earlier = with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
     named = blueprint.configuration.run.rig
     rig_file = None if named == "virtual" else run_file.parent / named
     options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
@@ -98,8 +98,8 @@ def capture(
     return done
 
 
-def _with_bank(
-    blueprint: Blueprint, bank: Path, run_file: Path, *, accept_calibration: bool
+def with_bank(
+    blueprint: Blueprint, bank: Path, run_file: Path, *, accept_calibration: bool = False
 ) -> tuple[Blueprint, tuple[Event, ...]]:
     """Make the bank unless it is there; return the campaign as the bank has it, and what happened on the way."""
     if not bank.exists():

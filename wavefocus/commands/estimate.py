@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -23,7 +26,7 @@ from storage.durable import is_network_mount
 from storage.errors import InputError
 from storage.point_status import Status, status_counts
 from storage.raw.header import RawHeader
-from storage.raw.writer import open_raw
+from storage.raw.writer import RawFile, open_raw
 from wavefocus.campaign.blueprint import estimator_for, own_plan
 from wavefocus.cluster import estimate_on_cluster
 from wavefocus.configuration import configuration_from_json, plate_behind
@@ -33,10 +36,47 @@ from wavefocus.console import progress, say
 MOST_LINES = 10
 
 
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """Status bits (positions,) of a bank, and how many positions were estimated into it, in which time."""
+
+    status: NDArray[np.uint8]
+    positions: int
+    took_s: float
+    faults: tuple[str, ...]
+
+
 def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", as_json: bool) -> None:
     """Estimate all positions of a raw file that the bank does not hold yet; a new bank is made where none is."""
-    with open_raw(raw) as recordings, one_blas_thread():
+    with open_raw(raw) as recordings:
         header = recordings.header
+        done = estimate_into(recordings, bank, workers, cluster=cluster, report=say, watch=progress)
+    for line in done.faults[:MOST_LINES]:
+        say(line)
+    if len(done.faults) > MOST_LINES:
+        say(f"and {len(done.faults) - MOST_LINES} positions more that are not valid")
+    _print_result(bank, raw, header, done.status, done.positions, done.took_s, as_json=as_json)
+
+
+def estimate_into(
+    recordings: RawFile,
+    bank: Path,
+    workers: int | None,
+    *,
+    cluster: str = "",
+    report: Callable[[str], None],
+    watch: Callable[..., AbstractContextManager[Callable[[int, int], object]]],
+) -> Estimated:
+    """Estimate into a bank what it does not hold yet of a raw file; it is made where there is none.
+
+    workers: Positions that are estimated at a time; by default one per processor.
+    report: Receives lines about the recordings and what was found in them.
+    watch: Shows progress, as `wavefocus.console.progress` does.
+
+    Raises InputError: the excitation cannot be found, or the bank is not of these recordings.
+    """
+    header, raw = recordings.header, recordings.path
+    with one_blas_thread():
         plan = own_plan(header, raw)
         limits = QualityLimits() if plan is None else plan.quality
         count = affordable_workers(header, workers or os.cpu_count() or 1, str(raw))
@@ -44,7 +84,7 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
             raise InputError(f"--bank {bank}: is the raw file itself; name another file")
 
         def announce(line: str) -> None:
-            say(f"{raw}: {line}")
+            report(f"{raw}: {line}")
 
         announce(
             f"{header.positions} positions, {header.records} records of {header.samples} samples at "
@@ -55,7 +95,7 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
             # The excitation must be found before a bank is made of it.
             estimator = estimator_for(recordings, plan, announce)
             if is_network_mount(bank.absolute().parent):
-                say(f"{bank} is on a network drive, where locks and syncs are unreliable: estimate to a local disk")
+                report(f"{bank} is on a network drive, where locks and syncs are unreliable: estimate to a local disk")
             create_bank(bank, _bank_header(header))
         else:
             estimator = None
@@ -67,7 +107,7 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
                 estimator = estimator_for(recordings, plan, announce)
             started_s = time.monotonic()
             faults: list[str] = []
-            with progress("estimate", header.positions, done=first) as report:
+            with watch("estimate", header.positions, done=first) as show:
                 if to_do and estimator is not None:
                     results = (
                         estimate_on_cluster(cluster, raw, to_do, workers)
@@ -78,14 +118,8 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
                         if fault := _commit(writer, result, limits, calibrated=plan is not None):
                             faults.append(fault)
                         done += 1
-                        report(done, header.positions)
-            status = writer.status
-            took_s = time.monotonic() - started_s
-        for line in faults[:MOST_LINES]:
-            say(line)
-        if len(faults) > MOST_LINES:
-            say(f"and {len(faults) - MOST_LINES} positions more that are not valid")
-    _print_result(bank, raw, header, status, done - first, took_s, as_json=as_json)
+                        show(done, header.positions)
+            return Estimated(writer.status, done - first, time.monotonic() - started_s, tuple(faults))
 
 
 def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits, *, calibrated: bool) -> str:

@@ -16,9 +16,10 @@ from config.scene import Output, Regularisation
 from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
 from rendering.drive.live import StreamedDrive
-from rendering.drive.rendering import render_with_report
+from rendering.drive.rendering import OnProgress, render_with_report
 from rendering.drive.wav import in_chunks, stream_wav
 from rendering.field.prediction import predicted_focus_peak
+from rendering.greens.source import GreenSource
 from rendering.report.render_report import RenderReport
 from rendering.scene.model import Scene, load_scene
 from rendering.scene.size import check_scene_size, size_words
@@ -65,13 +66,10 @@ class RenderOptions:
         if self.device != "cpu" and (self.focusing == "inverse" or self.tolerance_db is not None):
             raise InputError(f"--device {self.device} goes neither with --focusing inverse nor with --tolerance-db")
         if self.focusing == "inverse":
-            given = {
-                "--method": self.method,
-                "--tolerance-db": self.tolerance_db,
-                "--interpolation-tolerance": self.interpolation_tolerance,
-            }
-            if wrong := [key for key, value in given.items() if value is not None]:
-                raise InputError(f"{wrong[0]} is for time reversal; leave it out with --focusing inverse")
+            for key in ("method", "tolerance_db", "interpolation_tolerance"):
+                if getattr(self, key) is not None:
+                    option = key.replace("_", "-")
+                    raise InputError(f"--{option} is for time reversal; leave it out with --focusing inverse")
         elif self.regularisation_db is not None:
             raise InputError("--regularisation-db is for the inverse filter; add --focusing inverse")
 
@@ -340,12 +338,13 @@ def _report(job: _Job, result: _Result, rig_file: Path | None, *, streamed: bool
 
 
 @contextmanager
-def naming(scene_file: Path, bank: Bank) -> Iterator[None]:
+def naming(scene_file: str | Path, bank: GreenSource) -> Iterator[None]:
     """Name the scene file in an InputError that does not name the bank."""
     try:
         yield
     except InputError as wrong:
-        raise InputError(str(wrong) if str(bank.path) in str(wrong) else f"{scene_file}: {wrong}") from None
+        names_bank = isinstance(bank, Bank) and str(bank.path) in str(wrong)
+        raise InputError(str(wrong) if names_bank else f"{scene_file}: {wrong}") from None
 
 
 def rendered(
@@ -355,22 +354,28 @@ def rendered(
 
     Raises InputError: the scene does not fit the bank.
     """
-    wanted = options or RenderOptions()
     with progress("render", 1) as report, naming(scene_file, bank):
-        if wanted.focusing == "inverse":
-            from rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
+        return render_by_options(scene, bank, options or RenderOptions(), report)
 
-            regularisation_db = REGULARISATION_DB if wanted.regularisation_db is None else wanted.regularisation_db
-            return inverse_filter(scene, bank, regularisation_db=regularisation_db)
-        return render_with_report(
-            scene,
-            bank,
-            method=wanted.method,
-            tolerance_db=wanted.tolerance_db,
-            interpolation_tolerance=wanted.interpolation_tolerance,
-            on_progress=report,
-            device=None if wanted.device == "cpu" else cuda_device(),
-        )
+
+def render_by_options(
+    scene: Scene, bank: GreenSource, options: RenderOptions, on_progress: OnProgress | None = None
+) -> tuple[Drive, RenderReport | InverseReport]:
+    """Render a scene as the options say. Raises InputError: the scene does not fit the bank."""
+    if options.focusing == "inverse":
+        from rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
+
+        regularisation_db = REGULARISATION_DB if options.regularisation_db is None else options.regularisation_db
+        return inverse_filter(scene, bank, regularisation_db=regularisation_db)
+    return render_with_report(
+        scene,
+        bank,
+        method=options.method,
+        tolerance_db=options.tolerance_db,
+        interpolation_tolerance=options.interpolation_tolerance,
+        on_progress=on_progress,
+        device=None if options.device == "cpu" else cuda_device(),
+    )
 
 
 def _within_full_scale(

@@ -1,0 +1,149 @@
+"""`import wavefocus as wf`: examples of the docstrings, and functions with paths, objects and wrong input."""
+
+from __future__ import annotations
+
+import doctest
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import wavefocus as wf
+from wavefocus.__main__ import run
+
+SCENE = """
+[scene]
+name = "stroke"
+
+[[source]]
+speed_mm_s = 100.0
+step_mm = 5.0
+path = { kind = "line", start_mm = [-10, 0], end_mm = [10, 0] }
+signal = { kind = "sine", frequency_hz = 200.0, duration_s = 0.05 }
+emission = "per_point"
+"""
+PLACES_MM = [[x, y] for y in (-5, 0, 5) for x in (-10, -5, 0, 5, 10)]
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a small bank, its recordings, a scene, its drive and a field."""
+    folder = tmp_path_factory.mktemp("lab")
+    rig = wf.virtual_rig(position_mm=PLACES_MM, run={"capture": {"keep_raw": True}})
+    rig.measure(folder / "plate.h5").close()
+    (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
+    wf.write_drive(folder / "drive.h5", wf.render(folder / "scene.toml", folder / "plate.h5"))
+    wf.write_field(folder / "field.h5", wf.predict(folder / "drive.h5", folder / "plate.h5", [0, 7]))
+    return folder
+
+
+@pytest.fixture
+def lab(measured: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(measured)
+    return measured
+
+
+FUNCTIONS = [name for name in wf.__all__ if not isinstance(getattr(wf, name), type)]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_the_example_of_every_function_runs_and_gives_what_it_shows(lab: Path, name: str) -> None:
+    (example,) = doctest.DocTestFinder(recurse=False).find(getattr(wf, name), name, globs={})
+    assert example.examples, f"{name} has no example"
+    told: list[str] = []
+    doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(example, out=told.append)
+    assert not told, "".join(told)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_function_says_what_it_takes_gives_and_refuses(name: str) -> None:
+    text = str(getattr(wf, name).__doc__)
+    for section in ("Parameters", "Raises", "Examples"):
+        assert f"\n    {section}\n    ----" in text
+
+
+def test_given_the_same_scene_then_python_and_the_command_make_the_same_drive(lab: Path) -> None:
+    assert run(["render", "scene.toml", "--bank", "plate.h5", "--out", "command.h5", "--force"]) == 0
+    with wf.open_bank("plate.h5") as bank:
+        drive = wf.render(wf.load_scene("scene.toml"), bank)
+    assert np.array_equal(drive.drive_v, wf.read_drive("command.h5").drive_v)
+
+
+def test_given_kept_recordings_then_python_estimates_the_bank_that_was_measured(lab: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    with wf.estimate("plate.raw.h5", "estimated.h5", workers=1, on_progress=lambda *one: seen.append(one)) as bank:
+        with wf.open_bank("plate.h5") as measured:
+            assert np.array_equal(bank.green(4), measured.green(4))
+        assert bank.status.tolist() == [1] * len(PLACES_MM)
+    assert seen[-1] == (len(PLACES_MM), len(PLACES_MM))
+
+
+def test_given_a_bank_half_measured_then_measuring_goes_on_with_it(tmp_path: Path) -> None:
+    path, places_mm = tmp_path / "plate.h5", PLACES_MM[:6]
+    with wf.virtual_rig(actuators=2, position_mm=places_mm).measure(path, [0, 1, 2]) as bank:
+        assert bank.status.tolist() == [1, 1, 1, 0, 0, 0]
+        first = bank.green(1)
+    seen: list[tuple[int, int]] = []
+    rig = wf.virtual_rig(actuators=2, position_mm=places_mm)
+    with rig.measure(path, on_progress=lambda *one: seen.append(one)) as bank:
+        assert bank.status.tolist() == [1] * 6
+        assert np.linalg.norm(bank.green(1) - first) < 0.01 * np.linalg.norm(first)
+    assert seen[-1] == (6, 6)
+    assert run(["check", str(path)]) == 0
+
+
+def test_given_single_steps_then_they_give_what_the_plate_is(tmp_path: Path) -> None:
+    rig = wf.virtual_rig(actuators=3, position_mm=PLACES_MM[:2], noise_v=1e-5)
+    result = rig.estimate(rig.record(1))
+    assert result.estimate is not None
+    measured, true = (np.fft.rfft(one, axis=1)[:, 5:45] for one in (result.estimate.green, rig.truth(1)))
+    assert result.judgement.good
+    assert np.linalg.norm(measured - true) < 2e-3 * np.linalg.norm(true)
+
+
+def test_given_another_seed_then_the_bank_is_another(tmp_path: Path) -> None:
+    rigs = [wf.virtual_rig(actuators=1, position_mm=[[0, 0]], seed=seed) for seed in (1, 2)]
+    first, second = (rig.estimate(rig.record(0)).estimate for rig in rigs)
+    assert first is not None
+    assert second is not None
+    assert not np.array_equal(first.green, second.green)
+
+
+@pytest.mark.parametrize(
+    ("keys", "named"),
+    [
+        ({"taps": 0}, "capture.taps"),
+        ({"plate": "jelly"}, "virtual.plate"),
+        ({"position_mm": [[0.0, 400.0]]}, "position_mm"),
+        ({"position_mm": [[0.0, 0.0], [0.0, 0.0]]}, "position_mm"),
+        ({"position_mm": [1.0, 2.0]}, "position_mm"),
+        ({"run": {"sweep": {"stop_hz": 1e5}}}, "sweep.stop_hz"),
+        ({"run": {"swep": {}}}, "swep"),
+        ({"actuators": [[0.0, 0.0], [0.0, 0.0]]}, "actuators.position_mm"),
+    ],
+)
+def test_given_wrong_keys_of_a_rig_then_the_error_names_them(keys: dict, named: str) -> None:
+    with pytest.raises(wf.InputError, match=named):
+        wf.virtual_rig(**keys)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: wf.open_bank("none.h5"),
+        lambda: wf.render("none.toml", "plate.h5"),
+        lambda: wf.render("scene.toml", "none.h5"),
+        lambda: wf.render("scene.toml", "drive.h5"),
+        lambda: wf.render("scene.toml", "plate.h5", method="exact", focusing="inverse"),
+        lambda: wf.predict("none.h5", "plate.h5"),
+        lambda: wf.predict("drive.h5", "plate.h5", [99]),
+        lambda: wf.focus_figures("drive.h5", "plate.h5", "none.h5"),
+        lambda: wf.estimate("none.h5", "new.h5"),
+        lambda: wf.estimate("plate.raw.h5", "plate.raw.h5"),
+        lambda: wf.virtual_rig(position_mm=PLACES_MM[:2]).measure("plate.h5"),
+        lambda: wf.virtual_rig(position_mm=PLACES_MM[:2]).record(2),
+    ],
+)
+def test_given_wrong_input_then_every_function_raises_an_input_error(lab: Path, call) -> None:
+    with pytest.raises(wf.InputError):
+        call()

@@ -1,0 +1,171 @@
+"""Writes docs/reference/python.md from the signatures and docstrings of the public names.
+
+    python -m tools.python_reference
+
+A test fails when the page is not what this writes.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import wavefocus
+
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "python.md"
+HEAD = """# Python
+
+`import wavefocus as wf` gives the functions below, and the classes of what they take and return. Where a function takes
+a bank, a scene, a drive or a field, it takes an open one or the path of its file. Wrong input raises `wf.InputError`
+with one sentence that names what is wrong and what is allowed. Names are loaded when they are used first, and all are
+typed.
+
+```python
+import wavefocus as wf
+
+bank = wf.open_bank("plate.h5")
+drive = wf.render("scene.toml", bank)
+field = wf.predict(drive, bank, [3, 4])
+```
+
+`bank.to_xarray()`, `drive.to_xarray()` and `field.to_xarray()` give an `xarray.Dataset` with the names, dimensions and
+units of the file (`pip install 'wavefocus[exchange]'`); a bank's rows are read when they are used:
+
+```python
+green = bank.to_xarray()["green"].sel(actuator=0, time_s=slice(0, 0.02))
+```
+
+<!-- Written by tools/python_reference.py from the docstrings: change those. -->
+"""
+FUNCTIONS = {
+    "Banks": ("open_bank", "virtual_rig", "estimate"),
+    "Scenes, drives and fields": ("load_scene", "render", "predict", "focus_figures"),
+    "Files": ("read_drive", "write_drive", "read_field", "write_field"),
+    "Recordings": ("open_raw", "estimator", "estimate_positions"),
+}
+CLASSES = {
+    "Files and arrays": ("Bank", "GreenArray", "Drive", "Field", "FocusFigures", "RawFile"),
+    "Scenes": ("Scene", "Source", "Point", "Line", "Circle", "Polyline", "Impulse", "Sine", "Noise", "SoundFile"),
+    "The virtual rig": ("VirtualBench",),
+    "Errors": ("InputError",),
+}
+CALLED = {"GreenArray", "Drive", "Field", *CLASSES["Scenes"]}
+"""Classes that people make themselves; the others come from functions."""
+WIDTH = 88
+
+
+def page() -> str:
+    """The page's text."""
+    parts = [HEAD]
+    for title, names in FUNCTIONS.items():
+        parts.append(f"## {title}\n")
+        parts += [function_entry(name) for name in names]
+    for title, names in CLASSES.items():
+        parts.append(f"## Classes: {title.lower()}\n")
+        parts += [class_entry(name) for name in names]
+    return "\n".join(parts)
+
+
+def function_entry(name: str) -> str:
+    """A function: signature, sentences, parameters, and an example."""
+    function = getattr(wavefocus, name)
+    return f"### `{name}`\n\n{code(signature(f'wf.{name}', function))}\n\n{markdown(function)}"
+
+
+def class_entry(name: str) -> str:
+    """A class: what it holds, its properties as a list, and its methods."""
+    kind = getattr(wavefocus, name)
+    own = {one: member for one, member in vars(kind).items() if not one.startswith("_") and inspect.getdoc(member)}
+    call = f"{code(signature(f'wf.{name}', kind))}\n\n" if name in CALLED else ""
+    parts = [f"### `{name}`\n\n{call}{markdown(kind)}"]
+    if values := {one: member for one, member in own.items() if isinstance(member, property)}:
+        lines = (f"- `{one}`: {paragraph(code_marks(inspect.getdoc(member)))}" for one, member in values.items())
+        parts.append("\n".join(lines) + "\n")
+    for one, member in own.items():
+        if inspect.isroutine(member):
+            parts.append(f"#### `{name}.{one}`\n\n{code(signature(one, member))}\n\n{markdown(member)}")
+    return "\n".join(parts)
+
+
+class Bare:
+    """Something that stands in a signature as this text."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __repr__(self) -> str:
+        return self._text
+
+
+def signature(name: str, function: Any) -> str:
+    """A call with the types of its parameters, a line for each where it is long."""
+    found = inspect.signature(function)
+    parameters = [_bare(one) for one in found.parameters.values() if one.name != "self"]
+    result = "" if found.return_annotation is found.empty else f" -> {found.return_annotation}"
+    call = found.replace(parameters=parameters, return_annotation=found.empty)
+    if len(line := f"{name}{call}{result}") <= WIDTH:
+        return line
+    lines = [str(one) for one in parameters]
+    if (keys := [one.kind is one.KEYWORD_ONLY for one in parameters]) and any(keys):
+        lines.insert(keys.index(True), "*")
+    return "\n".join([f"{name}(", *(f"    {line}," for line in lines), f"){result}"])
+
+
+def _bare(parameter: inspect.Parameter) -> inspect.Parameter:
+    annotation, default = parameter.annotation, parameter.default
+    if isinstance(annotation, str):
+        parameter = parameter.replace(annotation=Bare(annotation))
+    if default is not parameter.empty and callable(default):
+        parameter = parameter.replace(default=Bare("np.float32" if default is np.float32 else "..."))
+    return parameter
+
+
+def code(text: str) -> str:
+    """Python as a block."""
+    return f"```python\n{text}\n```"
+
+
+def code_marks(text: str | None) -> str:
+    """Literals and references of a docstring as Markdown's."""
+    return re.sub(r"``([^`]+)``", r"`\1`", (text or "").replace(":func:", ""))
+
+
+def markdown(thing: object) -> str:
+    """A docstring as Markdown: sections in bold, what they name as a list, examples as code."""
+    first, *sections = re.split(r"^(\w+)\n-+\n", code_marks(inspect.getdoc(thing)), flags=re.MULTILINE)
+    parts = [listed(first)]
+    for title, body in zip(sections[::2], sections[1::2], strict=True):
+        if title == "Examples":
+            parts.append(f"```pycon\n{body.strip()}\n```\n")
+        else:
+            entries = re.findall(r"^(\S.*)\n((?:[ \t]+.*\n?|\n)+)", body, flags=re.MULTILINE)
+            parts.append(f"**{title}**\n")
+            parts.append("\n".join(f"- `{name}`: {paragraph(text)}" for name, text in entries) + "\n")
+    return "\n".join(parts)
+
+
+def listed(text: str) -> str:
+    """Paragraphs; one whose lines name a parameter each becomes a list."""
+    first, *blocks = text.strip().split("\n\n")
+    found = [first]
+    for block in blocks:
+        entries = re.split(r"\n(?! )", block)
+        if all(re.match(r"[a-z]\w*(, [^:]+)?: ", one) for one in entries):
+            found.append("\n".join(re.sub(r"^([^:]+): ", r"- `\1`: ", paragraph(one)) for one in entries))
+        else:
+            found.append(block)
+    return "\n\n".join(found) + "\n"
+
+
+def paragraph(text: str) -> str:
+    """Lines joined to one."""
+    return " ".join(text.split())
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8", newline="\n")
+    print(PAGE)
