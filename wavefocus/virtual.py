@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acquisition.attempt import Attempt, AttemptResult, PositionRecords, Recorded, evaluate
 from acquisition.engine.campaign import Campaign
 from acquisition.engine.session import EventPublisher, StopRequest
-from acquisition.measuring.attempt import Attempt, AttemptResult, PositionRecords, Recorded, evaluate
-from acquisition.measuring.plays import measuring_of
-from acquisition.measuring.setup import Setup
+from acquisition.plays import measuring_of
+from acquisition.setup import Setup
 from calibration.blas import one_blas_thread
 from config.loading import validated
 from config.messages.campaign import Event, Progress, State
