@@ -18,7 +18,7 @@ COMPILER := gcc libc6-dev
 TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 $(COMPILER) \
 	$(WINDOW_PACKAGES) $(X_PACKAGES)
 
-.PHONY: help demo test coverage test-long lint bench bench-pages stiff-cases soak screenshots window-figures clean
+.PHONY: help demo docs test coverage test-long lint bench bench-pages stiff-cases soak screenshots window-figures clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 
@@ -28,6 +28,10 @@ help: ## Say what there is
 demo: ## Measure, interrupt, resume, render, verify on the virtual rig; writes demo-out/
 	@tools/set-up.sh plates
 	$(PY) -m wavefocus demo --out demo-out --force $(ARGS)
+
+docs: ## Build the documentation's site in site/, warnings being errors; open site/index.html
+	@tools/set-up.sh docs
+	$(PY) -m sphinx -W --keep-going -q -d site/.doctrees docs site
 
 test: ## Run the tests; some minutes
 	@tools/system-packages.sh $(TEST_PACKAGES)
@@ -86,5 +90,5 @@ window-figures: ## Measure how soon the window is up and what it costs
 
 clean: ## Remove .venv, caches and what demo and bench wrote
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .coverage .coverage.* \
-		htmlcov build dist *.egg-info demo-out bench-out soak-out
+		htmlcov build dist *.egg-info demo-out bench-out soak-out site
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

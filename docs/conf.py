@@ -1,0 +1,75 @@
+"""Settings of the documentation's site (`make docs`): Sphinx reads the Markdown files that the repository shows."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from importlib.metadata import version as version_of
+
+from sphinx.application import Sphinx
+
+from wavefocus.cli import COMMANDS, Argument, Command
+
+project = "wavefocus"
+version = release = version_of("wavefocus")
+html_title = f"wavefocus {version}"
+root_doc = "README"
+extensions = ["myst_parser"]
+myst_heading_anchors = 4  # links to headings are written as on a repository's pages
+highlight_language = "none"  # of blocks that name no language: what a program prints
+html_theme = "furo"
+html_copy_source = False
+html_show_copyright = False
+html_show_sphinx = False
+
+
+def setup(app: Sphinx) -> None:
+    """Register what is added to the pages."""
+    app.connect("source-read", complete)
+    app.connect("build-finished", lambda app, _: shutil.copy(app.outdir / "README.html", app.outdir / "index.html"))
+
+
+def complete(app: Sphinx, page: str, text: list[str]) -> None:
+    """Add to three pages what stands in the program or in the folder already."""
+    if page == "README":
+        text[0] += "".join(navigation(text[0]))
+    elif page == "decisions/README":
+        text[0] += "\n```{toctree}\n:glob:\n\n0*\n```\n"
+    elif page == "reference/commands":
+        text[0] += "".join(map(section, COMMANDS))
+
+
+def navigation(index: str) -> Iterator[str]:
+    """Yield the site's navigation: the headings of an index with the pages that they list, in their order."""
+    for heading, part in re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", index, re.MULTILINE | re.DOTALL):
+        pages = re.findall(r"^- \[.*?\]\((\S+\.md)\)", part, re.MULTILINE)
+        yield "\n".join(["", "```{toctree}", ":hidden:", f":caption: {heading}", "", *pages, "```", ""])
+
+
+def section(command: Command) -> str:
+    """Describe a command: how it is typed, what it does, its arguments."""
+    needed = [spelled(one) for one in command.arguments if is_needed(one)]
+    options = [] if len(needed) == len(command.arguments) else ["[options]"]
+    typed = " ".join(["wavefocus", command.name, *needed, *options])
+    rows = "".join(
+        "| `{}` | {} |\n".format(spelled(one).replace("|", r"\|"), one.settings["help"]) for one in command.arguments
+    )
+    return (
+        f"\n## {command.name}\n\n```text\n{typed}\n```\n\n{command.help}\n\n| argument | meaning |\n|---|---|\n{rows}"
+    )
+
+
+def is_needed(one: Argument) -> bool:
+    """Whether a command line must have an argument."""
+    optional = one.names[0].startswith("-") or one.settings.get("nargs") in ("?", "*")
+    return bool(one.settings.get("required", not optional))
+
+
+def spelled(one: Argument) -> str:
+    """An argument as it is typed."""
+    choices = ", ".join(one.settings.get("choices", ()))
+    value = one.settings.get("metavar", choices or "TEXT")
+    if not one.names[0].startswith("-"):
+        return value
+    return one.names[0] if str(one.settings.get("action")).startswith("store_") else f"{one.names[0]} {value}"
